@@ -17,7 +17,7 @@ def looked_at(method: str, signals: Signals, *, long: bool = False, **overrides)
         made = assess.trust_in
         patch.setattr(assess, "trust_in", lambda evidence: seen.append(evidence) or made(evidence))
         if long:
-            patch.setattr(regression_system, "_NUMBERS_IN_MEMORY", 100)
+            patch.setattr(regression_system, "_MAX_NUMBERS", 100)
             patch.setattr("identification.regression.problem._SERIES_BLOCK", 60_000)
         fit = identify(signals, Overrides(**overrides), method=method)
     return fit, seen[-1]

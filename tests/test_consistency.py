@@ -12,7 +12,7 @@ from acquisition.robot import Robot, load_robot
 from identification.errors import IdentificationError
 from identification.estimation import PhysicalParameters, certainty, consistent_parameters, pseudo_inertia
 from identification.estimation.consistency import CERTIFIED, MATRIX, _inverse_root, _Objective
-from identification.methods.consistent import FROM_PRIOR
+from identification.methods.consistent import MIN_PRIOR_SHARE
 from identification.model import InverseModel, base_parameters, physical_parameters, requirements
 from identification.model.base import known_parameters
 from identification.model.inverse import FROM_PINOCCHIO
@@ -294,6 +294,6 @@ def test_intervals_hold_the_truth_where_the_prior_is_links_by_their_lengths():
         _, (deviations, from_prior) = certainty(found, C, K, physical)
         hit.append(np.abs(found.beta - true) <= 1.96 * deviations)
         share.append(from_prior)
-    told = np.array(share) <= FROM_PRIOR
+    told = np.array(share) <= MIN_PRIOR_SHARE
     assert told.mean() > 0.5
     assert np.array(hit)[told].mean() >= 0.90

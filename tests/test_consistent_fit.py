@@ -97,13 +97,13 @@ def test_the_report_has_intervals_and_names_what_left_the_fits(consistent, tx40)
         "mostly from",
     ]
     assert [row[2].value for row in standard.table.rows] == c.half.tolist()
-    assert f"moved by over one half-width of the fit's interval: {c.base_names[3]} (+1.7)" in standard.lines
+    assert f"moved by more than one half-width: {c.base_names[3]} (+1.7)" in standard.lines
     of_base = sections["physically consistent base parameters"].table
     assert [row[0] for row in of_base.rows] == list(c.base_names)
     assert [row[2].value for row in of_base.rows] == c.base_half.tolist()
     assert of_base.rows[3][-1].value == 1.7
     plain = fit_document(signals_of(tx40), consistent)
-    assert not any("by over one half-width" in line for s in plain.sections for line in s.lines)
+    assert not any("by more than one half-width" in line for s in plain.sections for line in s.lines)
 
 
 def held_out_error(fit, observed, trained, physical) -> tuple[float, float]:

@@ -252,10 +252,10 @@ def test_blocks_and_reduced_rows_give_the_same_as_one_pass(monkeypatch):
     problem, _ = exact_problem(robot, periodic_reference(robot, duration_s=12.0, seed=5).at(t), decimation=2)
     _, whole = solve_with_load_friction(system_of(problem))
     monkeypatch.setattr("identification.regression.problem._SERIES_BLOCK", 10_000)
-    monkeypatch.setattr(system, "_LINKS_KEPT", 0)
+    monkeypatch.setattr(system, "_MAX_LINK_NUMBERS", 0)
     _, blocks = solve_with_load_friction(system_of(problem))
     np.testing.assert_allclose(blocks.beta, whole.beta, rtol=1e-6, atol=1e-7)
-    monkeypatch.setattr(system, "_NUMBERS_IN_MEMORY", 10_000)
+    monkeypatch.setattr(system, "_MAX_NUMBERS", 10_000)
     plain = regression_of_recording(problem)
     assert plain.reduced
     _, reduced = solve_with_load_friction(system_of(problem, plain=plain))
@@ -423,7 +423,7 @@ def test_root_friction_at_two_speeds_is_named_and_left_out():
     settled, full = solve_with_load_friction(system_of(problem))
     assert full.names in (("M1R", "Fv1", "Fc1"), ("M1", "Fv1", "Fc1"))
     (told,) = settled.problem.settings.warnings[-1:]
-    assert told.startswith("root friction of joint axis left out: Fr1 cannot be told from the other parameters")
+    assert told.startswith("root friction of joint axis left out: Fr1 cannot be distinguished from the others")
     three, known = two_speeds(axis(["viscous", "coulomb", "root"], Fv=100.0, Fc=20.0, Fr=30.0), 1.0, (0.05, 0.1, 0.2))
     settled, full = solve_with_load_friction(system_of(three))
     np.testing.assert_allclose(full.beta, known, rtol=1e-8)

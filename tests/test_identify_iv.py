@@ -80,7 +80,7 @@ def test_tx40_is_worse_without_the_gain_update(tx40):
     assert updated.iv.passes[0].z.tracking_percent < 5
     assert fit.iv.passes[0].estimate.residual_norm > 1.02 * updated.iv.passes[0].estimate.residual_norm
     # Nor are the gains updated for the last simulation, that of the result.
-    assert not np.array_equal(fit.iv.simulated.q, updated.iv.simulated.q)
+    assert not np.array_equal(fit.replica.motion.q, updated.replica.motion.q)
 
 
 @pytest.mark.slow
@@ -92,7 +92,7 @@ def test_fewer_instrument_samples_leave_the_estimate_where_it_is(tx40, monkeypat
     coarse = identify_iv(signals, every_row, to_the_end)
     monkeypatch.setattr("identification.simulation.instruments.RATE_PER_BANDWIDTH", 500.0)
     fine = identify_iv(signals, every_row, to_the_end)
-    assert len(fine.iv.q) == pytest.approx(5 * len(coarse.iv.q), rel=0.01)
+    assert len(fine.replica.q) == pytest.approx(5 * len(coarse.replica.q), rel=0.01)
     assert (np.abs(coarse.beta - fine.beta) < 0.1 * fine.estimate.sigma).all()
 
 
@@ -271,7 +271,7 @@ def test_gains_tell_the_inertias_where_least_squares_has_none():
     """A torque of the wrong sign leaves least squares without positive inertias: Kp = J w² then gives those of the gains."""
     robot, fit = signals_of(SCARA).robot, with_torque_of_the_wrong_sign()
     c = robot.controller
-    assert any("those that the described gains suit at 5 Hz" in text for text in fit.warnings)
+    assert any("those that suit the described gains at 5 Hz" in text for text in fit.warnings)
     J = np.array(c.position_gain) / (2 * np.pi * c.bandwidth_hz) ** 2
     np.testing.assert_allclose(recorded_loop(robot).inertias(c.bandwidth_hz), J)
     # From the regular start, 1 kg m² of each motor, the first gains are 1/J and a joint's share.
@@ -420,4 +420,4 @@ def test_robot_without_controller_uses_a_surrogate_and_says_so(capsys):
     signals = load_signals(SCARA, dataclasses.replace(robot, controller=bare))
     fit = identify_iv(signals, Overrides(), Iteration())
     assert (fit.status, fit.iv.controller, fit.iv.reference) == ("converged", "surrogate", "recorded")
-    assert any("a PD of 5 Hz stands in" in text for text in fit.warnings)
+    assert any("simulated with a 5 Hz PD" in text for text in fit.warnings)

@@ -191,7 +191,7 @@ def test_reduced_rows_give_the_same_fit(monkeypatch):
     signals, finely = synthetic_signals(), Overrides(decimation=5)
     whole = identify_ls(signals, finely)
     monkeypatch.setattr("identification.regression.problem._SERIES_BLOCK", 1)
-    monkeypatch.setattr(regression_module, "_NUMBERS_IN_MEMORY", 1000)
+    monkeypatch.setattr(regression_module, "_MAX_NUMBERS", 1000)
     reduced = identify_ls(signals, finely)
     np.testing.assert_allclose(reduced.beta, whole.beta, rtol=1e-7)
     np.testing.assert_allclose(reduced.estimate.sigma, whole.estimate.sigma, rtol=1e-7)

@@ -193,7 +193,7 @@ def fits_both_ways(monkeypatch: pytest.MonkeyPatch, **kwargs) -> tuple[Fit, Fit]
     signals = load_signals(REPLAY / "tx40" / "session.mcap")
     whole = identify_ls(signals, Overrides(decimation=5), **kwargs)
     monkeypatch.setattr("identification.regression.problem._SERIES_BLOCK", 300_000)
-    monkeypatch.setattr(regression_module, "_NUMBERS_IN_MEMORY", 100_000)
+    monkeypatch.setattr(regression_module, "_MAX_NUMBERS", 100_000)
     return whole, identify_ls(signals, Overrides(decimation=5), **kwargs)
 
 

@@ -226,12 +226,12 @@ def test_long_recordings_give_the_same(monkeypatch, blocks):
     """In blocks whose series are made anew by each pass, or as QR factors: fit, trust block, errors held out."""
     given = halves(long_record())
     wanted = identify_ls(given, DENSE)
-    monkeypatch.setattr(system, "_LINKS_KEPT", 0)
+    monkeypatch.setattr(system, "_MAX_LINK_NUMBERS", 0)
     if blocks:
         monkeypatch.setattr("identification.regression.problem._SERIES_BLOCK", 10_000)
         assert len(row_blocks(make_problem(given.sources[0], DENSE))) > 2
     else:
-        monkeypatch.setattr(system, "_NUMBERS_IN_MEMORY", 500)
+        monkeypatch.setattr(system, "_MAX_NUMBERS", 500)
     found, tolerance = identify_ls(given, DENSE), 1e-6 if blocks else 1e-9
     assert bool(len(found.problem.signals.q)) == blocks
     assert (np.abs(found.estimate.beta - wanted.estimate.beta) / wanted.intervals.half).max() < tolerance

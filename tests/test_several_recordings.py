@@ -235,7 +235,7 @@ def test_dask_is_imported_when_asked_for_alone(files):
 def test_reduced_rows_give_the_same(monkeypatch):
     """Recordings too long for their rows to be held: least squares, intervals and held-out errors from QR factors."""
     wanted = fitted()
-    monkeypatch.setattr(regression_system, "_NUMBERS_IN_MEMORY", 500)
+    monkeypatch.setattr(regression_system, "_MAX_NUMBERS", 500)
     found = fitted.__wrapped__()
     assert off(wanted, found.estimate.beta) < 1e-9
     np.testing.assert_allclose(found.intervals.sigma, wanted.intervals.sigma, rtol=0.1)  # blocks count as instants
@@ -253,7 +253,7 @@ def test_reduced_rows_give_the_same(monkeypatch):
 def test_reduced_rows_give_the_same_by_instruments(monkeypatch):
     """The simulated robot's speed is judged by the reference's peak there: a row or two more or less count."""
     wanted = fitted("iv")
-    monkeypatch.setattr(regression_system, "_NUMBERS_IN_MEMORY", 500)
+    monkeypatch.setattr(regression_system, "_MAX_NUMBERS", 500)
     monkeypatch.setattr("identification.regression.problem._SERIES_BLOCK", 60_000)
     found = fitted.__wrapped__("iv")
     assert (found.status, len(found.iv.passes)) == (wanted.status, len(wanted.iv.passes))

@@ -18,7 +18,7 @@ from identification.estimation.estimators import joint_weights
 from identification.methods import Fit, Iteration, identify_iv, identify_ls
 from identification.model import InverseModel, described_parameters
 from identification.regression import FilteredMotion, Overrides, make_problem, moving_rows_of, regression_of_recording
-from identification.regression.rows import measured_slip
+from identification.regression.rows import measured_sliding_speed
 from identification.study import Noise, closed_loop, random_reference
 
 SCARA = REPLAY / "scara" / "session.mcap"
@@ -80,13 +80,15 @@ def test_least_squares_goes_by_the_lowest_filtered_speed_near_a_row():
     signals = load_signals(SCARA)
     raw, problem = make_problem(signals, Overrides(cutoff_hz=0)), make_problem(signals, Overrides())
     settings = problem.settings
-    assert (measured_slip(raw, np.eye(2))[1] > 0).all()
-    assert not measured_slip(problem, np.eye(2))[1].any()
+    assert (measured_sliding_speed(raw, np.eye(2))[1] > 0).all()
+    assert not measured_sliding_speed(problem, np.eye(2))[1].any()
     fs, cutoff_hz = signals.sample_rate_hz, settings.cutoff_hz
     t = signals.t_s
     q = np.stack([np.sin(2 * np.pi * t), 0.5 * np.sin(np.pi * t)], axis=1)  # far below the cut-off
     known = dataclasses.replace(signals, q=q)
-    found, _ = measured_slip(dataclasses.replace(problem, signals=known, motion=FilteredMotion(known)), np.eye(2))
+    found, _ = measured_sliding_speed(
+        dataclasses.replace(problem, signals=known, motion=FilteredMotion(known)), np.eye(2)
+    )
     rows = np.arange(settings.stop - 1, settings.start - 1, -settings.decimation)[::-1]
     half = round(0.5 * fs / cutoff_hz)
     assert half == 20
@@ -106,7 +108,7 @@ def test_both_methods_leave_slow_rows_out_and_settings_say_how_many():
     assert ls.estimate.rows == pytest.approx(iv.estimate.rows, rel=0.06)
     assert ls.estimate.rows < 0.9 * rows
     # Least squares on the rows that instrumental variables use: of the simulated speed.
-    m, plan, D = iv.iv.simulated, ls.settings, InverseModel(signals.robot).coulomb_directions
+    m, plan, D = iv.replica.motion, ls.settings, InverseModel(signals.robot).coulomb_directions
     step_s = m.t_s[1] - m.t_s[0]
     steps, half = round(plan.decimation / step_s / signals.sample_rate_hz), round(0.5 / step_s / plan.cutoff_hz)
     speed = np.abs(m.dq @ D.T)

@@ -35,7 +35,7 @@ def verdict(tracking, errors, tests=GOOD):
 def test_every_joint_has_to_track():
     assert verdict(1.0, [1.0, 2.0]) == ("converged", None)
     status, reason = verdict(2.3, [0.5, 59.3])
-    assert (status, reason) == ("not_confirmed", "simulated joint j1 is 59.3 % off the measured one")
+    assert (status, reason) == ("not_confirmed", "simulated joint j1 differs by 59.3 % from the measured one")
     assert verdict(float("nan"), [1.0])[0] == "not_confirmed"
     assert verdict(1.0, [float("nan")])[0] == "not_confirmed"
 

@@ -215,7 +215,7 @@ def test_a_fit_by_instruments_shows_passes_and_the_simulated_robot(case, written
         + ["TextDocument"] * 2
     )
     assert file.is_complete()
-    simulated, name = fit.iv.simulated, signals.robot.joints[0].name
+    simulated, name = fit.replica.motion, signals.robot.joints[0].name
     for quantity, key, values in (("q", "simulated", simulated.q), ("torque", "model_ddm", simulated.tau)):
         k, x = file.curve(quantity, name, key)
         np.testing.assert_array_equal(k, np.rint(simulated.t_s * FS))
@@ -223,7 +223,7 @@ def test_a_fit_by_instruments_shows_passes_and_the_simulated_robot(case, written
     titles = {origin: title for origin, (_, title) in file.views.items()}
     per_unit = error_scale(titles[f"/error/{name}".replace(" ", "\\ ")], name, signals.robot.joints[0].position_unit)
     k, x = file.curve("error", name, "simulated")
-    np.testing.assert_allclose(x / per_unit, simulated.q[:, 0] - fit.iv.q[:, 0])
+    np.testing.assert_allclose(x / per_unit, simulated.q[:, 0] - fit.replica.q[:, 0])
     np.testing.assert_allclose(signals.q[k, 0] + x / per_unit, simulated.q[:, 0], atol=1e-3 * np.ptp(signals.q[:, 0]))
     if signals.q_ref is not None:
         k, x = file.curve("error", name, "reference")
@@ -242,7 +242,7 @@ def test_a_fit_by_instruments_shows_passes_and_the_simulated_robot(case, written
 @pytest.mark.slow
 def test_a_robot_that_cannot_be_simulated_has_passes_and_no_ghost(written):
     fit = fitted_iv(made_up())
-    assert (fit.status, fit.iv.simulated) == ("not_confirmed", None)
+    assert (fit.status, fit.replica.motion) == ("not_confirmed", None)
     file = written(made_up(), fit)
     assert file.is_complete()
     assert "/passes" in file.views

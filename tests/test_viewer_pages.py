@@ -176,7 +176,10 @@ def test_both_robots_stand_where_their_data_says(tmp_path):
     fit = fitted_iv(signals)
     write_fit_rrd(tmp_path / "fit.rrd", signals, fit)
     file = Written(tmp_path / "fit.rrd")
-    for key, t_s, q in (("measured", signals.t_s, signals.q), ("simulated", fit.iv.simulated.t_s, fit.iv.simulated.q)):
+    for key, t_s, q in (
+        ("measured", signals.t_s, signals.q),
+        ("simulated", fit.replica.motion.t_s, fit.replica.motion.q),
+    ):
         first, second = (file.moving[f"/robot/{key}/joints/{j}"] for j in (1, 2))
         at = np.array([t.total_seconds() for t in first["time"]])
         k = np.array([np.abs(t_s - t).argmin() for t in at])

@@ -1,11 +1,11 @@
-"""The method on one screen, several recordings, what a fit is worth, and its documents and files.
+"""Identification by least squares and instrumental variables: the method, its results, their documents and files.
 
 The path of a fit, stage by stage::
 
-    Signals, Settings, Problem   a recording, what is done with it, with its robot's model
-    RecordingData, StackedSystem W and Y of one recording, and of all together, about any parameters
-    Instruments, Pass            Z along the simulated robot, the estimate that it gives, how far that moved
-    Evidence, Trust              all that the tests look at, and what they say
+    Signals, Settings, Problem   a recording, the settings, the robot's model
+    RecordingData, StackedSystem W and Y of one recording, and of all recordings, about given parameters
+    Instruments, Pass            Z of the simulated robot, and the estimate of one pass
+    FitData, Trust               inputs and results of the trust tests
     Fit                          the result; `report.FitFile` is its JSON file
 """
 

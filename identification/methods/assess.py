@@ -1,4 +1,4 @@
-"""Assesses a fit: torque errors of all rows, intervals, tests, warnings; of instruments each pass, and whether it converged."""
+"""Assesses a fit: torque errors, intervals, tests and warnings; with instruments also whether the passes converged."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -28,15 +28,15 @@ from .fit import Fit, FittedRecording, InstrumentEvidence, LeastSquares, Pass, e
 from .observation import position_noise_line
 from .recording_report import gain_warnings, recording_warnings, ripple_warnings
 from .system import StackedSystem
-from .timing import counted
+from .timing import add_lag_variance
 
-TRACKED_PERCENT = 20.0  # a simulation further off the measured position does not vouch for its estimate
-SATURATED_PERCENT = 1.0  # a share of saturated samples worth a warning
-WEAK_INSTRUMENTS_F = 10.0
+MAX_TRACKING_PERCENT = 20.0  # a larger error of the simulated position does not confirm the estimate
+MAX_SATURATED_PERCENT = 1.0  # of the samples: above, a warning
+MIN_FIRST_STAGE_F = 10.0
 
 
 def evidence_of_ls(observed: StackedSystem, method: Method, ls: LeastSquares, lags: tuple[Lag, ...]) -> FitData:
-    """What least squares has to show for itself: it has no instruments, and cannot find the lags of the torques."""
+    """Inputs of the trust tests of least squares, which has no instruments and cannot find the lags of the torques."""
     first = observed.problems()[0].with_samples()
     lone, reduced = len(observed.observations) == 1, observed.regression.reduced
     long = observed.observations if reduced and not lone else ()
@@ -59,28 +59,28 @@ def evidence_of_ls(observed: StackedSystem, method: Method, ls: LeastSquares, la
 
 
 def fit_of(observed: StackedSystem, evidence: FitData, solved: LeastSquares, replicas: Sequence[Replica] = ()) -> Fit:
-    """A fit of the estimate that was `solved`, judged by its evidence; with the robot simulated in each recording, or none."""
+    """The fit of an estimate and its assessment; `replicas` are the robot simulated in each recording, if it was."""
     rows, predicted = observed.regression, solved.tau_predicted
     names = tuple(joint.name for joint in observed.problem.signals.robot.joints)
     trust, held_out = trust_in(evidence), held_out_recordings(evidence)
-    judged, of_model = observed, predicted
-    # errors of the model, without the noise that the fit lets through
+    filtered, of_model = observed, predicted
+    # errors of the model, without the noise that passes the cut-off of the fit
     if (behind := observed.behind_rule()) is not None:
-        judged = behind.at(solved.estimate.values_of(rows.system.names))
-        of_model = judged.predicted(solved.estimate)
-    seen = judged.regression
+        filtered = behind.at(solved.estimate.values_of(rows.system.names))
+        of_model = filtered.predicted(solved.estimate)
+    measured = filtered.regression
     fitted = [
         FittedRecording(
             problem=one.problem,
             parameters=observed.parameters.of[k],
             rows=part,
-            errors=torque_errors(seen.tau[own], of_model[own], seen.speed[own], names),
+            errors=torque_errors(measured.tau[own], of_model[own], measured.speed[own], names),
             held_out=held,
             replica=replicas[k] if replicas else None,
             states=one.states,
         )
         for k, (one, part, own, held) in enumerate(
-            zip(observed.observations, observed.parts, judged.parts, held_out, strict=True)
+            zip(observed.observations, observed.parts, filtered.parts, held_out, strict=True)
         )
     ]
     return Fit(
@@ -94,7 +94,7 @@ def fit_of(observed: StackedSystem, evidence: FitData, solved: LeastSquares, rep
         tau=rows.tau,
         tau_predicted=predicted,
         speed=rows.speed,
-        errors=torque_errors(seen.tau, of_model, seen.speed, names),
+        errors=torque_errors(measured.tau, of_model, measured.speed, names),
         lags=evidence.lags,
         warnings=_warnings(observed),
         trust=trust,
@@ -103,7 +103,7 @@ def fit_of(observed: StackedSystem, evidence: FitData, solved: LeastSquares, rep
 
 
 def own_test(observed: StackedSystem, full: Estimate) -> OwnTest | None:
-    """The F test of the recordings' own parameters against shared ones, by least squares; None where they have none."""
+    """F test, by least squares, of the recordings' own parameters against shared ones; None if there are none."""
     parameters, rows = observed.parameters, observed.regression
     if not parameters.any:
         return None
@@ -115,15 +115,15 @@ def own_test(observed: StackedSystem, full: Estimate) -> OwnTest | None:
     scale = np.linalg.norm(together, axis=0)
     left = np.linalg.norm(Y - together / scale @ np.linalg.lstsq(together / scale, Y)[0])
     rho = (rows.tau - observed.predicted(full)) * full.weights * rows.fast
-    more, freedom = len(parameters.names) - len(shared), full.rows - len(parameters.names)
-    F = float((left**2 - norm**2) / more / (norm**2 / freedom)) if norm > 0 else float("inf")
-    F, p, F_effective, p_effective = f_tests(F, more, full.rows, len(parameters.names), lag_one(rho) or 0.0)
+    extra, freedom = len(parameters.names) - len(shared), full.rows - len(parameters.names)
+    F = float((left**2 - norm**2) / extra / (norm**2 / freedom)) if norm > 0 else float("inf")
+    F, p, F_effective, p_effective = f_tests(F, extra, full.rows, len(parameters.names), lag_one(rho) or 0.0)
     names = tuple(name for name in parameters.names if "@" in name)
     return OwnTest(names=names, F=F, p_value=p, F_effective=F_effective, p_effective=p_effective)
 
 
 def intervals_of(observed: Regression, estimate: Estimate, predicted: Array, used: Array) -> Intervals:
-    """Intervals of an estimate from the rows that are `used` (r,)."""
+    """Intervals of an estimate from the `used` rows (r,)."""
     if observed.time_blocks:
         return intervals_of_blocks(estimate, sums_of_blocks(estimate, observed.time_blocks))
     rho = ((observed.tau - predicted) * estimate.weights).T.reshape(-1)
@@ -131,7 +131,7 @@ def intervals_of(observed: Regression, estimate: Estimate, predicted: Array, use
 
 
 def intervals_along(observed: StackedSystem, z: Instruments, estimate: Estimate) -> Intervals:
-    """Intervals of an estimate by instruments, from the rows that count or from the blocks of long recordings."""
+    """Intervals of an IV estimate, from the rows used or from the blocks of long recordings."""
     if z.system is None:
         about = observed.about(z)
         return intervals_of(about.regression, estimate, about.predicted(estimate), z.used)
@@ -139,7 +139,7 @@ def intervals_along(observed: StackedSystem, z: Instruments, estimate: Estimate)
 
 
 def sums_along(z: Instruments, estimate: Estimate) -> tuple[BlockSums, ...]:
-    """Sums over the blocks of long recordings of an estimate by instruments; none where rows are held."""
+    """Block sums of an IV estimate of long recordings; none if rows are held."""
     if z.system is None:
         return ()
     indices = np.array([z.system.names.index(name) for name in estimate.names])
@@ -148,7 +148,7 @@ def sums_along(z: Instruments, estimate: Estimate) -> tuple[BlockSums, ...]:
 
 
 def _warnings(observed: StackedSystem) -> tuple[str, ...]:
-    """Those of the settings and of the recordings, which several recordings may share."""
+    """Warnings of the settings and the recordings; several recordings may share one."""
     problems = [observed.observations[k].problem for k in observed.order]
     of_settings = [[*p.settings.warnings, *gain_warnings(p.signals), *ripple_warnings(p.signals)] for p in problems]
     if len(problems) == 1:
@@ -165,16 +165,15 @@ def assess_iv(
     passes: Sequence[Pass],
     start: str,
 ) -> Fit:
-    """A fit by instruments; the robot simulated with its estimate is the direct model's validation."""
+    """The fit of the pass that is returned; the robot simulated with its estimate validates the direct model."""
     observed, z, estimate, replicas = observed.about(best.z), best.z, best.estimate, best.replicas
     evidence, system = _evidence_along(observed, best, ls), observed.along(z)
     tests = _tests(system, estimate, observed.regression.tau - evidence.predicted, z.used)
     status, reason = _status(passes, best, [one.problem.signals.recording for one in observed.observations], tests)
     if reason is not None and best.number != len(passes):
-        reason += f"; pass {best.number} is returned, which tracks best"
+        reason += f"; pass {best.number} is returned: it tracks best"
     with np.errstate(divide="ignore", invalid="ignore"):
-        apart = np.nan_to_num(np.abs(ls.full.values_of(estimate.names) - estimate.beta) / evidence.intervals.half)
-    first = replicas[observed.order[0]]
+        contrast = np.nan_to_num(np.abs(ls.full.values_of(estimate.names) - estimate.beta) / evidence.intervals.half)
     iv = InstrumentEvidence(
         start=start,
         reference="recorded" if all(one.reference_kind == "recorded" for one in replicas) else "surrogate",
@@ -183,13 +182,11 @@ def assess_iv(
         returned=best.number,
         reason=reason,
         tests=tests,
-        contrast=float(apart.max()),
-        contrast_at=estimate.names[int(apart.argmax())],
+        contrast=float(contrast.max()),
+        contrast_at=estimate.names[int(contrast.argmax())],
         rows_used_percent=float(100 * z.used.mean()),
         saturated_percent=_largest([one.saturated_percent for one in replicas]),
         direct=_direct_errors(replicas),
-        simulated=first.motion,
-        q=first.q,
     )
     evidence = replace(
         evidence,
@@ -208,9 +205,9 @@ def assess_iv(
 
 
 def _evidence_along(observed: StackedSystem, best: Pass, ls: LeastSquares) -> FitData:
-    """What an estimate by instruments rests on, in its rows."""
+    """Inputs of the trust tests of an IV estimate."""
     observed, z, estimate = observed.about(best.z), best.z, best.estimate
-    within = counted(estimate, intervals_along(observed, z, estimate), observed.lags)
+    within = add_lag_variance(estimate, intervals_along(observed, z, estimate), observed.lags)
     return FitData(
         recordings=observed.simulated(best.replicas),
         observed=observed.regression,
@@ -228,7 +225,7 @@ def _evidence_along(observed: StackedSystem, best: Pass, ls: LeastSquares) -> Fi
 
 
 def _tests(system: System, estimate: Estimate, rho: Array, used: Array) -> InstrumentTests:
-    """Tests of instruments that gave an estimate from a system; it leaves rho (rows, n), of which some are `used` (r,)."""
+    """Tests of the instruments of an estimate with residual rho (rows, n), of which the rows `used` (r,) count."""
     indices = np.array([system.names.index(name) for name in estimate.names])
     W, Y = system.with_columns(indices).weighted(estimate.weights)
     weighted = rho * estimate.weights * used.reshape(len(estimate.weights), -1).T
@@ -236,7 +233,7 @@ def _tests(system: System, estimate: Estimate, rho: Array, used: Array) -> Instr
 
 
 def _direct_errors(replicas: Sequence[Replica]) -> tuple[DirectModelError, ...]:
-    """Errors of the simulated robot by joint, of the recording that is worst; none where one could not be simulated."""
+    """Largest errors of the simulated robot in any recording, by joint; none if one could not be simulated."""
     if any(not one.direct for one in replicas):
         return ()
     return tuple(
@@ -250,17 +247,17 @@ def _direct_errors(replicas: Sequence[Replica]) -> tuple[DirectModelError, ...]:
 
 
 def _largest(percents: list[float | None]) -> float | None:
-    """The largest of those that there are: a joint may stand in one recording, or have no torque."""
+    """The largest that is not None: a joint may stand in one recording, or have no torque."""
     return max((x for x in percents if x is not None), default=None)
 
 
 def _status(
     passes: Sequence[Pass], best: Pass, recordings: Sequence[str], tests: InstrumentTests
 ) -> tuple[Status, str | None]:
-    """`converged` is only said of an estimate that settled, along simulated instruments that explain W, and that tracks.
+    """`converged` needs settled passes, simulated instruments that explain W, and a simulation that tracks the recording.
 
-    One that settled otherwise is `not_confirmed`. Every joint has to track, not the robot on average: a joint of small travel
-    would hide behind the others.
+    Other settled passes are `not_confirmed`. Every joint has to track: the mean over the robot would hide a joint of small
+    travel.
     """
     last, unconfirmed = passes[-1], _unconfirmed(best.replicas, recordings)
     if last.failure is not None:
@@ -282,16 +279,16 @@ def _status(
 
 
 def _unconfirmed(replicas: Sequence[Replica], recordings: Sequence[str]) -> str | None:
-    """Why the robot simulated with the final estimate does not vouch for it, or None where it does."""
+    """Why the simulation with the final estimate does not confirm it; None if it does."""
     reason = join_reasons([one.reason for one in replicas], recordings)
     if reason is not None:
         return f"the final estimate cannot be simulated: {reason}"
     tracking_percent = max_or_none([one.tracking_percent for one in replicas])
-    if tracking_percent is None or not tracking_percent <= TRACKED_PERCENT:
+    if tracking_percent is None or not tracking_percent <= MAX_TRACKING_PERCENT:
         return "the simulated position does not follow the measured one"
     for d in _direct_errors(replicas):
-        if d.position_error_percent is not None and not d.position_error_percent <= TRACKED_PERCENT:
-            return f"simulated joint {d.name} is {d.position_error_percent:.1f} % off the measured one"
+        if d.position_error_percent is not None and not d.position_error_percent <= MAX_TRACKING_PERCENT:
+            return f"simulated joint {d.name} differs by {d.position_error_percent:.1f} % from the measured one"
     return None
 
 
@@ -299,19 +296,19 @@ def _iv_warnings(replicas: tuple[Replica, ...], tests: InstrumentTests) -> tuple
     warnings = []
     if any(one.reference_kind == "surrogate" for one in replicas):
         warnings.append(
-            "surrogate reference: the recording has none, the measured position stands in; the instruments are not "
+            "surrogate reference: none recorded, the measured position is used instead; the instruments are not "
             "strictly exogenous"
         )
     if without := [one.bandwidth_hz for one in replicas if not one.described]:
-        warnings.append(f"surrogate controller: none is described, a PD of {without[0]:g} Hz stands in")
+        warnings.append(f"no controller described: simulated with a {without[0]:g} Hz PD instead")
     if unknown := [one.bandwidth_hz for one in replicas if one.described and not one.J_known]:
         warnings.append(
-            "least squares gives no positive inertias: those that the described gains suit at "
-            f"{unknown[0]:g} Hz stand in for the gain update"
+            "least squares gives no positive inertias: the gain update uses those that suit the described gains at "
+            f"{unknown[0]:g} Hz"
         )
     saturated = _largest([one.saturated_percent for one in replicas])
-    if saturated is not None and saturated > SATURATED_PERCENT:
+    if saturated is not None and saturated > MAX_SATURATED_PERCENT:
         warnings.append(f"a drive is saturated in {saturated:.1f} % of the samples")
-    if tests.first_stage_F < WEAK_INSTRUMENTS_F:
-        warnings.append(f"weak instruments: first-stage F = {tests.first_stage_F:.2g}, below {WEAK_INSTRUMENTS_F:g}")
+    if tests.first_stage_F < MIN_FIRST_STAGE_F:
+        warnings.append(f"weak instruments: first-stage F = {tests.first_stage_F:.2g}, below {MIN_FIRST_STAGE_F:g}")
     return tuple(warnings)

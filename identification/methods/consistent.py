@@ -1,4 +1,4 @@
-"""Physically consistent standard parameters of a fit: what a simulator accepts, as near to the estimate as it allows."""
+"""Physically consistent standard parameters nearest to the estimate of a fit: a simulator accepts them."""
 
 from dataclasses import dataclass, replace
 
@@ -15,15 +15,15 @@ from ..regression import recorded_power, torque_of_recording
 from ..trust import covariance_of_all
 from .fit import ConsistentSet, Fit
 
-FROM_PRIOR = 0.5  # of the variance that the prior alone gives: above, the recording says less of a value than the prior
+MIN_PRIOR_SHARE = 0.5  # of the variance by the prior alone: above, the value is more from the prior than the recording
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Prior:
-    """What is expected of the links before anything is measured.
+    """A-priori link parameters.
 
     Attributes:
-        robot: another description of the robot, whose `[parameters]` or URDF are expected; None for the fit's own.
+        robot: description whose `[parameters]` or URDF give them; None for that of the fit.
         name: of that description.
     """
 
@@ -41,7 +41,7 @@ class Known:
 
 
 def urdf_prior(robot: Robot, urdf: str, name: str) -> Robot:
-    """The robot as a URDF (its text) has it: its joints by their names, and nothing but its inertials expected."""
+    """The robot with a URDF (its text) as the only source of link parameters; joints are matched by name."""
     joints = tuple(msgspec.structs.replace(joint, dh=None) for joint in robot.joints)
     return replace(robot, name=name, joints=joints, urdf=urdf, parameters={})
 
@@ -56,16 +56,15 @@ def with_consistent(fit: Fit, prior: Prior) -> Fit:
     """
     problem, full = fit.problem, fit.least_squares.full
     covariance = covariance_of_all(full.names, fit.estimate, fit.intervals, full)
-    first = np.array(
-        [full.names.index(name) for name in fit.recordings[0].parameters]
-    )  # of own parameters one recording's
+    # of own parameters those of one recording
+    first = np.array([full.names.index(name) for name in fit.recordings[0].parameters])
     covariance = covariance[np.ix_(first, first)]
     known = Known(beta=fit.beta, covariance=covariance, reach=fit.intervals.reach)
     alike = [one for one in fit.recordings if one.parameters == fit.recordings[0].parameters]
     power = recorded_power([(one.problem, one.states) for one in alike], fit.beta)
     found = consistent_set(problem.model, fit.base, known, prior=prior, power=power)
     if any(not len(one.problem.signals.q) for one in fit.recordings):  # several, too long to be held
-        text = "the recordings are too long together for the errors of a consistent set"
+        text = "the recordings together are too long for the torque errors of a consistent set"
         raise IdentificationError(
             text, place=problem.signals.robot.name, expected="a larger --decimate, or one recording"
         )
@@ -85,8 +84,8 @@ def consistent_set(
     ----------
     model, base : of the robot.
     known : the estimate.
-    prior : what is expected of the links.
-    power : what friction with further terms takes at recorded speeds; None where there is none, or no speed is known.
+    prior : a-priori link parameters.
+    power : friction power at recorded speeds, for further friction terms; None without such terms or known speeds.
 
     Raises
     ------
@@ -102,11 +101,11 @@ def consistent_set(
         units=model.units,
         chi=found.chi,
         half=known.reach * sigma,
-        from_prior=share > FROM_PRIOR,
+        from_prior=share > MIN_PRIOR_SHARE,
         base_names=base.names,
         beta=found.beta,
         base_half=known.reach * base_sigma,
-        base_from_prior=base_share > FROM_PRIOR,
+        base_from_prior=base_share > MIN_PRIOR_SHARE,
         prior=f"{prior.name}: {_in_words(expected_links(model, expected)[1])}",
         chi_squared=found.chi_squared,
         deviations=found.deviations,
@@ -120,7 +119,7 @@ def refuse_unknown_gain(robot: Robot) -> None:
     for k, motor in enumerate(robot.motors):
         if motor.gain is None:
             raise IdentificationError(
-                f"the fit is in {motor.recorded_unit}, and a link is the same for all joints only in N m",
+                f"the fit is in {motor.recorded_unit}; link parameters need N m",
                 place=f"robot {robot.name}",
                 key=f"motor[{k}].drive_gain",
                 value=None,

@@ -1,4 +1,4 @@
-"""What an identification gives: an estimate, the settings it was made with, and the evidence for and against it."""
+"""Results of an identification: the estimate, its settings, and its tests."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ..arrays import Array
 from ..estimation import Estimate, InstrumentTests, Intervals, Reduction
 from ..model import BaseParameters
-from ..regression import Motion, Problem, RowStates, Settings
+from ..regression import Problem, RowStates, Settings
 from ..report import DirectModelError, Method, OwnTest, Status, TorqueError
 from ..simulation import Instruments, Replica
 from ..trust import HeldOut, Lag, Trust
@@ -18,22 +18,22 @@ from ..trust import HeldOut, Lag, Trust
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Pass:
-    """One pass of the instrumental variable method, without what is as large as W but of the last one.
+    """One pass of the instrumental variable method; only the last one keeps arrays as large as W.
 
     Attributes:
-        z: its instruments. Their `kind`: along the robot `simulated` with the physically consistent parameters nearest to the
-            estimate before; named `consistent` where the inertia matrix of that estimate itself is not positive; along the
-            `reference` where the simulated robot leaves it. `reason` says why it is one of the last two.
-        asked, covariance: (b, b) of all base parameters, with honest deviations: that the instruments were asked for with,
-            None of a regular start, and that of the estimate.
+        z: its instruments. Their `kind` is `simulated`: by the physically consistent parameters nearest to the previous
+            estimate; `consistent`: the same, where the inertia matrix of that estimate is not positive; `reference`: along
+            the reference, where the simulated robot does not follow it. `reason` explains the last two.
+        asked, covariance: (b, b) of all base parameters, corrected for correlation: of the values to simulate (None for a
+            regular start), and of the estimate.
         coarse: whether the robot was simulated coarsely.
-        change_sigma, change_percent, changed: largest change of a parameter in its deviations, and in percent of itself
-            among those larger than two deviations; the parameter of the former.
+        change_sigma, change_percent, changed: largest change of a parameter in its deviations; in percent of those larger
+            than two deviations; the parameter of the former.
         residual_percent: change of the residual norm by the pass, over the same rows.
         residual_settled, parameters_settled: whether the residual, and every parameter, changed less than the tolerance.
         number: counted from 1.
-        failure: why the pass after it gave no estimate; None where it did, or there was none.
-        replicas: the robot simulated with the estimate in each recording; of the pass that is returned alone.
+        failure: why the next pass gave no estimate; None if it did, or there was none.
+        replicas: the robot simulated with the estimate in each recording; only of the pass that is returned.
     """
 
     z: Instruments
@@ -52,7 +52,7 @@ class Pass:
     replicas: tuple[Replica, ...] = ()
 
     def without_rows(self) -> "Pass":
-        """The same without what is as large as W: only the last pass needs that."""
+        """The same without arrays as large as W."""
         return replace(self, z=self.z.without_rows(), estimate=self.estimate.without_rows(), replicas=())
 
     @property
@@ -62,24 +62,23 @@ class Pass:
 
     @property
     def is_last(self) -> bool:
-        """Whether it is a fixed point of instruments that are not coarse."""
+        """Whether it settled, with instruments that are not coarse."""
         return self.settled and not self.coarse
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class InstrumentEvidence:
-    """What the instrumental variable method adds to a fit.
+    """Results of the instrumental variable method in a fit.
 
     Attributes:
         start: as of `Iteration`.
-        reference: `recorded`, or `surrogate` where the measured position stands in, which leaves the instruments not
-            strictly exogenous. `controller`: `described`, or `surrogate` for a PD of the stated bandwidth.
-        passes: one by one; `returned` is the number of the one whose estimate this is, counted from 1.
-        reason: why the status is what it is, None for `converged`.
-        contrast, contrast_at: least squares off the estimate, in half-widths of the parameter that is furthest off.
-        saturated_percent: share of recorded samples at a drive's limit, None where no limit is stated.
-        direct: the direct model's errors by joint, empty where the final estimate could not be simulated.
-        simulated, q: the simulated motion with the final estimate and the measured position at its instants.
+        reference: `recorded`, or `surrogate`: the measured position, with which the instruments are not strictly
+            exogenous. `controller`: `described`, or `surrogate`: a PD of the stated bandwidth.
+        passes: in order; `returned` is the number, counted from 1, of the one whose estimate this is.
+        reason: of the status; None for `converged`.
+        contrast, contrast_at: largest difference of least squares from the estimate, in half-widths, and its parameter.
+        saturated_percent: share of recorded samples at a drive's limit; None if no limit is stated.
+        direct: errors of the direct model by joint; empty if the final estimate could not be simulated.
     """
 
     start: str
@@ -94,17 +93,15 @@ class InstrumentEvidence:
     rows_used_percent: float
     saturated_percent: float | None
     direct: tuple[DirectModelError, ...]
-    simulated: Motion | None
-    q: Array
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LeastSquares:
-    """Least squares of a recording, as every fit has it.
+    """The least squares solution that every fit has.
 
     Attributes:
-        estimate: `full`, or that of the essential parameters where only these were asked for.
-        full, essential: that of all base parameters, and the reduction to the essential ones.
+        estimate: `full`, or that of the essential parameters if only these were requested.
+        full, essential: the estimate of all base parameters, and the reduction to the essential ones.
         tau_predicted: (rows, n) decimated torque that `estimate` predicts.
     """
 
@@ -115,15 +112,15 @@ class LeastSquares:
     tau_predicted: Array
 
     def without_rows(self) -> "LeastSquares":
-        """The same without the estimates' Q, each as large as W."""
+        """The same without the Q of the estimates, each as large as W."""
         essential = replace(self.essential, estimate=self.essential.estimate.without_rows())
         return replace(self, estimate=self.estimate.without_rows(), full=self.full.without_rows(), essential=essential)
 
 
 def essential_names(essential: Reduction, estimate: Estimate, found: Intervals) -> tuple[str, ...]:
     """The essential parameters of an estimate whose 95 % interval is narrower than their value."""
-    kept, narrow = set(essential.estimate.names), found.half < np.abs(estimate.beta)
-    return tuple(name for name, n in zip(estimate.names, narrow, strict=True) if n and name in kept)
+    reduced, narrow = set(essential.estimate.names), found.half < np.abs(estimate.beta)
+    return tuple(name for name, n in zip(estimate.names, narrow, strict=True) if n and name in reduced)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -131,11 +128,11 @@ class ConsistentSet:
     """The physically consistent standard parameters nearest to an estimate.
 
     Attributes:
-        chi: (p,) standard parameters: each link's pseudo-inertia and every rotor inertia is positive, friction feeds no energy.
+        chi: (p,) standard parameters: all pseudo-inertias and rotor inertias are positive, friction adds no energy.
         half: (p,) half-widths of their 95 % intervals, by Laplace.
-        from_prior: (p,) which of them come from the prior: their variance is above half of the one that it alone gives.
-        base_names, beta, base_half, base_from_prior: (b,) the same of the base parameters K chi; their move is in it.
-        prior: what was expected of the links, in words.
+        from_prior: (p,) where the recording reduces the variance by the prior by less than half.
+        base_names, beta, base_half, base_from_prior: (b,) the same of the base parameters K chi.
+        prior: source of the a-priori link parameters, in words.
         chi_squared: distance of the estimate, (beta - estimate)' C⁻¹ (beta - estimate), C = D R D.
         deviations: (b,) moves of the base parameters in deviations of the estimate.
         reach: deviations in half a 95 % interval of the estimate.
@@ -159,7 +156,7 @@ class ConsistentSet:
 
     @property
     def moves(self) -> Array:
-        """(b,) by how many half-widths of the estimate's 95 % intervals the base parameters moved: beyond 1 they left these."""
+        """(b,) moves of the base parameters in half-widths of the estimate's 95 % intervals."""
         return self.deviations / self.reach
 
     @property
@@ -169,7 +166,7 @@ class ConsistentSet:
 
     @property
     def largest_move(self) -> float:
-        """By how many half-widths of its 95 % interval that parameter moved."""
+        """Its move in half-widths of its 95 % interval."""
         return float(np.abs(self.moves).max())
 
 
@@ -178,13 +175,13 @@ class FittedRecording:
     """One of the recordings of a fit.
 
     Attributes:
-        problem: recording, settings and model; without samples where several recordings are too long to be held.
-        parameters: (b,) names of its base parameters among those of the fit.
-        rows: its decimated samples among those of the fit.
-        errors: that the fit leaves on it, one entry per joint and, last, all joints together.
-        held_out: its torque predicted by the fit of the other recordings; None where there are none.
+        problem: recording, settings and model; without samples if the recordings are too long to be held.
+        parameters: (b,) names of its base parameters in the fit.
+        rows: its decimated samples in those of the fit.
+        errors: its torque errors, one entry per joint and, last, all joints together.
+        held_out: its torque predicted by the fit of the other recordings; None if there are none.
         replica: the robot simulated in it with the estimate; None after least squares.
-        states: some rows and the motion at them, at which friction is looked at; None where it has the usual terms alone.
+        states: some rows and their motion, to evaluate friction at; None without further friction terms.
     """
 
     problem: Problem
@@ -198,21 +195,21 @@ class FittedRecording:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Fit:
-    """Base parameters of a robot from one recording or several, and the evidence for them.
+    """Base parameters of a robot from one recording or several, with their tests.
 
     Attributes:
         recordings: in the order given.
-        estimate: of the base parameters, fewer than `base` has when only the essential ones were kept.
-        least_squares: least squares of the same recording and settings; that of the fit itself, or weighted least squares
-            beside instrumental variables.
+        estimate: of the base parameters, fewer than `base` has if only the essential ones were requested.
+        least_squares: that of the fit itself, or weighted least squares of the same recording and settings if the method
+            is `iv`.
         t_s: (rows,) instants of the decimated rows in their recordings, s; recordings in the order of their digests.
         tau, tau_predicted, speed: (rows, n) torques and joint speeds there.
         errors: one entry per joint and, last, all joints together.
         iv: None after least squares.
-        consistent: the nearest physically consistent parameters, where asked for, and `consistent_errors`: their torque errors,
-            as `errors`.
-        lags: of the recordings' torques, corrected and counted in the intervals.
-        own: the test of the parameters that recordings have for themselves; None where they share all.
+        consistent: the nearest physically consistent parameters, if requested; `consistent_errors`: their torque errors, as
+            `errors`.
+        lags: of the recorded torques, corrected; the intervals include their deviations.
+        own: the test of parameters of single recordings; None if all are shared.
     """
 
     recordings: tuple[FittedRecording, ...]
@@ -237,22 +234,27 @@ class Fit:
     _repr_html_: ClassVar[Callable[["Fit"], str]]  # bound in `identification.notebook`: the report is a room above
 
     def on(self, one: FittedRecording) -> "Fit":
-        """The fit as one of its recordings shows it: rows, errors and simulated motion of that one."""
+        """The fit restricted to one of its recordings: rows, errors and replica."""
         iv = self.iv
         if iv is not None and one.replica is not None:
-            iv = replace(iv, simulated=one.replica.motion, q=one.replica.q, direct=one.replica.direct)
+            iv = replace(iv, direct=one.replica.direct)
         rows = {name: getattr(self, name)[one.rows] for name in ("t_s", "tau", "tau_predicted", "speed")}
         here = slice(0, one.rows.stop - one.rows.start)
         return replace(self, recordings=(replace(one, rows=here),), errors=one.errors, iv=iv, **rows)
 
     @property
     def problem(self) -> Problem:
-        """That of the first recording: robot, model and base parameters are those of all."""
+        """That of the first recording; all have the same robot, model and base parameters."""
         return self.recordings[0].problem
 
     @property
+    def replica(self) -> Replica | None:
+        """The robot simulated in the first recording with the estimate; None after least squares."""
+        return self.recordings[0].replica
+
+    @property
     def settings(self) -> Settings:
-        """What the fit did with the first recording; cut-off and rate of rows are common to all."""
+        """Settings of the first recording; all have the same cut-off and rate of rows."""
         return self.problem.settings
 
     @property
@@ -267,12 +269,12 @@ class Fit:
 
     @property
     def essential_names(self) -> tuple[str, ...]:
-        """Those of the essential parameters whose 95 % interval is narrower than their value."""
+        """The essential parameters whose 95 % interval is narrower than their value."""
         return essential_names(self.essential, self.estimate, self.intervals)
 
     @property
     def widest_essential_percent(self) -> float | None:
-        """The widest interval among the essential parameters, half of it in percent of the value; None where there are none."""
+        """The largest half-width of an essential parameter in percent of its value; None if there are none."""
         with np.errstate(divide="ignore", invalid="ignore"):
             percent = 100 * self.intervals.half / np.abs(self.estimate.beta)
         essential = set(self.essential_names)
@@ -282,12 +284,12 @@ class Fit:
 
     @property
     def beta(self) -> Array:
-        """(b,) values of all base parameters, of the first recording; zero where one was left out."""
+        """(b,) values of all base parameters, of the first recording; zero if left out."""
         return self.estimate.values_of(self.recordings[0].parameters)
 
     @property
     def distrust(self) -> tuple[str, ...]:
-        """Why the result is not to be trusted: the tests whose level is `do not use`. Empty where it may be."""
+        """The tests whose level is `do not use`; empty if the result may be used."""
         return self.trust.severe
 
     def __repr__(self) -> str:

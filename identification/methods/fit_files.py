@@ -1,4 +1,4 @@
-"""A fit and a validation as they go into their JSON files; `report.FitFile` is read back as it was written."""
+"""The JSON files of a fit and of a validation."""
 
 import platform
 from collections.abc import Sequence
@@ -36,7 +36,7 @@ PACKAGES = ("robot-idim", "numpy", "scipy", "pin")
 
 
 def fit_file(fit: Fit) -> FitFile:
-    """A fit as it goes into its JSON file; a number that does not exist (no standing rows, say) is null."""
+    """The JSON file of a fit; a number that does not exist (no standing rows, say) is null."""
     e, signals, lines = fit.estimate, fit.problem.signals, fit.trust.lines
     errors = [(r.problem.signals, r.problem.settings, r.errors, r.held_out) for r in fit.recordings]
     return FitFile(
@@ -99,7 +99,7 @@ def validation_file(
     warnings: tuple[str, ...],
     consistent: tuple[TorqueError, ...] = (),
 ) -> ValidationFile:
-    """A validation as it goes into its JSON file; arguments as `validation_document` has them."""
+    """The JSON file of a validation; arguments as of `validation_document`."""
     first, each = recordings[0], [_recording(one.signals, one.settings, one.errors) for one in recordings]
     return ValidationFile(
         **_on_recording(first.signals, first.settings, errors, warnings),
@@ -156,7 +156,7 @@ def _recording(
 
 
 def consistent_keys(fit: Fit) -> dict[str, Any]:
-    """The keys `covariance` and `left_out` of any fit, `consistent` and `standard_parameters` of one made consistent."""
+    """The keys `covariance` and `left_out`, and with a consistent set `consistent` and `standard_parameters`."""
     full, names = fit.least_squares.full, fit.estimate.names
     sigma = dict(zip(full.names, full.covariance.diagonal() ** 0.5, strict=True))
     keys: dict[str, Any] = {
@@ -183,7 +183,7 @@ def consistent_keys(fit: Fit) -> dict[str, Any]:
 
 
 def _iv_keys(iv: InstrumentEvidence) -> dict[str, Any]:
-    """What the instrumental variable method adds: why it ended, pass by pass, tests of the instruments, direct model."""
+    """The keys of the instrumental variable method."""
     return {
         "reason": iv.reason,
         "pass_returned": iv.returned,

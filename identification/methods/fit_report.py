@@ -1,4 +1,4 @@
-"""The report of a fit: the verdict, its parameters, its errors, settings and tests."""
+"""The report of a fit: verdict, parameters, errors, settings and tests."""
 
 import math
 
@@ -40,7 +40,7 @@ def fit_document(signals: Signals, fit: Fit, *, everything: bool = False) -> Doc
 
 
 def first_line(fit: Fit) -> str:
-    """Method and why, how it ended, the verdict with its worst finding, and how far the word goes."""
+    """Method and its reason, status, verdict with its worst finding, and the main figures."""
     finding = f": {fit.trust.finding}" if fit.trust.finding else ""
     figures = [headline(fit.errors)]
     if (held := fit.trust.line("held-out blocks").value) is not None:
@@ -58,7 +58,7 @@ def _verdict_section(fit: Fit) -> Section:
     lines += [f"status: {fit.status}{reason}", error_line(fit.errors)]
     if fit.status in NO_FIXED_POINT:
         error = relative_error_percent(fit.tau, fit.tau - fit.least_squares.tau_predicted)
-        lines.append(f"least squares leaves {_percent(error)} of all rows: --method wls")
+        lines.append(f"least squares has a torque error of {_percent(error)} of all rows: --method wls")
     return Section(lines=(*lines, _essential_line(fit)), warnings=fit.warnings)
 
 
@@ -79,9 +79,10 @@ def _essential_line(fit: Fit) -> str:
     line = f"essential{by}: {len(fit.essential_names)} of {len(fit.least_squares.full.names)} parameters"
     if not math.isfinite(reduction.F):
         return line
+    left_out = len(fit.least_squares.full.names) - len(reduction.estimate.names)
     return (
-        f"{line}; without the others F = {reduction.F:.2f}, p = {reduction.p_value:.2g}; with the residual's correlation "
-        f"counted F = {reduction.F_effective:.2f}, p = {reduction.p_effective:.2g}"
+        f"{line}; {left_out} left out: F test p = {reduction.p_value:.2g} "
+        f"(corrected for correlation p = {reduction.p_effective:.2g})"
     )
 
 
@@ -113,15 +114,15 @@ def _parameters(fit: Fit, *, everything: bool) -> Section:
             rows=tuple(rows),
         ),
         lines=(
-            f"±95%: half the 95 % interval, by equal-weighted cosines, Student's t of {fit.intervals.freedom} degrees",
-            *(["sigma takes the residual for white noise, the interval does not"] if everything else []),
-            *([f"{left_out} more, which the recording determines less well: --all"] if left_out else []),
+            "±95%: half-width of the 95 % interval",
+            *(["sigma assumes a white residual, the interval does not"] if everything else []),
+            *([f"{left_out} poorly determined parameters hidden (--all)"] if left_out else []),
         ),
     )
 
 
 def _consistent(fit: Fit, *, everything: bool) -> list[Section]:
-    """The physically consistent parameters, and how far they are from the estimate."""
+    """The physically consistent parameters and their moves from the estimate."""
     c = fit.consistent
     if c is None:
         return []
@@ -137,11 +138,10 @@ def _consistent(fit: Fit, *, everything: bool) -> list[Section]:
     rows: list[Row] = list(map(row, c.names, c.chi.tolist(), c.half.tolist(), c.units, c.from_prior.tolist()))
     left = [f"{name} ({move:+.2g})" for name, move in zip(c.base_names, c.moves, strict=True) if abs(move) > 1]
     lines = (
-        f"every link's pseudo-inertia and every rotor inertia is positive, friction feeds no energy; "
-        f"prior: {c.prior}{own}",
+        f"all pseudo-inertias and rotor inertias are positive, friction adds no energy; prior: {c.prior}{own}",
         f"added chi² {c.chi_squared:.3g} on {len(c.beta)} parameters; largest move {c.largest_move:.2g} half-widths of the "
         f"95 % interval, of {c.moved_most}",
-        *([f"moved by over one half-width of the fit's interval: {', '.join(left)}"] if left else []),
+        *([f"moved by more than one half-width: {', '.join(left)}"] if left else []),
         f"relative torque error {_percent(free)} → {_percent(held)} of all rows; certificate {c.certificate:.1e} "
         "(Newton decrement)",
         f"{int(c.from_prior.sum())} of {len(c.names)} values come from the prior",
@@ -167,7 +167,7 @@ def _percent(error: float | None) -> str:
 
 
 def _rows_line(fit: Fit) -> str:
-    """How many rows counted, and which were left out."""
+    """The number of rows used, and which were left out."""
     whole = fit.errors[-1]
     percent = fit.settings.low_speed.iv if fit.iv else fit.settings.low_speed.ls
     slow = (
@@ -178,7 +178,7 @@ def _rows_line(fit: Fit) -> str:
 
 
 def _iv_sections(iv: InstrumentEvidence) -> list[Section]:
-    """The passes of the instrumental variable method, and the direct model against the recording."""
+    """The passes of the instrumental variable method, and the errors of the direct model."""
     passes = Table(
         columns=columns(numbers=("pass",))
         + columns("instruments", numbers=("|rho|", "largest change, sigma"))
@@ -212,20 +212,20 @@ def _iv_sections(iv: InstrumentEvidence) -> list[Section]:
 
 
 def _iv_lines(iv: InstrumentEvidence) -> tuple[str, ...]:
-    """Tests of the instruments, in words; why a pass went without simulation."""
+    """Tests of the instruments, and why a pass could not be simulated."""
     t = iv.tests
     lines = [f"pass {k}: instruments {p.z.kind}: {p.z.reason}" for k, p in enumerate(iv.passes, 1) if p.z.reason]
     strength = f"instruments: smallest correlation with W {t.strength:.3f}, first-stage F {t.first_stage_F:.3g}"
     used = f"{iv.rows_used_percent:.1f} % of the rows used; reference {iv.reference}, controller {iv.controller}"
-    contrast = f"least squares is {iv.contrast:.2g} half-widths off at {iv.contrast_at}"
+    contrast = f"least squares differs by {iv.contrast:.2g} half-widths, at {iv.contrast_at}"
     return (*lines, strength, contrast, used)
 
 
 def _expressions(fit: Fit) -> list[Section]:
-    """The sums of standard parameters that the regrouped ones stand for."""
+    """The regrouped parameters as sums of standard parameters."""
     lines = tuple(
         f"{name} = {expression}"
         for name, expression in zip(fit.base.names, fit.base.expressions, strict=True)
         if expression != name and name in fit.estimate.names
     )
-    return [Section(title="what the regrouped parameters stand for", lines=lines)] if lines else []
+    return [Section(title="regrouped parameters", lines=lines)] if lines else []

@@ -1,4 +1,4 @@
-"""The method on one screen: identification by the inverse dynamic model, with least squares or instrumental variables.
+"""Identification by the inverse dynamic model, with least squares or instrumental variables.
 
 Letters and equation numbers are those of Janot2014: A. Janot, P.-O. Vandanjon, M. Gautier, "An instrumental variable
 approach for rigid industrial robots identification", Control Engineering Practice 25 (2014) 85-101.
@@ -37,14 +37,14 @@ from .iteration import (
     failed,
     inertia_prior,
     is_coarse,
-    kept_rows,
     next_values,
+    rows_of_last,
     start_values,
 )
 from .recording_report import Validated
 from .settled import solve_with_load_friction
 from .system import StackedSystem, stack_of
-from .timing import correct_known_lags, counted, lags_of_ls, over_all, timed
+from .timing import add_lag_variance, correct_known_lags, correct_lags, lags_of_all, lags_of_ls
 
 Say = Callable[[str], None]
 
@@ -66,23 +66,23 @@ def identify(
 
     Parameters
     ----------
-    signals : the recording, or several of one robot, each filtered and decimated by itself.
-    overrides : settings in place of those of the description; `Overrides()` for none.
-    method : `iv`, instrumental variables; `wls`, least squares with rows weighted joint by joint; `ols`, all rows alike. By
-        default `iv` where every recording has its reference, else `wls`.
-    iteration : of `iv`: where the passes start, and when they end.
-    essential : keep only the parameters that the recording determines well.
+    signals : the recording, or several of one robot; each is filtered and decimated separately.
+    overrides : settings that replace those of the description; `Overrides()` for none.
+    method : `iv`, instrumental variables; `wls`, least squares with rows weighted by joint; `ols`, without weights. Default:
+        `iv` if every recording has its reference, else `wls`.
+    iteration : of `iv`: start of the passes, and when they end.
+    essential : fit only the essential parameters.
     say : called with a line of text for each step.
 
     Returns
     -------
-    The estimate with its evidence. Its status is `solved` of least squares; of `iv` `converged` only where two passes agree and
-    the robot simulated with the estimate follows the recording.
+    The estimate with its tests. The status of least squares is `solved`; that of `iv` is `converged` only if two passes agree
+    and the robot simulated with the estimate follows the recording.
 
     Raises
     ------
-    IdentificationError : where a recording is too short, all together excite too little, or they are not of one robot; where
-        the first pass gives no estimate; for an `iteration` that least squares does not have.
+    IdentificationError : a recording is too short, the recordings excite too little or are not of one robot, the first pass
+        gives no estimate, or an `iteration` is given to least squares.
     """
     # (2): tau = IDM(q, dq, ddq) beta; (5), (6): Y(tau) = W(q, dq, ddq) beta + rho
     observed = correct_known_lags(stack_of(signals, overrides, say))
@@ -97,7 +97,7 @@ def identify(
     else:
         if iteration is not None:
             raise IdentificationError(
-                "passes are of instrumental variables", key="method", value=chosen, expected=f"iv ({reason})"
+                "only instrumental variables iterate", key="method", value=chosen, expected=f"iv ({reason})"
             )
         fit = _by_least_squares(observed, chosen, essential=essential)
     return replace(fit, method_reason=reason)
@@ -133,18 +133,20 @@ def _by_least_squares(observed: StackedSystem, method: Literal["ols", "wls"], *,
     observed, full = solve_with_load_friction(observed, method)
     ls = solve_least_squares(observed, full, essential=essential)
     beginning = None
-    if observed.regression.reduced:  # what needs rows looks at the beginning
+    if observed.regression.reduced:  # tests that need rows use the beginning
         span, full = solve_with_load_friction(observed.on_span(), method)
         of_span = solve_least_squares(span, full, essential=essential)
         beginning = evidence_of_ls(span, method, of_span, lags_of_ls(span, of_span.estimate))
-    lags = lags_of_ls(observed, ls.estimate) if beginning is None else over_all(observed, ls.estimate, beginning.lags)
-    ls = replace(ls, intervals=counted(ls.estimate, ls.intervals, lags))
+    lags = (
+        lags_of_ls(observed, ls.estimate) if beginning is None else lags_of_all(observed, ls.estimate, beginning.lags)
+    )
+    ls = replace(ls, intervals=add_lag_variance(ls.estimate, ls.intervals, lags))
     return fit_of(observed, replace(evidence_of_ls(observed, method, ls, lags), looked_at=beginning), ls)
 
 
 @one_thread
 def _by_instruments(observed: StackedSystem, iteration: Iteration, *, essential: bool, say: Say) -> Fit:
-    """IDIM-IV: the instruments Z are the model along the robot simulated with the estimate before.
+    """IDIM-IV: the instruments Z are the regressor of the robot simulated with the previous estimate.
 
     W and Y are those of IDIM-LS. Each pass simulates the closed loop with beta_k (same reference, same controller, gains
     updated by beta_k), evaluates Z = IDM of the simulated q, dq, ddq, decimated as W, and solves for beta_k+1.
@@ -152,12 +154,12 @@ def _by_instruments(observed: StackedSystem, iteration: Iteration, *, essential:
     observed, full = solve_with_load_friction(observed)
     ls = solve_least_squares(observed, full, essential=essential)
     names, weights = observed.regression.system.names, full.weights
-    kept = ls.essential.kept if essential else np.arange(len(names))
+    fitted = ls.essential.kept if essential else np.arange(len(names))
     prior = inertia_prior(observed, ls)
     lab = observed.lab(prior, gain_update=iteration.gain_update)
 
     def solve(z: Instruments, system: System) -> Estimate:  # beta = (ZᵀW)⁻¹ ZᵀY
-        columns = np.setdiff1d(kept, observed.load_places()) if z.load_unknown else kept
+        columns = np.setdiff1d(fitted, observed.load_places()) if z.load_unknown else fitted
         return instrumental_variables(system.with_columns(columns), z.Z[:, columns], weights)
 
     beta, C = start_values(observed, iteration, ls)
@@ -166,7 +168,7 @@ def _by_instruments(observed: StackedSystem, iteration: Iteration, *, essential:
         number, coarse = len(passes) + 1, is_coarse(observed.problem, iteration, passes)
         say(f"pass {number}: simulating the robot")
         # Z = IDM(q_sim, dq_sim, ddq_sim)
-        z = lab.instruments(beta, C, weights, rows=kept_rows(passes), coarse=coarse)
+        z = lab.instruments(beta, C, weights, rows=rows_of_last(passes), coarse=coarse)
         about = observed.about(z)
         W_and_Y = about.along(z)
         try:
@@ -176,19 +178,19 @@ def _by_instruments(observed: StackedSystem, iteration: Iteration, *, essential:
             break
         # C = D R D
         asked, C = C, covariance_of_all(names, estimate, intervals_along(about, z, estimate), ls.full)
-        this = assess_pass(z, estimate, W_and_Y, (asked, C), tolerance_percent=iteration.tolerance_percent)
-        passes = [*(before.without_rows() for before in passes), replace(this, number=number, coarse=coarse)]
+        one_pass = assess_pass(z, estimate, W_and_Y, (asked, C), tolerance_percent=iteration.tolerance_percent)
+        passes = [*(before.without_rows() for before in passes), replace(one_pass, number=number, coarse=coarse)]
         beta = next_values(passes, names)
     best = conclude(lab, passes, lambda z: solve(z, observed.along(z)))
     passes = [one.without_rows() for one in passes]
     # Y(tau(t + L)) with the lag L that the same instruments find: no further simulation
     lab_of = partial(StackedSystem.lab, prior=prior, gain_update=iteration.gain_update)
-    observed, best, beginning = timed(observed, best, solve, lab_of)
+    observed, best, beginning = correct_lags(observed, best, solve, lab_of)
     return assess_iv(observed, best, beginning, ls, passes, iteration.start)
 
 
 def solve_least_squares(observed: StackedSystem, full: Estimate, *, essential: bool) -> LeastSquares:
-    """Least squares of all parameters, `full`, and its reduction to the essential ones, which `essential` asks for."""
+    """Least squares from the estimate `full` of all parameters: its reduction, intervals and torque."""
     rows, predicted = observed.regression, observed.predicted(full)
     rho = (rows.tau - predicted) * full.weights * rows.fast
     reduction = essential_parameters(rows.system, full, correlation=lag_one(rho) or 0.0)
@@ -208,12 +210,12 @@ def solve_least_squares(observed: StackedSystem, full: Estimate, *, essential: b
 def validate(
     signals: Signals, overrides: Overrides, values: Callable[[BaseParameters], Array]
 ) -> tuple[Settings, tuple[TorqueError, ...]]:
-    """Torque errors that given base parameters leave on a recording; nothing is fitted.
+    """Torque errors of given base parameters on a recording; nothing is fitted.
 
     Parameters
     ----------
     signals, overrides : as of `identify_ls`.
-    values : gives the parameters (b,) for the base parameters of the recording's robot, in their order.
+    values : the parameters (b,) for the base parameters of the robot, in their order.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""How the instrumental variable method iterates: where it starts, what it simulates next, which rows count, where it ends."""
+"""Iteration of the instrumental variable method: start, next values to simulate, rows used, end."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -19,16 +19,16 @@ from .fit import LeastSquares, Pass
 from .settled import solve_with_load_friction
 from .system import StackedSystem
 
-ROWS_FREE = 3  # passes that choose their own rows; later ones keep them, otherwise rows near the threshold toggle
-RELAXED_AFTER = 4  # passes; later ones simulate the mean of the last two, which ends going to and fro
+FREE_PASSES = 3  # choose their own rows; later passes keep them, otherwise rows near the threshold toggle
+MAX_FULL_STEPS = 4  # passes; later ones simulate the mean of the last two values, which damps oscillation
 
 
 @dataclass(frozen=True, kw_only=True)
 class Iteration(IterationOptions):
-    """How the instrumental variable method iterates.
+    """Options of the iteration.
 
-    `start`: `regular` (an inertia matrix that is regular, nothing else known), `ls`, or base parameters from `values`
-    under the name they were read from. `inertias` (n,) are those of the regular start, 1 kg m² (or kg) by default.
+    `start`: `regular` (only a regular inertia matrix), `ls`, or the name of the source of the base parameters `values`.
+    `inertias` (n,) are those of the regular start, 1 kg m² (or kg) by default.
     """
 
     values: Callable[[BaseParameters], Array] | None = None
@@ -37,7 +37,7 @@ class Iteration(IterationOptions):
 
 
 def start_values(observed: StackedSystem, iteration: Iteration, ls: LeastSquares) -> tuple[Array, Array | None]:
-    """Values of all parameters that are simulated first, and their covariance: None of a regular start."""
+    """Values of all parameters to simulate first, and their covariance: None for a regular start."""
     problem, repeated, rows = observed.problem, observed.parameters.repeated, observed.regression
     if iteration.start == "regular" and iteration.values is None:
         return repeated(regular_start(problem.model, problem.base, iteration.inertias)), None
@@ -47,24 +47,24 @@ def start_values(observed: StackedSystem, iteration: Iteration, ls: LeastSquares
 
 
 def next_values(passes: Sequence[Pass], names: tuple[str, ...]) -> Array:
-    """Base parameters (b,) to simulate next: the estimate, later its mean with those asked for last."""
+    """Parameters (b,) to simulate next: the estimate, or in later passes its mean with the last values."""
     beta = passes[-1].estimate.values_of(names)
-    return 0.5 * (beta + passes[-1].z.beta) if len(passes) >= RELAXED_AFTER else beta
+    return 0.5 * (beta + passes[-1].z.beta) if len(passes) >= MAX_FULL_STEPS else beta
 
 
 def is_coarse(problem: Problem, iteration: Iteration, passes: Sequence[Pass]) -> bool:
-    """Whether the next pass is simulated coarsely: the first from a regular start, and a second where a PD stands in.
+    """Whether the next pass is coarse: the first from a regular start, and the second if no controller is described.
 
-    Their estimates are only where the passes after them start. A described controller sets steps of its own, so that there
-    is less to save. The last pass allowed is never coarse.
+    Their estimates only start later passes. A described controller sets its own steps, so less time is saved. The last pass
+    allowed is never coarse.
     """
     early = 0 if iteration.start != "regular" else 1 if problem.signals.robot.controller.structure else 2
     return len(passes) < min(early, iteration.max_iterations - 1)
 
 
-def kept_rows(passes: Sequence[Pass]) -> tuple[NDArray[np.bool_], ...] | None:
-    """By recording the rows (rows, n) that count in the next pass, or None where the simulated speeds tell."""
-    return passes[-1].z.moving_rows if len(passes) >= ROWS_FREE else None
+def rows_of_last(passes: Sequence[Pass]) -> tuple[NDArray[np.bool_], ...] | None:
+    """By recording the rows (rows, n) to use in the next pass; None: selected by the simulated speeds."""
+    return passes[-1].z.moving_rows if len(passes) >= FREE_PASSES else None
 
 
 @np.errstate(over="ignore", invalid="ignore")  # a start may be anything
@@ -76,12 +76,12 @@ def assess_pass(
     *,
     tolerance_percent: float,
 ) -> Pass:
-    """A pass that led from the parameters asked for to `estimate`, and whether it settled.
+    """The pass that gave `estimate`, its changes, and whether it settled.
 
-    `system` has all parameters and the rows that this pass used; `covariances` are that asked for and that of the estimate.
+    `system` has all parameters and the rows of this pass; `covariances` are those of the values simulated and the estimate.
     """
-    # Compared with what was asked for, not with what was simulated in its place. Parameters near zero never settle in percent
-    # of themselves: half a deviation is enough.
+    # Compared with the values asked for, not with the consistent ones simulated instead. Parameters near zero never settle
+    # in percent: half a deviation is enough.
     tolerance = 0.01 * tolerance_percent
     old = np.array([z.beta[system.names.index(name)] for name in estimate.names])
     change = np.abs(estimate.beta - old)
@@ -106,9 +106,9 @@ def assess_pass(
 
 
 def failed(passes: list[Pass], z: Instruments, recordings: Sequence[str], error: IdentificationError) -> list[Pass]:
-    """The passes, the last of which knows why the one after it, with the instruments `z`, gave no estimate.
+    """The passes; the last one has the reason why the next, with the instruments `z`, gave no estimate.
 
-    Raises `IdentificationError` where there was none before.
+    Raises `IdentificationError` if there is none.
     """
     text = f"pass {len(passes) + 1}, {100 * z.used.mean():.0f} % of the rows fast enough: {error}"
     text += f"; {z.reason}" if z.reason else ""
@@ -118,9 +118,9 @@ def failed(passes: list[Pass], z: Instruments, recordings: Sequence[str], error:
 
 
 def conclude(lab: ClosedLoops, passes: Sequence[Pass], solve: Callable[[Instruments], Estimate]) -> Pass:
-    """The last pass where it settled; otherwise the one whose simulated robot tracks best at its worst joint.
+    """The last pass if it settled; otherwise the one with the lowest tracking error at its worst joint.
 
-    It has its rows, and the robot simulated with its estimate in each recording, or with the nearest consistent parameters.
+    It has its rows and replicas, simulated with its estimate or the nearest consistent parameters.
     """
     best, names = passes[-1], lab.parameters.names
     if not best.is_last or best.failure is not None:
@@ -134,7 +134,7 @@ def conclude(lab: ClosedLoops, passes: Sequence[Pass], solve: Callable[[Instrume
 
 
 def _best_pass(lab: ClosedLoops, passes: Sequence[Pass]) -> Pass:
-    """The pass that tracks best, robots being simulated with the estimates themselves; the last if none can be."""
+    """The pass that tracks best when simulated with its estimate itself; the last if none can be simulated."""
     found = []
     for one in passes:
         replicas = lab.replicas(one.estimate.values_of(lab.parameters.names), None)
@@ -146,9 +146,9 @@ def _best_pass(lab: ClosedLoops, passes: Sequence[Pass]) -> Pass:
 
 
 def inertia_prior(observed: StackedSystem, ls: LeastSquares) -> Array:
-    """Parameters (b,) whose inertias the controllers' gains are taken to be set for: least squares at the rule's cut-off.
+    """Parameters (b,) for whose inertias the controller gains are assumed to be set: least squares at the rule's cut-off.
 
-    Without that filter least squares says little of the inertias; it is taken where the recording is too short to filter.
+    Without that filter the inertias are poorly determined; it is left out if the recording is too short.
     """
     try:
         behind = observed.behind_rule()
@@ -162,9 +162,9 @@ def inertia_prior(observed: StackedSystem, ls: LeastSquares) -> Array:
 
 
 def regular_start(model: InverseModel, base: BaseParameters, J: Array | None = None) -> Array:
-    """Base parameters of a robot of which nothing is known but that each motor turns J at its joint.
+    """Base parameters of a robot with only an inertia J of each motor, at its joint.
 
-    With a coupled wrist the Ia of a joint counts all motors that turn with it: Ia5 = 2 on the TX40. A joint without Ia has
+    With a coupled wrist the Ia of a joint includes all motors that turn with it: Ia5 = 2 on the TX40. A joint without Ia has
     a link with that inertia about every axis, or that mass.
 
     Returns (b,) values in the order of `base`.

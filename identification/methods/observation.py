@@ -1,4 +1,4 @@
-"""What one recording brings to a fit, and the tasks that find it."""
+"""Per-recording system, and the worker tasks that build it."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -31,29 +31,29 @@ from .fit import LeastSquares
 
 Say = Callable[[str], None]
 
-SPAN_S = 180.0  # of a long recording, for what needs rows
+SPAN_S = 180.0  # of a long recording, for tests that need rows
 NAME = "position noise"
 CORRELATIONS = np.linspace(0.0, 0.95, 39)  # of the noise from sample to sample that are tried
-BANDS = 12  # of frequencies above the low-pass, by which they are judged
-LARGEST_CUTOFF = 0.3  # of the sample rate: above it too little of the noise is seen alone
-BIASED, BIASED_PERCENT = 1.0, 1.0  # half-widths, and percent of the value, that a bias may have
-ADVICE = "take --method iv, which needs the reference recorded"
+BANDS = 12  # of frequencies above the low-pass, in which shapes are compared
+MAX_CUTOFF = 0.3  # of the sample rate: above it too little of the noise is free of motion
+MAX_BIAS, MAX_BIAS_PERCENT = 1.0, 1.0  # in half-widths, and in percent of the value
+ADVICE = "use --method iv (needs a recorded reference)"
 
 
 @one_thread
 def observe(source: Signals | RecordingFile, overrides: Overrides, share: int) -> RecordingData:
-    """W and Y of a recording and what else is known without an estimate; `share` is the number of recordings of the fit."""
+    """`observation_of` as a task; `share` is the number of recordings of the fit."""
     if isinstance(source, RecordingFile):
         source = source.load()
     return observation_of(make_problem(source, overrides), share)
 
 
 def observation_of(problem: Problem, share: int, say: Say = lambda text: None) -> RecordingData:
-    """The observation of a recording that is at hand; `share` as of `observe`."""
+    """W and Y of a recording and inputs of the tests that need no estimate; `share` as of `observe`."""
     settings, signals = problem.settings, problem.signals
     regression = regression_of_recording(problem, say, share=share)
     # Decimation keeps the last sample and every n_d-th before it.
-    kept = settings.stop - 1 - settings.decimation * np.arange(len(regression.tau))[::-1]
+    at = settings.stop - 1 - settings.decimation * np.arange(len(regression.tau))[::-1]
     q = signals.q[settings.start : settings.stop]
     poses, (replay, replay_lag) = poses_of(q), replay_line(problem)
     shaped = any(term in SHAPES for joint in signals.robot.joints for term in joint.terms)
@@ -68,28 +68,29 @@ def observation_of(problem: Problem, share: int, say: Say = lambda text: None) -
         replay=replay,
         replay_lag=replay_lag,
         steps=position_steps(q),
-        t_s=signals.t_s[kept],
+        t_s=signals.t_s[at],
         states=states,
     )
 
 
 @one_thread
 def regression_at(problem: Problem, overrides: Overrides, share: int) -> tuple[Settings, Regression]:
-    """Settings, and W and Y of a recording with them, of other overrides."""
+    """Settings, W and Y of a recording with other overrides."""
     problem = problem.with_samples()
     settings = make_settings(problem.signals, overrides, problem.motion)
     return settings, regression_of_recording(replace(problem, settings=settings), share=share)
 
 
 def position_noise_line(problem: Problem, method: Method, ls: LeastSquares, *, alone: bool) -> TrustLine:
-    """How far noise of a recording's position has moved least squares, in half-widths.
+    """Bias of least squares by position noise, in half-widths.
 
-    Its own noise is added once more, and once less: simulation and extrapolation (Cook, Stefanski, Simulation-extrapolation
-    estimation in parametric measurement error models, JASA 89 (1994)). Noise of the spectrum found above the low-pass is
-    added over the whole band, with both signs; the mean of the two moves is, to first order, the bias that the noise within the
-    band has caused already. `alone`: `ls` is of this recording alone, without load friction.
+    Simulation and extrapolation: Cook, Stefanski, Simulation-extrapolation estimation in parametric measurement error models,
+    JASA 89 (1994). Noise with the spectrum found above the low-pass is added over the whole band, with both signs; the mean
+    of the two moves is, to first order, the bias by the noise within the band.
+
+    `alone`: `ls` has only this recording, without load friction.
     """
-    settings, fs, reason = problem.settings, problem.signals.sample_rate_hz, _not_seen(problem)
+    settings, fs, reason = problem.settings, problem.signals.sample_rate_hz, _reason_against(problem)
     if reason is not None:
         return TrustLine(NAME, "cannot tell", f"{reason}: {ADVICE}")
     assert settings.cutoff_hz is not None
@@ -107,7 +108,7 @@ def position_noise_line(problem: Problem, method: Method, ls: LeastSquares, *, a
     off = np.abs(0.5 * (both[0].values_of(tuple(names)) + both[1].values_of(tuple(names))) - beta)
     with np.errstate(divide="ignore", invalid="ignore"):
         widths, percents = np.nan_to_num(off / half, posinf=np.inf), np.nan_to_num(100 * off / np.abs(beta))
-    matters = (widths > BIASED) & (percents > BIASED_PERCENT)
+    matters = (widths > MAX_BIAS) & (percents > MAX_BIAS_PERCENT)
     worst = int(np.argmax(np.where(matters, widths, -1.0) if matters.any() else widths))
     value, text = (
         float(widths[worst]),
@@ -119,24 +120,25 @@ def position_noise_line(problem: Problem, method: Method, ls: LeastSquares, *, a
     return TrustLine(NAME, "ok", text, value)
 
 
-def _not_seen(problem: Problem) -> str | None:
+def _reason_against(problem: Problem) -> str | None:
+    """Why the noise cannot be estimated; None if it can."""
     settings, signals = problem.settings, problem.signals
     if settings.cutoff_hz is None:
-        return "without a low-pass nothing tells the noise from the motion"
-    if settings.cutoff_hz > LARGEST_CUTOFF * signals.sample_rate_hz:
-        return f"above the cut-off of {settings.cutoff_hz:g} Hz too little of the noise is seen"
+        return "without a low-pass noise and motion cannot be separated"
+    if settings.cutoff_hz > MAX_CUTOFF * signals.sample_rate_hz:
+        return f"too little of the noise is above the cut-off of {settings.cutoff_hz:g} Hz"
     if signals.off_grid > ON_GRID:
-        return "samples are interpolated, which takes out noise"
+        return "interpolated samples have less noise"
     return None
 
 
 def _noise_like(problem: Problem) -> Array:
-    """Noise (N, n) of the spectrum that positions have well above low-pass and motion: white, or the AR(1) that fits it.
+    """Noise (N, n) with the spectrum of the positions well above low-pass and motion: white, or the AR(1) that fits it.
 
-    Of rounding and of most encoders that is white. Noise that falls with frequency is larger below the low-pass than above.
+    Rounding and most encoders give white noise. Noise that falls with frequency is larger below the low-pass than above.
     """
     settings, fs, rng = problem.settings, problem.signals.sample_rate_hz, np.random.default_rng(0)
-    q = problem.signals.q[: settings.stop + round(fs)]  # of a long recording no more than is looked at
+    q = problem.signals.q[: settings.stop + round(fs)]  # no more than is used
     used = q[settings.start : settings.stop]
     above = used - problem.motion.between(settings.start, settings.stop, settings.cutoff_hz).q
     window = np.hanning(len(used))[:, None]
@@ -162,9 +164,9 @@ def _with_noise(problem: Problem, noise: Array) -> Problem:
 
 
 def _least_squares(problem: Problem, method: Method, ls: LeastSquares, fast: NDArray[np.bool_]) -> Estimate:
-    """Least squares of the recording as `ls` was made: of its parameters, columns of load friction apart."""
+    """Least squares of the recording with the parameters of `ls`, without load friction."""
     system = regression_of_recording(problem, share=HELD).system.with_rows(fast.T.reshape(-1).astype(float))
     asked = set(map(base_name, ls.estimate.names))
-    kept = np.array([k for k, name in enumerate(system.names) if name in asked and system.W[:, k].any()])
+    columns = np.array([k for k, name in enumerate(system.names) if name in asked and system.W[:, k].any()])
     solve = ordinary_least_squares if method == "ols" else weighted_least_squares
-    return solve(system.with_columns(kept))
+    return solve(system.with_columns(columns))

@@ -1,4 +1,4 @@
-"""Parameters of a fit, known ones, and those of a stored fit applied to a recording or a robot, with its settings."""
+"""Parameters of a fit, known values, and those of a stored fit for another recording or robot, with its settings."""
 
 from typing import Literal
 
@@ -63,9 +63,9 @@ def true_parameters(base: BaseParameters, true: Array) -> ParameterSet:
 
 
 def stored_settings(stored: FitFile, signals: Signals) -> Overrides:
-    """The settings that a fit was made with, for another recording; known values have none.
+    """The settings of a stored fit for another recording; known values have none.
 
-    The lag is the fit's where timing, effort objects and rate are those of its recording; else what is known of it.
+    The lag of the fit is used if timing, effort objects and rate are equal, else what is known of the recording's own.
     """
     if stored.sample_rate_hz is None:
         return Overrides()
@@ -86,13 +86,13 @@ def stored_settings(stored: FitFile, signals: Signals) -> Overrides:
 
 
 def stored_robot(stored: FitFile, place: str) -> Robot | None:
-    """The robot as a fit's own description has it; None where the file, `place`, holds none."""
+    """The robot by the description in a fit's file, `place`; None if it has none."""
     files = {name: text.encode() for name, text in stored.description.items()}
     return robot_from_files(files, place) if files else None
 
 
 def other_meaning(stored: FitFile, base: BaseParameters) -> list[str]:
-    """Parameters that `base` does not have, or has in another unit or for another sum of standard parameters."""
+    """Parameters that `base` lacks, or has in another unit or for another sum of standard parameters."""
     known = dict(zip(base.names, zip(base.units, base.expressions, strict=True), strict=True))
     return [
         p.name
@@ -116,9 +116,9 @@ def consistent_fit(stored: FitFile, place: str) -> FitFile:
 
 
 def stored_beta(stored: FitFile, base: BaseParameters, place: str) -> Array:
-    """(b,) values in the order of `base`, zero for those the fit left out; refuses a fit of another robot.
+    """(b,) values in the order of `base`, zero if left out; refuses a fit of another robot.
 
-    Of parameters that recordings have for themselves it is the mean.
+    For own parameters of several recordings it is the mean.
     """
     values: dict[str, list[float]] = {}
     for p in stored.parameters:

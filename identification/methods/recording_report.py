@@ -1,4 +1,4 @@
-"""The reports of a recording: settings and ranges before a fit, the torque errors of a fit on another recording."""
+"""Reports of a recording: settings and ranges before a fit; torque errors of a fit on other recordings."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -17,7 +17,7 @@ ERROR_COLUMNS = ("all rows", "moving", "standing")
 
 
 def recording_document(signals: Signals, settings: Settings | None, refusal: str | None) -> Document:
-    """What is known of a recording before a fit."""
+    """The report of a recording without a fit."""
     robot, reference = signals.robot, "with" if signals.q_ref is not None else "without"
     lines = (
         *([f"cannot be fitted: {refusal}"] if refusal else []),
@@ -50,7 +50,7 @@ def recording_document(signals: Signals, settings: Settings | None, refusal: str
 
 @dataclass(frozen=True)
 class Validated:
-    """A recording, what was done with it, and the torque errors of a fit on it."""
+    """A recording, its settings, and the torque errors of a fit on it."""
 
     signals: Signals
     settings: Settings
@@ -66,7 +66,7 @@ def validation_document(
 ) -> Document:
     """The torque errors of a fit on recordings that it was not made from."""
     units = recordings[0].signals.robot.effort_units
-    beside = "relative torque error of the consistent set, %"
+    title = "relative torque error of the consistent set, %"
     names = ", ".join(one.signals.recording for one in recordings)
     lines = [line for one in recordings for line in settings_lines(one.signals, one.settings, used="evaluated on")]
     lines += [line for one in recordings for line in recording_lines(one.signals)]
@@ -83,14 +83,14 @@ def validation_document(
             ),
             *([each] if len(recordings) > 1 else []),
             errors_section(errors, units),
-            *([replace(errors_section(consistent, units), title=beside)] if consistent else []),
+            *([replace(errors_section(consistent, units), title=title)] if consistent else []),
             Section(title="settings", lines=tuple(lines)),
         ),
     )
 
 
 def recordings_section(recordings: Sequence[FittedRecording], own: OwnTest | None) -> Section:
-    """The recordings of a fit: the error that it leaves on each, that of the fit of the others, the test of own parameters."""
+    """Errors of a fit on each of its recordings, held-out errors, and the test of own parameters."""
     rows: list[Row] = []
     lines = []
     for one in recordings:
@@ -102,11 +102,11 @@ def recordings_section(recordings: Sequence[FittedRecording], own: OwnTest | Non
         if held is not None and error is None:
             why = f"{', '.join(held.undetermined)} undetermined" if held.undetermined else "it has no torque"
             lines.append(f"{signals.recording} cannot be predicted by the others: {why}")
-    lines.append("held out: predicted by the fit of the other recordings, in the rows that count")
+    lines.append("held out: predicted by a fit of the other recordings, over the rows used")
     if own is not None:
         lines.append(
-            f"own parameters {', '.join(own.names)} against shared ones: F = {own.F:.2f}, p = {own.p_value:.2g}; with the "
-            f"residual's correlation counted F = {own.F_effective:.2f}, p = {own.p_effective:.2g}"
+            f"own parameters {', '.join(own.names)} against shared ones: F test p = {own.p_value:.2g} "
+            f"(corrected for correlation p = {own.p_effective:.2g})"
         )
     fs, settings = recordings[0].problem.signals.sample_rate_hz, recordings[0].problem.settings
     cutoff = "no low-pass" if settings.cutoff_hz is None else f"low-pass {settings.cutoff_hz:g} Hz"
@@ -124,7 +124,7 @@ def _error_cells(error: TorqueError) -> tuple[Number, ...]:
 
 
 def headline(errors: tuple[TorqueError, ...]) -> str:
-    """The one number of a report: standing friction is not in the model, so rows that move are what it is judged by."""
+    """The main figure of a report: over moving rows, since the model has no static friction."""
     return f"{_percent(errors[-1].moving_relative_error_percent)} % torque error of moving rows"
 
 
@@ -164,7 +164,7 @@ def errors_section(errors: tuple[TorqueError, ...], units: tuple[str, ...]) -> S
 
 
 def settings_lines(signals: Signals, settings: Settings, *, used: str) -> tuple[str, ...]:
-    """The settings in words; `used` says what is done with the span."""
+    """The settings in words; `used` is what is done with the span."""
     fs = signals.sample_rate_hz
     if settings.cutoff_hz is None:
         cutoff = "no low-pass"
@@ -186,31 +186,33 @@ def settings_lines(signals: Signals, settings: Settings, *, used: str) -> tuple[
 
 
 def recording_warnings(signals: Signals) -> tuple[str, ...]:
-    """What the recorder warned of, such as SYNC at another period than described: estimates rest on it."""
+    """Warnings of the recorder, such as another SYNC period than described."""
     return tuple(f"recording: {event.text}" for event in signals.events if event.kind == "warning")
 
 
 def ripple_warnings(signals: Signals) -> tuple[str, ...]:
-    """Where torque demands of drives are sampled at one phase of their control: that error is no lag, and stays in inertias."""
+    """Warnings of torque demands sampled at one phase of the control: an error of inertias that is no lag."""
     bus, bandwidth_hz = signals.robot.bus, signals.robot.controller.bandwidth_hz
     return demand_ripple_warnings(bus, bandwidth_hz) if signals.of_drives else ()
 
 
 def gain_warnings(signals: Signals) -> tuple[str, ...]:
-    """What a reader must know of the units where the drive gains are not given."""
+    """A warning of the units if the drive gains are not given."""
     robot = signals.robot
     if robot.gain_known:
         return ()
     units = " and ".join(sorted(set(robot.effort_units)))
     text = f"the drive gains are not known: torques and parameters are in {units}, not in N m"
     shared = (
-        "; joints share parameters, so the values hold only if all drives have the same gain" if robot.n > 1 else ""
+        "; joints share parameters, so the values are valid only if all drives have the same gain"
+        if robot.n > 1
+        else ""
     )
     return (text + shared,)
 
 
 def _known_lines(signals: Signals) -> list[str]:
-    """What is known besides position and effort, and what is done with it."""
+    """Known torque and feed-forward, and their use."""
     lines, joints, units = [], signals.robot.joints, signals.robot.effort_units
     for values, text in (
         (signals.known_torque, "known torque, added to that of the drives and to the simulated robot"),
@@ -224,7 +226,7 @@ def _known_lines(signals: Signals) -> list[str]:
 
 
 def recording_lines(signals: Signals) -> tuple[str, ...]:
-    """What the recorder's counters came to, where it kept any, and the file's digest."""
+    """The final counters of the recorder, if any, and the digest of the file."""
     known = {name: counts[np.isfinite(counts)] for name, (_, counts) in signals.health.items()}
     last = [f"{name} {counts[-1]:.6g}" for name, counts in known.items() if len(counts)]
     counted = [f"recorder: {', '.join(last)}"] if last else []

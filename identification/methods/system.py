@@ -1,4 +1,4 @@
-"""The recordings of a fit, and the system that all of them make together, about any parameters."""
+"""The recordings of a fit, and their stacked system about given parameters."""
 
 from collections.abc import Sequence
 from contextlib import suppress
@@ -39,19 +39,19 @@ SPAN_NUMBERS = 3_000_000  # of its W
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StackedSystem:
-    """All recordings of a fit, in the order of their digests: sums over them do not depend on the order they are given in.
+    """All recordings of a fit, in the order of their digests, so that sums do not depend on the order given.
 
     Attributes:
-        recordings: as they were given, in the order of the digests; `overrides` the settings they were observed with.
-        observations: one by one, with W and Y about `beta`.
-        order: places of the recordings as the user gave them.
-        plain: by recording its regression, columns of load friction being zero.
-        parameters: those that the recordings share, and those of each.
-        regression: the system that they make together, about `beta`.
-        load: where the base parameters have load friction, if they do.
-        beta: values of all parameters; None where columns of load friction are zero.
-        left_out: friction terms that were left out of the description, each with a line that says why.
-        lags: by which the torques are corrected, where they were looked for.
+        recordings: in the order of the digests; `overrides`: their settings.
+        observations: by recording, with W and Y about `beta`.
+        order: places of the recordings in the order given.
+        plain: by recording its regression with columns of load friction zero.
+        parameters: shared ones, and those of single recordings.
+        regression: the stacked system, about `beta`.
+        load: load friction in the base parameters; None without.
+        beta: values of all parameters; None if columns of load friction are zero.
+        left_out: friction terms left out, each with the reason.
+        lags: that the torques are corrected by, once estimated.
     """
 
     recordings: Recordings
@@ -68,7 +68,7 @@ class StackedSystem:
 
     @property
     def problem(self) -> Problem:
-        """That of the recording given first: robot, model and base parameters are those of all."""
+        """That of the recording given first; all have the same robot, model and base parameters."""
         return self.observations[self.order[0]].problem
 
     @property
@@ -77,7 +77,7 @@ class StackedSystem:
         return tuple(slices(self.regression.parts))
 
     def problems(self) -> list[Problem]:
-        """Those of the recordings for tasks: without samples where a task can read them itself."""
+        """The problems for tasks: without samples if a task can read them itself."""
         found = []
         for source, one in zip(self.recordings.sources, self.observations, strict=True):
             problem = one.problem
@@ -87,7 +87,7 @@ class StackedSystem:
         return found
 
     def lab(self, prior: Array, *, gain_update: bool) -> ClosedLoops:
-        """The recordings laid out for simulation, gains being those for the inertias of `prior`, values of all parameters."""
+        """The closed loops of the recordings; gains are set for the inertias of `prior`, values of all parameters."""
         return ClosedLoops(
             simulations=tuple(
                 Simulation(
@@ -105,15 +105,15 @@ class StackedSystem:
         )
 
     def load_places(self, load: LoadFriction | None = None) -> NDArray[np.intp]:
-        """Where the parameters of load friction are among those of the system; of `load`, or of all there is."""
+        """Places of the parameters of load friction in the system; of `load`, or of all."""
         load, names = load or self.load, self.problem.base.names
         found = [self.parameters.names.index(names[place]) for place in load.places] if load else []
         return np.array(found, dtype=np.intp)
 
     def at(self, beta: Array, load: LoadFriction | None = None) -> "StackedSystem":
-        """The same with W and Y about values of all parameters, by which load friction goes; the same without any.
+        """Linearised about beta if there is load friction, else unchanged.
 
-        `load` may be some of the load friction, of rows that are not reduced: columns of the rest are zero.
+        `load` may be a part of the load friction, if rows are not reduced: columns of the rest are zero.
         """
         load = load or self.load
         if load is None or (load is self.load and self.beta is not None and np.array_equal(beta, self.beta)):
@@ -137,7 +137,7 @@ class StackedSystem:
         )
 
     def without(self, left_out: dict[str, str]) -> "StackedSystem":
-        """The same without friction terms that are regrouped with nothing; `left_out` says why of each."""
+        """The same without friction terms that are regrouped with nothing; `left_out` has the reasons."""
         observations = [
             replace(one, problem=one.problem.without_terms(left_out), regression=plain.without(left_out))
             for one, plain in zip(self.observations, self.plain, strict=True)
@@ -145,16 +145,16 @@ class StackedSystem:
         return replace(self._of(observations), left_out=self.left_out | left_out)
 
     def _of(self, observations: Sequence[RecordingData]) -> "StackedSystem":
-        """That of the same recordings, observed otherwise; columns of load friction are zero."""
+        """The same recordings with other observations; columns of load friction are zero."""
         system = stack_recordings(self.recordings, self.overrides, observations, self.order)
         return replace(system, left_out=self.left_out)
 
     def along(self, z: Instruments) -> System:
-        """W and Y with the rows that count in a pass, about its parameters; of long recordings QR factors."""
+        """W and Y with the rows of a pass, about its parameters; QR factors for long recordings."""
         return self.at(z.beta).regression.system.with_rows(z.used) if z.system is None else z.system
 
     def about(self, z: Instruments) -> "StackedSystem":
-        """The same about the parameters of a pass; of long recordings the factors of `z` are about them."""
+        """The same about the parameters of a pass; for long recordings unchanged, `z` has the factors."""
         return self if z.system is not None else self.at(z.beta)
 
     def simulated(self, replicas: Sequence[Replica]) -> tuple[RecordingData, ...]:
@@ -165,7 +165,7 @@ class StackedSystem:
         )
 
     def at_cutoff(self, cutoff_hz: float) -> "StackedSystem":
-        """The same recordings behind another low-pass."""
+        """The same recordings with another low-pass."""
         tasks = []
         for problem in self.problems():
             settings = problem.settings
@@ -180,10 +180,7 @@ class StackedSystem:
         )
 
     def behind_rule(self) -> "StackedSystem | None":
-        """The same recordings behind the rule's low-pass; None where all are behind it, or behind a lower one.
-
-        None too where a recording is too short for it.
-        """
+        """The same recordings with the rule's low-pass; None if all have it or a lower one, or a recording is too short."""
         if all(one.problem.settings.filtered for one in self.observations):
             return None
         signals = [one.problem.signals for one in self.observations]
@@ -192,7 +189,7 @@ class StackedSystem:
         return None
 
     def on_span(self) -> "StackedSystem":
-        """The recordings as they are where rows are held; else the beginning of the first, with rows, three minutes at most."""
+        """Unchanged if rows are held; else the beginning of the first recording, with rows, at most three minutes."""
         if not self.regression.reduced:
             return self
         problem = self.problems()[0].with_samples()
@@ -225,7 +222,7 @@ class StackedSystem:
 
     @property
     def default_method(self) -> tuple[Literal["iv", "wls"], str]:
-        """The method by default, and why: instruments where every recording has its reference."""
+        """The default method and its reason: instruments if every recording has its reference."""
         without = [one.problem.signals for one in self.observations if one.problem.signals.q_ref is None]
         if not without:
             return "iv", "reference recorded"
@@ -236,7 +233,7 @@ class StackedSystem:
 def stack_recordings(
     recordings: Recordings, overrides: Overrides, observations: Sequence[RecordingData], order: tuple[int, ...]
 ) -> StackedSystem:
-    """The system that recordings make together, columns of load friction zero."""
+    """The stacked system of recordings, columns of load friction zero."""
     problems, each = [one.problem for one in observations], tuple(one.regression for one in observations)
     parameters = own_parameters(problems)
     return StackedSystem(
@@ -252,11 +249,11 @@ def stack_recordings(
 
 
 def stack_of(given: Signals | Recordings, overrides: Overrides, say: Say) -> StackedSystem:
-    """W and Y of one recording or several, filtered and decimated one by one, and stacked.
+    """W and Y of one recording or several, filtered and decimated separately, and stacked.
 
-    Cut-off and decimation are common, the lowest cut-off and the lowest rate of rows that the rules give.
+    All have the lowest cut-off and the lowest rate of rows that the rules give.
 
-    Raises `IdentificationError` where the recordings are not of one robot, or as `make_problem`.
+    Raises `IdentificationError` if the recordings are not of one robot, and as `make_problem`.
     """
     if isinstance(given, Signals):
         given = Recordings(sources=(given,))
@@ -268,7 +265,7 @@ def stack_of(given: Signals | Recordings, overrides: Overrides, say: Say) -> Sta
     say(f"reading {len(given.sources)} recordings")
     found = _observe(given, [overrides] * len(given.sources), len(given.sources))
     check_one_robot([one.problem.signals for one in found])
-    found = _alike(given, found, overrides)
+    found = _with_common_rate(given, found, overrides)
     by_digest = sorted(
         range(len(found)), key=lambda k: (found[k].problem.signals.sha256, found[k].problem.signals.recording)
     )
@@ -289,8 +286,8 @@ def _observe(given: Recordings, overrides: Sequence[Overrides], share: int) -> l
     return list(given.work.run(observe, list(tasks)))
 
 
-def _alike(given: Recordings, found: list[RecordingData], overrides: Overrides) -> list[RecordingData]:
-    """The same with common cut-off and rate of rows, and all of them reduced or none; only others are observed again."""
+def _with_common_rate(given: Recordings, found: list[RecordingData], overrides: Overrides) -> list[RecordingData]:
+    """The same with common cut-off and rate of rows, all reduced or none; only those that change are built again."""
     settings = [one.problem.settings for one in found]
     rates = [one.problem.signals.sample_rate_hz for one in found]
     cutoff_hz = min((s.cutoff_hz for s in settings if s.cutoff_hz is not None), default=None)

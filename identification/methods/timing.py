@@ -1,4 +1,4 @@
-"""The lag of the torque in a fit: what is known of it is corrected before, what the instruments find of it after the passes."""
+"""The lag of the torque: the known value is corrected before the passes, the one estimated by the instruments after them."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -14,16 +14,16 @@ from ..trust import Lag, combined_lag, lag_columns, lag_moves, lags_in
 from .fit import Pass
 from .system import StackedSystem
 
-# Of correcting the torque and looking again: a lag of many samples is not quite the column of its first order.
-LAG_PASSES = 4
-NEAR = 0.25  # samples that the last of them may find
-MOVES = 0.1  # deviations of a parameter: of long recordings a lag that moves less is not worth another pass over them
+# The torque is corrected and the lag estimated again: the column is of first order only, not exact for many samples.
+MAX_LAG_PASSES = 4
+MAX_LAST_LAG = 0.25  # samples; the passes end below it
+MIN_MOVE = 0.1  # deviations of a parameter: a lag that moves less is not worth another pass over long recordings
 
 Solve = Callable[[Instruments, System], Estimate]
 
 
 def lag_groups(observed: StackedSystem) -> list[list[int]]:
-    """Places of recordings whose torques have one lag: those of one effort object, timing and rate."""
+    """Places of recordings with a common lag: those of the same effort object, timing and rate."""
     groups: dict[object, list[int]] = {}
     for k, one in enumerate(observed.observations):
         signals, known = one.problem.signals, one.problem.settings.known_lag
@@ -33,7 +33,7 @@ def lag_groups(observed: StackedSystem) -> list[list[int]]:
 
 
 def known_lags(observed: StackedSystem) -> list[KnownLag]:
-    """What is known of the lag of each group of recordings: the mean of theirs, with the deviation of the best known."""
+    """The known lag of each group of recordings: their mean, with the smallest deviation."""
     found = []
     for group in lag_groups(observed):
         each = [observed.observations[k].known_lag for k in group]
@@ -43,7 +43,7 @@ def known_lags(observed: StackedSystem) -> list[KnownLag]:
 
 
 def correct_known_lags(observed: StackedSystem) -> StackedSystem:
-    """The recordings with their torques corrected by what is known of their lags."""
+    """The recordings with torques corrected by their known lags."""
     return _with_lags(observed, [known.value_s for known in known_lags(observed)])
 
 
@@ -52,36 +52,36 @@ def _with_lags(observed: StackedSystem, values_s: Sequence[float]) -> StackedSys
     return observed.corrected([by_place[k] for k in range(len(by_place))])
 
 
-def timed(
+def correct_lags(
     observed: StackedSystem, best: Pass, solve: Solve, lab_of: Callable[[StackedSystem], ClosedLoops]
 ) -> tuple[StackedSystem, Pass, tuple[StackedSystem, Pass] | None]:
-    """The recordings corrected by the lags of their torques, which the instruments of a pass find, and the pass in that time.
+    """The recordings corrected by the lags that the instruments of a pass estimate, and the pass solved again.
 
-    Of long recordings also their beginning, which has rows, and the pass there.
+    For long recordings also their beginning, which has rows, and its pass.
     """
     if not observed.regression.reduced:
-        return *_in_time(observed, best, solve), None
+        return *_estimate_lags(observed, best, solve), None
     span, weights = observed.on_span(), best.estimate.weights
     lab, beta = lab_of(span), best.estimate.values_of(observed.parameters.names)
     z = lab.instruments(beta, best.covariance, weights)
     own = replace(best, z=z, estimate=solve(z, span.along(z)), replicas=lab.replicas(beta, best.covariance))
-    span, own = _in_time(span, own, solve)
-    lags = over_all(observed, best.estimate, span.lags)
+    span, own = _estimate_lags(span, own, solve)
+    lags = lags_of_all(observed, best.estimate, span.lags)
     now = [observed.observations[group[0]].problem.settings.torque_lag_s for group in lag_groups(observed)]
-    off = [abs(lag.value_s - at) / max(lag.sd_s, 1e-12) for lag, at in zip(lags, now, strict=True)]
-    if any((share * lag.moved > MOVES).any() for share, lag in zip(off, lags, strict=True)):
+    change = [abs(lag.value_s - at) / max(lag.sd_s, 1e-12) for lag, at in zip(lags, now, strict=True)]
+    if any((deviations * lag.moved > MIN_MOVE).any() for deviations, lag in zip(change, lags, strict=True)):
         observed = _with_lags(observed, [lag.value_s for lag in lags])
         z = lab_of(observed).instruments(best.z.beta, best.asked, weights, rows=best.z.moving_rows)
         best = replace(best, z=z, estimate=solve(z, observed.along(z)))
     return replace(observed, lags=lags), best, (replace(span, lags=lags), own)
 
 
-def _in_time(observed: StackedSystem, best: Pass, solve: Solve) -> tuple[StackedSystem, Pass]:
-    """The recordings and a pass with the torques corrected by their lags, found where the reference is recorded."""
-    z, estimate, why = best.z, best.estimate, _not_looked_at(observed, best)
+def _estimate_lags(observed: StackedSystem, best: Pass, solve: Solve) -> tuple[StackedSystem, Pass]:
+    """Recordings and pass with torques corrected by their lags, which are estimated if the reference is recorded."""
+    z, estimate, reason = best.z, best.estimate, _reason_against(observed, best)
     groups, known, system = lag_groups(observed), known_lags(observed), observed.along(z)
     found: list[tuple[float, float, float] | None] = [None] * len(groups)
-    for _ in range(LAG_PASSES if why is None else 0):
+    for _ in range(MAX_LAG_PASSES if reason is None else 0):
         try:
             steps, sd, reach = lags_in(observed.simulated(best.replicas), groups, system, z.Z, estimate)
         except IdentificationError:
@@ -93,7 +93,7 @@ def _in_time(observed: StackedSystem, best: Pass, solve: Solve) -> tuple[Stacked
         system = observed.along(z)
         estimate = solve(z, system)
         fs = observed.problem.signals.sample_rate_hz
-        if max(abs(value - at) for value, at in zip(values, now, strict=True)) * fs < NEAR:
+        if max(abs(value - at) for value, at in zip(values, now, strict=True)) * fs < MAX_LAST_LAG:
             break
     lags = [combined_lag(prior, data) for prior, data in zip(known, found, strict=True)]
     observed = observed.about(z)
@@ -101,8 +101,8 @@ def _in_time(observed: StackedSystem, best: Pass, solve: Solve) -> tuple[Stacked
     return replace(observed, lags=_named(observed, lags, moves)), replace(best, estimate=estimate)
 
 
-def _not_looked_at(observed: StackedSystem, best: Pass) -> str | None:
-    """Why the lag is not found along the instruments, None where it is."""
+def _reason_against(observed: StackedSystem, best: Pass) -> str | None:
+    """Why the lag cannot be estimated by the instruments; None if it can."""
     if any(one.problem.signals.q_ref is None for one in observed.observations):
         return "the reference is not recorded"
     if any(one.motion is None for one in best.replicas):
@@ -111,17 +111,17 @@ def _not_looked_at(observed: StackedSystem, best: Pass) -> str | None:
 
 
 def lags_of_ls(observed: StackedSystem, estimate: Estimate) -> tuple[Lag, ...]:
-    """What is known of the lags, and what they move in least squares, which cannot find them."""
+    """The known lags and the moves of least squares by them; least squares cannot estimate lags."""
     lags = [combined_lag(known, None) for known in known_lags(observed)]
     columns = lag_columns(observed.observations, lag_groups(observed), estimate)
     used = observed.regression.fast.T.reshape(-1).astype(float)
     return _named(observed, lags, lag_moves(observed.regression, used, columns, estimate))
 
 
-def over_all(observed: StackedSystem, estimate: Estimate, of_beginning: tuple[Lag, ...]) -> tuple[Lag, ...]:
-    """Lags of all groups of long recordings: of the first one's what its beginning tells, of others what is known.
+def lags_of_all(observed: StackedSystem, estimate: Estimate, of_beginning: tuple[Lag, ...]) -> tuple[Lag, ...]:
+    """Lags of all groups of long recordings: estimated from the beginning for the first, known values for the others.
 
-    What a lag moves is that of the beginning.
+    The moves of the parameters are those of the beginning.
     """
     (first,), found = of_beginning, []
     for group, known in zip(lag_groups(observed), known_lags(observed), strict=True):
@@ -133,7 +133,7 @@ def over_all(observed: StackedSystem, estimate: Estimate, of_beginning: tuple[La
 
 
 def _named(observed: StackedSystem, lags: Sequence[Lag], moves: Array) -> tuple[Lag, ...]:
-    """The lags, named, with what one deviation of each moves; `moves` (b, K) is d beta / d lag, per s."""
+    """The lags with their recordings, and with the moves by one deviation; `moves` (b, K) is d beta / d lag, per s."""
     found = []
     for lag, group, move in zip(lags, lag_groups(observed), moves.T, strict=True):
         replayed = next((x for k in group if (x := observed.observations[k].replay_lag) is not None), None)
@@ -145,6 +145,6 @@ def _named(observed: StackedSystem, lags: Sequence[Lag], moves: Array) -> tuple[
     return tuple(found)
 
 
-def counted(estimate: Estimate, found: Intervals, lags: Sequence[Lag]) -> Intervals:
-    """Intervals with the deviations of the lags counted."""
+def add_lag_variance(estimate: Estimate, found: Intervals, lags: Sequence[Lag]) -> Intervals:
+    """Intervals that include the deviations of the lags."""
     return intervals_from(estimate, np.hypot.reduce([found.sigma, *(lag.moved for lag in lags)]), found.freedom)

@@ -1,4 +1,4 @@
-"""From signals to W and Y: settings, filters, regressor, the rows that count; load friction and its passes."""
+"""From signals to W and Y: settings, filters, regressor, selection of rows, load friction."""
 
 from .filtering import Decimation, forward_backward_3db_hz
 from .load import LoadFriction, load_columns, load_friction

@@ -1,8 +1,8 @@
 """Zero-phase filters: the low-pass of the position, and the parallel decimation of torque and regressor.
 
-Filters are applied to the spectrum, by the responses that Butterworth's and Chebyshev's poles give. Forward and backward
-together they have the real gain |H|². The low-pass has the ends of MATLAB's `filtfilt`; decimation keeps the last sample, as
-its `decimate` does. Decimation smooths the ends; MATLAB's own edge rule, on which published digits rest, is there on request.
+Filters multiply the spectrum by the response of Butterworth or Chebyshev poles; forward and backward the gain is |H|², real.
+The low-pass treats the ends as MATLAB's `filtfilt`; decimation keeps the last sample, as its `decimate`. Decimation smooths
+the ends; MATLAB's own edge rule, used for published digits, is an option.
 """
 
 from dataclasses import dataclass
@@ -17,13 +17,13 @@ from ..errors import IdentificationError
 BUTTERWORTH_ORDER = 4
 CHEBYSHEV_ORDER = 8
 CHEBYSHEV_RIPPLE_DB = 0.05
-LARGEST_PASS = 13  # a decimation by more goes in several passes
-FOLDED = 1e-3  # of the amplitude in the band that is kept: most that may fold into it
-NOTHING = 1e-14  # of an input: less than rounding leaves of it
+MAX_PASS = 13  # a decimation by more is made in several passes
+MAX_ALIAS = 1e-3  # of the amplitude in the passband: most that may fold into it
+MIN_RESPONSE = 1e-14  # of an input: below rounding
 
 
 def lowpass(x: Array, cutoff_hz: float, sample_rate_hz: float) -> Array:
-    """Butterworth of order 4, forward and backward, along axis 0 (time); `cutoff_hz` is that of one direction, as in papers."""
+    """Butterworth of order 4, forward and backward, along axis 0 (time); `cutoff_hz` is of one direction, as in papers."""
     if not 0 < cutoff_hz < sample_rate_hz / 2:
         raise IdentificationError(
             key="cut-off",
@@ -34,7 +34,7 @@ def lowpass(x: Array, cutoff_hz: float, sample_rate_hz: float) -> Array:
     padding = 3 * BUTTERWORTH_ORDER
     if len(x) <= padding:
         raise IdentificationError(key="samples to filter", value=len(x), expected=f"more than {padding}")
-    # Counted from the first sample, a joint that stands still stays at exactly zero: rounding is no motion.
+    # Relative to the first sample a joint at rest stays at exactly zero: no motion by rounding.
     filtered = _butterworth(cutoff_hz, sample_rate_hz).forward_backward((x - x[0]).T, padding)
     return np.asarray(np.ascontiguousarray(filtered.T) + x[0])
 
@@ -61,9 +61,9 @@ class Decimation:
         return decimate(x, self.factor, smooth_ends=self.smooth_ends)
 
     def filtered_strided(self, x: Array, head: Array, tail: Array) -> Array:
-        """What `filtered` gives of a series of which x is every `stride_behind`-th sample, counted from the last one.
+        """As `filtered`, of a series of which x is every `stride_behind`-th sample, counted from the last one.
 
-        `head` and `tail` are all of its first samples, up to one of x, and of its last: `end_samples` and up to a stride more.
+        `head` and `tail` are all of its first and last samples: `end_samples`, and up to a stride more to reach one of x.
         """
         r, *others = decimation_passes(self.factor)
         k, N = _chebyshev(r).reach // r + 1, x.shape[-1]
@@ -78,46 +78,46 @@ class Decimation:
 
     @property
     def end_samples(self) -> int:
-        """Samples at each end of which `filtered_strided` takes all: twice as many as the first pass reaches."""
+        """Number of samples at each end that `filtered_strided` needs: twice the reach of the first pass."""
         r = decimation_passes(self.factor)[0]
         return 2 * r * (_chebyshev(r).reach // r + 1)
 
     def stride_behind(self, cutoff_hz: float | None, sample_rate_hz: float) -> int:
-        """Samples that can be skipped of what follows smoothly from a position behind the low-pass: the first pass, or 1.
+        """Stride at which a smooth function of the low-passed position needs computing: the first pass, or 1.
 
-        Noise of an acceleration rises with the square of frequency, up to the low-pass. What of it folds into the band that is
-        kept may have a thousandth of the amplitude that stands there.
+        The noise of an acceleration rises with the square of frequency, up to the low-pass. The amplitude that folds into
+        the passband may be a thousandth of that in it.
         """
         passes = decimation_passes(self.factor)
         if cutoff_hz is None or len(passes) < 2 or not self.smooth_ends:
             return 1
         f = np.linspace(0.0, 0.5 * sample_rate_hz, 2001)
-        kept_hz, size = 0.8 * 0.5 * sample_rate_hz / self.factor, 2 * (len(f) - 1)
+        passband_hz, size = 0.8 * 0.5 * sample_rate_hz / self.factor, 2 * (len(f) - 1)
         amplitude = f**2 * np.abs(_butterworth(cutoff_hz, sample_rate_hz).response(size)) ** 2
-        folded = amplitude[f >= sample_rate_hz / passes[0] - kept_hz]
-        return passes[0] if folded.max(initial=0.0) <= FOLDED * amplitude[f <= kept_hz].max() else 1
+        folded = amplitude[f >= sample_rate_hz / passes[0] - passband_hz]
+        return passes[0] if folded.max(initial=0.0) <= MAX_ALIAS * amplitude[f <= passband_hz].max() else 1
 
     def kept(self, x: Array) -> Array:
-        """The samples of x (N, n) at the instants that are kept, unfiltered."""
+        """The samples of x (N, n) at the decimated instants, unfiltered."""
         return x[self.instants(len(x))]
 
     def instants(self, N: int) -> NDArray[np.intp]:
-        """Which of N samples are kept: the last one, and every `factor`-th before it."""
+        """Indices of the decimated instants in N samples: the last one, and every `factor`-th before it."""
         return np.arange((N - 1) % self.factor, N, self.factor)
 
 
 def decimation_passes(factor: int) -> tuple[int, ...]:
-    """Factors, each at most 13 where the number allows it, whose product is `factor`: 100 is two passes by 10."""
+    """Factors, each at most 13 if possible, whose product is `factor`: 100 is two passes by 10."""
     if factor == 1:
         return ()
-    if factor <= LARGEST_PASS:
+    if factor <= MAX_PASS:
         return (factor,)
-    divisors = [d for d in range(2, LARGEST_PASS + 1) if factor % d == 0]
+    divisors = [d for d in range(2, MAX_PASS + 1) if factor % d == 0]
     if not divisors:
         return (factor,)
-    # The plan with the fewest passes, and of those the most even one: filters of alike, moderate cut-offs.
+    # The plan with the fewest passes, and of those the most even one: filters of similar, moderate cut-offs.
     plans = [(d, *decimation_passes(factor // d)) for d in divisors]
-    return min(plans, key=lambda plan: (max(plan) > LARGEST_PASS, len(plan), max(plan)))
+    return min(plans, key=lambda plan: (max(plan) > MAX_PASS, len(plan), max(plan)))
 
 
 def decimate(x: Array, factor: int, *, smooth_ends: bool = True) -> Array:
@@ -127,7 +127,7 @@ def decimate(x: Array, factor: int, *, smooth_ends: bool = True) -> Array:
     paper's equation (6): the same filter for the torque and for every column of the regressor.
 
     The ends are reflected at a line through the last samples, as far as the filter reaches. Without `smooth_ends` they are
-    reflected at the end samples themselves, as MATLAB does: the noise of these two stands at full size in the rows beside.
+    reflected at the end samples themselves, as in MATLAB: the rows next to them have the noise of these two unfiltered.
     """
     for r in decimation_passes(factor):
         padding = 3 * CHEBYSHEV_ORDER
@@ -140,10 +140,10 @@ def decimate(x: Array, factor: int, *, smooth_ends: bool = True) -> Array:
 
 
 def _decimated(x: Array, r: int) -> Array:
-    """One pass by r with smooth ends. Of a spectrum, every r-th sample is the sum of its r parts of equal length."""
+    """One pass by r with smooth ends. Taking every r-th sample sums the r equal parts of the spectrum."""
     N, reach, near = x.shape[-1], _chebyshev(r).reach, min(6 * r, x.shape[-1])
-    first_kept = (N - 1) % r
-    lead = reach + (-(reach + first_kept)) % r  # a multiple of r before the first sample that is kept
+    first_row = (N - 1) % r
+    lead = reach + (-(reach + first_row)) % r  # a multiple of r before the first decimated sample
     rows = _fast_size(-(-(lead + N + reach) // r))
     extended = np.empty((*x.shape[:-1], rows * r))
     extended[..., lead : lead + N] = x
@@ -162,21 +162,21 @@ def _decimated(x: Array, r: int) -> Array:
         folded[..., : above.shape[-1]] += above
         folded[..., 1 : below.shape[-1] + 1] += below[..., ::-1].conj()
         folded[..., 0] += above[..., 0].conj() * (start > 0)
-    kept = (lead + first_kept) // r
-    return np.asarray(np.fft.irfft(folded, rows)[..., kept : kept + -(-N // r)] / r)
+    first = (lead + first_row) // r
+    return np.asarray(np.fft.irfft(folded, rows)[..., first : first + -(-N // r)] / r)
 
 
 @lru_cache
 def _gain(r: int, rows: int) -> Array:
-    """|H|² before decimation by r at the frequencies of `rows` r samples, as far as it is more than nothing."""
+    """|H|² before decimation by r at the frequencies of `rows` r samples, as far as it matters."""
     gain = np.abs(_chebyshev(r).response(rows * r)) ** 2
-    last = int(np.flatnonzero(gain > 1e-3 * NOTHING)[-1])
+    last = int(np.flatnonzero(gain > 1e-3 * MIN_RESPONSE)[-1])
     above = -(-last // rows) * rows  # the part that ends here is folded back whole
     return np.asarray(gain[: above + 1 if above - rows // 2 <= last else last + 1])
 
 
 def decimation_reach(factor: int) -> int:
-    """Samples to each side beyond which an input no longer shows in a decimated output."""
+    """Samples to each side that influence a decimated output."""
     reach, stride = 0, 1
     for r in decimation_passes(factor):
         reach += stride * _chebyshev(r).reach
@@ -185,13 +185,13 @@ def decimation_reach(factor: int) -> int:
 
 
 def lowpass_reach(cutoff_hz: float, sample_rate_hz: float) -> int:
-    """Samples to each side beyond which an input no longer shows in the filtered signal."""
+    """Samples to each side that influence the filtered signal."""
     return _butterworth(cutoff_hz, sample_rate_hz).reach
 
 
 @dataclass(frozen=True, eq=False)
 class _Filter:
-    """A low-pass in discrete time: an analogue one with cut-off 1 and these poles (n,), its frequencies warped."""
+    """A discrete low-pass: the analogue one with cut-off 1 and these poles (n,), frequencies warped."""
 
     poles: NDArray[np.complexfloating]
     cutoff: float  # share of half the rate
@@ -203,9 +203,9 @@ class _Filter:
 
     @property
     def reach(self) -> int:
-        """Samples in which the slowest pole dies away."""
+        """Samples in which the slowest pole decays."""
         p = self.poles * self.warp
-        return int(np.ceil(np.log(NOTHING) / np.log(np.abs((1 + p) / (1 - p)).max())))
+        return int(np.ceil(np.log(MIN_RESPONSE) / np.log(np.abs((1 + p) / (1 - p)).max())))
 
     def response(self, size: int) -> NDArray[np.complexfloating]:
         """H at the frequencies of the spectrum of `size` samples."""
@@ -215,8 +215,8 @@ class _Filter:
     def forward_backward(self, x: Array, padding: int) -> Array:
         """x (..., N) filtered forward and backward as by MATLAB's `filtfilt`.
 
-        The ends are reflected at the end samples for `padding` samples. Each direction starts in the steady state of the
-        first sample that it sees, as if that had always been there.
+        The ends are reflected at the end samples for `padding` samples. Each direction starts in the steady state of its first
+        sample.
         """
         N, lead = x.shape[-1], self.reach + padding
         size = _fast_size(lead + N + lead)
@@ -226,7 +226,7 @@ class _Filter:
         extended[..., lead : lead + N] = x
         extended[..., lead + N : end] = 2 * x[..., -1:] - x[..., -2 : -padding - 2 : -1]
         extended[..., : self.reach] = extended[..., self.reach, None]
-        extended[..., end:] = extended[..., self.reach, None]  # a spectrum's signal is periodic
+        extended[..., end:] = extended[..., self.reach, None]  # the spectrum is of a periodic signal
         forward = np.fft.irfft(np.fft.rfft(extended) * H, size)
         forward[..., end:] = forward[..., end - 1, None]
         return np.asarray(np.fft.irfft(np.fft.rfft(forward) * H.conj(), size)[..., lead : lead + N])
@@ -240,7 +240,7 @@ def _butterworth(cutoff_hz: float, sample_rate_hz: float) -> _Filter:
 
 @lru_cache
 def _chebyshev(r: int) -> _Filter:
-    """The filter before every r-th sample is kept; of even order, it is at the foot of its ripple at frequency 0."""
+    """The filter of one pass by r; of even order, it is at the minimum of its ripple at frequency 0."""
     n, floor = CHEBYSHEV_ORDER, 10 ** (-CHEBYSHEV_RIPPLE_DB / 20)
     a = np.arctanh(floor) / n  # sinh(n a) = 1/eps, eps² = 1/floor² - 1
     angles = np.pi * (2 * np.arange(1, n + 1) - 1) / (2 * n)
@@ -248,7 +248,7 @@ def _chebyshev(r: int) -> _Filter:
 
 
 def _fast_size(least: int) -> int:
-    """The smallest number from `least` on whose factors are 2, 3 and 5: its transform is quick."""
+    """The smallest number from `least` on with no factors but 2, 3 and 5, for a fast transform."""
     size = least
     while True:
         left = size

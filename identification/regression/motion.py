@@ -1,4 +1,4 @@
-"""Joint motion and torque on one time grid; that of a recording behind a low-pass, filtered once for all who need it."""
+"""Joint motion and torque on one time grid; the low-passed motion of a recording."""
 
 import math
 from dataclasses import dataclass
@@ -11,10 +11,10 @@ from ..arrays import Array
 from ..data import Signals
 from .filtering import lowpass, lowpass_reach
 
-BLOCK_SAMPLES = 200_000  # of a recording that are gone through at a time
-SPLINE_REACH = 40  # samples beyond which a cubic spline does not feel where it is cut off
+BLOCK_SAMPLES = 200_000  # of a recording that are processed at a time
+SPLINE_REACH = 40  # samples beyond which the end of a cubic spline has no influence
 _DIFFERENCES = 2  # samples to each side that two central differences reach
-_NUMBERS_KEPT = 4_000_000  # of a filtered position, 32 MB; a longer recording is filtered anew by each pass over it
+_MAX_NUMBERS = 4_000_000  # of a filtered position, 32 MB; a longer recording is filtered again in each pass
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -35,22 +35,22 @@ class Motion:
 
 
 class FilteredMotion:
-    """Motion of a recording's samples at any cut-off; each cut-off is filtered once, unless the recording is long."""
+    """Motion of a recording at any cut-off; each cut-off is filtered once, unless the recording is long."""
 
     def __init__(self, signals: Signals) -> None:
         self._signals = signals
         self._filtered: dict[float, Array] = {}
 
     def with_torque_of(self, signals: Signals) -> "FilteredMotion":
-        """The same position, filtered as far as it is, beside the torque of other signals."""
+        """The same position, with its filtered versions, and the torque of other signals."""
         other = FilteredMotion(signals)
         other._filtered = self._filtered
         return other
 
     def between(self, start: int, stop: int, cutoff_hz: float | None) -> Motion:
-        """Motion of the samples `start` to `stop`; `cutoff_hz` None leaves the position as it is."""
+        """Motion of the samples `start` to `stop`; `cutoff_hz` None: no low-pass."""
         s, q = self._signals, self._signals.q
-        if cutoff_hz is not None and q.size <= _NUMBERS_KEPT:
+        if cutoff_hz is not None and q.size <= _MAX_NUMBERS:
             if cutoff_hz not in self._filtered:
                 self._filtered[cutoff_hz] = lowpass(q, cutoff_hz, s.sample_rate_hz)
             q, cutoff_hz = self._filtered[cutoff_hz], None
@@ -69,9 +69,9 @@ def differentiate(x: Array, sample_rate_hz: float) -> Array:
 
 
 def sampled_at(at: Array, x: Array) -> Array:
-    """Samples x (N, n) at places (K,) counted in samples, such as 1.5: picked, or a cubic spline in between, no phase shift.
+    """Samples x (N, n) at places (K,) counted in samples, such as 1.5: cubic spline between samples, no phase shift.
 
-    Beyond the ends, the end samples stand.
+    Beyond the ends, the end samples are used.
     """
     at = np.clip(at, 0, len(x) - 1)
     picks = np.rint(at).astype(np.intp)
@@ -101,7 +101,7 @@ def _spline_coefficients(x: Array) -> Array:
 
 
 def later(x: Array, by: float) -> Array:
-    """Samples x (N, n) `by` samples later, as of `sampled_at`; block by block, those of a long recording on disk."""
+    """Samples x (N, n) `by` samples later, as `sampled_at`; block by block, on disk for a long recording."""
     moved = allocate(x.shape)
     for first in range(0, len(x), BLOCK_SAMPLES):
         last = min(len(x), first + BLOCK_SAMPLES)
@@ -117,8 +117,8 @@ def motion_between(
 ) -> Motion:
     """Filtered motion of the samples `start` to `stop` of q, tau (N, n).
 
-    `cutoff_hz` None leaves q as it is. Only as much of q beyond the range is filtered as can show in it, so long
-    recordings pass through in blocks and give what one pass over the whole gives.
+    `cutoff_hz` None: no low-pass. Beyond the range only the samples that influence it are filtered: blocks give the same result
+    as one pass.
     """
     margin = _DIFFERENCES + (lowpass_reach(cutoff_hz, sample_rate_hz) if cutoff_hz else 0)
     low, high = max(0, start - margin), min(len(q), stop + margin)

@@ -1,9 +1,10 @@
-"""What a fit is about: a recording, the settings, the robot's model and its base parameters."""
+"""The input of a fit: a recording, the settings, the model of the robot and its base parameters."""
 
 import math
 from collections import OrderedDict
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 from ..data import RecordingFile, Signals
 from ..model import BaseParameters, InverseModel, base_parameters
@@ -11,8 +12,8 @@ from .filtering import decimation_reach
 from .motion import FilteredMotion, Motion, later
 from .settings import Overrides, Settings, make_settings, rule_cutoff_hz
 
-NUMBERS_KEPT = 8_000_000  # of positions that a process has at hand: 64 MB, a few times as much in all
-_SERIES_BLOCK = 12_000_000  # numbers of a block's regressor, 96 MB; shorter, more is spent on what reaches beyond it
+MAX_CACHED_NUMBERS = 8_000_000  # of positions in the cache of a process: 64 MB, a few times as much in all
+_SERIES_BLOCK = 12_000_000  # numbers of the regressor of a block, 96 MB; short blocks spend more time on margins
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -20,9 +21,9 @@ class Problem:
     """The data of an identification, made once per fit.
 
     Attributes:
-        signals: the recording, the lag of its torque corrected; `recorded`: as it was recorded.
-        motion: that of the recording behind low-passes.
-        source: where a task finds the recording, once the samples are left out.
+        signals: the recording with corrected torque lag; `recorded`: as recorded.
+        motion: low-passed motion of the recording.
+        source: where a task reads the recording, if the samples are left out.
     """
 
     signals: Signals
@@ -33,16 +34,21 @@ class Problem:
     motion: FilteredMotion
     source: Signals | RecordingFile | None = None
 
+    @cached_property
+    def series(self) -> int:
+        """Number of series of the regressor: its entries that are not zero."""
+        return len(self.model.entries(self.base.columns))
+
     @property
     def slip_cutoff_hz(self) -> float:
-        """Cut-off of the low-pass that speeds are judged behind: the fit's own, or the rule's if it goes without or higher."""
+        """Cut-off of the speeds that select rows: that of the fit, or of the rule if the fit has none or a higher one."""
         settings = self.settings
         if settings.filtered and settings.cutoff_hz is not None:
             return settings.cutoff_hz
         return rule_cutoff_hz(self.signals.robot.bandwidth_hz, self.signals.sample_rate_hz)
 
     def without_samples(self) -> "Problem":
-        """The same for those who need its settings and model alone, or find the samples at its `source`."""
+        """The same without samples: settings, model and `source`."""
         s, arrays = self.signals, ("t_s", "q", "q_ref", "effort", "known_torque", "feedforward")
         none = {name: x[:0] for name in arrays if (x := getattr(s, name)) is not None}
         signals = replace(s, **none, health={}, extras={})
@@ -55,12 +61,12 @@ class Problem:
         if isinstance(self.source, Signals):
             return self._of(self.source)
         key = f"{self.source.key} {self.settings.torque_lag_s}"
-        if key not in _at_hand:
-            _at_hand[key] = self._of(self.source.load())
-            while len(_at_hand) > 1 and sum(p.signals.q.size for p in _at_hand.values()) > NUMBERS_KEPT:
-                _at_hand.popitem(last=False)
-        _at_hand.move_to_end(key)
-        found = _at_hand[key]
+        if key not in _cache:
+            _cache[key] = self._of(self.source.load())
+            while len(_cache) > 1 and sum(p.signals.q.size for p in _cache.values()) > MAX_CACHED_NUMBERS:
+                _cache.popitem(last=False)
+        _cache.move_to_end(key)
+        found = _cache[key]
         return replace(self, signals=found.signals, recorded=found.recorded, motion=found.motion)
 
     def _of(self, signals: Signals) -> "Problem":
@@ -68,7 +74,7 @@ class Problem:
         return found.corrected(self.settings.torque_lag_s)
 
     def without_terms(self, left_out: dict[str, str]) -> "Problem":
-        """The identification without friction terms that are regrouped with nothing; its warnings have the reasons."""
+        """The same without friction terms that are regrouped with nothing; warnings have the reasons."""
         settings = replace(self.settings, warnings=(*self.settings.warnings, *left_out.values()))
         return replace(self, base=self.base.without(left_out), settings=settings)
 
@@ -80,13 +86,13 @@ class Problem:
         return replace(self, signals=signals, settings=settings, motion=self.motion.with_torque_of(signals))
 
 
-_at_hand: OrderedDict[str, Problem] = OrderedDict()  # of this process, those used last at the end
+_cache: OrderedDict[str, Problem] = OrderedDict()  # of this process, in order of use
 
 
 def make_problem(signals: Signals, overrides: Overrides) -> Problem:
     """Set up the identification of a robot from a recording.
 
-    Raises `IdentificationError` where the settings do not suit the recording, or the robot cannot be modelled.
+    Raises `IdentificationError` if the settings do not suit the recording, or the robot cannot be modelled.
     """
     motion, model = FilteredMotion(signals), InverseModel(signals.robot)
     settings = make_settings(signals, overrides, motion)
@@ -103,10 +109,10 @@ def make_problem(signals: Signals, overrides: Overrides) -> Problem:
 
 @dataclass(frozen=True, kw_only=True)
 class RowBlock:
-    """Decimated rows `first` to `last` of so many `rows`, and those from `low` to `high` whose samples filters need for them.
+    """Rows `first` to `last` of all decimated `rows`, and the rows `low` to `high` whose samples the filters need.
 
-    Blocks reach as far beyond the rows that count as the filters do, so they give what one pass would. Samples are counted
-    from the end, where decimation keeps the last one.
+    The margins are as long as the reach of the filters: blocks give the same result as one pass. Samples are counted from
+    the end, since decimation keeps the last one.
     """
 
     first: int
@@ -117,7 +123,7 @@ class RowBlock:
 
     @property
     def inside(self) -> slice:
-        """Which of the rows from `low` to `high` count."""
+        """The rows of the block in those from `low` to `high`."""
         return slice(self.first - self.low, self.last - self.low)
 
     def samples(self, N: int, factor: int) -> slice:
@@ -125,7 +131,7 @@ class RowBlock:
         return _samples(self.low, self.high, self.rows, N, factor)
 
     def own_samples(self, N: int, factor: int) -> slice:
-        """Those of the rows that count: blocks share none."""
+        """Those of the rows `first` to `last`: blocks share none."""
         return _samples(self.first, self.last, self.rows, N, factor)
 
 
@@ -134,18 +140,18 @@ def _samples(first: int, last: int, rows: int, N: int, factor: int) -> slice:
 
 
 def row_blocks(problem: Problem) -> list[RowBlock]:
-    """The rows of the span used, cut into blocks; the borders depend on the recording alone."""
-    settings, series = problem.settings, len(problem.model.entries(problem.base.columns))
+    """The rows of the span used, in blocks; the borders depend only on the recording."""
+    settings = problem.settings
     n_d, blur = settings.decimation, 0.5 * problem.signals.sample_rate_hz / problem.slip_cutoff_hz
     margin = -(-max(decimation_reach(n_d), math.ceil(blur)) // n_d)  # in decimated rows
     rows = -(-(settings.stop - settings.start) // n_d)
-    size = max(4 * margin, _SERIES_BLOCK // (series * n_d), 1)
+    size = max(4 * margin, _SERIES_BLOCK // (problem.series * n_d), 1)
     found: list[RowBlock] = []
     while not found or found[-1].last < rows:
         first = found[-1].last if found else 0
         last = min(rows, first + size)
         if rows - last < margin:
-            last = rows  # no block shorter than the filter's reach
+            last = rows  # no block shorter than the reach of the filter
         found.append(
             RowBlock(first=first, last=last, low=max(0, first - margin), high=min(rows, last + margin), rows=rows)
         )
@@ -160,6 +166,6 @@ def motion_of_block(problem: Problem, block: RowBlock) -> Motion:
 
 
 def motion_blocks(problem: Problem) -> Iterator[tuple[Motion, slice, float]]:
-    """The span used block by block: each block's motion, which of its decimated rows count, and the share done."""
+    """The span used in blocks: motion, own rows in those of the motion, and the share done."""
     for block in row_blocks(problem):
         yield motion_of_block(problem, block), block.inside, block.last / block.rows

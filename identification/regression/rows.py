@@ -1,9 +1,9 @@
-"""Rows of a recording: those that count, and some at which the torque of the links and the power of friction are looked at.
+"""Selection of the rows of a recording, and some rows to evaluate link torque and friction power at.
 
-Rows at low speed are left out, of least squares and of instrumental variables by the same rule: joints that stick and slip, and
-the sign of a noisy velocity, are not what the model describes. Least squares goes by the measured speed behind the low-pass;
-instrumental variables go by the simulated one, which is exogenous. Of either speed it is the lowest within the time that the
-low-pass blurs W by.
+Rows at low speed are left out of least squares and instrumental variables by the same rule: the model does not describe stick
+and slip, nor the sign of a noisy speed. Least squares uses the measured speed behind the low-pass; instrumental variables use
+the simulated one, which is exogenous. The minimum speed within ± half a cut-off period is used, because the low-pass smears
+reversals.
 """
 
 from collections.abc import Sequence
@@ -19,54 +19,54 @@ from .motion import BLOCK_SAMPLES
 from .problem import Problem, motion_blocks
 
 LOW_SPEED_PERCENT = 4.0  # of the peak: slower joints stick and slip, which sign(dq) does not describe
-LOW_SPEED_DEVIATIONS = 4.0  # of the speed's noise: rows slower than this are left out
-STATES = 300  # of a recording at which its friction is looked at
+LOW_SPEED_DEVIATIONS = 4.0  # of the noise of the speed: slower rows are left out
+STATES = 300  # rows of a recording to evaluate friction at
 
 
 def moving_rows_of(
-    slip: Array, noise: Array, directions: Array, percent: float | None, peak: Array | None = None
+    sliding_speed: Array, noise: Array, directions: Array, percent: float | None, peak: Array | None = None
 ) -> NDArray[np.bool_]:
-    """Which rows (rows, n) of each joint count, from the speeds `slip` (rows, c) of the directions (c, n) of Coulomb friction.
+    """Rows (rows, n) of each joint to use, by the `sliding_speed` (rows, c) of the directions (c, n) of Coulomb friction.
 
-    A row is slow where a direction that acts on its joint is slower than `percent` of that direction's peak. None takes
-    4 % of the peak, or 4 deviations of the `noise` (c,) that the regressor's own speed carries where that is more. The `peak`
-    (c,) is that of the rows, where it is not given.
+    A row is slow if a direction that acts on its joint is slower than `percent` of the peak of that direction. None: 4 % of
+    the peak, or 4 deviations of the `noise` (c,) of the regressor's speed if that is more. `peak` (c,): default is that of
+    the rows.
     """
-    peak = np.abs(slip).max(axis=0, initial=0.0) if peak is None else peak
+    peak = np.abs(sliding_speed).max(axis=0, initial=0.0) if peak is None else peak
     if percent is None:
         threshold = np.maximum(0.01 * LOW_SPEED_PERCENT * peak, LOW_SPEED_DEVIATIONS * noise)
     else:
         threshold = 0.01 * percent * peak
-    slow = np.abs(slip) < threshold
+    slow = np.abs(sliding_speed) < threshold
     return np.asarray(slow.astype(float) @ (directions != 0) == 0)
 
 
-def measured_slip(problem: Problem, directions: Array) -> tuple[Array, Array]:
-    """Lowest speeds (rows, c) of the directions (c, n) of Coulomb friction, and the noise (n,) of the regressor's joint speeds.
+def measured_sliding_speed(problem: Problem, directions: Array) -> tuple[Array, Array]:
+    """Lowest speeds (rows, c) of the directions (c, n) of Coulomb friction, and noise (n,) of the regressor's joint speeds.
 
-    Filtered by the fit's own low-pass, or by the rule's where the fit goes without or with a higher one: the noise is what
-    that leaves out, zero behind the rule's filter. The low-pass blurs a speed by half a period of its cut-off, so that a joint
-    that sticks for a moment seems to creep: a row has the lowest speed within that time of its instant.
+    Speeds have the low-pass of the fit, or of the rule if the fit has none or a higher one: the noise is the difference, zero
+    with the rule's filter. The low-pass smears a speed by half a period of its cut-off, so a joint that sticks for a moment
+    seems to creep: the lowest speed within that time is used.
     """
     signals, settings = problem.signals, problem.settings
     fs, start, stop = signals.sample_rate_hz, settings.start, settings.stop
     cutoff_hz = problem.slip_cutoff_hz
     blur = round(0.5 * fs / cutoff_hz)
-    kept = start + settings.decimator.instants(stop - start)
-    slip = np.empty((len(kept), len(directions)))
+    at = start + settings.decimator.instants(stop - start)
+    lowest = np.empty((len(at), len(directions)))
     total, squares = np.zeros((2, directions.shape[1]))
     for a in range(start, stop, BLOCK_SAMPLES):
         b = min(stop, a + BLOCK_SAMPLES)
         low, high = max(start, a - blur), min(stop, b + blur)
         wide = problem.motion.between(low, high, cutoff_hz).dq
-        here = (kept >= a) & (kept < b)
-        slip[here] = lowest_nearby(np.abs(wide @ directions.T), kept[here] - low, blur)
+        here = (at >= a) & (at < b)
+        lowest[here] = lowest_nearby(np.abs(wide @ directions.T), at[here] - low, blur)
         if not settings.filtered:
             off = problem.motion.between(a, b, settings.cutoff_hz).dq - wide[a - low : b - low]
             total += off.sum(axis=0)
             squares += (off**2).sum(axis=0)
     N = stop - start
-    return slip, np.sqrt(np.maximum(squares / N - (total / N) ** 2, 0.0))
+    return lowest, np.sqrt(np.maximum(squares / N - (total / N) ** 2, 0.0))
 
 
 def lowest_nearby(speed: Array, at: NDArray[np.intp], reach: int) -> Array:
@@ -76,16 +76,16 @@ def lowest_nearby(speed: Array, at: NDArray[np.intp], reach: int) -> Array:
 
 
 def measured_fast_rows(problem: Problem) -> tuple[NDArray[np.bool_], Array]:
-    """Which rows (rows, n) count for least squares, by the measured speed; the noise (c,) of the directions' speeds."""
+    """Rows (rows, n) to use in least squares, by the measured speed; noise (c,) of the speeds of the directions."""
     directions = problem.model.coulomb_directions
-    slip, noise = measured_slip(problem, directions)
+    speed, noise = measured_sliding_speed(problem, directions)
     slip_noise = noise @ np.abs(directions.T)
-    fast = moving_rows_of(slip, slip_noise, directions, problem.settings.low_speed.ls)
+    fast = moving_rows_of(speed, slip_noise, directions, problem.settings.low_speed.ls)
     return fast, slip_noise
 
 
 def refuse_slow_joints(fast: NDArray[np.bool_], joints: tuple[str, ...], place: str) -> None:
-    """Every joint of these names must have rows (rows, n) that count; `place` names the recordings."""
+    """Refuse recordings, named by `place`, in which a joint has no rows (rows, n) to use."""
     for j, name in enumerate(joints):
         if not fast[:, j].any():
             raise IdentificationError(
@@ -106,7 +106,7 @@ class RowStates:
 
 
 def row_states(problem: Problem) -> RowStates:
-    """Some 300 rows of a recording, evenly spaced."""
+    """About 300 rows of a recording, evenly spaced."""
     settings, parts, first = problem.settings, list[tuple[Array, ...]](), 0
     rows = settings.decimator.rows(settings.stop - settings.start)
     rows_wanted = np.arange(0, rows, max(1, rows // STATES))
@@ -119,20 +119,20 @@ def row_states(problem: Problem) -> RowStates:
 
 
 def torque_of_links(problem: Problem, beta: Array, motion: RowStates) -> Array:
-    """tau_rigid (k, n) of base parameters beta (b,) at states; samples of the recording are not needed."""
+    """tau_rigid (k, n) of base parameters beta (b,) at states; needs no samples of the recording."""
     links = direct_model(problem.model, problem.base.standard_parameters(np.where(problem.base.links, beta, 0.0)))
     return links.torque(motion.q, motion.dq, motion.ddq)
 
 
 def friction_states(problem: Problem, beta: Array, states: RowStates) -> tuple[Array, Array]:
-    """Speeds and loads (m, n) at which friction of further terms is asked for its power, from states of a recording."""
+    """Speeds and loads (m, n), by states of a recording, to evaluate the power of further friction terms at."""
     return shaped_states(problem.model, states.dq, np.abs(torque_of_links(problem, beta, states)))
 
 
 def recorded_power(moved: Sequence[tuple[Problem, RowStates | None]], beta: Array) -> Array | None:
-    """What friction takes (m, p) per unit of the standard parameters at recorded speeds; None where it has no further terms.
+    """Friction power (m, p) per unit of the standard parameters at recorded speeds; None without further friction terms.
 
-    `moved` are recordings and states in them, beta (b,) the base parameters that their links' torque goes by.
+    `moved` are recordings and states in them; beta (b,), base parameters, gives the link torque.
     """
     found = [
         friction_power(problem.model, np.arange(problem.model.p), *friction_states(problem, beta, states))
@@ -143,7 +143,7 @@ def recorded_power(moved: Sequence[tuple[Problem, RowStates | None]], beta: Arra
 
 
 def rigid_torque_at_rows(problem: Problem, beta: Array) -> tuple[Array, Array]:
-    """Speeds and tau_rigid (rows, n) at the instants of the rows; of a long recording the first."""
+    """Speeds and tau_rigid (rows, n) at the rows; of a long recording, its first block."""
     motion, inside, _ = next(motion_blocks(problem))
     q, dq, ddq = (problem.settings.decimator.kept(x)[inside] for x in (motion.q, motion.dq, motion.ddq))
     return dq, torque_of_links(problem, beta, RowStates(rows=np.arange(len(q)), q=q, dq=dq, ddq=ddq))

@@ -1,4 +1,4 @@
-"""What a fit does with a recording: which samples, which cut-off, which decimation; the rules of the method and overrides."""
+"""Settings of a fit: samples, cut-off and decimation, by the rules of the method and overrides."""
 
 import math
 from collections.abc import Sequence
@@ -15,22 +15,22 @@ from ..data import Signals
 from ..errors import IdentificationError
 from ..estimation import MOVING
 from ..options import Overrides, Span
-from .filtering import LARGEST_PASS, Decimation, decimation_passes
+from .filtering import MAX_PASS, Decimation, decimation_passes
 from .motion import BLOCK_SAMPLES, FilteredMotion
 
 CUTOFF_PER_BANDWIDTH = 5.0  # w_fq >= 5 w_dyn, section 2.3 of Janot2014
 DECIMATED_PER_BANDWIDTH = 2.0  # w_fp >= 2 w_dyn
 CUT_PERIODS = 5.0  # border of 5 periods of the cut-off: 50 samples at 1 kHz and 100 Hz
-STANDSTILL_SPEED = 0.01  # of the fastest joint's peak speed: a joint that never exceeds it has only its noise
-LAG_REACH = 3.0  # deviations that a lag may be off what is known of it
-NOTHING, UNKNOWN_LAG_S = "nothing", 0.002  # deviation of the lag of an effort of which nothing is known
+STANDSTILL_SPEED = 0.01  # of the peak speed of the fastest joint: a joint that never exceeds it shows only noise
+LAG_REACH = 3.0  # deviations that the lag may differ from the known one
+NOTHING, UNKNOWN_LAG_S = "nothing", 0.002  # deviation of an unknown lag
 
 
 @dataclass(frozen=True, kw_only=True)
 class KnownLag:
-    """What is known of a torque's lag without a fit: value and deviation, s, positive where it is late; and whence.
+    """The lag of a torque as known without a fit: value and deviation, s, positive if late; and source.
 
-    A value that the user states has no deviation.
+    A value stated by the user has no deviation.
     """
 
     value_s: float
@@ -43,7 +43,7 @@ class KnownLag:
         return self.sd_s == 0.0
 
     def with_other(self, other: "KnownLag") -> "KnownLag":
-        """Both together, by their variances."""
+        """Both combined, weighted by their variances."""
         own, others = self.sd_s**-2, other.sd_s**-2
         value = (own * self.value_s + others * other.value_s) / (own + others)
         return KnownLag(value_s=value, sd_s=(own + others) ** -0.5, source=f"{self.source} and {other.source}")
@@ -56,13 +56,13 @@ class Settings:
     Attributes:
         cutoff_hz: low-pass of the position (one direction), None without.
         decimation: samples per decimated row, n_d.
-        filtered: whether the position's low-pass is that of the rule, or a lower one.
+        filtered: whether the low-pass is that of the rule, or a lower one.
         edges: how the decimation treats the two ends (`filtering.decimate`).
-        low_speed: rows slower than this are left out, by method (`moving_rows_of`).
-        torque_lag_s: lag of the recorded torque in s, positive where it is late, that is corrected; 0 where none is.
-        known_lag: what is known of it without a fit, by what the user states and the recording says.
-        span: what the samples `start` to `stop` are, in words; `span_rule` the setting it follows from.
-        warnings: rules of the method that the settings leave.
+        low_speed: slower rows are left out, by method (`moving_rows_of`).
+        torque_lag_s: lag of the recorded torque in s, positive if late, that is corrected; 0 for none.
+        known_lag: the lag as known without a fit, by user and recording.
+        span: the samples `start` to `stop` in words; `span_rule`: the setting.
+        warnings: rules of the method that are not followed.
     """
 
     cutoff_hz: float | None
@@ -80,7 +80,7 @@ class Settings:
 
     @property
     def decimator(self) -> Decimation:
-        """The decimation that torque and regressor go through alike."""
+        """The decimation of torque and regressor."""
         return Decimation(factor=self.decimation, smooth_ends=self.edges == "smooth")
 
 
@@ -89,7 +89,7 @@ def make_settings(signals: Signals, overrides: Overrides, motion: FilteredMotion
 
     Cut-off 5 times the bandwidth; decimation n_d = 0.8 (f_m / 2) / f_p with f_p twice the bandwidth; the span between
     first and last motion, or the recording's tracking phase; 5 periods of the cut-off cut where that span reaches an end of
-    the recording. `motion` is the recording's, where it is at hand.
+    the recording. `motion` is that of the recording, if there is one.
     """
     fs, stored = signals.sample_rate_hz, signals.robot.identification
     try:
@@ -111,12 +111,12 @@ def make_settings(signals: Signals, overrides: Overrides, motion: FilteredMotion
                 shown=f"{cutoff_hz:g} Hz",
                 expected=f"below {fs / 2:g} Hz, half the rate",
             )
-        warnings.append(f"no low-pass: 5 times the bandwidth is {cutoff_hz:g} Hz, beyond half the rate, {fs / 2:g} Hz")
+        warnings.append(f"no low-pass: 5 times the bandwidth is {cutoff_hz:g} Hz, above half the rate, {fs / 2:g} Hz")
         cutoff_hz = None
     if cutoff_hz is not None and cutoff_hz < CUTOFF_PER_BANDWIDTH * bandwidth_hz * (1 - 1e-9):
         warnings.append(
             f"the cut-off of {cutoff_hz:g} Hz is below 5 times the bandwidth of {bandwidth_hz:g} Hz: it distorts the "
-            "accelerations, and the estimates with them"
+            "accelerations and the estimates"
         )
     N = len(signals.q)
     cuts_given = stored.cut_start_samples is not None and stored.cut_end_samples is not None
@@ -139,10 +139,10 @@ def make_settings(signals: Signals, overrides: Overrides, motion: FilteredMotion
         )
     rule = decimation_rule(fs, bandwidth_hz)
     decimation = overrides.decimation or stored.decimation or rule
-    kept_hz = 0.8 * fs / (2 * decimation)
-    if decimation > rule and kept_hz < DECIMATED_PER_BANDWIDTH * bandwidth_hz:
+    passband_hz = 0.8 * fs / (2 * decimation)
+    if decimation > rule and passband_hz < DECIMATED_PER_BANDWIDTH * bandwidth_hz:
         warnings.append(
-            f"decimation by {decimation} keeps {kept_hz:g} Hz, less than twice the bandwidth of {bandwidth_hz:g} Hz"
+            f"decimation by {decimation} keeps {passband_hz:g} Hz, less than twice the bandwidth of {bandwidth_hz:g} Hz"
         )
     span_rule = overrides.span or stored.span
     start, stop, span, standing = _span(signals, motion or FilteredMotion(signals), cutoff_hz, span_rule)
@@ -152,7 +152,7 @@ def make_settings(signals: Signals, overrides: Overrides, motion: FilteredMotion
     stop = min(stop, N - (border if stored.cut_end_samples is None else stored.cut_end_samples))
     lag = known_lag(signals, overrides)
     early, late = (fs * (lag.value_s + way * LAG_REACH * lag.sd_s) for way in (-1, 1))
-    start, stop = max(start, math.ceil(-early)), min(stop, N - math.ceil(late))  # others may be left without a torque
+    start, stop = max(start, math.ceil(-early)), min(stop, N - math.ceil(late))  # others may have no torque
     filtered = cutoff_hz is not None and cutoff_hz <= CUTOFF_PER_BANDWIDTH * bandwidth_hz * (1 + 1e-9)
     given = overrides.low_speed_percent
     if stop - start < 30 * decimation:
@@ -179,10 +179,10 @@ def make_settings(signals: Signals, overrides: Overrides, motion: FilteredMotion
 
 
 def known_lag(signals: Signals, overrides: Overrides) -> KnownLag:
-    """What is known of the lag of a recording's torque, of which the value is corrected before anything is fitted.
+    """The lag of a recording's torque as known without a fit; its value is corrected before the fit.
 
-    A command held for a control period is half that period early: it is written down at the tick, and acts on the mean half
-    a period later. Without a described period it is that of the samples. `"none"` corrects nothing.
+    A command held for a control period is half that period early: it is recorded at the tick and acts, on average, half a
+    period later. Without a described period it is that of the samples. `"none"` corrects nothing.
     """
     own, period_s = signals.robot.identification.torque_lag_s, 1 / signals.sample_rate_hz
     given = own if overrides.torque_lag_s is None else overrides.torque_lag_s
@@ -203,20 +203,20 @@ def largest_of_type(values: Array, joints: Sequence[Joint]) -> Array:
 
 
 def standing_joints(peak: Array, joints: Sequence[Joint]) -> tuple[str, ...]:
-    """Names of the joints whose `peak` speeds (n,) are small beside that of the fastest joint of the same type."""
+    """Names of the joints whose `peak` speeds (n,) are small compared with that of the fastest joint of the same type."""
     limits = STANDSTILL_SPEED * largest_of_type(peak, joints)
     return tuple(joint.name for joint, speed, limit in zip(joints, peak, limits, strict=True) if not speed > limit)
 
 
 def rule_cutoff_hz(bandwidth_hz: float, sample_rate_hz: float) -> float:
-    """Cut-off by the rule, or 0.4 times the rate where the recording does not reach that far."""
+    """Cut-off by the rule, at most 0.4 times the rate."""
     return min(CUTOFF_PER_BANDWIDTH * bandwidth_hz, 0.4 * sample_rate_hz)
 
 
 def decimation_rule(sample_rate_hz: float, bandwidth_hz: float) -> int:
-    """n_d = round(0.8 (f_m/2) / f_p), f_p twice the bandwidth; the next lower number that small factors make up."""
+    """n_d = round(0.8 (f_m/2) / f_p), f_p twice the bandwidth; or the next lower number with small factors."""
     n_d = max(1, round(0.8 * (sample_rate_hz / 2) / (DECIMATED_PER_BANDWIDTH * bandwidth_hz)))
-    while any(r > LARGEST_PASS for r in decimation_passes(n_d)):
+    while any(r > MAX_PASS for r in decimation_passes(n_d)):
         n_d -= 1
     return n_d
 
@@ -224,13 +224,13 @@ def decimation_rule(sample_rate_hz: float, bandwidth_hz: float) -> int:
 def _span(
     signals: Signals, filtered: FilteredMotion, cutoff_hz: float | None, wanted: Span
 ) -> tuple[int, int, str, tuple[str, ...]]:
-    """First and last sample, what they are, and joints that stand, as far as that is looked into."""
+    """First and last sample, the span in words, and standing joints, if these are determined."""
     N, fs = len(signals.q), signals.sample_rate_hz
     if wanted == "all":
         return 0, N, "all samples", ()
     if signals.track is not None:
         return *signals.track, "the recording's tracking phase", ()
-    if cutoff_hz is None:  # to tell motion from noise, the rule's filter serves even if the fit goes without
+    if cutoff_hz is None:  # the filter of the rule separates motion from noise, also if the fit has none
         cutoff_hz = rule_cutoff_hz(signals.robot.bandwidth_hz, fs)
     speed = np.empty(signals.q.shape, dtype=np.float32)
     for a in range(0, N, BLOCK_SAMPLES):

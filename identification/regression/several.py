@@ -1,4 +1,4 @@
-"""The system of several recordings, and parameters that each has for itself, such as an offset: Off1@A and Off1@B for Off1."""
+"""The system of several recordings, and own parameters of each, such as an offset: Off1@A and Off1@B for Off1."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -17,17 +17,17 @@ KINDS = {"Off": "offset", "Fv": "viscous", "Fc": "coulomb"}  # of `own`, and of 
 
 
 def base_name(name: str) -> str:
-    """The base parameter that a parameter is: Off1 of Off1@A."""
+    """The name without its recording: Off1 of Off1@A."""
     return name.partition("@")[0]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class OwnParameters:
-    """The parameters of several recordings: those that they share, and those that each has for itself.
+    """The parameters of several recordings: shared ones, and own ones of each.
 
     Attributes:
         of: by recording, the (b,) names of its base parameters.
-        names: of all recordings, those of an own parameter one after the other.
+        names: of all recordings, those of an own parameter in sequence.
     """
 
     of: tuple[tuple[str, ...], ...]
@@ -39,7 +39,7 @@ class OwnParameters:
         return any("@" in name for name in self.names)
 
     def places(self, k: int) -> NDArray[np.intp]:
-        """(b,) where the base parameters of recording k are among all."""
+        """Places (b,) of the base parameters of recording k in all."""
         return np.array([self.names.index(name) for name in self.of[k]])
 
     def columns(self, X: Array, k: int) -> Array:
@@ -51,12 +51,12 @@ class OwnParameters:
         return wide
 
     def repeated(self, beta: Array) -> Array:
-        """Values of all parameters from base parameters beta (b,) that hold for every recording."""
+        """Values of all parameters from base parameters beta (b,), the same for every recording."""
         places = {name: i for i, name in enumerate(map(base_name, self.of[0]))}
         return np.array([beta[places[base_name(name)]] for name in self.names])
 
     def stacked(self, each: Sequence[Regression]) -> Regression:
-        """The system of the recordings, with the columns of all parameters. Raises where own ones meet reduced rows."""
+        """The system of the recordings, with the columns of all parameters. Raises for own ones with reduced rows."""
         if self.any and each[0].reduced:
             text = "the recordings are too long for parameters of their own"
             raise IdentificationError(text, key="identification.own", expected="a larger --decimate, or none")
@@ -71,7 +71,7 @@ class OwnParameters:
 def own_parameters(problems: Sequence[Problem]) -> OwnParameters:
     """The parameters of several recordings, by `own` of the first one's description.
 
-    Raises `IdentificationError` for a kind that the robot does not have, or that gravity or others absorb.
+    Raises `IdentificationError` for a kind that the robot lacks, or that gravity or other parameters absorb.
     """
     base = problems[0].base
     own = _own_places(problems[0]) if len(problems) > 1 else []
@@ -96,7 +96,7 @@ def _own_places(problem: Problem) -> list[int]:
             alone = [i for i in range(base.b) if base.columns[i] == c and np.count_nonzero(base.K[i]) == 1]
             if not alone:
                 raise IdentificationError(
-                    f"{model.names[c]} cannot be told from other parameters (gravity absorbs an offset)",
+                    f"{model.names[c]} cannot be distinguished from other parameters (gravity absorbs an offset)",
                     place=f"robot {robot.name}",
                     key="identification.own",
                     value=kind,
@@ -107,7 +107,7 @@ def _own_places(problem: Problem) -> list[int]:
 
 
 def _labels(recordings: Sequence[str]) -> list[str]:
-    """Short names of recordings: without their endings where these tell them apart, and else with a number."""
+    """Short names of recordings: without their endings, and numbered if these are not unique."""
     stems = [Path(name).stem for name in recordings]
     if len(set(stems)) == len(stems):
         return stems

@@ -1,8 +1,9 @@
-"""W and Y, equations (5) and (6): the model's regressor and the torques, decimated alike, stacked joint by joint."""
+"""W and Y, equations (5) and (6): the regressor of the model and the torques, decimated alike, stacked by joint."""
 
 import math
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,30 +17,29 @@ from .motion import Motion, differentiate
 from .problem import Problem, RowBlock, motion_blocks, motion_of_block, row_blocks
 from .rows import measured_fast_rows, refuse_slow_joints
 
-_NUMBERS_IN_MEMORY = 4_000_000  # numbers of W kept as they are; beyond, joints are reduced to their QR factors
-_NUMBERS_OF_ALL = 16_000_000  # the same of all recordings of a fit
-_LINKS_KEPT = 12_000_000  # numbers of all links' columns before decimation, 96 MB; beyond, they are made anew
-ALL_REDUCED, HELD = 10**9, 0  # so many recordings share the memory for rows that all are reduced, or none
-_FILTERED = 1_000_000  # numbers of the series filtered at a time: their copies take no more memory than they must
+_MAX_NUMBERS = 4_000_000  # of W in rows; above, joints are reduced to their QR factors
+_MAX_NUMBERS_OF_ALL = 16_000_000  # the same of all recordings of a fit
+_MAX_LINK_NUMBERS = 12_000_000  # of all link columns before decimation, 96 MB; above, they are computed again
+ALL_REDUCED, HELD = 10**9, 0  # numbers of recordings that share the memory: all are reduced, or none
+_FILTERED = 1_000_000  # numbers of the series filtered at a time, to limit memory
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Regression:
-    """The over-determined system of a recording, and what was measured at its rows.
+    """The over-determined system of a recording, and the measurements at its rows.
 
     Attributes:
-        system: W and Y with the rows that count for least squares.
-        fast: (rows, n) whether a decimated sample counts for least squares (`low_speed`).
+        system: W and Y with the rows used by least squares.
+        fast: (rows, n) whether a decimated sample is used by least squares (`low_speed`).
         tau: (rows, n) decimated torques; never reduced.
         speed: (rows, n) joint speeds at the same instants.
         slip_noise: (c,) noise of the speeds of the c directions of Coulomb friction.
-        parts: numbers of decimated samples of the recordings, which stand one after the other.
-        links: what load friction depends on, block by block; empty where there is too much of it, or none is needed, and
-            in another process than the one that made it.
-        time_blocks: of a system that is held reduced, what scores and fits of parts follow from, by recording; else empty.
+        parts: numbers of decimated samples of the recordings, in sequence.
+        links: link columns for load friction, by block; empty if too large or not needed, and in other processes.
+        time_blocks: of a reduced system by recording, for scores and fits of parts; else empty.
 
-    The system of a long recording is held reduced: per joint the rows, at most b + 1, of the QR factor of those rows of [W Y]
-    that count for least squares, which have the same normal equations.
+    The system of a long recording is reduced: per joint the rows, at most b + 1, of the QR factor of the rows of [W Y] used by
+    least squares, which have the same normal equations.
     """
 
     system: System
@@ -52,25 +52,25 @@ class Regression:
     time_blocks: tuple[TimeBlocks, ...] = ()
 
     def __getstate__(self) -> dict[str, object]:
-        return {**self.__dict__, "links": ()}  # many times as large as the rows: made anew where it is needed
+        return {**self.__dict__, "links": ()}  # many times as large as the rows: computed again
 
-    @property
+    @cached_property
     def reduced(self) -> bool:
         """Whether rows are QR factors rather than samples."""
         return self.tau.size != len(self.system.Y)
 
     def predicted(self, beta: Array) -> Array:
-        """Torque (rows, n) that beta (b,) predicts for rows that are not reduced: tau less the residual Y - W beta."""
+        """Torque (rows, n) predicted by beta (b,) for rows that are not reduced: tau less the residual Y - W beta."""
         return np.asarray(self.tau - (self.system.Y - self.system.W @ beta).reshape(self.tau.shape[1], -1).T)
 
     def about(self, beta: Array, load: LoadFriction, columns: Array) -> "Regression":
-        """The same about beta (b,), from the columns (2, k, rows) of load friction; of rows that are not reduced."""
+        """The same about beta (b,), by the columns (2, k, rows) of load friction; for rows that are not reduced."""
         n, W, Y = self.tau.shape[1], self.system.W.copy(), self.system.Y.copy()
         load.linearise(W.reshape(n, -1, len(beta)).transpose(0, 2, 1), Y.reshape(n, -1), columns, beta)
         return replace(self, system=replace(self.system, W=W, Y=Y), links=())
 
     def without(self, names: Collection[str]) -> "Regression":
-        """The same without the columns of parameters; the links' entries are at their places among the others."""
+        """The same without the columns of parameters; entries of `links` are renumbered."""
         stay = np.array([name not in names for name in self.system.names])
         place = np.cumsum(stay) - 1
         links = tuple(
@@ -82,25 +82,25 @@ class Regression:
 def regression_of_recording(
     problem: Problem, say: Callable[[str], None] = lambda text: None, *, share: int = 1, beta: Array | None = None
 ) -> Regression:
-    """W and Y of a recording, block by block, so that the whole undecimated W is never held.
+    """W and Y of a recording, by blocks: the undecimated W is never whole in memory.
 
-    `share` is the number of recordings that share the memory for rows that are not reduced. Columns of load friction are
-    zero, or W and Y are those about the parameters `beta` (b,), as of `load`.
+    `share` is the number of recordings that share the memory for rows. Columns of load friction are zero, or W and Y are
+    linearised about the parameters `beta` (b,), as in `load`.
     """
-    blocks, kept, numbers = list[tuple[Array, ...]](), list[RigidBodyColumns](), 0
+    blocks, link_blocks, numbers = list[tuple[Array, ...]](), list[RigidBodyColumns](), 0
     fast, slip_noise = measured_fast_rows(problem)
-    if share == 1:  # another recording may move a joint that stands in this one
+    if share == 1:  # else another recording may move the joint
         names = tuple(joint.name for joint in problem.signals.robot.joints)
         refuse_slow_joints(fast, names, problem.signals.recording)
     (rows, n), base = fast.shape, problem.base
-    b, most = len(base.names), math.inf if share == HELD else min(_NUMBERS_IN_MEMORY, _NUMBERS_OF_ALL // share)
+    b, most = len(base.names), math.inf if share == HELD else min(_MAX_NUMBERS, _MAX_NUMBERS_OF_ALL // share)
     factors = Factors(n, b + 1) if rows * n * b > most else None
     time_blocks = TimeBlocks.none_yet(rows, n, base.names) if factors else None
     for at in row_blocks(problem):
         (W, Y, tau, speed), links = _block(problem, at, beta)
         if links is not None:
             numbers += links.series.size
-            kept = [*kept, links] if numbers <= _LINKS_KEPT // max(1, share) else []
+            link_blocks = [*link_blocks, links] if numbers <= _MAX_LINK_NUMBERS // max(1, share) else []
         if factors and time_blocks:
             counts = fast[at.first : at.last]
             columns = np.concatenate([W, Y[:, None]], axis=1)
@@ -130,7 +130,7 @@ def regression_of_recording(
         speed=np.ascontiguousarray(speed.T),
         slip_noise=slip_noise,
         parts=(rows,),
-        links=() if factors else tuple(kept),
+        links=() if factors else tuple(link_blocks),
         time_blocks=() if time_blocks is None else (time_blocks,),
     )
 
@@ -142,14 +142,14 @@ def reduced_regression(problem: Problem, beta: Array) -> Regression:
 
 
 def rows_of_block(problem: Problem, block: RowBlock, beta: Array | None = None) -> tuple[Array, Array]:
-    """W (n, b, rows) and Y (n, rows) of a block's rows that count, about the parameters `beta` (b,) as of `load`."""
+    """W (n, b, rows) and Y (n, rows) of the rows of a block, about the parameters `beta` (b,) as in `load`."""
     (W, Y, _, _), _ = _block(problem, block, beta)
     return W, Y
 
 
 @one_thread
 def torque_of_recording(problem: Problem, beta: Array) -> tuple[Array, Array, Array]:
-    """Torque measured and predicted with `beta`, and joint speed, each (rows, n), decimated; W is not needed."""
+    """Torque measured and predicted with `beta`, and joint speed, each (rows, n), decimated; without W."""
     problem = problem.with_samples()
     parts: list[tuple[Array, ...]] = []
     decimation = problem.settings.decimator
@@ -174,7 +174,7 @@ def retimed(problem: Problem, regression: Regression, lag_s: float) -> Regressio
 
 
 def known_torque_rows(problem: Problem) -> Array:
-    """Known torques (rows, n) of the span used, decimated as the torques are; zeros where there are none."""
+    """Known torques (rows, n) of the span used, decimated as the torques; zeros if there are none."""
     settings, known = problem.settings, problem.signals.known_torque
     if known is None:
         return np.zeros((settings.decimator.rows(settings.stop - settings.start), problem.signals.robot.n))
@@ -182,10 +182,10 @@ def known_torque_rows(problem: Problem) -> Array:
 
 
 def torque_rate(problem: Problem, beta: Array) -> Array:
-    """Rate of change (rows, n) of the drives' torque that beta (b,) predicts, per second, decimated.
+    """Rate of change (rows, n) of the drive torque predicted by beta (b,), per second, decimated.
 
-    Known torques are left out: no drive records them. Differences are central, of the samples before decimation: there they
-    are exact.
+    Known torques are left out: drives do not record them. Central differences are taken before decimation, where they are
+    accurate.
     """
     parts, known = [], problem.signals.known_torque
     for motion, inside, _ in motion_blocks(problem):
@@ -208,7 +208,7 @@ def decimated_regressor(
 ) -> Array:
     """Regressor (n, b, rows) of the base parameters along a motion, every column decimated.
 
-    Columns of load friction are zero. With parameters `beta` (b,) it is the one about them, as of `load`.
+    Columns of load friction are zero; with parameters `beta` (b,) it is linearised about them, as in `load`.
     """
     load, (W, entries, series) = load_friction(dynamics, base), _decimated(motion, dynamics, base, decimation)
     if load and beta is not None:
@@ -220,11 +220,11 @@ def decimated_regressor(
 def _decimated(
     motion: Motion, dynamics: InverseModel, base: BaseParameters, decimation: Decimation, stride: int = 1
 ) -> tuple[Array, NDArray[np.intp], Array]:
-    """Regressor (n, b, rows), the links' columns computed at every `stride`-th sample; and what was at full rate, the
-    entries (E, 2) of joint and place in `base` with their series (E, N).
+    """Regressor (n, b, rows), link columns computed at every `stride`-th sample; and of the columns at full rate the
+    entries (E, 2), joint and place in `base`, and series (E, N).
     """
     N, W = len(motion.q), np.zeros((len(dynamics.robot.joints), len(base.names), decimation.rows(len(motion.q))))
-    strided = stride > 1 and stride * decimation.end_samples < N  # else the ends are most of it
+    strided = stride > 1 and stride * decimation.end_samples < N  # else most of it is the ends
     links = base.links & strided
     if links.any():
         at, end = (N - 1) % stride, decimation.end_samples
@@ -242,7 +242,7 @@ def _decimated(
 def _series(
     motion: Motion, dynamics: InverseModel, base: BaseParameters, places: NDArray[np.intp], spans: Sequence[slice]
 ) -> tuple[NDArray[np.intp], list[Array]]:
-    """Entries (E, 2), joint and place in `base`, of the parameters at `places`; their series (E, N) in spans of a motion."""
+    """Entries (E, 2), joint and place in `base`, of parameters at `places`; and their series (E, N) in spans of a motion."""
     columns = base.columns[places]
     entries = dynamics.entries(columns)
     entries[:, 1] = places[entries[:, 1]]
@@ -252,9 +252,9 @@ def _series(
 def _block(
     problem: Problem, at: RowBlock, beta: Array | None
 ) -> tuple[tuple[Array, Array, Array, Array], RigidBodyColumns | None]:
-    """W (n, b, rows), Y and torque tau (n, rows), speed (n, rows) of a block; and what load friction depends on.
+    """W (n, b, rows), Y and torque tau (n, rows), speed (n, rows) of a block, and its link columns for load friction.
 
-    They are about the parameters `beta` (b,), or columns of load friction are zero.
+    W and Y are about the parameters `beta` (b,), or columns of load friction are zero.
     """
     motion, inside = motion_of_block(problem, at), at.inside
     decimation, model, base = problem.settings.decimator, problem.model, problem.base

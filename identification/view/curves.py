@@ -34,12 +34,12 @@ def lines_of(signals: Signals, settings: Settings | None, fit: Fit | None) -> Li
     lines = {("measured", quantity): each for quantity, each in _thinned(signals, None, None).items()}
     if settings is not None:
         lines |= {("filtered", quantity): each for quantity, each in _thinned(signals, settings, fit).items()}
-    if fit is not None and fit.iv is not None and fit.iv.simulated is not None:
-        m = fit.iv.simulated
+    replica = None if fit is None else fit.replica
+    if replica is not None and (m := replica.motion) is not None:
         t_s = signals.t_s[
             np.rint(m.t_s * signals.sample_rate_hz).astype(int)
         ]  # its own times are indices over the rate
-        for quantity, x in (("q", m.q), ("dq", m.dq), ("ddq", m.ddq), ("tau", m.tau), ("error", m.q - fit.iv.q)):
+        for quantity, x in (("q", m.q), ("dq", m.dq), ("ddq", m.ddq), ("tau", m.tau), ("error", m.q - replica.q)):
             lines["simulated", quantity] = [_line(t_s, column) for column in x.T]
     return lines
 

@@ -225,7 +225,7 @@ def legend(signals: Signals, settings: Settings | None, fit: Fit | None) -> Sect
     """What is drawn of a recording and of its fit: how the curves come from the samples, and what of them is shown."""
     N, fs, lines = len(signals.q), signals.sample_rate_hz, list[str]()
     step, stride = thinning(N), model_stride(signals, settings) if settings else 1
-    simulated = fit is not None and fit.iv is not None and fit.iv.simulated is not None
+    simulated = fit is not None and fit.replica is not None and fit.replica.motion is not None
     if fit is not None:
         lines.append("IDM, in orange: the torque of the inverse model with these parameters along the filtered motion.")
     if simulated:
