@@ -18,8 +18,8 @@ from acquisition.robot import load_robot, robot_from_files
 from identification.commands import main
 from identification.errors import IdentificationError
 from identification.estimation import consistent_parameters
-from identification.export import export_model, mechanism_of, model_of_fit, write_models
-from identification.export.exporting import with_parameters
+from identification.export import export_model, model_of_fit, split_parameters, write_models
+from identification.export.exporting import replace_parameters
 from identification.export.formats import UNLIMITED, make_urdf, quaternion, roll_pitch_yaw
 from identification.methods import Prior, fit_file, stored_robot, with_consistent
 from identification.model import InverseModel, JointTerm, base_parameters, physical_parameters
@@ -52,7 +52,7 @@ def values_of(model, seed=1):
 def exported(model, chi, folder, **outputs):
     """Texts written by format, and the report."""
     paths = {name: folder / f"out.{name}" for name in ("urdf", "mjcf", "toml") if outputs.get(name, True)}
-    made, document = export_model(mechanism_of(model, chi, "fit.json"), "fit.json", **paths)
+    made, document = export_model(split_parameters(model, chi, "fit.json"), "fit.json", **paths)
     write_models(made)
     return {name: path.read_text() for name, path in paths.items()}, document
 
@@ -312,7 +312,7 @@ def test_a_toml_has_the_values_and_all_other_lines(tx40_model, tmp_path):
 )
 def test_parameters_replace_what_was_there_however_it_was_written(table):
     text = f'name = "x"\nmatrix = [\n    [1, 0],\n    [0, 1],\n]\n{table}[[joint]]\nname = "j" # remark\n'
-    made = with_parameters(text, {"Fv1": 0.25, "M1": 1e-3}, "new")
+    made = replace_parameters(text, {"Fv1": 0.25, "M1": 1e-3}, "new")
     was, now = tomllib.loads(text), tomllib.loads(made)
     assert now.pop("parameters") == {"Fv1": 0.25, "M1": 1e-3}
     was.pop("parameters", None)
@@ -325,7 +325,7 @@ def test_parameters_replace_what_was_there_however_it_was_written(table):
 
 def test_a_table_that_cannot_be_replaced_by_lines_is_refused():
     with pytest.raises(IdentificationError) as caught:
-        with_parameters('text = """\n[parameters]\n"""\n', {"Fv1": 1.0}, "new")
+        replace_parameters('text = """\n[parameters]\n"""\n', {"Fv1": 1.0}, "new")
     assert caught.value.key == "[parameters]"
 
 
@@ -397,7 +397,7 @@ def test_a_wrist_whose_joint_has_less_friction_than_its_motors_share_is_exported
     assert load_robot(tmp_path / "out.toml").parameters["Fv6"] == 0.6894
     chi[model.names.index("Fvm6")] = 1.2
     with pytest.raises(IdentificationError) as caught:
-        mechanism_of(model, chi, "fit.json")
+        split_parameters(model, chi, "fit.json")
     assert caught.value.key == "viscous friction of joint_5 and joint_6"
 
 

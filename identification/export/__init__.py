@@ -2,7 +2,7 @@
 
 from .chain import Chain, is_urdf, read_chain
 from .description import FILL_IN, describe, robot_of_chain
+from .exported_model import split_parameters
 from .exporting import export_model, write_models
 from .formats import make_urdf
-from .mechanism import mechanism_of
 from .stored_model import distrust, model_of_fit

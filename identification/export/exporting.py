@@ -15,8 +15,8 @@ from acquisition.files import atomic_write, text_of
 
 from ..errors import IdentificationError
 from ..report import Cell, Document, Number, Section, Table, columns
+from .exported_model import STATES, ExportedModel, Losses, representable
 from .formats import mjcf_text, urdf_text
-from .mechanism import STATES, Losses, Mechanism, representable
 
 URDF_GRAVITY = (0.0, 0.0, -9.81)  # what readers of a URDF take, which does not say it
 SOFT = "MuJoCo's friction loss is a soft constraint: it is dry friction where a joint moves, and creeps where it nearly stands"
@@ -33,7 +33,7 @@ def write_models(texts: Mapping[Path, str]) -> None:
 
 
 def export_model(
-    m: Mechanism,
+    m: ExportedModel,
     source: str,
     *,
     urdf: Path | None = None,
@@ -64,7 +64,7 @@ def export_model(
     return texts, Document(title=f"{robot.name}: model of {source}", sections=tuple(sections))
 
 
-def _section(m: Mechanism, title: str, format_: str, losses: Losses, notes: tuple[str, ...]) -> Section:
+def _section(m: ExportedModel, title: str, format_: str, losses: Losses, notes: tuple[str, ...]) -> Section:
     """What a format cannot say, joint by joint."""
     if not losses:
         return Section(title=f"{title}: nothing is lost", lines=notes)
@@ -81,7 +81,7 @@ def _section(m: Mechanism, title: str, format_: str, losses: Losses, notes: tupl
     return Section(title=title, table=table, lines=(line, *notes))
 
 
-def _robot_toml(m: Mechanism, toml: Path, urdf: Path | None, source: str) -> tuple[str, tuple[str, ...]]:
+def _robot_toml(m: ExportedModel, toml: Path, urdf: Path | None, source: str) -> tuple[str, tuple[str, ...]]:
     """The fit's robot.toml with the values, naming the URDF written with it; lines on files that it names and does not find."""
     robot, text = m.model.robot, m.model.robot.files["robot.toml"].decode()
     values = {name: float(value) for name, value in zip(m.model.names, m.chi, strict=True)}
@@ -93,10 +93,10 @@ def _robot_toml(m: Mechanism, toml: Path, urdf: Path | None, source: str) -> tup
     missing = dict.fromkeys(name for name in files if name and not (toml.parent / name).is_file())
     remark = f"Physically consistent values identified in {one_line(source)}."
     lines = tuple(f"it names {name}, which is not beside it: copy it there" for name in missing)
-    return with_parameters(text, values, remark, named), lines
+    return replace_parameters(text, values, remark, named), lines
 
 
-def with_parameters(text: str, values: Mapping[str, float], remark: str, urdf: str | None = None) -> str:
+def replace_parameters(text: str, values: Mapping[str, float], remark: str, urdf: str | None = None) -> str:
     """The description with the values (SI) of `[parameters]` replaced, or with the table added at its end; all else stays.
 
     The remark, on where they are from, takes the place of the remarks directly above the table, which were on other values; a

@@ -22,7 +22,7 @@ from ..arrays import Array
 from ..estimation import link_parameters, pseudo_inertia
 from ..model import InverseModel, is_a_body
 from .chain import INERTIA
-from .mechanism import LEAST, Mechanism, about_com
+from .exported_model import MIN_EIGENVALUE, ExportedModel, about_com
 
 UNLIMITED = 1e9  # a URDF must state effort and velocity: where the description has none
 _BASE = "base_link"
@@ -40,7 +40,7 @@ def link_names(robot: Robot, *, made: bool = False) -> tuple[str, ...]:
     return tuple("" if child is None else child.get("link", "") for child in children)
 
 
-def mjcf_text(m: Mechanism) -> str:
+def mjcf_text(m: ExportedModel) -> str:
     """The MJCF of a mechanism; an offset, or friction neither viscous nor dry, has no place in it."""
     robot, axes_values = m.model.robot, ("armature", "damping", "frictionloss")
     values = [{key: text_of(getattr(m, key)[k]) for key in axes_values} for k in range(len(m.names))]
@@ -82,7 +82,7 @@ def quaternion(R: Array) -> Array:
     return np.asarray(Rotation.from_matrix(R).as_quat(canonical=True))[[3, 0, 1, 2]]
 
 
-def urdf_text(m: Mechanism) -> tuple[str, tuple[str, ...]]:
+def urdf_text(m: ExportedModel) -> tuple[str, tuple[str, ...]]:
     """The URDF of a mechanism, and lines on what of other links was changed, and on limits that nobody stated.
 
     Armatures and couplings have no place in it.
@@ -101,7 +101,7 @@ def urdf_text(m: Mechanism) -> tuple[str, tuple[str, ...]]:
             if carrier == name and (found := _child(links[other], "inertial")):
                 inertials[other] = found, _inertia_of(found, T)
         own, others = m.links[j] - sum((x for _, x in inertials.values()), start=np.zeros(10)), ", ".join(inertials)
-        if others and not is_a_body(own, LEAST):
+        if others and not is_a_body(own, MIN_EIGENVALUE):
             mass = sum(x[9] for _, x in inertials.values())
             notes.append(
                 f"link {name}: the inertials of {others} ({mass:.3g} kg), fixed to it, leave no body for it: "

@@ -8,7 +8,7 @@ from ..errors import IdentificationError
 from ..methods import Known, Prior, consistent_set, refuse_unknown_gain, stored_beta, stored_robot
 from ..model import InverseModel, base_parameters
 from ..report import FitFile
-from .mechanism import Mechanism, mechanism_of
+from .exported_model import ExportedModel, split_parameters
 
 
 def distrust(stored: FitFile, place: str) -> list[str]:
@@ -18,7 +18,7 @@ def distrust(stored: FitFile, place: str) -> list[str]:
     return [f"{place}: verdict {stored.verdict}"] if stored.verdict == "do not use" else []
 
 
-def model_of_fit(stored: FitFile, place: str) -> tuple[Mechanism, tuple[str, ...]]:
+def model_of_fit(stored: FitFile, place: str) -> tuple[ExportedModel, tuple[str, ...]]:
     """The robot of a fit, which its own description describes, with values for all standard parameters.
 
     Returns it, and lines that say where the values are from. An `IdentificationError`, with the file's `place`, for a fit in
@@ -32,7 +32,7 @@ def model_of_fit(stored: FitFile, place: str) -> tuple[Mechanism, tuple[str, ...
     model = InverseModel(robot)
     if stored.standard_parameters is UNSET:
         chi, line = _made_consistent(stored, model, place)
-        return mechanism_of(model, chi, place), (line,)
+        return split_parameters(model, chi, place), (line,)
     given, known = stored.standard_parameters, list(zip(model.names, model.units, strict=True))
     if [(p.name, p.unit) for p in given] != known:
         other = next((f"{p.name} in {p.unit}" for p in given if (p.name, p.unit) not in known), None)
@@ -44,7 +44,7 @@ def model_of_fit(stored: FitFile, place: str) -> tuple[Mechanism, tuple[str, ...
             f"the consistent parameters of {place}: prior {c.prior}, weight {c.prior_weight:g}; chi² {c.chi2:.3g}, largest "
             f"move {c.largest_move:.2g} half-widths of the 95 % interval, of {c.moved_most}"
         )
-    return mechanism_of(model, np.array([p.value for p in given]), place), tuple(lines)
+    return split_parameters(model, np.array([p.value for p in given]), place), tuple(lines)
 
 
 def _made_consistent(stored: FitFile, model: InverseModel, place: str) -> tuple[Array, str]:

@@ -15,8 +15,8 @@ from .panels import GREEN, GREY, LIGHT, ORANGE, PREDICTED, PURPLE, SKY, VERMILLI
 
 COMPARED = (PURPLE, GREEN)  # colors of the sets a fit is compared with, in turn
 LOADS = (SKY, ORANGE, VERMILLION)  # a low load, the middle, a high one
-MOST_DOTS = 400  # of a drawing
-FAR = 6.0  # deviations at which a difference runs off its chart
+MAX_DOTS = 400  # of a drawing
+MAX_SIGMAS_SHOWN = 6.0  # deviations at which a difference runs off its chart
 SHEET = (1430.0, 960.0)  # of a large chart: what it has of a screen of 1920 by 1080
 STUDY_SHEET = (1140.0, 960.0)  # what its report leaves of the screen to a study
 LEVEL_COLORS: dict[Level, Color] = {
@@ -26,7 +26,7 @@ LEVEL_COLORS: dict[Level, Color] = {
     "not made": GREY,
     "ok": SKY,
 }
-TRUSTED = 3.0  # deviations that a difference should stay within
+MAX_TRUSTED_SIGMAS = 3.0  # deviations that a difference should stay within
 
 
 def parameter_drawing(own: ParameterSet, others: Sequence[ParameterSet]) -> Chart:
@@ -72,13 +72,18 @@ def deviation_drawing(own: ParameterSet, others: Sequence[ParameterSet]) -> Char
         percent = Scale(**edges, low=0.01, high=100.0, by=log10)
         chart.label(percent.middle, 2, "± 95 % in % of the value", LIGHT)
         chart.ticks_across(percent, {x: f"{x:g}" for x in (0.01, 0.1, 1.0, 10.0, 100.0)}, (78, height), 54)
-        far = Scale(left=left + parts[1] * width + 20, right=left + width - 30, low=-FAR, high=FAR)
+        far = Scale(
+            left=left + parts[1] * width + 20, right=left + width - 30, low=-MAX_SIGMAS_SHOWN, high=MAX_SIGMAS_SHOWN
+        )
         if others:
             labels = " and ".join(values.label for values in others)
             chart.label(far.middle, 2, f"{own.label} minus {labels}, in σ", LIGHT)
-            marks = {x: f"{x:+g}" if x else "0" for x in (-FAR, -TRUSTED, 0.0, TRUSTED, FAR)}
+            marks = {
+                x: f"{x:+g}" if x else "0"
+                for x in (-MAX_SIGMAS_SHOWN, -MAX_TRUSTED_SIGMAS, 0.0, MAX_TRUSTED_SIGMAS, MAX_SIGMAS_SHOWN)
+            }
             chart.ticks_across(far, marks, (78, height), 54)
-            for limit in (-TRUSTED, TRUSTED):
+            for limit in (-MAX_TRUSTED_SIGMAS, MAX_TRUSTED_SIGMAS):
                 chart.line(far(limit), 78, far(limit), height, GREY, 0.75)
         for row, name in enumerate(names[c * rows : (c + 1) * rows]):
             y, p = 92 + pitch * row, own.parameters[name]
@@ -92,7 +97,7 @@ def deviation_drawing(own: ParameterSet, others: Sequence[ParameterSet]) -> Char
                     level = y + (k - 0.5 * (len(apart) - 1)) * 0.3 * pitch
                     chart.line(far(0.0), level, far(x), level, COMPARED[k], 1.0)
                     ends = chart.dots if _is_exact(others[k], name) else chart.crosses
-                    ends.append((far(x), level, COMPARED[k] if abs(x) <= TRUSTED else VERMILLION))
+                    ends.append((far(x), level, COMPARED[k] if abs(x) <= MAX_TRUSTED_SIGMAS else VERMILLION))
     return chart
 
 
@@ -290,7 +295,7 @@ def friction_drawing(friction: JointFriction, *, of: str = "") -> Chart:
     title = f"{friction.joint}{of and f', {of}'}: friction [{friction.unit}] over speed [{friction.speed_unit}]"
     path = ("friction", friction.joint, *([of] if of else []))
     chart, (left, top, right, bottom) = Chart(path=path, title=title, size=(470.0, 340.0)), (70.0, 30.0, 440.0, 300.0)
-    every = slice(None, None, max(1, len(friction.speed) // MOST_DOTS))
+    every = slice(None, None, max(1, len(friction.speed) // MAX_DOTS))
     v, torque, load = friction.speed[every], friction.torque[every], friction.load[every]
     shown = np.concatenate([np.abs(torque), *(np.abs(curve.torque) + curve.half for curve in friction.curves)])
     size = float(np.abs(shown).max(initial=1e-9))

@@ -15,7 +15,7 @@ from ..study import Drift
 from .panels import JOINTS, MEASURED, PREDICTED, REFERENCE, RESIDUAL, SIMULATED, VERMILLION, Curve, Line, Plot
 
 BUCKETS = 5000  # of a long curve, each kept as its lowest and highest sample: more than a screen has columns
-MODEL_PER_CUTOFF = 20.0  # instants per period of the cut-off of long filtered curves drawn: straight to the eye
+SAMPLES_PER_PERIOD = 20.0  # instants per period of the cut-off of long filtered curves drawn: straight to the eye
 MAX_NOISE_RATIO = 3.0  # a raw derivative whose peak is this many times the filtered one's is off until asked for
 _BLOCK = 200_000  # samples at a time, so that a long recording is not held in every form at once
 
@@ -46,7 +46,7 @@ def lines_of(signals: Signals, settings: Settings | None, fit: Fit | None) -> Li
 
 def _line(t_s: Array, x: Array) -> Line:
     """A series (N,), thinned where it is long."""
-    k = extremes(x, thinning(len(x)))
+    k = extremes(x, bucket_size(len(x)))
     return t_s[k], x[k]
 
 
@@ -57,7 +57,7 @@ def _thinned(signals: Signals, settings: Settings | None, fit: Fit | None) -> di
         start, stop, stride = settings.start, settings.stop, model_stride(signals, settings)
     pieces: dict[str, list[list[Line]]] = defaultdict(lambda: [[] for _ in range(signals.robot.n)])
     motion = fit.problem.motion if fit else FilteredMotion(signals)
-    step = thinning(-(-(stop - start) // stride))
+    step = bucket_size(-(-(stop - start) // stride))
     size = max(1, _BLOCK // (step * stride)) * step * stride
     for a in range(start, stop, size):
         m = motion.between(a, min(stop, a + size), settings.cutoff_hz if settings else None)
@@ -78,16 +78,16 @@ def _thinned(signals: Signals, settings: Settings | None, fit: Fit | None) -> di
     }
 
 
-def thinning(N: int) -> int:
+def bucket_size(N: int) -> int:
     """Samples per bucket of a curve of N samples; 1 where all are shown."""
     return 1 if N <= 2 * BUCKETS else -(-N // BUCKETS)
 
 
 def model_stride(signals: Signals, settings: Settings) -> int:
     """Of how many filtered samples one is drawn: all of a short recording, 20 a period of the cut-off of a long one."""
-    if thinning(len(signals.q)) == 1 or settings.cutoff_hz is None:
+    if bucket_size(len(signals.q)) == 1 or settings.cutoff_hz is None:
         return 1
-    return max(1, int(signals.sample_rate_hz / (MODEL_PER_CUTOFF * settings.cutoff_hz)))
+    return max(1, int(signals.sample_rate_hz / (SAMPLES_PER_PERIOD * settings.cutoff_hz)))
 
 
 def extremes(x: Array, step: int) -> NDArray[np.intp]:

@@ -20,8 +20,8 @@ from ..model import InverseModel
 from .panels import Moving, Scene
 
 POSES_PER_S = 50.0  # as smooth as a screen shows it
-MOST_POSES = 15_000  # five minutes of them; a longer recording has fewer a second
-LEAST_VIEW_M = 0.7  # of the picture, about: a single joint moves close to its base
+MAX_POSES = 15_000  # five minutes of them; a longer recording has fewer a second
+MIN_VIEW_M = 0.7  # of the picture, about: a single joint moves close to its base
 
 
 def robot_scene(signals: Signals, fit: Fit | None) -> Scene:
@@ -55,7 +55,7 @@ def _scene(dynamics: InverseModel, robots: list[Moving], q: Array, title: str) -
     points = np.concatenate([np.zeros((1, 3)), places.reshape(-1, 3)])
     target = 0.5 * (points.min(axis=0) + points.max(axis=0))
     # The shapes reach beyond the last joint; a single joint turns, or slides, close to the base.
-    size = max(1.5 * float(np.linalg.norm(np.ptp(points, axis=0))), LEAST_VIEW_M)
+    size = max(1.5 * float(np.linalg.norm(np.ptp(points, axis=0))), MIN_VIEW_M)
     side = np.cross(up, [0.0, 1.0, 0.0] if abs(up[1]) < 0.9 else [1.0, 0.0, 0.0])
     side /= np.linalg.norm(side)
     eye = target + size * (0.65 * side + 0.5 * np.cross(up, side) + 0.33 * up)
@@ -74,7 +74,7 @@ def _scene(dynamics: InverseModel, robots: list[Moving], q: Array, title: str) -
 
 def pose_stride(N: int, rate_hz: float) -> int:
     """Of how many samples one gives a pose."""
-    return max(1, round(rate_hz / POSES_PER_S), -(-N // MOST_POSES))
+    return max(1, round(rate_hz / POSES_PER_S), -(-N // MAX_POSES))
 
 
 def _drawable(robot: Robot) -> str | None:

@@ -12,18 +12,18 @@ from ..estimation import are_moving, autocorrelation
 from ..methods import Fit
 from ..regression import Settings
 from ..report import Cell, Number, Section, Table, columns
-from .curves import model_stride, thinning
+from .curves import bucket_size, model_stride
 from .panels import GREEN, GREY, JOINTS, ORANGE, SKY, Bars, Chart, Color, Curve, Lanes, Log, Plot, Scale, log10
 from .robot_drawing import pose_stride
 
-TRACKING = "track"  # the phase that a fit uses
-MOST_LINES = 2000  # of the log
-EXPECTED = ("phase", "mark", "disabled", "end")  # kinds of events that need no attention
-LAGS = 60  # of the autocorrelation, in decimated samples
-SHOWN_DEVIATIONS = 4.0  # of the residual: to where its distribution is drawn
-SPECTRUM_SAMPLES = 16  # fewer have no spectrum to show
-TO_DEVIATION = 1.4826  # from the median of |x| to the standard deviation of normal x
-TOTALS = ("frames", "syncs")  # counters of what went right: they would dwarf the others
+TRACKING_PHASE = "track"  # the phase that a fit uses
+MAX_LINES = 2000  # of the log
+ROUTINE_EVENTS = ("phase", "mark", "disabled", "end")  # kinds of events that need no attention
+MAX_LAGS = 60  # of the autocorrelation, in decimated samples
+MAX_RESIDUAL_SIGMAS = 4.0  # of the residual: to where its distribution is drawn
+MIN_SPECTRUM_SAMPLES = 16  # fewer have no spectrum to show
+SIGMA_PER_MEDIAN = 1.4826  # from the median of |x| to the standard deviation of normal x
+UNCHARTED_COUNTERS = ("frames", "syncs")  # counters of what went right: they would dwarf the others
 
 
 def span_lanes(signals: Signals, settings: Settings | None, *, fitted: bool) -> Lanes | None:
@@ -32,11 +32,11 @@ def span_lanes(signals: Signals, settings: Settings | None, *, fitted: bool) -> 
     lanes: dict[str, list[tuple[float, str, Color]]] = {}
     phases = [event for event in signals.events if event.kind == "phase"]
     if phases:
-        colors: dict[str, Color] = {TRACKING: GREEN}
+        colors: dict[str, Color] = {TRACKING_PHASE: GREEN}
         states: dict[float, tuple[float, str, Color]] = {}
         for event in phases:
             color = colors.setdefault(event.text, (GREY, SKY, *JOINTS[3:7])[len(colors) % 6])
-            at = within(event.t_s, end_s)
+            at = clamp_time(event.t_s, end_s)
             states[at] = (at, event.text, color)  # of those before the first sample, the last
         lanes["phase"] = list(states.values())
     if settings is not None:
@@ -58,10 +58,10 @@ def event_log(signals: Signals) -> Log | None:
     What is outside of the samples stands at their ends.
     """
     end_s, lines = float(signals.t_s[-1]), []
-    for event in signals.events[:MOST_LINES]:
-        at = within(event.t_s, end_s)
+    for event in signals.events[:MAX_LINES]:
+        at = clamp_time(event.t_s, end_s)
         where = "" if at == event.t_s else f" ({'before' if at == 0 else 'after'} the samples)"
-        lines.append((at, event.kind not in EXPECTED, f"{event.t_s:.3f} s  {event.kind}: {event.text}{where}"))
+        lines.append((at, event.kind not in ROUTINE_EVENTS, f"{event.t_s:.3f} s  {event.kind}: {event.text}{where}"))
     return Log(path=("events",), title=f"events: {len(signals.events)}", lines=lines) if lines else None
 
 
@@ -74,7 +74,7 @@ def health_plot(signals: Signals) -> Plot | None:
         if not known.any():
             continue
         t_s, counts = t_s[known], counts[known]
-        if name not in TOTALS and not name.endswith("_s"):
+        if name not in UNCHARTED_COUNTERS and not name.endswith("_s"):
             before = np.flatnonzero(t_s < 0)[-1:]  # counts so far, as the samples begin
             k = np.r_[before, np.flatnonzero((t_s >= 0) & (t_s <= end_s))]
             line = np.clip(t_s[k], 0, end_s), counts[k]
@@ -89,7 +89,7 @@ def health_plot(signals: Signals) -> Plot | None:
     return Plot(path=("health",), title=title, curves=tuple(curves)) if curves else None
 
 
-def within(t_s: float, end_s: float) -> float:
+def clamp_time(t_s: float, end_s: float) -> float:
     """A time brought to between the first sample and the last."""
     return min(max(t_s, 0.0), end_s)
 
@@ -116,7 +116,7 @@ def spectrum_drawings(signals: Signals, settings: Settings | None) -> list[Chart
 
 def _spectrum(x: Array, sample_rate_hz: float) -> tuple[Array, Array]:
     """Frequencies in Hz and amplitude density of x (N,) by Welch's method, averaged within 40 bands a decade."""
-    if len(x) < SPECTRUM_SAMPLES:
+    if len(x) < MIN_SPECTRUM_SAMPLES:
         return np.zeros(0), np.zeros(0)
     f, power = signal.welch(x, sample_rate_hz, nperseg=int(min(len(x) // 2, 20 * sample_rate_hz)), detrend="linear")
     f, power = f[1:], power[1:]
@@ -160,7 +160,7 @@ def residual_of_moving(fit: Fit, j: int) -> Array:
 
 def middle_deviation(rho: Array) -> float:
     """Standard deviation, of the middle of the rows, so that a few far ones do not make it."""
-    return float(TO_DEVIATION * np.median(np.abs(rho))) or float(np.sqrt(np.mean(rho**2)))
+    return float(SIGMA_PER_MEDIAN * np.median(np.abs(rho))) or float(np.sqrt(np.mean(rho**2)))
 
 
 def residual_bars(signals: Signals, fit: Fit, j: int) -> list[Bars]:
@@ -173,11 +173,11 @@ def residual_bars(signals: Signals, fit: Fit, j: int) -> list[Bars]:
     if not rho.any():
         return []
     period_s, bound = fit.settings.decimation / signals.sample_rate_hz, 2.0 / math.sqrt(T)
-    lags = np.arange(1.0, min(LAGS, T - 1) + 1)
+    lags = np.arange(1.0, min(MAX_LAGS, T - 1) + 1)
     r = np.array([autocorrelation(rho, int(k)) or 0.0 for k in lags])
     shown = residual_of_moving(fit, j)
     s = middle_deviation(shown)
-    edge = SHOWN_DEVIATIONS * s
+    edge = MAX_RESIDUAL_SIGMAS * s
     counts, edges = np.histogram(shown, bins=31, range=(-edge, edge))
     width, x = float(edges[1] - edges[0]), np.linspace(-edge, edge, 301)[:-1]
     normal = len(shown) * width / (s * math.sqrt(2 * math.pi)) * np.exp(-0.5 * (x / s) ** 2)
@@ -208,10 +208,10 @@ def numbers_of_plots(signals: Signals, fit: Fit | None) -> Section:
     if fit is not None:
         rows = [residual_of_moving(fit, j) for j in range(robot.n)]
         sigmas = [middle_deviation(rho) for rho in rows]
-        heads += ["residual σ", f"rows beyond {SHOWN_DEVIATIONS:g} σ", "residual lag-1"]
+        heads += ["residual σ", f"rows beyond {MAX_RESIDUAL_SIGMAS:g} σ", "residual lag-1"]
         cells.append([Number(sigma, ".2g") for sigma in sigmas])
         beyond = zip(rows, sigmas, strict=True)
-        cells.append([Number(int((np.abs(rho) > SHOWN_DEVIATIONS * sigma).sum()), "d") for rho, sigma in beyond])
+        cells.append([Number(int((np.abs(rho) > MAX_RESIDUAL_SIGMAS * sigma).sum()), "d") for rho, sigma in beyond])
         cells.append([Number(e.autocorrelation, ".2f") for e in fit.errors[:-1]])
     names = [joint.name for joint in robot.joints]
     table = Table(
@@ -224,7 +224,7 @@ def numbers_of_plots(signals: Signals, fit: Fit | None) -> Section:
 def legend(signals: Signals, settings: Settings | None, fit: Fit | None) -> Section:
     """What is drawn of a recording and of its fit: how the curves come from the samples, and what of them is shown."""
     N, fs, lines = len(signals.q), signals.sample_rate_hz, list[str]()
-    step, stride = thinning(N), model_stride(signals, settings) if settings else 1
+    step, stride = bucket_size(N), model_stride(signals, settings) if settings else 1
     simulated = fit is not None and fit.iv is not None and fit.iv.simulated is not None
     if fit is not None:
         lines.append("IDM, in orange: the torque of the inverse model with these parameters along the filtered motion.")

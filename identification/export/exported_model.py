@@ -24,17 +24,17 @@ from ..model import (
 )
 from ..regression import load_friction
 
-LEAST = 1e-12  # eigenvalue of a scaled pseudo-inertia: below it a link is no body
+MIN_EIGENVALUE = 1e-12  # eigenvalue of a scaled pseudo-inertia: below it a link is no body
 STATES, SEED = 1000, 11  # random states
 POSITION, SPEED, ACCELERATION = np.pi, 1.0, 5.0  # ± rad or m (per s, s²), where a joint states no limit
-NEGLIGIBLE = 1e-9  # of a joint's torque: rounding
+MAX_ROUNDING = 1e-9  # of a joint's torque: rounding
 Losses = dict[
     str, tuple[Array, Array]
 ]  # by what is lost: rms of the torque that is missing (n,), and in percent of all
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Mechanism:
+class ExportedModel:
     """A robot of n joints with values for all of its standard parameters, SI.
 
     Attributes:
@@ -57,7 +57,7 @@ class Mechanism:
     others: tuple[int, ...]
 
 
-def mechanism_of(model: InverseModel, chi: Array, place: str) -> Mechanism:
+def split_parameters(model: InverseModel, chi: Array, place: str) -> ExportedModel:
     """Take the standard parameters chi (p,) of a model apart.
 
     A joint's own Ia, Fv count the share of a motor that turns with it (Ia5 of the TX40 counts Ia6): it is taken off here. What
@@ -80,12 +80,12 @@ def mechanism_of(model: InverseModel, chi: Array, place: str) -> Mechanism:
             own[source.kind][:n] += chi[c] * source.row
     links = chi[link_columns(model)]
     for j, link in enumerate(links):
-        if not is_a_body(link, LEAST):
+        if not is_a_body(link, MIN_EIGENVALUE):
             problem, key = "no body of positive density has these inertias", f"link {j + 1}, of joint {names[j]}"
             raise IdentificationError(problem, place=place, key=key, expected="the fit again with --consistent")
     for matrix, first, text in requirements(model, shaped=False):
         lowest = float(np.linalg.eigvalsh(matrix @ chi)[0])
-        if lowest < -LEAST:
+        if lowest < -MIN_EIGENVALUE:
             raise IdentificationError(
                 "a simulator would take it without a word, and gain energy",
                 place=place,
@@ -94,7 +94,7 @@ def mechanism_of(model: InverseModel, chi: Array, place: str) -> Mechanism:
                 shown=f"{lowest:.4g} {first.unit}",
                 expected="0 or more: the fit again with --consistent",
             )
-    return Mechanism(
+    return ExportedModel(
         model=model,
         chi=chi,
         links=links,
@@ -119,7 +119,7 @@ def random_states(robot_joints: tuple[Joint, ...]) -> tuple[Array, Array, Array]
     return within("position", POSITION), within("speed", SPEED), within("acceleration", ACCELERATION)
 
 
-def whole_regressor(m: Mechanism, q: Array, dq: Array, ddq: Array) -> Array:
+def whole_regressor(m: ExportedModel, q: Array, dq: Array, ddq: Array) -> Array:
     """The regressor (N, n, p), its columns of load friction for the links' torque of these parameters."""
     W, base = m.model.regressor(q, dq, ddq), base_parameters(m.model)
     load = load_friction(m.model, base)
@@ -131,7 +131,7 @@ def whole_regressor(m: Mechanism, q: Array, dq: Array, ddq: Array) -> Array:
     return W
 
 
-def representable(m: Mechanism, *, rotors: bool, couplings: bool) -> tuple[Mechanism, Losses]:
+def representable(m: ExportedModel, *, rotors: bool, couplings: bool) -> tuple[ExportedModel, Losses]:
     """The mechanism as far as a format with or without rotors (armatures) and couplings of motors represents it, and losses.
 
     Damping and friction loss are refitted, at random states, at joints where some friction has no place; armatures and
@@ -150,7 +150,7 @@ def representable(m: Mechanism, *, rotors: bool, couplings: bool) -> tuple[Mecha
 
     def add_loss(what: str, missing: Array) -> None:
         rms = _rms(missing)
-        rms[rms <= NEGLIGIBLE * whole.max()] = 0.0
+        rms[rms <= MAX_ROUNDING * whole.max()] = 0.0
         if rms.any():
             losses[what] = rms, 100 * np.divide(rms, whole, out=np.zeros(n), where=whole > 0)
 
@@ -164,7 +164,7 @@ def representable(m: Mechanism, *, rotors: bool, couplings: bool) -> tuple[Mecha
     below = np.asarray((values < 0).any(axis=0))
     kinds = {source.kind for source in m.model.sources if isinstance(source, JointTerm)}
     missing = torque_of(*(kinds - {"rotor", "offset"})) - np.einsum("xk,xNkn->Nn", values, torques)
-    off = (_rms(missing) > NEGLIGIBLE * whole.max()) | rows[below].any(axis=0)
+    off = (_rms(missing) > MAX_ROUNDING * whole.max()) | rows[below].any(axis=0)
     off |= rows[rows[:, off].any(axis=1)].any(axis=0)  # joints that share a motor are refitted with it
     again = rows[:, off].any(axis=1)
     if again.any():
