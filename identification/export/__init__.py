@@ -1,4 +1,4 @@
-"""A fit as a model for simulators, URDF, MJCF and robot.toml, with what each cannot say; a description from a URDF."""
+"""Export a fit as URDF, MJCF and robot.toml, and report what each cannot represent; make a description from a URDF."""
 
 from .chain import Chain, is_urdf, read_chain
 from .description import FILL_IN, describe, robot_of_chain
