@@ -202,11 +202,11 @@ class _Tree:
 
     def path(self, joint: str | None) -> list[str]:
         """The joints from the root to `joint`, including it; more than the URDF has if they form a loop."""
-        found: list[str] = []
-        while joint is not None and len(found) <= len(self.joints):
-            found.append(joint)
+        path: list[str] = []
+        while joint is not None and len(path) <= len(self.joints):
+            path.append(joint)
             joint = self.above.get(_end(self.joints[joint], "parent"))
-        return found[::-1]
+        return path[::-1]
 
     @property
     def movable(self) -> list[str]:
@@ -215,16 +215,16 @@ class _Tree:
 
 
 def _by_name(robot: ET.Element, tag: str, place: str) -> dict[str, ET.Element]:
-    found: dict[str, ET.Element] = {}
+    elements: dict[str, ET.Element] = {}
     for i, element in enumerate(robot.findall(tag)):
         name = element.get("name")
-        if not name or name in found:
+        if not name or name in elements:
             where, expected = f"{place}: {tag} {i + 1}", "a name not used before" if name else "a name"
             raise IdentificationError(place=where, key="name", value=name or None, expected=expected)
-        found[name] = element
-    if not found:
+        elements[name] = element
+    if not elements:
         raise IdentificationError(f"has no {tag}", place=place, expected="links, and joints between them")
-    return found
+    return elements
 
 
 def _end(joint: ET.Element, tag: str) -> str:
@@ -233,8 +233,8 @@ def _end(joint: ET.Element, tag: str) -> str:
 
 
 def _text(element: ET.Element, tag: str, name: str) -> str | None:
-    found = element.find(tag)
-    return None if found is None else found.get(name)
+    child = element.find(tag)
+    return None if child is None else child.get(name)
 
 
 def _number(text: str | None, place: str, key: str) -> float:

@@ -15,17 +15,15 @@ from .chain import Chain, UrdfJoint
 FILL_IN = "FILL IN"
 _EXAMPLE = "#: "  # starts each line of the example for dry runs with simulated drives
 _DEFAULT_EFFORT, _DEFAULT_SPEED = 100.0, 3.0  # of the example, if the URDF has none
-_EFFORT_SHARE, _RISE_S = (
-    0.02,
-    0.2,
-)  # share of the effort for friction, and to bring the rotor to full speed in this time
+_EFFORT_SHARE, _RISE_S = 0.02, 0.2  # of the effort: for friction, and to bring the rotor to full speed in this time
 _COUNTS, _RATED_SHARE = 1_000_000, 0.5  # of the example's drives: per turn or m; rated over maximum effort
 _MAX_ROUNDING = 1e-14  # SI: rounding in the sums of a lumped link
+# Needed by a robot that moves.
 _OPTIONS_TO_MOVE = {
     "position": "--range ({}, ± about zero)",
     "speed": "--speed ({}/s)",
     "acceleration": "--acceleration ({}/s²)",
-}  # needed by a robot that moves
+}
 
 
 def robot_of_chain(chain: Chain, *, moves: bool = False) -> Robot:
