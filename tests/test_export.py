@@ -18,8 +18,8 @@ from acquisition.robot import load_robot, robot_from_files
 from identification.commands import main
 from identification.errors import IdentificationError
 from identification.estimation import consistent_parameters
-from identification.export import export_model, mechanism_of, model_of_fit, write_models
-from identification.export.exporting import with_parameters
+from identification.export import export_model, model_of_fit, split_parameters, write_models
+from identification.export.exporting import replace_parameters
 from identification.export.formats import UNLIMITED, make_urdf, quaternion, roll_pitch_yaw
 from identification.methods import Prior, fit_file, stored_robot, with_consistent
 from identification.model import InverseModel, JointTerm, base_parameters, physical_parameters
@@ -52,7 +52,7 @@ def values_of(model, seed=1):
 def exported(model, chi, folder, **outputs):
     """Texts written by format, and the report."""
     paths = {name: folder / f"out.{name}" for name in ("urdf", "mjcf", "toml") if outputs.get(name, True)}
-    made, document = export_model(mechanism_of(model, chi, "fit.json"), "fit.json", **paths)
+    made, document = export_model(split_parameters(model, chi, "fit.json"), "fit.json", **paths)
     write_models(made)
     return {name: path.read_text() for name, path in paths.items()}, document
 
@@ -120,11 +120,11 @@ def test_a_new_urdf_has_the_torques_of_the_links(name, tmp_path):
     assert list(loaded.effortLimit) == (pytest.approx(known) if known else [UNLIMITED] * robot.n)
     assert list(loaded.velocityLimit) == pytest.approx([joint.si("speed") for joint in robot.joints])
     (section,) = [s for s in document.sections if s.title.startswith(str(tmp_path / "out.urdf"))]
-    weight = f"gravity is {' '.join(f'{g:g}' for g in robot.gravity)} m/s²: a URDF does not say it"
+    weight = f"gravity is {' '.join(f'{g:g}' for g in robot.gravity)} m/s²: not in a URDF"
     assert any(weight in line for line in section.lines) == (tuple(robot.gravity) != (0.0, 0.0, -9.81))
-    told = [line for line in section.lines if "is known of" in line]
-    stated = "1e+09 is written: state effort_nm, effort_n or saturation"
-    assert told == ([] if known else [f"no effort is known of {', '.join(names)}: {stated}"])
+    unknown = [line for line in section.lines if line.startswith("unknown ")]
+    written = "written as 1e+09; state effort_nm, effort_n or saturation"
+    assert unknown == ([] if known else [f"unknown effort of {', '.join(names)}: {written}"])
 
 
 def test_a_stated_effort_is_a_new_urdfs_limit_whatever_the_motors_are_recorded_in():
@@ -268,7 +268,7 @@ def test_the_users_urdf_comes_back_with_other_values_and_nothing_else(light, tmp
     said = " ".join(line for section in document.sections for line in section.lines)
     if light:
         assert re.search(r'<link name="camera">\s*</link>', texts["urdf"])
-        assert "link one: the inertials of camera, lens (0.35 kg)" in said
+        assert "link one: minus the inertials of camera, lens (0.35 kg)" in said
     else:
         assert '<origin xyz="0 0 0.02" rpy="0.1 0 0.2"/><mass value="0.3"/>' in texts["urdf"]
         assert "link one: camera, lens, fixed to it, keep" in said
@@ -312,7 +312,7 @@ def test_a_toml_has_the_values_and_all_other_lines(tx40_model, tmp_path):
 )
 def test_parameters_replace_what_was_there_however_it_was_written(table):
     text = f'name = "x"\nmatrix = [\n    [1, 0],\n    [0, 1],\n]\n{table}[[joint]]\nname = "j" # remark\n'
-    made = with_parameters(text, {"Fv1": 0.25, "M1": 1e-3}, "new")
+    made = replace_parameters(text, {"Fv1": 0.25, "M1": 1e-3}, "new")
     was, now = tomllib.loads(text), tomllib.loads(made)
     assert now.pop("parameters") == {"Fv1": 0.25, "M1": 1e-3}
     was.pop("parameters", None)
@@ -325,7 +325,7 @@ def test_parameters_replace_what_was_there_however_it_was_written(table):
 
 def test_a_table_that_cannot_be_replaced_by_lines_is_refused():
     with pytest.raises(IdentificationError) as caught:
-        with_parameters('text = """\n[parameters]\n"""\n', {"Fv1": 1.0}, "new")
+        replace_parameters('text = """\n[parameters]\n"""\n', {"Fv1": 1.0}, "new")
     assert caught.value.key == "[parameters]"
 
 
@@ -337,7 +337,7 @@ def test_a_toml_names_the_urdf_that_is_written_with_it(tmp_path):
     assert texts["toml"].startswith("# my arm\n")
     assert load_robot(tmp_path / "out.toml").urdf == texts["urdf"]
     _, document = exported(model, chi, tmp_path, urdf=False)
-    assert any("it names arm.urdf, which is not beside it" in line for s in document.sections for line in s.lines)
+    assert any("it names arm.urdf, which is missing" in line for s in document.sections for line in s.lines)
 
 
 def losses(document, title):
@@ -350,7 +350,7 @@ def losses(document, title):
     return found
 
 
-def test_what_a_format_cannot_say_is_told_with_its_cost(tx40_model, tmp_path):
+def test_losses_of_a_format_are_reported_with_their_torque(tx40_model, tmp_path):
     """Rotors, offsets and the coupled motor: the torque that is missing, computed a second time from the files."""
     chi = values_of(tx40_model)
     texts, document = exported(tx40_model, chi, tmp_path)
@@ -388,7 +388,7 @@ def test_a_wrist_whose_joint_has_less_friction_than_its_motors_share_is_exported
     texts, document = exported(model, chi, tmp_path)
     found = losses(document, "out.mjcf")
     assert {what for what, _ in found} == {
-        "friction (below zero of joint_6 alone), the nearest damping and friction in its place"
+        "friction (negative share of joint_6), approximated by damping and dry friction"
     }
     assert {joint for _, joint in found} == {"joint_5", "joint_6"}
     assert max(percent for _, percent in found.values()) < 5
@@ -397,7 +397,7 @@ def test_a_wrist_whose_joint_has_less_friction_than_its_motors_share_is_exported
     assert load_robot(tmp_path / "out.toml").parameters["Fv6"] == 0.6894
     chi[model.names.index("Fvm6")] = 1.2
     with pytest.raises(IdentificationError) as caught:
-        mechanism_of(model, chi, "fit.json")
+        split_parameters(model, chi, "fit.json")
     assert caught.value.key == "viscous friction of joint_5 and joint_6"
 
 
@@ -412,7 +412,7 @@ def test_asymmetric_friction_is_replaced_by_the_mean_of_both_ways(tmp_path):
     rms = losses(document, "out.mjcf")
     ((what, joint),) = rms
     assert (what, joint) == (
-        "friction (Fvp1, Fcp1, Fvn1, Fcn1), the nearest damping and friction in its place",
+        "friction (Fvp1, Fcp1, Fvn1, Fcn1), approximated by damping and dry friction",
         "shoulder",
     )
     assert rms[what, joint][0] == pytest.approx(0.5, rel=0.01)
@@ -452,7 +452,7 @@ def test_a_fit_that_is_not_consistent_is_made_so(fits, tmp_path, capsys):
         assert main(["export", str(path), *outputs]) == 0
         assert time.process_time() - began < 5.0  # one second
         printed = capsys.readouterr().out
-        assert ("is not consistent: the nearest consistent parameters are taken" in printed) == (name == "free")
+        assert ("is not consistent: the nearest consistent parameters are used" in printed) == (name == "free")
         values[name] = load_robot(tmp_path / f"{name}.toml").parameters
     assert values["free"] == pytest.approx(values["consistent"], rel=1e-6, abs=1e-9)
     consistent = json.loads(fits["consistent"].read_text())["standard_parameters"]

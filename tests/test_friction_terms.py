@@ -20,8 +20,8 @@ from identification.design import choose_terms, friction_of_joints, with_terms
 from identification.design.friction_report import with_friction
 from identification.design.trials import Trials, parts_of
 from identification.estimation import System
-from identification.export import mechanism_of
-from identification.export.mechanism import random_states, representable, whole_regressor
+from identification.export import split_parameters
+from identification.export.exported_model import random_states, representable, whole_regressor
 from identification.methods import Iteration, Prior, identify_iv, identify_ls, solve_with_load_friction, with_consistent
 from identification.methods.settled import independent_norm
 from identification.model import InverseModel, JointTerm, base_parameters, described_parameters, direct_model
@@ -186,7 +186,7 @@ def test_export_counts_what_a_format_cannot_say_of_these_terms():
         20.0,
         5.0,
     ]
-    mechanism = mechanism_of(model, chi, "test")
+    mechanism = split_parameters(model, chi, "test")
     assert [model.names[c] for c in mechanism.others] == ["Fr1", "mu1"]
     states = random_states(model.robot.joints)
     whole = direct_of(model, base, base.K @ chi).torque(*states)

@@ -179,9 +179,7 @@ def test_a_joint_without_limits_has_them_by_options_or_is_named(here, capsys):
         assert "# position_deg = [LOWEST, HIGHEST] # FILL IN" in text
         assert "# speed_deg_s = ... # FILL IN" in text
         error = refused(capsys, "study", "arm.urdf", *NAMES, *STATED)
-        assert error.startswith(
-            "arm.urdf: joint 'turn': position is missing: expected --range (rad, to each side of zero)"
-        )
+        assert error.startswith("arm.urdf: joint 'turn': position is missing: expected --range (rad, ± about zero)")
         error = refused(capsys, "study", "arm.urdf", *NAMES, *STATED, "--range", "3,3,0.3")
         assert error.startswith("arm.urdf: joint 'turn': speed is missing: expected --speed (rad/s)")
         error = refused(capsys, "study", f"{turn}.toml")
@@ -213,15 +211,18 @@ def test_options_and_limits_of_the_urdf_hold_together(here):
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        (["--acceleration", "1,2"], "arm.urdf: --acceleration = 2 values: expected one, or 3: of turn, lift, slide"),
-        (["--speed", "1"], "arm.urdf: --speed = 1.0: expected 3 values: some joints count in rad, others in m"),
+        (["--acceleration", "1,2"], "arm.urdf: --acceleration = 2 values: expected one, or 3 for turn, lift, slide"),
+        (["--speed", "1"], "arm.urdf: --speed = 1.0: expected 3 values: some joints are in rad, others in m"),
         (
             ["--range", "1,1,0.1"],
-            "arm.urdf: joint 'slide': --range = 0.1: expected a range that reaches into the URDF's",
+            "arm.urdf: joint 'slide': --range = 0.1: expected a range that overlaps the URDF's",
         ),
-        (["--joints", "turn,elbow"], "arm.urdf: --joints = 'elbow': expected each once, of turn, lift, slide, finger"),
-        (["--joints", "turn,thumb"], "arm.urdf: --joints = 'thumb': expected each once"),
-        (["--joints", "turn,turn"], "arm.urdf: --joints = 'turn': expected each once"),
+        (
+            ["--joints", "turn,elbow"],
+            "arm.urdf: --joints = 'elbow': expected one of turn, lift, slide, finger, each once",
+        ),
+        (["--joints", "turn,thumb"], "arm.urdf: --joints = 'thumb': expected one of turn, lift"),
+        (["--joints", "turn,turn"], "arm.urdf: --joints = 'turn': expected one of turn, lift"),
         (["--joints", "lift,turn"], "order of joints = lift, turn: expected turn, lift"),
     ],
 )
@@ -269,20 +270,20 @@ BAD = {
         urdf(base='<xacro:macro xmlns:xacro="http://www.ros.org/wiki/xacro"/>'),
         "arm.urdf: has xacro elements: expected a URDF: xacro FILE > robot.urdf",
     ),
-    "two roots": (urdf(extra=link("island")), "arm.urdf: 2 root links: base, island: expected one link that no joint"),
+    "two roots": (urdf(extra=link("island")), "arm.urdf: 2 root links: base, island: expected one base link"),
     "no root": (
         urdf(extra=joint("back", "fixed", "tool", "base")),
-        "arm.urdf: no root link: its joints make a ring: expected one link",
+        "arm.urdf: no root link: its joints form a loop: expected one base link",
     ),
     "a ring beside": (
         urdf(
             extra=link("x") + link("y") + joint("xy", "fixed", "x", "y") + joint("yx", "fixed", "y", "x"),
         ),
-        "arm.urdf: links x, y are in a ring of joints: expected a tree",
+        "arm.urdf: links x, y are in a loop of joints: expected a tree",
     ),
     "two parents": (
         urdf(extra=joint("again", "fixed", "base", "tool")),
-        "arm.urdf: joint 'again': child = 'tool': expected one joint above each link; 'mount' is above",
+        "arm.urdf: joint 'again': child = 'tool': expected one parent joint per link; 'mount' is another",
     ),
     "a foreign link": (
         urdf(turn=joint("turn", "revolute", "floor", "column", LIMIT)),
@@ -312,7 +313,7 @@ BAD = {
     ),
     "two chains": (
         urdf(thumb=joint("thumb", "prismatic", "tool", "right")),
-        "arm.urdf: 2 chains of 4 joints each: they end at finger, thumb: expected --joints",
+        "arm.urdf: 2 chains of 4 joints each, which end at finger, thumb: expected --joints",
     ),
     "upside down": (
         urdf(turn=joint("turn", "revolute", "base", "column", '<limit lower="1" upper="-1"/>')),
@@ -384,11 +385,11 @@ def test_a_link_without_mass_is_part_of_one_that_has_some(here, capsys):
     assert load_robot("robot.toml").parameters["M2"] == pytest.approx(0.4)
 
 
-def test_moments_that_no_body_has_are_told_and_taken(here, capsys):
+def test_impossible_moments_are_noted_and_used(here, capsys):
     flat = '<inertia ixx="0.02" ixy="0" ixz="0" iyy="0.03" iyz="0" izz="0.06"/>'
     (here / "arm.urdf").write_text(urdf(arm=link("arm", inertia=flat)))
     status, out, _ = run(capsys, "init", "arm.urdf", "-o", "robot.toml")
-    note = "note: link arm: principal moments 0.02, 0.03, 0.06 kg m²: no body has one above the sum of the others"
+    note = "note: link arm: principal moments 0.02, 0.03, 0.06 kg m²: impossible, one exceeds the sum of the others"
     assert (status, note in out, f"# {note}" in (here / "robot.toml").read_text()) == (0, True, True)
 
 

@@ -485,7 +485,7 @@ def test_a_file_of_own_parameters_is_exported_where_it_is_consistent(tmp_path):
     assert free.left_out == []
     with pytest.raises(IdentificationError) as told:
         model_of_fit(free, "fit.json")
-    assert (told.value.key, told.value.expected) == ("covariance", "the fit again with --consistent")
+    assert (told.value.key, told.value.expected) == ("covariance", "a new fit with --consistent")
     assert told.value.value.startswith("Off1@r")
     a, b = (ParameterSet.of_file(free, label) for label in ("a", "b"))
     rows = differences(a, b)

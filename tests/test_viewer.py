@@ -181,7 +181,7 @@ def test_every_panel_of_the_layout_has_data_and_all_data_a_panel(case, written):
 
 def numbers_of(file):
     """The table of the plots' numbers, by joint and heading."""
-    text = file.static["/report"]["TextDocument:text"][0].split("## numbers of the plots\n")[1].strip()
+    text = file.static["/report"]["TextDocument:text"][0].split("## figures of the plots\n")[1].strip()
     heads, _, *rows = (
         [cell.strip() for cell in line.strip("| ").split(" | ")] for line in text.split("\n\n")[0].splitlines()
     )
@@ -385,7 +385,7 @@ def test_long_curves_are_bounded_and_lose_no_peak(written, tmp_path):
     step = -(-25_000 // BUCKETS)
     assert all(len(t) <= 2 * BUCKETS + step for t, _ in file.curves.values())
     assert (tmp_path / "fit.rrd").stat().st_size < 4e6
-    assert f"of every {step} samples" in file.static["/report"]["TextDocument:text"][0]
+    assert f"every {step} samples" in file.static["/report"]["TextDocument:text"][0]
 
 
 def test_a_raw_derivative_that_drowns_the_filtered_one_waits_for_a_click(written):

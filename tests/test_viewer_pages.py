@@ -221,7 +221,7 @@ def test_phases_events_and_counters_of_a_session_are_shown(tmp_path):
     assert lines[0] == (0.0, False, "-3.000 s  phase: configure (before the samples)")
     assert lines[3] == (1.0, True, "1.000 s  fault: drive 2: following error")
     plot = health_plot(signals)
-    assert plot.title == "counted: late 3"
+    assert plot.title == "fault counters: late 3"
     assert "- recorder: frames 9900, late 3\n" in file.static["/report"]["TextDocument:text"][0]
     ((late, counts),) = [c.line for c in plot.curves]
     np.testing.assert_allclose(late, [0.0, 0.0, 1.0, 2.0, end_s])

@@ -1,8 +1,8 @@
-"""A fit as a model for simulators, URDF, MJCF and robot.toml, with what each cannot say; a description from a URDF."""
+"""Export a fit as URDF, MJCF and robot.toml, and report what each cannot represent; make a description from a URDF."""
 
 from .chain import Chain, is_urdf, read_chain
 from .description import FILL_IN, describe, robot_of_chain
+from .exported_model import split_parameters
 from .exporting import export_model, write_models
 from .formats import make_urdf
-from .mechanism import mechanism_of
 from .stored_model import distrust, model_of_fit

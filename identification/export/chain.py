@@ -1,7 +1,4 @@
-"""The joints of a URDF that are identified: the longest serial chain, or those named; all others stay locked at zero.
-
-What is wrong with a URDF is an `IdentificationError` of one line with file, element, value, and what was expected.
-"""
+"""Read the joints of a URDF to identify: the longest serial chain, or the joints named; the others stay locked at zero."""
 
 import math
 import re
@@ -18,18 +15,18 @@ from acquisition.errors import listed
 from ..errors import IdentificationError
 
 INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-_ENDINGS = (".urdf", ".xacro", ".xml")
+_SUFFIXES = (".urdf", ".xacro", ".xml")
 _MOVABLE = ("revolute", "continuous", "prismatic")
 _TYPES = (*_MOVABLE, "fixed", "floating", "planar")
-_NAME = re.compile(r"[A-Za-z0-9_.\- ]{1,64}")  # of a joint in robot.toml
-_ROUNDING = 1e-6  # of the largest principal moment: CAD programs write few digits
+_JOINT_NAME = re.compile(r"[A-Za-z0-9_.\- ]{1,64}")  # as in robot.toml
+_MAX_ROUNDING = 1e-6  # relative to the largest principal moment: CAD programs write few digits
 _NUMBERS = {
     "speed": ("limit", "velocity"),
     "effort": ("limit", "effort"),
     "damping": ("dynamics", "damping"),
     "friction": ("dynamics", "friction"),
 }
-_OF_OPTIONS = {
+_OPTION_FIELDS = {
     "--range": "position",
     "--speed": "speed",
     "--acceleration": "acceleration",
@@ -39,9 +36,9 @@ _OF_OPTIONS = {
 
 @dataclass(frozen=True, kw_only=True)
 class UrdfJoint:
-    """A joint of the chain, SI: rad or m, N m or N. What is not stated is None; damping and friction are 0 then.
+    """A joint of the chain, SI: rad or m, N m or N. Missing values are None; missing damping and friction are 0.
 
-    A URDF states no acceleration and no following error: these come from options.
+    Acceleration and following error come from options: a URDF has none.
     """
 
     name: str
@@ -57,21 +54,21 @@ class UrdfJoint:
 
     @property
     def unit(self) -> str:
-        """`rad` or `m`."""
+        """Of the position."""
         return "m" if self.type == "prismatic" else "rad"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Chain:
-    """What a URDF, the file `place`, and its options say of the robot that is identified.
+    """The robot to identify, from the URDF `place` and its options.
 
     Attributes:
-        name: of the robot, as robot.toml takes it.
-        joints: those identified, from the base outwards; the number of a joint is its place here.
-        locked: the other movable joints, which stay at zero, each with its type and what it mimics.
-        rigid: by joint of the chain, the links that move with it as one body.
-        notes: links whose inertials no body has, though none of their numbers is negative.
-        bandwidth_hz: of the position loops; no URDF states it.
+        name: of the robot, valid in robot.toml.
+        joints: joints to identify, numbered from the base outwards.
+        locked: the other movable joints, fixed at zero, each with its type and the joint it mimics.
+        rigid: for each joint of the chain, the links that move with it as one body.
+        notes: links whose inertia is impossible for a rigid body, though its numbers are not negative.
+        bandwidth_hz: of the position loops; not part of a URDF.
     """
 
     place: str
@@ -84,86 +81,86 @@ class Chain:
     bandwidth_hz: float | None = None
 
     def with_options(self, options: Mapping[str, Sequence[float]]) -> "Chain":
-        """The chain with what options state, in rad or m (per s, s²) and Hz: one value for all joints, or one for each.
+        """Apply options in rad or m (per s, s²) and Hz: one value for all joints, or one for each.
 
-        `--range` is to each side of zero. Where the URDF has a range or a speed too, the smaller holds, and of several
-        `--bandwidth-hz` the lowest. Raises `IdentificationError`: a wrong number of values, a range outside the URDF's.
+        `--range` is ± about zero. The URDF's range and speed still apply; of several `--bandwidth-hz` the lowest is used.
+        Raises `IdentificationError`: a wrong number of values, a range outside the URDF's.
         """
         joints = list(self.joints)
         for option, values in options.items():
             _check_count(self, option, values)
-            for j, joint in enumerate(joints if option in _OF_OPTIONS else ()):
+            for j, joint in enumerate(joints if option in _OPTION_FIELDS else ()):
                 value: Any = values[j % len(values)]
                 if option == "--range":
-                    value = _narrowed(joint, value, self.place)
+                    value = _intersect_range(joint, value, self.place)
                 elif option == "--speed":
                     value = min(joint.speed or value, value)
-                joints[j] = replace(joint, **{_OF_OPTIONS[option]: value})
+                joints[j] = replace(joint, **{_OPTION_FIELDS[option]: value})
         return replace(self, joints=tuple(joints), bandwidth_hz=min(options.get("--bandwidth-hz", ()), default=None))
 
 
 def _check_count(chain: Chain, option: str, values: Sequence[float]) -> None:
     n, kinds = len(chain.joints), {joint.type for joint in chain.joints}
     if len(values) not in (1, n):
-        expected, shown = f"one, or {n}: of {', '.join(joint.name for joint in chain.joints)}", f"{len(values)} values"
+        expected, shown = f"one, or {n} for {', '.join(joint.name for joint in chain.joints)}", f"{len(values)} values"
         raise IdentificationError(place=chain.place, key=option, value=values, shown=shown, expected=expected)
-    if len(values) < n and len(kinds) > 1 and option in _OF_OPTIONS:
-        expected = f"{n} values: some joints count in rad, others in m"
+    if len(values) < n and len(kinds) > 1 and option in _OPTION_FIELDS:
+        expected = f"{n} values: some joints are in rad, others in m"
         raise IdentificationError(place=chain.place, key=option, value=values[0], expected=expected)
 
 
-def _narrowed(joint: UrdfJoint, side: float, place: str) -> tuple[float, float]:
+def _intersect_range(joint: UrdfJoint, side: float, place: str) -> tuple[float, float]:
     low, high = joint.position or (-side, side)
     narrowed = max(low, -side), min(high, side)
     if not narrowed[0] < narrowed[1]:
-        expected = f"a range that reaches into the URDF's, {low:g} to {high:g} {joint.unit}"
+        expected = f"a range that overlaps the URDF's, {low:g} to {high:g} {joint.unit}"
         raise IdentificationError(place=f"{place}: joint {joint.name!r}", key="--range", value=side, expected=expected)
     return narrowed
 
 
 def is_urdf(path: Path) -> bool:
-    """Whether a file is taken for a URDF: by its ending, .urdf, .xacro or .xml."""
-    return path.suffix.lower() in _ENDINGS
+    """Whether the file name ends in .urdf, .xacro or .xml."""
+    return path.suffix.lower() in _SUFFIXES
 
 
 def read_chain(path: Path, names: Sequence[str] = ()) -> Chain:
-    """Read a URDF, with the limits, damping and friction that it states.
+    """Read a URDF with its limits, damping and friction.
 
     `names` are the joints to identify, from the base outwards; by default those of the longest serial chain. Raises
-    `IdentificationError`: not a URDF, not one tree, joints that no chain can have, two chains of one length, numbers that are
-    none, limits upside down, negative masses or inertias.
+    `IdentificationError`: not a URDF, not one tree, floating or planar joints, two chains of equal length, invalid numbers,
+    reversed limits, negative masses or inertias.
     """
     try:
         text = path.read_bytes()
     except OSError as error:
         raise IdentificationError(f"cannot be read: {error.strerror}", place=str(path)) from error
     tree = _Tree(text, str(path))
-    chain = _named(tree, names) if names else _longest(tree)
+    chain = _check_names(tree, names) if names else _find_longest(tree)
     for name in dict.fromkeys(joint for last in chain for joint in tree.path(last)):
         kind = tree.joints[name].get("type")
         if kind in ("floating", "planar"):
             at = f"{path}: joint {name!r}, between the base and joint {chain[-1]!r}"
-            expected = "fixed, revolute, continuous or prismatic joints below a base that stands still"
+            expected = "fixed, revolute, continuous or prismatic joints on a fixed base"
             raise IdentificationError(place=at, key="type", value=kind, expected=expected)
     rigid: dict[str, list[str]] = {name: [] for name in chain}
     for link in tree.links:
         carried = [joint for joint in tree.path(tree.above.get(link)) if joint in rigid]
-        if carried:  # by the last of these, and by no later joint of the chain
+        if carried:  # a link moves with the last joint of the chain below it
             rigid[carried[-1]].append(link)
     others = [name for name, joint in tree.joints.items() if name not in chain and joint.get("type") != "fixed"]
     return Chain(
         place=str(path),
         name="".join(c if c.isascii() and (c.isalnum() or c in "_.- ") else "_" for c in tree.name)[:64] or "robot",
         text=text,
-        joints=tuple(_joint(tree, name) for name in chain),
-        locked=tuple(_locked(tree, name) for name in others),
+        joints=tuple(_read_joint(tree, name) for name in chain),
+        locked=tuple(_describe_locked(tree, name) for name in others),
         rigid=tuple(tuple(links) for links in rigid.values()),
         notes=_check_inertials(tree, [link for links in rigid.values() for link in links]),
     )
 
 
 class _Tree:
-    """A URDF whose joints make one tree of its links: their elements by name, and `above` a link the joint that carries it."""
+    """A URDF that is one tree: its links and joints by name, and `above`, the joint that carries each link."""
 
     def __init__(self, text: bytes, place: str) -> None:
         try:
@@ -184,10 +181,10 @@ class _Tree:
             self.above[_end(joint, "child")] = name
         roots = [link for link in self.links if link not in self.above]
         if len(roots) != 1:
-            problem = f"{len(roots)} root links: {listed(roots)}" if roots else "no root link: its joints make a ring"
-            raise IdentificationError(problem, place=place, expected="one link that no joint carries, the base")
-        if ring := [link for link in self.links if len(self.path(self.above.get(link))) > len(self.joints)]:
-            problem = f"links {listed(ring)} are in a ring of joints"
+            problem = f"{len(roots)} root links: {listed(roots)}" if roots else "no root link: its joints form a loop"
+            raise IdentificationError(problem, place=place, expected="one base link, which is no joint's child")
+        if loop := [link for link in self.links if len(self.path(self.above.get(link))) > len(self.joints)]:
+            problem = f"links {listed(loop)} are in a loop of joints"
             raise IdentificationError(problem, place=place, expected="a tree below one base link")
 
     def _check_joint(self, name: str, joint: ET.Element) -> None:
@@ -200,44 +197,44 @@ class _Tree:
                 raise IdentificationError(place=at, key=tag, value=value, expected=expected)
         child = _end(joint, "child")
         if child in self.above:
-            expected = f"one joint above each link; {self.above[child]!r} is above this one too"
+            expected = f"one parent joint per link; {self.above[child]!r} is another of this one"
             raise IdentificationError(place=at, key="child", value=child, expected=expected)
 
     def path(self, joint: str | None) -> list[str]:
-        """The joints from the root to `joint`, in this order, itself included; more than there are in a ring."""
-        found: list[str] = []
-        while joint is not None and len(found) <= len(self.joints):
-            found.append(joint)
+        """The joints from the root to `joint`, including it; more than the URDF has if they form a loop."""
+        path: list[str] = []
+        while joint is not None and len(path) <= len(self.joints):
+            path.append(joint)
             joint = self.above.get(_end(self.joints[joint], "parent"))
-        return found[::-1]
+        return path[::-1]
 
     @property
     def movable(self) -> list[str]:
-        """The joints that can move on their own: revolute, continuous, prismatic, not mimicking another."""
+        """Revolute, continuous and prismatic joints that mimic no other joint."""
         return [name for name, j in self.joints.items() if j.get("type") in _MOVABLE and j.find("mimic") is None]
 
 
 def _by_name(robot: ET.Element, tag: str, place: str) -> dict[str, ET.Element]:
-    found: dict[str, ET.Element] = {}
+    elements: dict[str, ET.Element] = {}
     for i, element in enumerate(robot.findall(tag)):
         name = element.get("name")
-        if not name or name in found:
+        if not name or name in elements:
             where, expected = f"{place}: {tag} {i + 1}", "a name not used before" if name else "a name"
             raise IdentificationError(place=where, key="name", value=name or None, expected=expected)
-        found[name] = element
-    if not found:
+        elements[name] = element
+    if not elements:
         raise IdentificationError(f"has no {tag}", place=place, expected="links, and joints between them")
-    return found
+    return elements
 
 
 def _end(joint: ET.Element, tag: str) -> str:
-    """The link at one end of a joint, `parent` or `child`; empty where none is named."""
+    """The `parent` or `child` link of a joint; empty if missing."""
     return _text(joint, tag, "link") or ""
 
 
 def _text(element: ET.Element, tag: str, name: str) -> str | None:
-    found = element.find(tag)
-    return None if found is None else found.get(name)
+    child = element.find(tag)
+    return None if child is None else child.get(name)
 
 
 def _number(text: str | None, place: str, key: str) -> float:
@@ -250,7 +247,7 @@ def _number(text: str | None, place: str, key: str) -> float:
     return value
 
 
-def _longest(tree: _Tree) -> list[str]:
+def _find_longest(tree: _Tree) -> list[str]:
     free = set(tree.movable)
     if not free:
         expected = f"joints of the types {', '.join(_MOVABLE)}"
@@ -259,27 +256,27 @@ def _longest(tree: _Tree) -> list[str]:
     most = max(map(len, chains.values()))
     last = [name for name, chain in chains.items() if len(chain) == most]
     if len(last) > 1:
-        problem = f"{len(last)} chains of {most} joints each: they end at {listed(last)}"
-        raise IdentificationError(problem, place=tree.place, expected="--joints with the names of those of one")
+        problem = f"{len(last)} chains of {most} joints each, which end at {listed(last)}"
+        raise IdentificationError(problem, place=tree.place, expected="--joints with the joints of one chain")
     return chains[last[0]]
 
 
-def _named(tree: _Tree, names: Sequence[str]) -> list[str]:
+def _check_names(tree: _Tree, names: Sequence[str]) -> list[str]:
     for i, name in enumerate(names):
         if name not in tree.movable or name in names[:i]:
-            expected = f"each once, of {listed(tree.movable)}"
+            expected = f"one of {listed(tree.movable)}, each once"
             raise IdentificationError(place=tree.place, key="--joints", value=name, expected=expected)
     return list(names)
 
 
-def _locked(tree: _Tree, name: str) -> str:
+def _describe_locked(tree: _Tree, name: str) -> str:
     joint = tree.joints[name]
     mimicked = f", mimics {_text(joint, 'mimic', 'joint')}" if joint.find("mimic") is not None else ""
     return f"{name}: {joint.get('type')}{mimicked}"
 
 
-def _joint(tree: _Tree, name: str) -> UrdfJoint:
-    if not _NAME.fullmatch(name):
+def _read_joint(tree: _Tree, name: str) -> UrdfJoint:
+    if not _JOINT_NAME.fullmatch(name):
         expected = "1 to 64 letters, digits, spaces, and _ . -, as in robot.toml"
         raise IdentificationError(place=tree.place, key="name of a joint", value=name, expected=expected)
     joint, at = tree.joints[name], f"{tree.place}: joint {name!r}"
@@ -299,7 +296,7 @@ def _joint(tree: _Tree, name: str) -> UrdfJoint:
         name=name,
         type="prismatic" if kind == "prismatic" else "revolute",
         child=_end(joint, "child"),
-        # Equal limits are those of a URDF that states none: 0 is the default of both.
+        # Equal limits mean no limits: 0 is the default of both.
         position=None if kind == "continuous" or low == high else (low, high),
         speed=numbers["speed"] or None,
         effort=numbers["effort"] or None,
@@ -309,7 +306,7 @@ def _joint(tree: _Tree, name: str) -> UrdfJoint:
 
 
 def _check_inertials(tree: _Tree, links: Sequence[str]) -> tuple[str, ...]:
-    """Notes on principal moments that break the triangle inequality: no body has them, but they can be simulated."""
+    """Notes on principal moments that violate the triangle inequality: impossible, but they can be simulated."""
     notes = []
     for link in links:
         inertial, at = tree.links[link].find("inertial"), f"{tree.place}: link {link!r}"
@@ -321,10 +318,10 @@ def _check_inertials(tree: _Tree, links: Sequence[str]) -> tuple[str, ...]:
         matrix = np.zeros((3, 3))
         matrix[np.triu_indices(3)] = [_number(_text(inertial, "inertia", k), at, f"inertia {k}") for k in INERTIA]
         moments = np.linalg.eigvalsh(matrix, UPLO="U")
-        slack, shown = _ROUNDING * np.abs(moments).max(), ", ".join(f"{x:.4g}" for x in moments)
+        slack, shown = _MAX_ROUNDING * np.abs(moments).max(), ", ".join(f"{x:.4g}" for x in moments)
         if moments[0] < -slack:
             key, expected = "principal moments", "none below zero, kg m²"
             raise IdentificationError(place=at, key=key, value=moments.tolist(), shown=shown, expected=expected)
         if moments[2] > moments[0] + moments[1] + slack:
-            notes.append(f"link {link}: principal moments {shown} kg m²: no body has one above the sum of the others")
+            notes.append(f"link {link}: principal moments {shown} kg m²: impossible, one exceeds the sum of the others")
     return tuple(notes)

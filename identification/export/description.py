@@ -1,4 +1,4 @@
-"""The description that a URDF and its options make: the text of a robot.toml, and the robot that this text means."""
+"""Make a description from a URDF and its options: the text of a robot.toml, and the robot it describes."""
 
 import json
 import math
@@ -13,24 +13,25 @@ from ..model import LINK, InverseModel
 from .chain import Chain, UrdfJoint
 
 FILL_IN = "FILL IN"
-_EXAMPLE = "#: "  # before each line of an example on simulated drives, with which a dry run moves the robot
-_EFFORT, _SPEED = 100.0, 3.0  # of the example where the URDF states none
-_SHARE, _RISE_S = 0.02, 0.2  # of the effort: what friction takes, and what brings the rotor to full speed in this time
-_COUNTS, _RATED_SHARE = 1_000_000, 0.5  # of the example's drives: per turn or m; rated effort over the largest
-_ROUNDING = 1e-14  # kg m² and smaller: what the sums of a lumped link leave of zero
-_NEEDED = {
-    "position": "--range ({}, to each side of zero)",
+_EXAMPLE = "#: "  # starts each line of the example for dry runs with simulated drives
+_DEFAULT_EFFORT, _DEFAULT_SPEED = 100.0, 3.0  # of the example, if the URDF has none
+_EFFORT_SHARE, _RISE_S = 0.02, 0.2  # of the effort: for friction, and to bring the rotor to full speed in this time
+_COUNTS, _RATED_SHARE = 1_000_000, 0.5  # of the example's drives: per turn or m; rated over maximum effort
+_MAX_ROUNDING = 1e-14  # SI: rounding in the sums of a lumped link
+# Needed by a robot that moves.
+_OPTIONS_TO_MOVE = {
+    "position": "--range ({}, ± about zero)",
     "speed": "--speed ({}/s)",
     "acceleration": "--acceleration ({}/s²)",
-}  # by a robot that moves, with units
+}
 
 
 def robot_of_chain(chain: Chain, *, moves: bool = False) -> Robot:
-    """The robot of the description that `init` writes, with its URDF and what options state.
+    """The robot of the description that `init` writes, with its URDF.
 
-    Where it `moves` and a limit or the bandwidth is not stated, an `IdentificationError` names the joint and the option.
+    Raises `IdentificationError` with joint and option: it `moves`, and a limit or the bandwidth is missing.
     """
-    for key, option in _NEEDED.items() if moves else ():
+    for key, option in _OPTIONS_TO_MOVE.items() if moves else ():
         for joint in chain.joints:
             if getattr(joint, key) is None:
                 place = f"{chain.place}: joint {joint.name!r}"
@@ -38,41 +39,41 @@ def robot_of_chain(chain: Chain, *, moves: bool = False) -> Robot:
                 raise IdentificationError(place=place, key=key, value=None, expected=expected)
     if moves and chain.bandwidth_hz is None:
         place = f"{chain.place}: joint {chain.joints[0].name!r} and all others"
-        expected = "--bandwidth-hz, of the position loops"
+        expected = "--bandwidth-hz of the position loops"
         raise IdentificationError(place=place, key="bandwidth", value=None, expected=expected)
-    return _robot(describe(chain, "robot.urdf"), chain)
+    return _load_robot(describe(chain, "robot.urdf"), chain)
 
 
 def describe(chain: Chain, urdf: str) -> str:
-    """The text of the robot.toml of a chain: a comment says `FILL IN` wherever the URDF and the options state nothing.
+    """The text of the robot.toml of a chain; comments with `FILL IN` mark what URDF and options leave open.
 
-    It loads as it stands. `urdf` is the path from its folder. `[parameters]` has the links' inertials, links that are fixed or
-    locked lumped into the link that carries them, in the frames of `InverseModel`; damping as Fv and friction as Fc. An
-    `IdentificationError` for a URDF that does not load, and for joints that move no mass.
+    The text loads without changes. `urdf` is the path relative to its folder. `[parameters]` has the links' inertials in the
+    frames of `InverseModel`, fixed and locked links lumped into their carrier; damping as Fv and friction as Fc.
+    Raises `IdentificationError`: a URDF that does not load, a joint that moves no mass.
     """
     head = "\n".join([*_head(chain, urdf), *(line for j in range(len(chain.joints)) for line in _joint(chain, j))])
     head += "\n".join(_motors_and_controller(chain))
-    drives = [f"# {FILL_IN}: the drives. For the real ones every number here is another one."]
+    drives = [f"# {FILL_IN}: the drives. Replace every number by those of the real drives."]
     drives += [_EXAMPLE + line for line in _drives(chain)]
-    return "\n".join([head, *_parameters(chain, _robot(head, chain)), "", *drives, ""])
+    return "\n".join([head, *_parameters(chain, _load_robot(head, chain)), "", *drives, ""])
 
 
-def _robot(text: str, chain: Chain) -> Robot:
+def _load_robot(text: str, chain: Chain) -> Robot:
     robot = robot_from_files({"robot.toml": text.encode(), "robot.urdf": chain.text}, chain.place)
     return replace(robot, name=chain.name)
 
 
 def _head(chain: Chain, urdf: str) -> Iterator[str]:
-    yield f"# Made by robot-identify init from {one_line(urdf)}. {FILL_IN} marks what a URDF does not say."
-    yield "# Angles are in degrees, all else is in SI."
-    yield f"# Lines that begin with {_EXAMPLE.strip()} are an example for dry runs; sed -i 's/^{_EXAMPLE}//' takes it."
+    yield f"# Made by robot-identify init from {one_line(urdf)}. {FILL_IN} marks what is not in a URDF."
+    yield "# Angles are in degrees, all other values in SI."
+    yield f"# Lines that begin with {_EXAMPLE.strip()} are an example for dry runs; sed -i 's/^{_EXAMPLE}//' enables it."
     yield f"name = {json.dumps(chain.name)}"
-    yield f"urdf = {json.dumps(urdf, ensure_ascii=False)} # from the folder of this file"
-    yield "# urdf_meshes = true # recordings then carry the meshes, and the robot is drawn by them on any machine"
-    yield "gravity_m_s2 = [0, 0, -9.81] # in the frame of the URDF's base; another one for a robot that hangs or is tilted"
+    yield f"urdf = {json.dumps(urdf, ensure_ascii=False)} # relative to this file"
+    yield "# urdf_meshes = true # store the meshes in recordings, to draw the robot on any machine"
+    yield "gravity_m_s2 = [0, 0, -9.81] # in the URDF's base frame; change it for a robot that hangs or is tilted"
     if chain.locked:
         yield ""
-        yield "# Locked at zero, each part of the link that carries it:"
+        yield "# Locked at zero, each as a part of the link that carries it:"
         yield from (f"#     {one_line(text)}" for text in chain.locked)
     yield from (f"# note: {one_line(note)}" for note in chain.notes)
 
@@ -84,12 +85,12 @@ def _joint(chain: Chain, j: int) -> Iterator[str]:
     yield f"name = {json.dumps(joint.name)}"
     yield f'type = "{joint.type}"'
     length, scale = ("m", 1.0) if joint.type == "prismatic" else ("deg", math.degrees(1.0))
-    moves = "no URDF states it; needed to move"
+    to_move = "not in a URDF; needed to move"
     for key, value, remark in (
-        (f"position_{length}", joint.position, "the URDF states no range"),
-        (f"speed_{length}_s", joint.speed, "the URDF states no speed"),
-        (f"acceleration_{length}_s2", joint.acceleration, moves),
-        (f"following_error_{length}", joint.following_error, moves),
+        (f"position_{length}", joint.position, "the URDF has no range"),
+        (f"speed_{length}_s", joint.speed, "the URDF has no speed"),
+        (f"acceleration_{length}_s2", joint.acceleration, to_move),
+        (f"following_error_{length}", joint.following_error, to_move),
     ):
         if isinstance(value, tuple):
             yield f"{key} = [{', '.join(_number(x * scale) for x in value)}]"
@@ -99,7 +100,7 @@ def _joint(chain: Chain, j: int) -> Iterator[str]:
             yield f"# {key} = {'[LOWEST, HIGHEST]' if remark.endswith('range') else '...'} # {FILL_IN}: {remark}"
     key = "effort_n" if joint.type == "prismatic" else "effort_nm"
     if joint.effort is None:
-        yield f"# {key} = ... # {FILL_IN}: the URDF states no effort; without it torques are checked against the drives alone"
+        yield f"# {key} = ... # {FILL_IN}: the URDF has no effort; without it torques are checked against the drives only"
     else:
         yield f"{key} = {_number(joint.effort)} # at the joint"
 
@@ -114,7 +115,7 @@ def _motors_and_controller(chain: Chain) -> Iterator[str]:
     yield f"# {FILL_IN}: for each motor"
     yield "#     ratio = 100               motor rad (or m) per joint rad (or m), sign included"
     yield '#     drive_gain = 0.12         motor torque per unit of recorded effort, with drive_gain_unit = "N m/A"'
-    yield "# in place of effort_unit. As they stand here, the drives record the torque or force of the joint itself."
+    yield "# instead of effort_unit. As written here, the drives record the torque or force at the joint."
     for j, joint in enumerate(chain.joints):
         yield "[[motor]]"
         yield f'name = "motor_{j + 1}"'
@@ -122,10 +123,10 @@ def _motors_and_controller(chain: Chain) -> Iterator[str]:
     yield ""
     yield "[controller]"
     if chain.bandwidth_hz is None:
-        yield f"# bandwidth_hz = ... # {FILL_IN}: of the position loop; filters follow from it, and fits need it"
+        yield f"# bandwidth_hz = ... # {FILL_IN}: of the position loop; sets the filters, fits need it"
     else:
-        yield f"bandwidth_hz = {_number(chain.bandwidth_hz)} # of the position loop; filters follow from it"
-    yield f"# {FILL_IN}, for fits by iv and honest simulations: the control law of the drives, in recorded effort per motor rad"
+        yield f"bandwidth_hz = {_number(chain.bandwidth_hz)} # of the position loop; sets the filters"
+    yield f"# {FILL_IN}, for iv fits and realistic simulations: the drives' control law, in recorded effort per motor rad"
     yield '# structure = "cascade_p_pi" # or pd, pd_velocity_feedforward, cascade_p_p, pid, computed_torque'
     yield "# sample_rate_hz = 1000"
     for gain in ("position_gain", "velocity_gain", "integral_gain"):
@@ -133,13 +134,13 @@ def _motors_and_controller(chain: Chain) -> Iterator[str]:
 
 
 def _parameters(chain: Chain, robot: Robot) -> Iterator[str]:
-    """A-priori values: the links' inertials as pinocchio lumps them, in Khalil's names."""
+    """A-priori values: the links' inertials as pinocchio lumps them, with Khalil's names."""
     model = InverseModel(robot)
     values = model.link_parameters()
     yield ""
     yield "# A-priori values: the URDF's inertials about the joints' frames (fixed and locked links lumped), its damping and"
-    yield "# friction. Simulations move the robot by them; a fit does not use them."
-    yield f"# {FILL_IN}: rotor inertias, which no URDF states, and frictions that this one does not; they are 0 without."
+    yield "# friction. Simulations use them; a fit does not."
+    yield f"# {FILL_IN}: rotor inertias, which are not in a URDF, and missing friction; without values they are 0."
     yield "[parameters]"
     for j, joint in enumerate(chain.joints):
         mass = values[j, LINK.index("M")]
@@ -152,23 +153,23 @@ def _parameters(chain: Chain, robot: Robot) -> Iterator[str]:
             )
         yield f"# {one_line(', '.join(chain.rigid[j][:8]))}{' ...' if len(chain.rigid[j]) > 8 else ''}"
         for name, value in (*zip(LINK, values[j], strict=True), ("Fv", joint.damping), ("Fc", joint.friction)):
-            if abs(value) > _ROUNDING:
+            if abs(value) > _MAX_ROUNDING:
                 yield f"{name}{j + 1} = {value:.15g}"
         yield from _example_terms(joint, j + 1)
 
 
 def _example_terms(joint: UrdfJoint, number: int) -> Iterator[str]:
-    """What a URDF does not state of a joint, of the size that its effort and speed let expect."""
-    effort, speed = joint.effort or _EFFORT, joint.speed or _SPEED
-    yield f"{_EXAMPLE}Ia{number} = {_SHARE * effort / (speed / _RISE_S):.3g}"
+    """Example values that the URDF does not have, scaled by the joint's effort and speed."""
+    effort, speed = joint.effort or _DEFAULT_EFFORT, joint.speed or _DEFAULT_SPEED
+    yield f"{_EXAMPLE}Ia{number} = {_EFFORT_SHARE * effort / (speed / _RISE_S):.3g}"
     if not joint.damping:
-        yield f"{_EXAMPLE}Fv{number} = {_SHARE * effort / speed:.3g}"
+        yield f"{_EXAMPLE}Fv{number} = {_EFFORT_SHARE * effort / speed:.3g}"
     if not joint.friction:
-        yield f"{_EXAMPLE}Fc{number} = {_SHARE * effort:.3g}"
+        yield f"{_EXAMPLE}Fc{number} = {_EFFORT_SHARE * effort:.3g}"
 
 
 def _drives(chain: Chain) -> Iterator[str]:
-    """The example of drives, without the marks of its lines."""
+    """The example drives, without the marks of its lines."""
     yield "[bus]"
     yield 'interface = "virtual" # or "socketcan"'
     yield 'channel = "made_up"'
@@ -176,9 +177,9 @@ def _drives(chain: Chain) -> Iterator[str]:
     for j, joint in enumerate(chain.joints):
         yield "[[bus.drive]]"
         yield f"node = {j + 1}"
-        yield 'reference = "6074" # its target torque or force'
+        yield 'reference = "6074" # target torque or force'
         if joint.type == "prismatic":
             yield 'reference_rule = "per mille of rated force"'
         rated, counts = ("force_n", "m") if joint.type == "prismatic" else ("torque_nm", "turn")
-        yield f"rated_{rated} = {_number(_RATED_SHARE * (joint.effort or _EFFORT))}"
+        yield f"rated_{rated} = {_number(_RATED_SHARE * (joint.effort or _DEFAULT_EFFORT))}"
         yield f"counts_per_{counts} = {_COUNTS}"

@@ -1,4 +1,4 @@
-"""Models in the formats asked for, built before anything is written, and a report on what each cannot represent."""
+"""Build models in the requested formats before writing any, and report what each cannot represent."""
 
 import os
 import re
@@ -15,25 +15,25 @@ from acquisition.files import atomic_write, text_of
 
 from ..errors import IdentificationError
 from ..report import Cell, Document, Number, Section, Table, columns
+from .exported_model import STATES, ExportedModel, Losses, representable
 from .formats import mjcf_text, urdf_text
-from .mechanism import STATES, Losses, Mechanism, representable
 
-URDF_GRAVITY = (0.0, 0.0, -9.81)  # what readers of a URDF take, which does not say it
-SOFT = "MuJoCo's friction loss is a soft constraint: it is dry friction where a joint moves, and creeps where it nearly stands"
-_HEADER = re.compile(r"[ \t]*\[[ \t]*(?:parameters|\"parameters\"|'parameters')[ \t]*\][ \t]*(?:#.*)?")
-_NEXT = re.compile(r"[ \t]*\[")
-_INLINE = re.compile(r"[ \t]*parameters[ \t]*[.=]")
+URDF_GRAVITY = (0.0, 0.0, -9.81)  # the default of URDF readers: a URDF has no gravity
+SOFT_FRICTION = "MuJoCo's frictionloss is a soft constraint: a moving joint has dry friction, a joint near rest creeps"
+_TABLE_HEADER = re.compile(r"[ \t]*\[[ \t]*(?:parameters|\"parameters\"|'parameters')[ \t]*\][ \t]*(?:#.*)?")
+_ANY_HEADER = re.compile(r"[ \t]*\[")
+_INLINE_TABLE = re.compile(r"[ \t]*parameters[ \t]*[.=]")
 
 
 def write_models(texts: Mapping[Path, str]) -> None:
-    """Write all files; if one of them cannot be written, none is begun under its own name."""
+    """Write all files; if one cannot be written, none gets its final name."""
     with ExitStack() as stack:
         for path, text in texts.items():
             stack.enter_context(atomic_write(path)).write_text(text, encoding="utf-8")
 
 
 def export_model(
-    m: Mechanism,
+    m: ExportedModel,
     source: str,
     *,
     urdf: Path | None = None,
@@ -41,10 +41,10 @@ def export_model(
     toml: Path | None = None,
     lines: tuple[str, ...] = (),
 ) -> tuple[dict[Path, str], Document]:
-    """The model of a fit in the formats asked for.
+    """Convert a model to the requested formats.
 
-    `source` names the fit, and `lines` say where its values are from. Returns texts by the path that they are written to, and
-    the report on them. Raises `IdentificationError`: where a description cannot be patched.
+    `source` names the fit; `lines` state the origin of its values. Returns the text for each path, and a report. Raises
+    `IdentificationError`: the description cannot be patched.
     """
     robot, texts, sections = m.model.robot, dict[Path, str](), [Section(lines=lines)]
     if urdf is not None:
@@ -52,37 +52,36 @@ def export_model(
         texts[urdf], notes = urdf_text(represented)
         if tuple(robot.gravity) != URDF_GRAVITY:
             gravity = " ".join(f"{g:g}" for g in robot.gravity)
-            notes += (f"gravity is {gravity} m/s²: a URDF does not say it, set it where it is used",)
-        sections.append(_section(m, f"{urdf}", "a URDF", losses, notes))
+            notes += (f"gravity is {gravity} m/s²: not in a URDF, set it in the simulator",)
+        sections.append(_make_section(m, f"{urdf}", "a URDF", losses, notes))
     if mjcf is not None:
         represented, losses = representable(m, rotors=True, couplings=True)
         texts[mjcf] = mjcf_text(represented)
-        sections.append(_section(m, f"{mjcf}", "an MJCF", losses, (SOFT,) if m.frictionloss.any() else ()))
+        notes = (SOFT_FRICTION,) if m.frictionloss.any() else ()
+        sections.append(_make_section(m, f"{mjcf}", "an MJCF", losses, notes))
     if toml is not None:
-        texts[toml], notes = _robot_toml(m, toml, urdf, source)
-        sections.append(Section(title=f"{toml}: [parameters], nothing is lost", lines=notes))
+        texts[toml], notes = _make_toml(m, toml, urdf, source)
+        sections.append(Section(title=f"{toml}: [parameters], complete", lines=notes))
     return texts, Document(title=f"{robot.name}: model of {source}", sections=tuple(sections))
 
 
-def _section(m: Mechanism, title: str, format_: str, losses: Losses, notes: tuple[str, ...]) -> Section:
-    """What a format cannot say, joint by joint."""
+def _make_section(m: ExportedModel, title: str, format_: str, losses: Losses, notes: tuple[str, ...]) -> Section:
+    """The losses of a format for each joint."""
     if not losses:
-        return Section(title=f"{title}: nothing is lost", lines=notes)
+        return Section(title=f"{title}: complete", lines=notes)
     robot, rows = m.model.robot, list[tuple[Cell, ...]]()
     for what, (rms, percent) in losses.items():
         for k, j in enumerate(np.flatnonzero(rms)):
             numbers = Number(float(rms[j]), ".4g"), robot.effort_units[j], Number(float(percent[j]), ".2f")
             rows.append(("" if k else what, robot.joints[j].name, *numbers))
-    heads = columns(f"what {format_} cannot say", "joint", numbers=("rms of the torque",))
+    heads = columns(f"not representable in {format_}", "joint", numbers=("rms torque",))
     table = Table(columns=heads + columns("unit", numbers=("in %",)), rows=tuple(rows))
-    line = (
-        f"torque that is missing at {STATES} random states within the limits of the description, and in percent of it"
-    )
+    line = f"missing torque at {STATES} random states within the description's limits; in %: of the whole torque"
     return Section(title=title, table=table, lines=(line, *notes))
 
 
-def _robot_toml(m: Mechanism, toml: Path, urdf: Path | None, source: str) -> tuple[str, tuple[str, ...]]:
-    """The fit's robot.toml with the values, naming the URDF written with it; lines on files that it names and does not find."""
+def _make_toml(m: ExportedModel, toml: Path, urdf: Path | None, source: str) -> tuple[str, tuple[str, ...]]:
+    """The fit's robot.toml with the values and the URDF written with it; lines on files that it names but are missing."""
     robot, text = m.model.robot, m.model.robot.files["robot.toml"].decode()
     values = {name: float(value) for name, value in zip(m.model.names, m.chi, strict=True)}
     named, files = None, [drive.dictionary for drive in robot.bus.drive] if robot.bus else []
@@ -92,27 +91,26 @@ def _robot_toml(m: Mechanism, toml: Path, urdf: Path | None, source: str) -> tup
         files.append(tomllib.loads(text)["urdf"])
     missing = dict.fromkeys(name for name in files if name and not (toml.parent / name).is_file())
     remark = f"Physically consistent values identified in {one_line(source)}."
-    lines = tuple(f"it names {name}, which is not beside it: copy it there" for name in missing)
-    return with_parameters(text, values, remark, named), lines
+    lines = tuple(f"it names {name}, which is missing in its folder: copy it there" for name in missing)
+    return replace_parameters(text, values, remark, named), lines
 
 
-def with_parameters(text: str, values: Mapping[str, float], remark: str, urdf: str | None = None) -> str:
-    """The description with the values (SI) of `[parameters]` replaced, or with the table added at its end; all else stays.
+def replace_parameters(text: str, values: Mapping[str, float], remark: str, urdf: str | None = None) -> str:
+    """Replace the values (SI) of `[parameters]` in a description, or append the table; all other lines stay.
 
-    The remark, on where they are from, takes the place of the remarks directly above the table, which were on other values; a
-    name in `urdf` takes the place of the URDF's. An `IdentificationError` where the file is written so that the table cannot be
-    replaced line by line.
+    The remark, on the origin of the values, replaces the remarks directly above the table; the name `urdf` replaces the URDF's.
+    Raises `IdentificationError`: the table cannot be replaced line by line.
     """
     was, written = tomllib.loads(text), {name: text_of(value) for name, value in values.items()}
     lines = text.splitlines()
-    start = next((i for i, line in enumerate(lines) if _HEADER.fullmatch(line)), None)
+    start = next((i for i, line in enumerate(lines) if _TABLE_HEADER.fullmatch(line)), None)
     if start is None:
-        before = [line for line in lines if not ("parameters" in was and _INLINE.match(line))]
+        before = [line for line in lines if not ("parameters" in was and _INLINE_TABLE.match(line))]
         after = list[str]()
     else:
-        stop = next((i for i in range(start + 1, len(lines)) if _NEXT.match(lines[i])), len(lines))
+        stop = next((i for i in range(start + 1, len(lines)) if _ANY_HEADER.match(lines[i])), len(lines))
         while stop > start + 1 and not lines[stop - 1].strip().partition("#")[0]:
-            stop -= 1  # blank lines and remarks above the next table are its own
+            stop -= 1  # blank lines and remarks above the next table belong to that table
         while start and lines[start - 1].lstrip().startswith("#"):
             start -= 1
         before, after = lines[:start], lines[stop:]
@@ -129,9 +127,6 @@ def with_parameters(text: str, values: Mapping[str, float], remark: str, urdf: s
     except tomllib.TOMLDecodeError:
         same = False
     if not same:
-        problem, expected = (
-            "cannot be replaced line by line",
-            "a table of one line per value, under a line [parameters]",
-        )
+        problem, expected = "cannot be replaced line by line", "one line per value under a line [parameters]"
         raise IdentificationError(problem, place="the fit's robot.toml", key="[parameters]", expected=expected)
     return made

@@ -1,9 +1,9 @@
-"""A mechanism as a URDF, the user's own with other values or a new one of DH rows, and as a MuJoCo model.
+"""Write a model as a URDF (the user's own with new values, or a new one made of DH rows) and as a MuJoCo model.
 
-What the identification knows as one link is lumped: the link that a joint moves, and all that is fixed to it or that locked
-joints carry. In the user's URDF, whose quotes and blanks may change, the difference to the other links' inertials goes to the
-moved link where that is a body; else the whole does, and the others lose theirs. In a MuJoCo model, which has no shapes, a
-motor that turns with several joints is a fixed tendon (its armature: MuJoCo 3.3 and later).
+An identified link is lumped: the link that a joint moves, with all links fixed to it or carried by locked joints. In the
+user's URDF the lumped inertia minus the other links' inertials is written to the moved link if it is a physical body; else
+the moved link gets the lumped inertia, and the others lose their inertials. Quotes and blanks may change. In a MuJoCo model,
+which has no shapes, a motor that turns with several joints is a fixed tendon (its armature: MuJoCo 3.3 and later).
 """
 
 import math
@@ -22,17 +22,17 @@ from ..arrays import Array
 from ..estimation import link_parameters, pseudo_inertia
 from ..model import InverseModel, is_a_body
 from .chain import INERTIA
-from .mechanism import LEAST, Mechanism, about_com
+from .exported_model import MIN_EIGENVALUE, ExportedModel, about_com
 
-UNLIMITED = 1e9  # a URDF must state effort and velocity: where the description has none
+UNLIMITED = 1e9  # effort and velocity, which a URDF must have, if the description has none
 _BASE = "base_link"
 _THICKNESS = 0.02  # of drawn links, m
-_TIP = "0.12 0.08 0.04"  # m, of a box that ends a link: its turns about any axis are seen
+_TIP = "0.12 0.08 0.04"  # m, of a box at the end of a link: unequal, so that any rotation is visible
 _MUJOCO = [0, 3, 5, 1, 2, 4]  # MuJoCo's order xx yy zz xy xz yz, of XX XY XZ YY YZ ZZ
 
 
 def link_names(robot: Robot, *, made: bool = False) -> tuple[str, ...]:
-    """Names of the links that the joints move: those of the URDF, or `link_1` and so on in one that is `made`."""
+    """Names of the links that the joints move: those of the URDF, or `link_1`, ... in a `made` one."""
     if robot.urdf is None or made:
         return tuple(f"link_{j + 1}" for j in range(robot.n))
     joints = {joint.get("name"): joint.find("child") for joint in ET.fromstring(robot.urdf).findall("joint")}
@@ -40,8 +40,8 @@ def link_names(robot: Robot, *, made: bool = False) -> tuple[str, ...]:
     return tuple("" if child is None else child.get("link", "") for child in children)
 
 
-def mjcf_text(m: Mechanism) -> str:
-    """The MJCF of a mechanism; an offset, or friction neither viscous nor dry, has no place in it."""
+def mjcf_text(m: ExportedModel) -> str:
+    """The MJCF of a model, without offsets, and without friction that is neither viscous nor dry."""
     robot, axes_values = m.model.robot, ("armature", "damping", "frictionloss")
     values = [{key: text_of(getattr(m, key)[k]) for key in axes_values} for k in range(len(m.names))]
     root = ET.Element("mujoco", model=robot.name)
@@ -82,37 +82,34 @@ def quaternion(R: Array) -> Array:
     return np.asarray(Rotation.from_matrix(R).as_quat(canonical=True))[[3, 0, 1, 2]]
 
 
-def urdf_text(m: Mechanism) -> tuple[str, tuple[str, ...]]:
-    """The URDF of a mechanism, and lines on what of other links was changed, and on limits that nobody stated.
-
-    Armatures and couplings have no place in it.
-    """
+def urdf_text(m: ExportedModel) -> tuple[str, tuple[str, ...]]:
+    """The URDF of a model without armatures and couplings; lines on other links that changed, and on unknown limits."""
     robot = m.model.robot
     document = minidom.parseString((make_urdf(m.model) if robot.urdf is None else robot.urdf).encode())
     root = document.documentElement
     assert root is not None
     links, joints = ({e.getAttribute("name"): e for e in _children(root, tag)} for tag in ("link", "joint"))
-    notes = _unlimited(joints) if robot.urdf is None else []
+    notes = _note_unlimited(joints) if robot.urdf is None else []
     names = link_names(robot)
-    frames = _lumped({joint.name for joint in robot.joints}, joints, links)
+    frames = _find_lumped({joint.name for joint in robot.joints}, joints, links)
     for j, (joint, name) in enumerate(zip(robot.joints, names, strict=True)):
         inertials = {}
         for other, (carrier, T) in frames.items():
             if carrier == name and (found := _child(links[other], "inertial")):
-                inertials[other] = found, _inertia_of(found, T)
-        own, others = m.links[j] - sum((x for _, x in inertials.values()), start=np.zeros(10)), ", ".join(inertials)
-        if others and not is_a_body(own, LEAST):
+                inertials[other] = found, _read_inertia(found, T)
+        rest, others = m.links[j] - sum((x for _, x in inertials.values()), start=np.zeros(10)), ", ".join(inertials)
+        if others and not is_a_body(rest, MIN_EIGENVALUE):
             mass = sum(x[9] for _, x in inertials.values())
             notes.append(
-                f"link {name}: the inertials of {others} ({mass:.3g} kg), fixed to it, leave no body for it: "
-                "they are removed, it has the whole"
+                f"link {name}: minus the inertials of {others} ({mass:.3g} kg), fixed to it, it is no physical body: "
+                "they are removed, it has the lumped inertia"
             )
-            own = m.links[j]
+            rest = m.links[j]
             for other, (inertial, _) in inertials.items():
                 links[other].removeChild(inertial)
         elif others:
             notes.append(f"link {name}: {others}, fixed to it, keep their inertials")
-        mass, com, about = about_com(own)
+        mass, com, about = about_com(rest)
         inertial = _set(links[name], "inertial", {})
         inertial.childNodes.clear()
         _set(inertial, "origin", {"xyz": text_of(*com), "rpy": "0 0 0"})
@@ -120,7 +117,7 @@ def urdf_text(m: Mechanism) -> tuple[str, tuple[str, ...]]:
         _set(inertial, "inertia", {key: text_of(x) for key, x in zip(INERTIA, about, strict=True)})
         dynamics = {"damping": text_of(m.damping[j]), "friction": text_of(m.frictionloss[j])}
         _set(joints[joint.name], "dynamics", dynamics)
-    lines = [node.toxml() for node in document.childNodes]  # remarks may stand before and behind the root
+    lines = [node.toxml() for node in document.childNodes]  # comments may precede and follow the root
     return "\n".join(['<?xml version="1.0" encoding="utf-8"?>', *lines, ""]), tuple(notes)
 
 
@@ -133,13 +130,13 @@ def _child(element: Element, name: str) -> Element | None:
 
 
 def _attribute(element: Element, name: str, attribute: str) -> str:
-    """Of the first child of a name; empty where there is none."""
+    """Of the first child with this name; empty without one."""
     child = _child(element, name)
     return child.getAttribute(attribute) if child else ""
 
 
 def _set(element: Element, name: str, attributes: dict[str, str]) -> Element:
-    """The first child of a name, a new one where there is none, with these attributes."""
+    """Set attributes of the first child with this name, or of a new one; return it."""
     child = _child(element, name)
     if child is None:
         assert element.ownerDocument is not None
@@ -149,18 +146,20 @@ def _set(element: Element, name: str, attributes: dict[str, str]) -> Element:
     return child
 
 
-def _unlimited(joints: dict[str, Element]) -> list[str]:
-    """Lines on the limits of a new URDF that the description does not have."""
+def _note_unlimited(joints: dict[str, Element]) -> list[str]:
+    """Lines on limits of a new URDF that are unknown."""
     notes = []
-    for key, ways in (("effort", "effort_nm, effort_n or saturation"), ("velocity", "speed_deg_s or speed_m_s")):
+    for key, keys in (("effort", "effort_nm, effort_n or saturation"), ("velocity", "speed_deg_s or speed_m_s")):
         names = [name for name, joint in joints.items() if _attribute(joint, "limit", key) == text_of(UNLIMITED)]
         if names:
-            notes.append(f"no {key} is known of {listed(names)}: {UNLIMITED:g} is written: state {ways}")
+            notes.append(f"unknown {key} of {listed(names)}: written as {UNLIMITED:g}; state {keys}")
     return notes
 
 
-def _lumped(moved: set[str], joints: dict[str, Element], links: dict[str, Element]) -> dict[str, tuple[str, Array]]:
-    """By link that does not move against its parent, the link that carries it and its frame in that link's, T (4, 4)."""
+def _find_lumped(
+    moved: set[str], joints: dict[str, Element], links: dict[str, Element]
+) -> dict[str, tuple[str, Array]]:
+    """For each link fixed to another one: the link that carries it, and its frame in that link's frame, T (4, 4)."""
     above: dict[str, tuple[str, Array]] = {}
     for name, joint in joints.items():
         if name not in moved:
@@ -187,8 +186,8 @@ def _pose(element: Element) -> Array:
     return T
 
 
-def _inertia_of(inertial: Element, T: Array) -> Array:
-    """Ten parameters (10,) of a link's inertial in a frame in which the link's own is T (4, 4)."""
+def _read_inertia(inertial: Element, T: Array) -> Array:
+    """Ten parameters (10,) of an inertial in a frame where its link's frame is T (4, 4)."""
     about = [float(_attribute(inertial, "inertia", key) or 0.0) for key in INERTIA]
     mass = float(_attribute(inertial, "mass", "value") or 0.0)
     T = T @ _pose(inertial)
@@ -196,7 +195,7 @@ def _inertia_of(inertial: Element, T: Array) -> Array:
 
 
 def make_urdf(model: InverseModel) -> str:
-    """A URDF of a robot without one, or without shapes in it: joints with limits, links drawn as lines, no inertials."""
+    """A URDF for a robot that has none, or none with shapes: joints with limits, links drawn as cylinders, no inertials."""
     robot = model.robot
     root, names = ET.Element("robot", name=robot.name), [_BASE, *link_names(robot, made=True)]
     origins, rotations, axes = model.joint_frames
@@ -222,14 +221,14 @@ def make_urdf(model: InverseModel) -> str:
 
 
 def _efforts(robot: Robot) -> list[float]:
-    """Largest effort of each joint, N m or N, by the description alone: its bus may name files that are not here."""
+    """Maximum effort of each joint, N m or N, without the bus, which may name files that are missing."""
     found = effort_limits(replace(robot, bus=None), f"robot {robot.name}")
     known = dict(zip(found.names, found.limits, strict=True)) if robot.gain_known else {}
     return [known.get(f"joint {joint.name}", joint.si("effort") or UNLIMITED) for joint in robot.joints]
 
 
 def roll_pitch_yaw(R: Array) -> tuple[float, float, float]:
-    """The angles of a rotation (3, 3), as a URDF means them; of all rotations, those of 90° pitch too."""
+    """The angles of a rotation (3, 3) in a URDF, also at a pitch of 90°."""
     yaw = math.atan2(R[1, 0], R[0, 0])
     pitch = math.atan2(-R[2, 0], math.hypot(R[0, 0], R[1, 0]))
     s, c = math.sin(yaw), math.cos(yaw)
@@ -237,7 +236,7 @@ def roll_pitch_yaw(R: Array) -> tuple[float, float, float]:
 
 
 def _draw(link: ET.Element, end: Array) -> None:
-    """A cylinder from the link's origin to `end` (3,), where the next joint sits; a box where that is the origin."""
+    """A cylinder from the link's origin to the next joint, `end` (3,); a box if `end` is the origin."""
     visual, length = ET.SubElement(link, "visual"), float(np.linalg.norm(end))
     if length > 1e-6:
         yaw, pitch = math.atan2(end[1], end[0]), math.atan2(math.hypot(end[0], end[1]), end[2])

@@ -1,4 +1,4 @@
-"""A fit's JSON file as a robot with values for all standard parameters; one that is not consistent is made so."""
+"""Read a fit's JSON file as a robot with all standard parameters; make it consistent if it is not."""
 
 import numpy as np
 from msgspec import UNSET
@@ -8,21 +8,20 @@ from ..errors import IdentificationError
 from ..methods import Known, Prior, consistent_set, refuse_unknown_gain, stored_beta, stored_robot
 from ..model import InverseModel, base_parameters
 from ..report import FitFile
-from .mechanism import Mechanism, mechanism_of
+from .exported_model import ExportedModel, split_parameters
 
 
 def distrust(stored: FitFile, place: str) -> list[str]:
-    """Why a fit is not to be trusted; a file without a verdict, of an earlier version, by its status and doubts."""
+    """Reasons not to trust a fit; in files of earlier versions, without a verdict, its status and warnings."""
     if stored.verdict is UNSET:
         return stored.warnings_of(place)
     return [f"{place}: verdict {stored.verdict}"] if stored.verdict == "do not use" else []
 
 
-def model_of_fit(stored: FitFile, place: str) -> tuple[Mechanism, tuple[str, ...]]:
-    """The robot of a fit, which its own description describes, with values for all standard parameters.
+def model_of_fit(stored: FitFile, place: str) -> tuple[ExportedModel, tuple[str, ...]]:
+    """The robot of a fit, by the fit's own description, with all standard parameters, and lines on their origin.
 
-    Returns it, and lines that say where the values are from. An `IdentificationError`, with the file's `place`, for a fit in
-    A or V, without a description or a covariance, or whose parameters no robot can have.
+    Raises `IdentificationError`: a fit in A or V, without a description or a covariance, or with impossible parameters.
     """
     robot = stored_robot(stored, place)
     if robot is None:
@@ -31,12 +30,12 @@ def model_of_fit(stored: FitFile, place: str) -> tuple[Mechanism, tuple[str, ...
     refuse_unknown_gain(robot)
     model = InverseModel(robot)
     if stored.standard_parameters is UNSET:
-        chi, line = _made_consistent(stored, model, place)
-        return mechanism_of(model, chi, place), (line,)
-    given, known = stored.standard_parameters, list(zip(model.names, model.units, strict=True))
-    if [(p.name, p.unit) for p in given] != known:
-        other = next((f"{p.name} in {p.unit}" for p in given if (p.name, p.unit) not in known), None)
-        expected = f"those of the description: {len(known)}"
+        chi, line = _make_consistent(stored, model, place)
+        return split_parameters(model, chi, place), (line,)
+    parameters, names = stored.standard_parameters, list(zip(model.names, model.units, strict=True))
+    if [(p.name, p.unit) for p in parameters] != names:
+        other = next((f"{p.name} in {p.unit}" for p in parameters if (p.name, p.unit) not in names), None)
+        expected = f"the {len(names)} of the description"
         raise IdentificationError(place=place, key="standard_parameters", value=other, expected=expected)
     lines = []
     if (c := stored.consistent) is not UNSET:
@@ -44,36 +43,38 @@ def model_of_fit(stored: FitFile, place: str) -> tuple[Mechanism, tuple[str, ...
             f"the consistent parameters of {place}: prior {c.prior}, weight {c.prior_weight:g}; chi² {c.chi2:.3g}, largest "
             f"move {c.largest_move:.2g} half-widths of the 95 % interval, of {c.moved_most}"
         )
-    return mechanism_of(model, np.array([p.value for p in given]), place), tuple(lines)
+    return split_parameters(model, np.array([p.value for p in parameters]), place), tuple(lines)
 
 
-def _made_consistent(stored: FitFile, model: InverseModel, place: str) -> tuple[Array, str]:
+def _make_consistent(stored: FitFile, model: InverseModel, place: str) -> tuple[Array, str]:
     base = base_parameters(model)
     beta = stored_beta(stored, base, place)
     if stored.covariance is UNSET:
         problem = "the fit is not consistent, and cannot be made so without it"
-        expected = "a fit of this version, best with --consistent"
+        expected = "a new fit, preferably with --consistent"
         raise IdentificationError(problem, place=place, key="covariance", value=None, expected=expected)
     names, values = stored.covariance.names, np.array(stored.covariance.values)
-    own = [name for name in names if name not in base.names]
-    if own:
-        problem = "of single recordings: the fit is not consistent, and cannot be made so with them"
-        expected = "the fit again with --consistent"
-        raise IdentificationError(problem, place=place, key="covariance", value=", ".join(own[:5]), expected=expected)
+    single = [name for name in names if name not in base.names]
+    if single:
+        problem = "has parameters of single recordings: the fit is not consistent, and cannot be made so with them"
+        expected = "a new fit with --consistent"
+        raise IdentificationError(
+            problem, place=place, key="covariance", value=", ".join(single[:5]), expected=expected
+        )
     left_out = {p.name: p.sigma for p in stored.left_out or ()}
     missing = [name for name in base.names if name not in names and name not in left_out]
     if missing or values.shape != (len(names), len(names)):
         raise IdentificationError(
             place=place, key="covariance", value=", ".join(missing[:5]) or None, expected="one row per parameter"
         )
-    at = [base.names.index(name) for name in names]
+    index = [base.names.index(name) for name in names]
     covariance = np.diag([left_out.get(name, 0.0) ** 2 for name in base.names])
-    covariance[np.ix_(at, at)] = values
+    covariance[np.ix_(index, index)] = values
     sigma = dict(zip(names, np.sqrt(np.diag(values)), strict=True))
     reach = float(np.median([p.half / sigma[p.name] for p in stored.parameters if sigma.get(p.name)] or [1.0]))
     c = consistent_set(model, base, Known(beta=beta, covariance=covariance, reach=reach), prior=Prior())
     line = (
-        f"{place} is not consistent: the nearest consistent parameters are taken; prior {c.prior}; "
+        f"{place} is not consistent: the nearest consistent parameters are used; prior {c.prior}; "
         f"added chi² {c.chi_squared:.3g} on {base.b} parameters, largest move {c.largest_move:.2g} half-widths of the 95 % "
         f"interval, of {c.moved_most}; certificate {c.certificate:.1e}"
     )

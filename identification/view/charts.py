@@ -1,4 +1,4 @@
-"""Charts that are not over time, drawn on a sheet: parameters with intervals, passes of the iteration, studies, friction."""
+"""Charts without a time axis: parameters with intervals, IV passes, tests of the fit, studies, friction."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -13,12 +13,12 @@ from ..study import Run, summaries
 from ..trust import Trust
 from .panels import GREEN, GREY, LIGHT, ORANGE, PREDICTED, PURPLE, SKY, VERMILLION, Chart, Color, Scale, log10
 
-COMPARED = (PURPLE, GREEN)  # colors of the sets a fit is compared with, in turn
-LOADS = (SKY, ORANGE, VERMILLION)  # a low load, the middle, a high one
-MOST_DOTS = 400  # of a drawing
-FAR = 6.0  # deviations at which a difference runs off its chart
-SHEET = (1430.0, 960.0)  # of a large chart: what it has of a screen of 1920 by 1080
-STUDY_SHEET = (1140.0, 960.0)  # what its report leaves of the screen to a study
+COMPARED = (PURPLE, GREEN)  # colors of the parameter sets that a fit is compared with
+LOADS = (SKY, ORANGE, VERMILLION)  # low, medium and high load
+MAX_DOTS = 400  # of a chart
+MAX_SIGMAS_SHOWN = 6.0  # larger differences are drawn at the edge of their chart
+SHEET = (1430.0, 960.0)  # pixels of a large chart on a screen of 1920 by 1080
+STUDY_SHEET = (1140.0, 960.0)  # pixels of a study's chart, next to its report
 LEVEL_COLORS: dict[Level, Color] = {
     "do not use": VERMILLION,
     "caution": ORANGE,
@@ -26,11 +26,11 @@ LEVEL_COLORS: dict[Level, Color] = {
     "not made": GREY,
     "ok": SKY,
 }
-TRUSTED = 3.0  # deviations that a difference should stay within
+MAX_TRUSTED_SIGMAS = 3.0  # limit of a difference
 
 
 def parameter_drawing(own: ParameterSet, others: Sequence[ParameterSet]) -> Chart:
-    """Every parameter's value with its 95 % interval, others beside it, in one or two columns."""
+    """Every parameter's value with its 95 % interval, and the values of other sets, in one or two columns."""
     names, sets = list(own.parameters), [own, *others]
     columns = 1 if len(names) <= 20 else 2
     rows, pitch = -(-len(names) // columns), 17.0 if len(names) > 12 else 24.0
@@ -50,7 +50,7 @@ def parameter_drawing(own: ParameterSet, others: Sequence[ParameterSet]) -> Char
 
 
 def deviation_drawing(own: ParameterSet, others: Sequence[ParameterSet]) -> Chart:
-    """Every parameter's value, half its 95 % interval in percent and, in deviations, the difference to the other sets."""
+    """Every parameter's value, the half-width of its 95 % interval in percent, and its difference to other sets in sigma."""
     names, sets = list(own.parameters), [own, *others]
     columns = 1 if len(names) <= 20 else 2
     rows = -(-len(names) // columns)
@@ -60,8 +60,8 @@ def deviation_drawing(own: ParameterSet, others: Sequence[ParameterSet]) -> Char
     title += ", vermillion beyond 3 σ" if others else ""
     chart = Chart(path=("deviations",), title=title, size=(SHEET[0], height + 10))
     scale_of, ticks, axis = _value_scale(sets, names, 2)
-    apart = [{d.name: d.off_sigma for d in differences(own, values)} for values in others]
-    parts = (0.46, 0.72) if others else (0.55, 1.0)  # where in a column the charts end
+    sigmas = [{d.name: d.off_sigma for d in differences(own, values)} for values in others]
+    parts = (0.46, 0.72) if others else (0.55, 1.0)  # right edges of the charts, as shares of a column
     for c in range(columns):
         left = width * c
         value = scale_of(left + 90, left + parts[0] * width - 20)
@@ -72,13 +72,18 @@ def deviation_drawing(own: ParameterSet, others: Sequence[ParameterSet]) -> Char
         percent = Scale(**edges, low=0.01, high=100.0, by=log10)
         chart.label(percent.middle, 2, "± 95 % in % of the value", LIGHT)
         chart.ticks_across(percent, {x: f"{x:g}" for x in (0.01, 0.1, 1.0, 10.0, 100.0)}, (78, height), 54)
-        far = Scale(left=left + parts[1] * width + 20, right=left + width - 30, low=-FAR, high=FAR)
+        far = Scale(
+            left=left + parts[1] * width + 20, right=left + width - 30, low=-MAX_SIGMAS_SHOWN, high=MAX_SIGMAS_SHOWN
+        )
         if others:
             labels = " and ".join(values.label for values in others)
             chart.label(far.middle, 2, f"{own.label} minus {labels}, in σ", LIGHT)
-            marks = {x: f"{x:+g}" if x else "0" for x in (-FAR, -TRUSTED, 0.0, TRUSTED, FAR)}
+            marks = {
+                x: f"{x:+g}" if x else "0"
+                for x in (-MAX_SIGMAS_SHOWN, -MAX_TRUSTED_SIGMAS, 0.0, MAX_TRUSTED_SIGMAS, MAX_SIGMAS_SHOWN)
+            }
             chart.ticks_across(far, marks, (78, height), 54)
-            for limit in (-TRUSTED, TRUSTED):
+            for limit in (-MAX_TRUSTED_SIGMAS, MAX_TRUSTED_SIGMAS):
                 chart.line(far(limit), 78, far(limit), height, GREY, 0.75)
         for row, name in enumerate(names[c * rows : (c + 1) * rows]):
             y, p = 92 + pitch * row, own.parameters[name]
@@ -87,30 +92,30 @@ def deviation_drawing(own: ParameterSet, others: Sequence[ParameterSet]) -> Char
             size = abs(p.value)
             share = 100 * p.half / size if size > 0 else 100.0
             chart.line(percent.left, y, percent(max(share, 0.01)), y, _color(own, name), 2.5)
-            for k, off in enumerate(apart):
-                if (x := off.get(name)) is not None:
-                    level = y + (k - 0.5 * (len(apart) - 1)) * 0.3 * pitch
+            for k, sigmas_of in enumerate(sigmas):
+                if (x := sigmas_of.get(name)) is not None:
+                    level = y + (k - 0.5 * (len(sigmas) - 1)) * 0.3 * pitch
                     chart.line(far(0.0), level, far(x), level, COMPARED[k], 1.0)
                     ends = chart.dots if _is_exact(others[k], name) else chart.crosses
-                    ends.append((far(x), level, COMPARED[k] if abs(x) <= TRUSTED else VERMILLION))
+                    ends.append((far(x), level, COMPARED[k] if abs(x) <= MAX_TRUSTED_SIGMAS else VERMILLION))
     return chart
 
 
 def _value_scale(
     sets: Sequence[ParameterSet], names: Sequence[str], decades: int
 ) -> tuple[Callable[[float, float], Scale], list[float], str]:
-    """An axis linear about zero and logarithmic beyond, to be put between two edges, its ticks, and what it is in words."""
+    """An axis linear about zero and logarithmic beyond, to be placed between two edges; its ticks and its description."""
     shown = [values.parameters[name] for values in sets for name in names if name in values.parameters]
     reach = max(abs(p.value) + p.half for p in shown)
     top = math.ceil(math.log10(reach)) if reach > 0 else 0
     typical = float(np.median([p.half for p in shown if p.half > 0] or [10.0 ** (top - 5)]))
-    least = max(top - 5, min(top - 1, math.floor(math.log10(max(typical, 10.0 ** (top - 5))))))
-    linear = 2 * 10.0**least
+    lowest = max(top - 5, min(top - 1, math.floor(math.log10(max(typical, 10.0 ** (top - 5))))))
+    linear = 2 * 10.0**lowest
 
     def scale(left: float, right: float) -> Scale:
         return Scale(left=left, right=right, low=-(10.0**top), high=10.0**top, by=lambda x: math.asinh(x / linear))
 
-    steps = range(top, least, -max(1, math.ceil((top - least) / decades)))
+    steps = range(top, lowest, -max(1, math.ceil((top - lowest) / decades)))
     ticks = [0.0, *(sign * 10.0**d for d in steps for sign in (-1, 1))]
     return scale, ticks, f"asinh scale: linear within ±{linear:g}, logarithmic beyond"
 
@@ -121,7 +126,7 @@ def _value_axis(chart: Chart, place: Scale, ticks: Sequence[float], top: float, 
 
 
 def _value(chart: Chart, place: Scale, sets: Sequence[ParameterSet], name: str, y: float, pitch: float) -> None:
-    """A dot with its interval of the first set, and below it the others' crosses with theirs; an upright line if exact."""
+    """The first set as a dot, the others as crosses below it, with intervals; exact values as vertical lines."""
     p, color = sets[0].parameters[name], _color(sets[0], name)
     chart.dots.append((place(p.value), y, color))
     chart.line(place(p.value - p.half), y, place(p.value + p.half), y, color, 1.5)
@@ -143,7 +148,7 @@ def _is_exact(values: ParameterSet, name: str) -> bool:
 
 
 def _marks(others: Sequence[ParameterSet]) -> str:
-    """The marker and color of each set that a fit is compared with."""
+    """Marker and color of each compared set, for the title."""
     names = {PURPLE: "purple", GREEN: "green"}
     marks = ["|" if all(_is_exact(values, name) for name in values.parameters) else "×" for values in others]
     return "".join(f", {mark} {names[COMPARED[k]]} {others[k].label}" for k, mark in enumerate(marks))
@@ -154,22 +159,22 @@ def _color(own: ParameterSet, name: str) -> Color:
 
 
 def passes_drawing(fit: Fit) -> Chart:
-    """Did the iteration settle: residual, largest change, condition and tracking, pass by pass."""
+    """Convergence of the iteration: residual, largest change, condition number and tracking error of each pass."""
     assert fit.iv is not None
-    passes, width, each, left, right = fit.iv.passes, 470.0, 0.24 * SHEET[1], 40.0, 450.0
+    passes, width, strip, left, right = fit.iv.passes, 470.0, 0.24 * SHEET[1], 40.0, 450.0
     last = len(passes)
     across = Scale(left=left + 30, right=right - 30, low=0.5, high=last + 0.5)
     strips: list[tuple[str, Callable[[Pass], float | None], bool, Color]] = [
-        ("residual norm, weighted", lambda p: p.estimate.residual_norm, False, VERMILLION),
-        ("largest change of a parameter, in its σ", lambda p: p.change_sigma, True, ORANGE),
-        ("condition of Z'W, columns of norm one", lambda p: p.estimate.condition_number_scaled, False, LIGHT),
-        ("simulated position off the measured, %", lambda p: p.z.tracking_percent, False, SKY),
+        ("weighted residual norm", lambda p: p.estimate.residual_norm, False, VERMILLION),
+        ("largest change of a parameter [σ]", lambda p: p.change_sigma, True, ORANGE),
+        ("condition number of Z'W, unit columns", lambda p: p.estimate.condition_number_scaled, False, LIGHT),
+        ("tracking error of the simulation [%]", lambda p: p.z.tracking_percent, False, SKY),
     ]
     settled = f"settled in pass {last}" if passes[-1].settled else f"not settled after {last} passes"
-    title, size = f"passes of IV: {fit.status}, {settled}", (width, each * len(strips) + 30)
+    title, size = f"passes of IV: {fit.status}, {settled}", (width, strip * len(strips) + 30)
     chart = Chart(path=("passes",), title=title, size=size)
     for s, (title, number, logarithmic, color) in enumerate(strips):
-        top, bottom = 40 + each * s, each * (s + 1) - 25
+        top, bottom = 40 + strip * s, strip * (s + 1) - 25
         chart.label(0.5 * (left + right), top - 36, title, color)
         chart.line(left, bottom, right, bottom, GREY, 0.5)
         points = [(k, x) for k, p in enumerate(passes, 1) if (x := number(p)) is not None and math.isfinite(x)]
@@ -192,21 +197,21 @@ def passes_drawing(fit: Fit) -> Chart:
             chart.label(x, y - 26, f"{value:.3g}" if value < 1e4 else f"{value:.1e}", color)
     for k, p in enumerate(passes, 1):
         label = f"{k}" if p.z.kind == "simulated" else f"{k}: {p.z.kind}"
-        chart.label(across(k), each * len(strips) - 10, label, GREEN if p.settled else GREY)
+        chart.label(across(k), strip * len(strips) - 10, label, GREEN if p.settled else GREY)
     return chart
 
 
 def trust_drawing(trust: Trust) -> Chart | None:
-    """The figures of the tests that have any, by joint or block, with 95 % intervals and what was expected; None without."""
+    """Figures of the tests by joint or block, with 95 % intervals and expected values; None without figures."""
     lines = [line for line in trust.lines if line.figures]
     if not lines:
         return None
     (width, height), left = (900.0, SHEET[1]), 90.0
-    each = min(220.0, (height - 20) / len(lines))
+    strip = min(220.0, (height - 20) / len(lines))
     title = "tests of the fit: value and 95 % interval; green bar: expected"
-    chart = Chart(path=("tests",), title=title, size=(width, 20 + each * len(lines)))
+    chart = Chart(path=("tests",), title=title, size=(width, 20 + strip * len(lines)))
     for number, line in enumerate(lines):
-        top, bottom, color = 20 + each * number + 50, 20 + each * (number + 1) - 40, LEVEL_COLORS[line.level]
+        top, bottom, color = 20 + strip * number + 50, 20 + strip * (number + 1) - 40, LEVEL_COLORS[line.level]
         ends = [f.value + side * f.half_width for f in line.figures for side in (-1, 1)]
         ends += [f.expected for f in line.figures]
         margin = max(0.1 * (max(ends) - min(ends)), 1e-9)
@@ -225,7 +230,7 @@ def trust_drawing(trust: Trust) -> Chart | None:
 
 
 def study_drawing(runs: Sequence[Run], true: Array) -> Chart:
-    """Error of every run over its cut-off, least squares and instrumental variables of a run joined, and their medians."""
+    """Errors of all runs over the cut-off, with medians; a line joins least squares and instrumental variables of a run."""
     title = (
         f"|beta - true| / |true|, {len(runs)} runs: × purple LS, orange IV converged, vermillion IV not; bars medians"
     )
@@ -240,8 +245,8 @@ def study_drawing(runs: Sequence[Run], true: Array) -> Chart:
         here = [run for run in runs if run.drawn.cutoff == cutoff]
         chart.label(across(column + 0.5), height - 70, f"{cutoff:g} x bandwidth" if cutoff else "no filter", LIGHT)
         for k, run in enumerate(here):
-            aside = 0.2 * ((k + 0.5) / len(here) - 0.5)
-            x_ls, x_iv = across(column + 0.3 + aside), across(column + 0.7 + aside)
+            shift = 0.2 * ((k + 0.5) / len(here) - 0.5)
+            x_ls, x_iv = across(column + 0.3 + shift), across(column + 0.7 + shift)
             if run.ls and run.iv:
                 chart.line(x_ls, up(100 * run.ls.error), x_iv, up(100 * run.iv.error))
             if run.ls:
@@ -259,7 +264,7 @@ def study_drawing(runs: Sequence[Run], true: Array) -> Chart:
 
 
 def intervals_drawing(excitation: Excitation) -> Chart:
-    """Half the expected 95 % interval of every parameter, and below it in grey that of the plain reference."""
+    """Expected half-width of every parameter's 95 % interval; in grey that of the plain reference."""
     e, names = excitation, excitation.base.names
     columns = 1 if e.base.b <= 20 else 2
     rows, pitch, width = -(-len(names) // columns), 17.0 if e.base.b > 12 else 24.0, 540.0 / columns
@@ -275,7 +280,7 @@ def intervals_drawing(excitation: Excitation) -> Chart:
     for scale in scales:
         powers = {10.0**power: f"1e{power}" for power in range(low, high + 1)}
         chart.ticks_across(scale, powers, (44, height), 22)
-    chart.label(270.0, 0.0, "half the 95 % interval, SI units", LIGHT)
+    chart.label(270.0, 0.0, "half-width of the 95 % interval, SI units", LIGHT)
     for i, name in enumerate(names):
         c, row = divmod(i, rows)
         y = 58 + pitch * row
@@ -286,11 +291,11 @@ def intervals_drawing(excitation: Excitation) -> Chart:
 
 
 def friction_drawing(friction: JointFriction, *, of: str = "") -> Chart:
-    """Friction of a joint over its speed: rows as dots, the identified curve and its interval; colors are of the load."""
+    """Friction of a joint over its speed: rows as dots, the identified curve with its interval; a color per load."""
     title = f"{friction.joint}{of and f', {of}'}: friction [{friction.unit}] over speed [{friction.speed_unit}]"
     path = ("friction", friction.joint, *([of] if of else []))
     chart, (left, top, right, bottom) = Chart(path=path, title=title, size=(470.0, 340.0)), (70.0, 30.0, 440.0, 300.0)
-    every = slice(None, None, max(1, len(friction.speed) // MOST_DOTS))
+    every = slice(None, None, max(1, len(friction.speed) // MAX_DOTS))
     v, torque, load = friction.speed[every], friction.torque[every], friction.load[every]
     shown = np.concatenate([np.abs(torque), *(np.abs(curve.torque) + curve.half for curve in friction.curves)])
     size = float(np.abs(shown).max(initial=1e-9))

@@ -1,4 +1,4 @@
-"""Curves over time: of a recording, of its fit, of an excitation, of a fleet."""
+"""Curves over time of a recording, a fit, an excitation, a fleet."""
 
 from collections import defaultdict
 from collections.abc import Mapping
@@ -14,50 +14,47 @@ from ..regression import FilteredMotion, Motion, Settings, predicted_torque
 from ..study import Drift
 from .panels import JOINTS, MEASURED, PREDICTED, REFERENCE, RESIDUAL, SIMULATED, VERMILLION, Curve, Line, Plot
 
-BUCKETS = 5000  # of a long curve, each kept as its lowest and highest sample: more than a screen has columns
-MODEL_PER_CUTOFF = 20.0  # instants per period of the cut-off of long filtered curves drawn: straight to the eye
-MAX_NOISE_RATIO = 3.0  # a raw derivative whose peak is this many times the filtered one's is off until asked for
-_BLOCK = 200_000  # samples at a time, so that a long recording is not held in every form at once
+BUCKETS = 5000  # of a long curve, each drawn as its minimum and maximum; a screen has fewer columns
+SAMPLES_PER_PERIOD = 20.0  # drawn samples per cut-off period of long filtered curves, which then look smooth
+MAX_NOISE_RATIO = 3.0  # a raw derivative is hidden if its peak is larger, relative to the filtered one's
+_BLOCK = 200_000  # samples processed at a time, which limits memory
 
-
-# Lines by joint, of `measured`, `filtered` or `simulated` and a quantity: q, dq, ddq, tau, error.
+# For `measured`, `filtered` or `simulated` and a quantity (q, dq, ddq, tau, error), a line per joint.
 Lines = Mapping[tuple[str, str], list[Line]]
 
 
 def lines_of(signals: Signals, settings: Settings | None, fit: Fit | None) -> Lines:
-    """What the plots of a recording show, thinned; `settings` says how it is, or would be, filtered.
+    """Decimated curves of a recording; `settings` are those of the filter.
 
-    Measured is all of the recording, with differences of the raw position; filtered the span fitted, its tau the model's
-    prediction, not there without a fit; simulated the robot with the estimate where a fit has one, its error the simulated
-    position minus the measured one.
+    `measured` covers the whole recording, with differences of the raw position. `filtered` covers the fitted span; its tau is
+    the model's prediction, if there is a fit. `simulated` is the robot with the estimate, if the fit simulated one; its error
+    is the simulated minus the measured position.
     """
-    lines = {("measured", quantity): each for quantity, each in _thinned(signals, None, None).items()}
+    lines = {("measured", quantity): joints for quantity, joints in _decimate(signals, None, None).items()}
     if settings is not None:
-        lines |= {("filtered", quantity): each for quantity, each in _thinned(signals, settings, fit).items()}
+        lines |= {("filtered", quantity): joints for quantity, joints in _decimate(signals, settings, fit).items()}
     replica = None if fit is None else fit.replica
     if replica is not None and (m := replica.motion) is not None:
-        t_s = signals.t_s[
-            np.rint(m.t_s * signals.sample_rate_hz).astype(int)
-        ]  # its own times are indices over the rate
+        t_s = signals.t_s[np.rint(m.t_s * signals.sample_rate_hz).astype(int)]  # m.t_s is index / rate
         for quantity, x in (("q", m.q), ("dq", m.dq), ("ddq", m.ddq), ("tau", m.tau), ("error", m.q - replica.q)):
             lines["simulated", quantity] = [_line(t_s, column) for column in x.T]
     return lines
 
 
 def _line(t_s: Array, x: Array) -> Line:
-    """A series (N,), thinned where it is long."""
-    k = extremes(x, thinning(len(x)))
+    """A series (N,), decimated if it is long."""
+    k = extremes(x, bucket_size(len(x)))
     return t_s[k], x[k]
 
 
-def _thinned(signals: Signals, settings: Settings | None, fit: Fit | None) -> dict[str, list[Line]]:
-    """By quantity, the lines of the raw motion, or of the one filtered as `settings` say; a fit gives its prediction as tau."""
+def _decimate(signals: Signals, settings: Settings | None, fit: Fit | None) -> dict[str, list[Line]]:
+    """Lines of the raw or filtered motion for each quantity and joint; with a fit, tau is its prediction."""
     start, stop, stride = 0, len(signals.q), 1
     if settings is not None:
         start, stop, stride = settings.start, settings.stop, model_stride(signals, settings)
     pieces: dict[str, list[list[Line]]] = defaultdict(lambda: [[] for _ in range(signals.robot.n)])
     motion = fit.problem.motion if fit else FilteredMotion(signals)
-    step = thinning(-(-(stop - start) // stride))
+    step = bucket_size(-(-(stop - start) // stride))
     size = max(1, _BLOCK // (step * stride)) * step * stride
     for a in range(start, stop, size):
         m = motion.between(a, min(stop, a + size), settings.cutoff_hz if settings else None)
@@ -78,20 +75,20 @@ def _thinned(signals: Signals, settings: Settings | None, fit: Fit | None) -> di
     }
 
 
-def thinning(N: int) -> int:
-    """Samples per bucket of a curve of N samples; 1 where all are shown."""
+def bucket_size(N: int) -> int:
+    """Samples per bucket of a curve of N samples; 1 if all are drawn."""
     return 1 if N <= 2 * BUCKETS else -(-N // BUCKETS)
 
 
 def model_stride(signals: Signals, settings: Settings) -> int:
-    """Of how many filtered samples one is drawn: all of a short recording, 20 a period of the cut-off of a long one."""
-    if thinning(len(signals.q)) == 1 or settings.cutoff_hz is None:
+    """One of how many filtered samples is drawn: 1 for a short recording, else 20 remain per cut-off period."""
+    if bucket_size(len(signals.q)) == 1 or settings.cutoff_hz is None:
         return 1
-    return max(1, int(signals.sample_rate_hz / (MODEL_PER_CUTOFF * settings.cutoff_hz)))
+    return max(1, int(signals.sample_rate_hz / (SAMPLES_PER_PERIOD * settings.cutoff_hz)))
 
 
 def extremes(x: Array, step: int) -> NDArray[np.intp]:
-    """Indices of the lowest and the highest of every `step` samples of x (N,); of all samples where `step` is 1."""
+    """Indices of the minimum and maximum of every `step` samples of x (N,); of all samples if `step` is 1."""
     if step == 1:
         return np.arange(len(x))
     whole = len(x) // step * step
@@ -103,9 +100,9 @@ def extremes(x: Array, step: int) -> NDArray[np.intp]:
 
 
 def position_plots(signals: Signals, fit: Fit | None, lines: Lines) -> list[Plot]:
-    """One plot per joint of how far reference and simulated position are off the measured one, in a readable unit.
+    """One plot per joint of the reference and simulated position minus the measured one, in a readable unit.
 
-    Positions themselves where neither a reference nor a simulation is known.
+    Without a reference and a simulation, plots of the position.
     """
     joints, n = signals.robot.joints, signals.robot.n
     errors: dict[str, list[Line]] = {}
@@ -115,16 +112,16 @@ def position_plots(signals: Signals, fit: Fit | None, lines: Lines) -> list[Plot
         errors["simulated"] = lines["simulated", "error"]
     if not errors:
         return [_position_plot(signals, fit, lines, j, legend=_has_legend(signals, j)) for j in range(n)]
-    peaks: dict[str, float] = defaultdict(float)  # joints of one kind share a unit, so that they compare at a glance
-    for each in errors.values():
-        for joint, (_, x) in zip(joints, each, strict=True):
+    peaks: dict[str, float] = defaultdict(float)  # joints of one type share a unit, for comparison
+    for lines_of_joints in errors.values():
+        for joint, (_, x) in zip(joints, lines_of_joints, strict=True):
             peaks[joint.position_unit] = max(peaks[joint.position_unit], np.abs(x).max())
     plots = []
     for j, joint in enumerate(joints):
         factor, unit = readable_unit(peaks[joint.position_unit], joint.position_unit)
         curves = []
-        for key, each in errors.items():
-            t_s, x = each[j]
+        for key, lines_of_joints in errors.items():
+            t_s, x = lines_of_joints[j]
             name, color = f"{key} − measured", REFERENCE if key == "reference" else SIMULATED
             curves.append(Curve(key=key, name=name, color=color, line=(t_s, factor * x)))
         path, title = ("error", joint.name), f"{joint.name} [{unit}]"
@@ -149,7 +146,7 @@ def torque_plots(signals: Signals, fit: Fit | None, lines: Lines) -> list[Plot]:
 
 
 def column_plots(signals: Signals) -> list[Plot]:
-    """What was recorded beside position and effort, a plot per quantity with a curve per joint, of feed-forward per motor."""
+    """Other recorded columns: a plot per quantity with a curve per joint, of feed-forward per motor."""
     robot = signals.robot
     of_joints = [joint.name for joint in robot.joints]
     of_motors = [motor.name for motor in robot.motors]
@@ -171,7 +168,7 @@ def column_plots(signals: Signals) -> list[Plot]:
 
 
 def extra_plots(signals: Signals) -> list[Plot]:
-    """The extra objects of the drives, as recorded, a plot per quantity with a curve per motor."""
+    """Recorded extra objects of the drives: a plot per quantity with a curve per motor."""
     quantities: dict[tuple[str, str], list[Curve]] = {}
     for column, (t_s, values) in signals.extras.items():
         curves = quantities.setdefault((column.name, column.unit), [])
@@ -183,7 +180,7 @@ def extra_plots(signals: Signals) -> list[Plot]:
 
 
 def motion_plots(signals: Signals, fit: Fit | None, lines: Lines, j: int) -> list[Plot]:
-    """Position, speed and acceleration of joint j: measured, filtered, simulated; no position where the first page has it."""
+    """Position, speed and acceleration of joint j: measured, filtered, simulated; no position if the first page has it."""
     joint, plots = signals.robot.joints[j], []
     simulated = ("simulated", "q") in lines
     if signals.q_ref is not None or simulated:
@@ -191,8 +188,8 @@ def motion_plots(signals: Signals, fit: Fit | None, lines: Lines, j: int) -> lis
     filters = ("filtered", "q") in lines and (fit is None or fit.settings.cutoff_hz is not None)
     for quantity, per in (("dq", "/s"), ("ddq", "/s²")):
         raw, filtered = lines["measured", quantity][j], lines["filtered", quantity][j] if filters else None
-        drowns = filtered is not None and bool(np.abs(raw[1]).max() > MAX_NOISE_RATIO * np.abs(filtered[1]).max())
-        curves = [Curve(key="measured", color=MEASURED, line=raw, width=2.0, visible=not drowns)]
+        noisy = filtered is not None and bool(np.abs(raw[1]).max() > MAX_NOISE_RATIO * np.abs(filtered[1]).max())
+        curves = [Curve(key="measured", color=MEASURED, line=raw, width=2.0, visible=not noisy)]
         if filtered is not None:
             curves.append(Curve(key="measured_filtered", name="filtered", color=PREDICTED, line=filtered))
         if simulated:
@@ -204,7 +201,7 @@ def motion_plots(signals: Signals, fit: Fit | None, lines: Lines, j: int) -> lis
 
 
 def excitation_plots(excitation: Excitation) -> list[list[Plot]]:
-    """By joint: position, speed and, where it is known, torque over one period, with their limits."""
+    """For each joint: position, speed and, if known, torque over one period, with their limits."""
     e = excitation
     t_s, q, dq, tau = e.curves()
     efforts = dict(zip(e.limits.effort.names, e.limits.effort.limits, strict=True))
@@ -226,7 +223,7 @@ def excitation_plots(excitation: Excitation) -> list[list[Plot]]:
 
 
 def drift_plots(drift: Drift) -> list[Plot]:
-    """A plot per number of a fleet's fits with its interval and control limits; those with something beyond them first."""
+    """A plot per quantity of a fleet's fits with its interval and control limits; first those with values beyond the limits."""
     plots: list[Plot] = []
     for chart in sorted((c for c in drift.charts if len(c.x)), key=lambda chart: not chart.outside):
         curves = [Curve(key="value", color=SIMULATED, line=(chart.t_s, chart.x), width=2.0)]
@@ -246,23 +243,23 @@ def drift_plots(drift: Drift) -> list[Plot]:
 
 
 def readable_unit(peak: float, unit: str) -> tuple[float, str]:
-    """A factor and the unit it leads to, in which values up to `peak`, given in rad or m, read well: rad, mrad or µrad."""
+    """Factor and unit in which values up to `peak` rad or m are readable: rad, mrad or µrad."""
     if peak >= 1 or peak == 0:
         return 1.0, unit
     return (1e3, f"m{unit}") if peak >= 1e-3 else (1e6, f"µ{unit}")
 
 
 def _has_legend(signals: Signals, j: int) -> bool:
-    """All plots of few joints have a legend, the first of many."""
+    """For up to three joints all plots have a legend, else the first."""
     return j == 0 or signals.robot.n < 4
 
 
 def _position_plot(signals: Signals, fit: Fit | None, lines: Lines, j: int, *, legend: bool = True) -> Plot:
-    """Joint j's position measured, filtered, simulated, and its reference where one was recorded."""
+    """Joint j's measured, filtered, simulated and reference position, as far as available."""
     joint = signals.robot.joints[j]
     curves = [Curve(key="measured", color=MEASURED, line=lines["measured", "q"][j], width=2.5)]
     if fit is not None and fit.settings.cutoff_hz is not None:
-        # The key puts it after, so in front of, what is measured.
+        # This key sorts after `measured`, so the curve is drawn in front of it.
         curves.append(Curve(key="measured_filtered", name="filtered", color=PREDICTED, line=lines["filtered", "q"][j]))
     if signals.q_ref is not None:
         line = _line(signals.t_s, signals.q_ref[:, j])

@@ -1,4 +1,4 @@
-"""Panels as Rerun shows them: `show` writes one's data as entities and returns the view of them."""
+"""Write panels to Rerun: `show` logs the data of a panel as entities and returns their view."""
 
 import hashlib
 import re
@@ -20,21 +20,21 @@ from ..arrays import Array
 from .panels import GREY, RESIDUAL, SKY, Bars, Chart, Color, Curve, Lanes, Log, Note, Panel, Plot, Scene
 
 _GHOST = (*SKY, 70)
-_SIGNS = "–—‘’“”…−√±×²³µ≤≥"  # that the viewer's font has, of those in use here
-_CROSS = 3.2  # half a cross's width, in pixels of its sheet
-Show = Callable[[Panel], Any]  # writes a panel, and gives the view of it
+_SIGNS = "–—‘’“”…−√±×²³µ≤≥"  # signs in use here that the viewer's font has
+_CROSS_HALF_WIDTH = 3.2  # pixels of the sheet
+Show = Callable[[Panel], Any]  # writes a panel and returns its view
 _DIAGONALS = np.array([[[-1.0, -1.0], [1.0, 1.0]], [[-1.0, 1.0], [1.0, -1.0]]])
 
 
 def write_pages(path: Path, application: str, identity: str, name: str, pages: Callable[[Show], list[Any]]) -> None:
-    """Write the pages that `pages` builds of the panels it shows as a Rerun file with its own layout.
+    """Write a Rerun file with its own layout; `pages` shows the panels and returns the pages.
 
-    A viewer holds one layout per application, and a layout is of its data: `identity` makes an application of each file.
-    Raises `AcquisitionError` where the file cannot be written.
+    The viewer stores one layout per application: `identity` makes each file an application of its own.
+    Raises `AcquisitionError`: the file cannot be written.
     """
-    named = re.sub(r"[^A-Za-z0-9 _-]+", "-", application)  # Rerun renames an application of another name, and warns
+    named = re.sub(r"[^A-Za-z0-9 _-]+", "-", application)  # other characters make Rerun rename it and warn
     recording = rr.RecordingStream(f"{named} {hashlib.sha256(identity.encode()).hexdigest()[:8]}")
-    stream = recording.binary_stream()  # in memory: a failing disk then shows as an OSError where the file is written
+    stream = recording.binary_stream()  # in memory: disk errors are then raised by write_bytes below
     try:
         recording.send_recording_name(shown_text(name))
         tabs = pages(lambda panel: show(recording, panel))
@@ -47,31 +47,31 @@ def write_pages(path: Path, application: str, identity: str, name: str, pages: C
         )
         recording.send_blueprint(blueprint)
     finally:
-        content = stream.read()  # after a failure too: rerun warns of what it drops
+        content = stream.read()  # also after a failure: rerun warns about unread data
         recording.disconnect()
     with atomic_write(path) as file:
         file.write_bytes(content)
 
 
 def shown_text(text: str) -> str:
-    """Text of characters that the viewer's font has: the viewer ends with an error at the first that it lacks.
+    """Text with characters of the viewer's font only: any other character stops the viewer with an error.
 
-    Others are replaced by what they are like (ᵀ by an apostrophe, a wide letter by the plain one), else by a question mark.
+    Others are replaced by similar ones (ᵀ by an apostrophe, a wide letter by the plain one), else by a question mark.
     """
-    return "".join(c if _has_glyph(c) else _like(c) for c in text)
+    return "".join(c if _has_glyph(c) else _replace_glyph(c) for c in text)
 
 
 def _has_glyph(c: str) -> bool:
     return c in "\n\t" or " " <= c <= "~" or "¡" <= c <= "ÿ" or ("Α" <= c <= "ω" and c.isalpha()) or c in _SIGNS
 
 
-def _like(c: str) -> str:
+def _replace_glyph(c: str) -> str:
     plain = "'" if c == "ᵀ" else "".join(x for x in unicodedata.normalize("NFKD", c) if _has_glyph(x))
     return plain or "?"
 
 
 def show(recording: Any, panel: Panel) -> Any:
-    """Write a panel's data as entities under its path; return the view of them."""
+    """Write a panel's data as entities under its path; return their view."""
     origin, title = rr.new_entity_path(list(panel.path)), shown_text(panel.title)
 
     def log(key: str, what: Any) -> None:
@@ -88,7 +88,7 @@ def show(recording: Any, panel: Panel) -> Any:
                 key = rr.new_entity_path([c.key]).lstrip("/")
                 name, columns = shown_text(c.name or c.key), rr.Scalars.columns(scalars=c.line[1])
                 style = {"names": name, "colors": c.color, "widths": c.width, "visible_series": c.visible}
-                # Rerun's own rule averages what falls on one pixel, and so loses peaks.
+                # By default Rerun averages the values of one pixel, which loses peaks.
                 log(key, rr.SeriesLines(**style, aggregation_policy="MinMax"))
                 recording.send_columns(f"{origin}/{key}", indexes=[_time(c.line[0])], columns=columns)
             legend = rrb.PlotLegend(corner=_emptiest_corner(panel.curves), visible=panel.legend)
@@ -101,15 +101,15 @@ def show(recording: Any, panel: Panel) -> Any:
             return rrb.BarChartView(origin=origin, name=title, plot_legend=rrb.PlotLegend(visible=False))
         case Chart():
             xy, texts, colors = zip(*(((x, y), shown_text(text), c) for x, y, text, c in panel.labels), strict=True)
-            none = rr.Radius.ui_points(0.1)
-            log("labels", rr.Points2D(xy, labels=texts, colors=colors, radii=none, show_labels=True))
+            hidden = rr.Radius.ui_points(0.1)
+            log("labels", rr.Points2D(xy, labels=texts, colors=colors, radii=hidden, show_labels=True))
             strips, colors, radii = zip(*panel.strokes, strict=True)
             log("strokes", rr.LineStrips2D(strips, colors=colors, radii=rr.Radius.ui_points(radii)))
             log_points("dots", panel.dots, 3.0, 50.0)
             log_points("cloud", panel.cloud, 1.5, 10.0)
             if panel.crosses:
                 xy, colors = zip(*(((x, y), color) for x, y, color in panel.crosses), strict=True)
-                both = (np.array(xy)[:, None, None] + _CROSS * _DIAGONALS).reshape(-1, 2, 2)
+                both = (np.array(xy)[:, None, None] + _CROSS_HALF_WIDTH * _DIAGONALS).reshape(-1, 2, 2)
                 twice = [color for color in colors for _ in _DIAGONALS]
                 log("crosses", rr.LineStrips2D(both, colors=twice, radii=rr.Radius.ui_points(0.8), draw_order=40.0))
             bounds = rrb.VisualBounds2D(x_range=[0, panel.size[0]], y_range=[0, panel.size[1]])
@@ -142,7 +142,7 @@ def _time(t_s: Array) -> Any:
 
 
 def _emptiest_corner(curves: Sequence[Curve]) -> str:
-    """Where a legend hides least of the curves."""
+    """The corner where a legend covers the fewest samples."""
     t, x = (np.concatenate([c.line[i] for c in curves if c.visible]) for i in (0, 1))
     right, left = t > t.min() + 0.72 * np.ptp(t), t < t.min() + 0.28 * np.ptp(t)
     top, bottom = x > x.min() + 0.65 * np.ptp(x), x < x.min() + 0.35 * np.ptp(x)
@@ -156,7 +156,7 @@ def _emptiest_corner(curves: Sequence[Curve]) -> str:
 
 
 def _show_robot(recording: Any, origin: str, scene: Scene) -> Any:
-    """Robots as the URDF draws them, and the motion of its joints."""
+    """Robots drawn by the URDF, and the motion of their joints."""
     for robot in scene.robots:
         tree = _urdf_tree(scene.urdf, origin, robot.key, ghost=robot.ghost)
         tree.log_urdf_to_recording(recording)
@@ -174,9 +174,9 @@ def _show_robot(recording: Any, origin: str, scene: Scene) -> Any:
 
 
 def _urdf_tree(text: str, origin: str, key: str, *, ghost: bool) -> UrdfTree:
-    """The tree of a URDF, whose frames are this robot's own; a ghost has one color."""
+    """The tree of a URDF with frames of its own for this robot; a ghost has one color."""
     root = ET.fromstring(text)
-    root.set("name", key)  # its entities are below origin/key: the prefix is one part of a path
+    root.set("name", key)  # entities are below origin/key, since the prefix is one part of a path
     for visual in root.iter("visual") if ghost else ():
         for material in visual.findall("material"):
             visual.remove(material)

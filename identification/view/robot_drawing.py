@@ -1,4 +1,4 @@
-"""The robot in three dimensions, moved by the data: by its URDF's shapes, or by those of a URDF made of its model."""
+"""The moving robot in three dimensions, drawn by its URDF's shapes, or by a URDF made from its model."""
 
 import hashlib
 import xml.etree.ElementTree as ET
@@ -19,13 +19,13 @@ from ..methods import Fit
 from ..model import InverseModel
 from .panels import Moving, Scene
 
-POSES_PER_S = 50.0  # as smooth as a screen shows it
-MOST_POSES = 15_000  # five minutes of them; a longer recording has fewer a second
-LEAST_VIEW_M = 0.7  # of the picture, about: a single joint moves close to its base
+POSES_PER_S = 50.0  # close to the frame rate of a screen
+MAX_POSES = 15_000  # five minutes; a longer recording has fewer poses per second
+MIN_VIEW_M = 0.7  # approximate size of the picture, since a single joint moves close to its base
 
 
 def robot_scene(signals: Signals, fit: Fit | None) -> Scene:
-    """The measured robot and, where the fit has one, the simulated one as its ghost."""
+    """The measured robot and, if the fit simulated it, the simulated one as a ghost."""
     dynamics = fit.problem.model if fit else InverseModel(signals.robot)
     fs, N = signals.sample_rate_hz, len(signals.q)
     k = np.arange(0, N, pose_stride(N, fs))
@@ -34,7 +34,7 @@ def robot_scene(signals: Signals, fit: Fit | None) -> Scene:
     if replica is not None and (m := replica.motion) is not None:
         k = np.arange(0, len(m.t_s), pose_stride(len(m.t_s), 1 / (m.t_s[1] - m.t_s[0])))
         t_s = signals.t_s[np.rint(m.t_s[k] * fs).astype(int)]
-        t_s[0] = signals.t_s[0]  # until it sets out, it stands where it will
+        t_s[0] = signals.t_s[0]  # before the simulation starts, the ghost stands at its first pose
         robots.append(Moving(key="simulated", t_s=t_s, q=m.q[k], ghost=True))
     title = "robot measured, in blue simulated" if len(robots) > 1 else "robot measured"
     return _scene(dynamics, robots, signals.q, title)
@@ -49,13 +49,13 @@ def excitation_scene(excitation: Excitation) -> Scene:
 
 
 def _scene(dynamics: InverseModel, robots: list[Moving], q: Array, title: str) -> Scene:
-    """Robots that move over the positions q (N, n), the first in the middle of the picture."""
+    """Robots in a picture centred on the motion q (N, n)."""
     up = _up(dynamics)
     places, _ = dynamics.placements(q[:: max(1, len(q) // 100)])
     points = np.concatenate([np.zeros((1, 3)), places.reshape(-1, 3)])
     target = 0.5 * (points.min(axis=0) + points.max(axis=0))
-    # The shapes reach beyond the last joint; a single joint turns, or slides, close to the base.
-    size = max(1.5 * float(np.linalg.norm(np.ptp(points, axis=0))), LEAST_VIEW_M)
+    # Larger than the joints' origins: the shapes extend beyond the last joint.
+    size = max(1.5 * float(np.linalg.norm(np.ptp(points, axis=0))), MIN_VIEW_M)
     side = np.cross(up, [0.0, 1.0, 0.0] if abs(up[1]) < 0.9 else [1.0, 0.0, 0.0])
     side /= np.linalg.norm(side)
     eye = target + size * (0.65 * side + 0.5 * np.cross(up, side) + 0.33 * up)
@@ -73,35 +73,35 @@ def _scene(dynamics: InverseModel, robots: list[Moving], q: Array, title: str) -
 
 
 def pose_stride(N: int, rate_hz: float) -> int:
-    """Of how many samples one gives a pose."""
-    return max(1, round(rate_hz / POSES_PER_S), -(-N // MOST_POSES))
+    """One of how many samples is drawn as a pose."""
+    return max(1, round(rate_hz / POSES_PER_S), -(-N // MAX_POSES))
 
 
 def _drawable(robot: Robot) -> str | None:
-    """A URDF with shapes of its own, its meshes named by their files; None without shapes, or where a mesh is not found.
+    """The robot's URDF with the files of its meshes; None without shapes or if a mesh is missing.
 
-    A mesh is taken from the recording. One that is not there is found by its name, unless this is relative: a recording does
-    not hold the folder of the URDF.
+    A mesh comes from the recording, else from the file of its name. A relative name is not found: the recording does not
+    contain the folder of the URDF.
     """
     if robot.urdf is None:
         return None
     root = ET.fromstring(robot.urdf)
     for link in root.iter("link"):
         for collision in link.findall("collision"):
-            link.remove(collision)  # a viewer hides them
+            link.remove(collision)  # the viewer hides them
     shapes = [shape for visual in root.iter("visual") for geometry in visual.iter("geometry") for shape in geometry]
     for mesh in (shape for shape in shapes if shape.tag == "mesh"):
         name = mesh.get("filename", "")
         content = robot.mesh(name)
-        file = find_mesh(name) if content is None else _file_of(content, PurePosixPath(name).suffix)
+        file = find_mesh(name) if content is None else _write_mesh(content, PurePosixPath(name).suffix)
         if file is None:
             return None
         mesh.set("filename", str(file))
     return ET.tostring(root, encoding="unicode") if shapes else None
 
 
-def _file_of(content: bytes, suffix: str) -> Path | None:
-    """A file with a recording's mesh, for Rerun, which reads meshes from files only; removed when the program ends."""
+def _write_mesh(content: bytes, suffix: str) -> Path | None:
+    """Write a recording's mesh to a file for Rerun, which reads only files; it is removed when the program ends."""
     if suffix.lower() not in MESHES:
         return None
     file = Path(_folder().name) / (hashlib.sha256(content).hexdigest() + suffix)
@@ -115,7 +115,7 @@ def _folder() -> TemporaryDirectory[str]:
 
 
 def _up(dynamics: InverseModel) -> Array:
-    """Against gravity; the base's z where there is none."""
+    """The direction opposite to gravity; the base's z without gravity."""
     g = dynamics.robot.gravity
     size = float(np.linalg.norm(g))
     return -g / size if size > 0 else np.array([0.0, 0.0, 1.0])

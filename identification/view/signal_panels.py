@@ -1,4 +1,4 @@
-"""How good the signals are: spectra, residual, phases and events of the session, counters; and in words what is drawn."""
+"""Quality of the signals: spectra, residual, phases and events of the session, counters; a description of the curves."""
 
 import math
 from collections.abc import Sequence
@@ -12,32 +12,32 @@ from ..estimation import are_moving, autocorrelation
 from ..methods import Fit
 from ..regression import Settings
 from ..report import Cell, Number, Section, Table, columns
-from .curves import model_stride, thinning
+from .curves import bucket_size, model_stride
 from .panels import GREEN, GREY, JOINTS, ORANGE, SKY, Bars, Chart, Color, Curve, Lanes, Log, Plot, Scale, log10
 from .robot_drawing import pose_stride
 
-TRACKING = "track"  # the phase that a fit uses
-MOST_LINES = 2000  # of the log
-EXPECTED = ("phase", "mark", "disabled", "end")  # kinds of events that need no attention
-LAGS = 60  # of the autocorrelation, in decimated samples
-SHOWN_DEVIATIONS = 4.0  # of the residual: to where its distribution is drawn
-SPECTRUM_SAMPLES = 16  # fewer have no spectrum to show
-TO_DEVIATION = 1.4826  # from the median of |x| to the standard deviation of normal x
-TOTALS = ("frames", "syncs")  # counters of what went right: they would dwarf the others
+TRACKING_PHASE = "track"  # the phase used by a fit
+MAX_LINES = 2000  # of the log
+ROUTINE_EVENTS = ("phase", "mark", "disabled", "end")  # kinds that are no warnings
+MAX_LAGS = 60  # of the autocorrelation, in decimated samples
+MAX_RESIDUAL_SIGMAS = 4.0  # range of the drawn distribution
+MIN_SPECTRUM_SAMPLES = 16  # fewer give no spectrum
+SIGMA_PER_MEDIAN = 1.4826  # standard deviation over median of |x|, for normal x
+UNCHARTED_COUNTERS = ("frames", "syncs")  # they count no faults, and are much larger than the others
 
 
 def span_lanes(signals: Signals, settings: Settings | None, *, fitted: bool) -> Lanes | None:
-    """The session's phases and what of the recording the fit uses, or would use; None where neither is known."""
+    """The session's phases and the span that a fit uses, or would use; None if both are unknown."""
     end_s = float(signals.t_s[-1])
     lanes: dict[str, list[tuple[float, str, Color]]] = {}
     phases = [event for event in signals.events if event.kind == "phase"]
     if phases:
-        colors: dict[str, Color] = {TRACKING: GREEN}
+        colors: dict[str, Color] = {TRACKING_PHASE: GREEN}
         states: dict[float, tuple[float, str, Color]] = {}
         for event in phases:
             color = colors.setdefault(event.text, (GREY, SKY, *JOINTS[3:7])[len(colors) % 6])
-            at = within(event.t_s, end_s)
-            states[at] = (at, event.text, color)  # of those before the first sample, the last
+            at = clamp_time(event.t_s, end_s)
+            states[at] = (at, event.text, color)  # of the phases before the first sample the last is drawn
         lanes["phase"] = list(states.values())
     if settings is not None:
         start, stop = (float(signals.t_s[k]) for k in (settings.start, settings.stop - 1))
@@ -53,20 +53,20 @@ def span_lanes(signals: Signals, settings: Settings | None, *, fitted: bool) -> 
 
 
 def event_log(signals: Signals) -> Log | None:
-    """What happened, None where nothing did. The seconds stand in the text: a viewer's column of times is too narrow for them.
+    """Events of the session, None without any. Events outside of the samples are drawn at their ends.
 
-    What is outside of the samples stands at their ends.
+    The text repeats the time, since the viewer's time column is too narrow.
     """
     end_s, lines = float(signals.t_s[-1]), []
-    for event in signals.events[:MOST_LINES]:
-        at = within(event.t_s, end_s)
+    for event in signals.events[:MAX_LINES]:
+        at = clamp_time(event.t_s, end_s)
         where = "" if at == event.t_s else f" ({'before' if at == 0 else 'after'} the samples)"
-        lines.append((at, event.kind not in EXPECTED, f"{event.t_s:.3f} s  {event.kind}: {event.text}{where}"))
+        lines.append((at, event.kind not in ROUTINE_EVENTS, f"{event.t_s:.3f} s  {event.kind}: {event.text}{where}"))
     return Log(path=("events",), title=f"events: {len(signals.events)}", lines=lines) if lines else None
 
 
 def health_plot(signals: Signals) -> Plot | None:
-    """The recorder's counts of what went wrong, None where it kept none; the title says what they come to."""
+    """The recorder's fault counters, None without any; the title has the final counts."""
     end_s = float(signals.t_s[-1])
     curves: list[Curve] = []
     for name, (t_s, counts) in signals.health.items():
@@ -74,8 +74,8 @@ def health_plot(signals: Signals) -> Plot | None:
         if not known.any():
             continue
         t_s, counts = t_s[known], counts[known]
-        if name not in TOTALS and not name.endswith("_s"):
-            before = np.flatnonzero(t_s < 0)[-1:]  # counts so far, as the samples begin
+        if name not in UNCHARTED_COUNTERS and not name.endswith("_s"):
+            before = np.flatnonzero(t_s < 0)[-1:]  # counts at the first sample
             k = np.r_[before, np.flatnonzero((t_s >= 0) & (t_s <= end_s))]
             line = np.clip(t_s[k], 0, end_s), counts[k]
             if len(k) == 0 or line[0][-1] < end_s:
@@ -85,17 +85,17 @@ def health_plot(signals: Signals) -> Plot | None:
             color = JOINTS[len(curves) % len(JOINTS)]
             curves.append(Curve(key=name, color=color, line=line, width=2.0))
     faults = [f"{c.key} {c.line[1][-1]:g}" for c in curves if c.line[1][-1]]
-    title = f"counted: {', '.join(faults) or 'no fault'}"
+    title = f"fault counters: {', '.join(faults) or 'no fault'}"
     return Plot(path=("health",), title=title, curves=tuple(curves)) if curves else None
 
 
-def within(t_s: float, end_s: float) -> float:
-    """A time brought to between the first sample and the last."""
+def clamp_time(t_s: float, end_s: float) -> float:
+    """A time clamped to the samples, 0 to `end_s`."""
     return min(max(t_s, 0.0), end_s)
 
 
 def spectrum_drawings(signals: Signals, settings: Settings | None) -> list[Chart]:
-    """Spectra of position and effort of all joints over the span of the settings, with their cut-offs."""
+    """Spectra of position and effort of all joints over the span of the settings, with cut-off frequencies."""
     robot, fs = signals.robot, signals.sample_rate_hz
     start, stop = (settings.start, settings.stop) if settings else (0, len(signals.q))
     bandwidth = (robot.bandwidth_hz, "bandwidth")
@@ -115,8 +115,8 @@ def spectrum_drawings(signals: Signals, settings: Settings | None) -> list[Chart
 
 
 def _spectrum(x: Array, sample_rate_hz: float) -> tuple[Array, Array]:
-    """Frequencies in Hz and amplitude density of x (N,) by Welch's method, averaged within 40 bands a decade."""
-    if len(x) < SPECTRUM_SAMPLES:
+    """Frequencies in Hz and amplitude density of x (N,) by Welch's method, averaged in 40 bands per decade."""
+    if len(x) < MIN_SPECTRUM_SAMPLES:
         return np.zeros(0), np.zeros(0)
     f, power = signal.welch(x, sample_rate_hz, nperseg=int(min(len(x) // 2, 20 * sample_rate_hz)), detrend="linear")
     f, power = f[1:], power[1:]
@@ -131,7 +131,7 @@ def _spectrum(x: Array, sample_rate_hz: float) -> tuple[Array, Array]:
 def _log_log(
     path: tuple[str, ...], title: str, curves: Sequence[tuple[str, Array, Array]], marks: Sequence[tuple[float, str]]
 ) -> Chart:
-    """Curves (name, x, y) on logarithmic axes, and marks (x, name) across them."""
+    """Curves (name, x, y) on logarithmic axes, with vertical marks (x, name)."""
     chart, (left, top, right, bottom) = Chart(path=path, title=title, size=(900.0, 560.0)), (70.0, 20.0, 880.0, 510.0)
     all_x, all_y = (np.concatenate([c[i] for c in curves]) for i in (1, 2))
     highest = math.ceil(log10(all_y.max()))
@@ -152,32 +152,32 @@ def _log_log(
     return chart
 
 
-def residual_of_moving(fit: Fit, j: int) -> Array:
-    """Residual of joint j where it moves; all of it where it never does."""
+def _moving_residual(fit: Fit, j: int) -> Array:
+    """Residual of joint j in rows where the joint moves; in all rows if it never moves."""
     rho = (fit.tau - fit.tau_predicted)[:, j]
     return moving if len(moving := rho[are_moving(fit.speed)[:, j]]) else rho
 
 
-def middle_deviation(rho: Array) -> float:
-    """Standard deviation, of the middle of the rows, so that a few far ones do not make it."""
-    return float(TO_DEVIATION * np.median(np.abs(rho))) or float(np.sqrt(np.mean(rho**2)))
+def _robust_sigma(rho: Array) -> float:
+    """Standard deviation from the median of |rho|, which is robust against outliers."""
+    return float(SIGMA_PER_MEDIAN * np.median(np.abs(rho))) or float(np.sqrt(np.mean(rho**2)))
 
 
 def residual_bars(signals: Signals, fit: Fit, j: int) -> list[Bars]:
-    """Is the residual of joint j white noise: its autocorrelation, its distribution; none where nothing is left.
+    """Autocorrelation and distribution of joint j's residual, to compare with white noise; none if it is zero.
 
-    The distribution is of rows that move: friction at rest is not in the model, and a few such rows would hide the others.
+    The distribution is of moving rows: friction at rest is not modelled, and few such rows would hide the others.
     """
     rho, name = (fit.tau - fit.tau_predicted)[:, j], signals.robot.joints[j].name
     T = len(rho)
     if not rho.any():
         return []
     period_s, bound = fit.settings.decimation / signals.sample_rate_hz, 2.0 / math.sqrt(T)
-    lags = np.arange(1.0, min(LAGS, T - 1) + 1)
+    lags = np.arange(1.0, min(MAX_LAGS, T - 1) + 1)
     r = np.array([autocorrelation(rho, int(k)) or 0.0 for k in lags])
-    shown = residual_of_moving(fit, j)
-    s = middle_deviation(shown)
-    edge = SHOWN_DEVIATIONS * s
+    shown = _moving_residual(fit, j)
+    s = _robust_sigma(shown)
+    edge = MAX_RESIDUAL_SIGMAS * s
     counts, edges = np.histogram(shown, bins=31, range=(-edge, edge))
     width, x = float(edges[1] - edges[0]), np.linspace(-edge, edge, 301)[:-1]
     normal = len(shown) * width / (s * math.sqrt(2 * math.pi)) * np.exp(-0.5 * (x / s) ** 2)
@@ -198,61 +198,61 @@ def residual_bars(signals: Signals, fit: Fit, j: int) -> list[Bars]:
 
 
 def numbers_of_plots(signals: Signals, fit: Fit | None) -> Section:
-    """What the plots of each joint come to: peak effort, tracking error, and deviation and correlation of the residual."""
+    """Figures of each joint: peak effort, tracking error, and standard deviation and correlation of the residual."""
     robot, heads = signals.robot, ["peak effort"]
     cells: list[list[Cell]] = [[Number(float(x), ".3g") for x in np.abs(signals.effort).max(axis=0)]]
     if signals.q_ref is not None:
         heads.append("reference − measured, rms, rad or m")
-        each = zip(signals.q_ref.T, signals.q.T, strict=True)
-        cells.append([Number(float(np.sqrt(np.mean((reference - q) ** 2))), ".2g") for reference, q in each])
+        pairs = zip(signals.q_ref.T, signals.q.T, strict=True)
+        cells.append([Number(float(np.sqrt(np.mean((q_ref - q) ** 2))), ".2g") for q_ref, q in pairs])
     if fit is not None:
-        rows = [residual_of_moving(fit, j) for j in range(robot.n)]
-        sigmas = [middle_deviation(rho) for rho in rows]
-        heads += ["residual σ", f"rows beyond {SHOWN_DEVIATIONS:g} σ", "residual lag-1"]
+        rows = [_moving_residual(fit, j) for j in range(robot.n)]
+        sigmas = [_robust_sigma(rho) for rho in rows]
+        heads += ["residual σ", f"rows beyond {MAX_RESIDUAL_SIGMAS:g} σ", "residual lag-1"]
         cells.append([Number(sigma, ".2g") for sigma in sigmas])
         beyond = zip(rows, sigmas, strict=True)
-        cells.append([Number(int((np.abs(rho) > SHOWN_DEVIATIONS * sigma).sum()), "d") for rho, sigma in beyond])
+        cells.append([Number(int((np.abs(rho) > MAX_RESIDUAL_SIGMAS * sigma).sum()), "d") for rho, sigma in beyond])
         cells.append([Number(e.autocorrelation, ".2f") for e in fit.errors[:-1]])
     names = [joint.name for joint in robot.joints]
     table = Table(
         columns=columns("joint", "unit", numbers=tuple(heads)),
         rows=tuple(zip(names, robot.effort_units, *cells, strict=True)),
     )
-    return Section(title="numbers of the plots", table=table)
+    return Section(title="figures of the plots", table=table)
 
 
 def legend(signals: Signals, settings: Settings | None, fit: Fit | None) -> Section:
-    """What is drawn of a recording and of its fit: how the curves come from the samples, and what of them is shown."""
+    """The curves of a recording and its fit: how they are computed from the samples, and which samples are drawn."""
     N, fs, lines = len(signals.q), signals.sample_rate_hz, list[str]()
-    step, stride = thinning(N), model_stride(signals, settings) if settings else 1
+    step, stride = bucket_size(N), model_stride(signals, settings) if settings else 1
     simulated = fit is not None and fit.replica is not None and fit.replica.motion is not None
     if fit is not None:
-        lines.append("IDM, in orange: the torque of the inverse model with these parameters along the filtered motion.")
+        lines.append("IDM, orange: torque of the inverse model with these parameters and the filtered motion.")
     if simulated:
-        lines.append("DDM and simulated, in light blue: the robot simulated with these parameters, in closed loop.")
+        lines.append("DDM and simulated, light blue: the robot with these parameters, simulated in closed loop.")
     if fit is not None:
         lines.append(
-            "Residual, in vermillion: of the decimated rows, measured and modelled torque through the same filter, as fitted; "
-            "its autocorrelation over the lag, in grey the bounds ±2/√N of white noise; the distribution of the rows that "
-            "move, within four sigma (1.48 times the median of its size), in grey the normal one."
+            "Residual, vermillion: measured minus modelled torque of the decimated rows, both through the same filter, as "
+            "fitted; its autocorrelation over the lag, in grey the bounds ±2/√N of white noise; its distribution in moving "
+            "rows within four sigma (sigma: 1.48 times the median of its absolute value), in grey the normal distribution."
         )
     if simulated or (fit is not None and signals.q_ref is not None):
         lines.append(
-            "Position plots of the first page: reference and simulated position, each minus the measured one; the positions "
-            "themselves are on the page motion."
+            "Position plots of the first page: reference and simulated position, each minus the measured one; the page motion "
+            "has the positions."
         )
     lines.append(
-        "Measured, in grey: the recording as it is, all of it; dq and ddq are central differences of the raw position, and "
-        "off where noise would drown the rest: a click in the legend shows them."
+        "Measured, grey: the whole recording, unfiltered; dq and ddq are central differences of the raw position, hidden "
+        "if their noise is large: a click in the legend shows them."
     )
     if settings is not None and settings.cutoff_hz is not None:
-        lines.append("Filtered, in orange: the measured motion through the low-pass, over the span to fit.")
+        lines.append("Filtered, orange: the measured motion through the low-pass, over the span to fit.")
     if step == 1:
         lines.append("Curves show every sample.")
     else:
-        lines.append(f"For display, of every {step} samples measured curves show the lowest and the highest.")
+        lines.append(f"Measured curves show the minimum and maximum of every {step} samples.")
     if stride > 1:
         filtered = "Filtered curves and IDM" if fit is not None else "Filtered curves"
-        lines.append(f"{filtered} show every {stride}th sample, {fs / stride:g} a second.")
-    lines.append(f"The robot takes {fs / pose_stride(N, fs):.3g} poses a second.")
-    return Section(title="what is drawn", lines=tuple(lines))
+        lines.append(f"{filtered} show one of every {stride} samples, {fs / stride:g} per second.")
+    lines.append(f"The robot is drawn in {fs / pose_stride(N, fs):.3g} poses per second.")
+    return Section(title="curves", lines=tuple(lines))

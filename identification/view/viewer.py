@@ -1,7 +1,7 @@
-"""Rerun files that open with their own layout, and the pages of each.
+"""Write Rerun files with their own layout and pages.
 
-What is shown is plain data of `panels`. `show` writes one of these into the file and returns the view of it,
-and the layout is built of such views only: none can be without data.
+The content is the plain data of `panels`. `show` writes a panel into the file and returns its view; the layout contains only
+such views, so none is without data.
 """
 
 from collections.abc import Mapping, Sequence
@@ -61,19 +61,21 @@ from .signal_panels import (
 
 
 def write_fit_rrd(path: Path, signals: Signals, fit: Fit, *, truth: Array | None = None) -> None:
-    """Write a fit as a Rerun file that opens with its own layout (`rerun fit.rrd`).
+    """Write a fit as a Rerun file with its own layout (`rerun fit.rrd`).
 
-    A fit by instruments is shown with its least squares. Times are seconds from the recording's first sample, on the
-    timeline `time`. Measured curves span the recording, filtered and predicted ones what the fit used of it. Entities are
+    A fit by IV is shown together with its least squares. Times are seconds from the recording's first sample, on the
+    timeline `time`. Measured curves cover the recording, filtered and predicted ones the fitted span. Entities are
     `q/<joint>/measured`, `measured_filtered`, `reference`, `simulated`, and so for `dq` and `ddq`;
     `error/<joint>/reference`, `simulated`: these positions minus the measured one, in the unit of the plot's title;
     `torque/<joint>/measured`, `model_idm`, `model_ddm`, `residual`; `robot`, `parameters`, `trust`, `passes`,
     `friction`, `residual`, `spectrum`, `session`, `events`, `health`, `extra/<object>/<motor>`, `report`.
 
-    Raises `AcquisitionError`: where the file cannot be written.
+    Raises `AcquisitionError`: the file cannot be written.
     """
-    compared = truth.tobytes() if truth is not None else b""
-    identity = f"{signals.sha256} {fit.method} {fit.settings} {fit.estimate.names} {fit.estimate.beta.tobytes()!r} {compared!r}"
+    true = truth.tobytes() if truth is not None else b""
+    identity = (
+        f"{signals.sha256} {fit.method} {fit.settings} {fit.estimate.names} {fit.estimate.beta.tobytes()!r} {true!r}"
+    )
     name = f"{signals.recording}, {fit.method.upper()}"
     write_pages(path, signals.robot.name, identity, name, lambda show: _fit_pages(show, signals, fit, truth))
 
@@ -83,7 +85,7 @@ def write_friction_rrd(path: Path, before: Fit, after: Fit, document: Document) 
 
     Entities are `friction/<joint>/usual`, `friction/<joint>/recommended`, and `report`.
 
-    Raises `AcquisitionError`: where the file `path` cannot be written.
+    Raises `AcquisitionError`: the file cannot be written.
     """
     robot = before.problem.signals.robot.name
     recording = ", ".join(one.problem.signals.recording for one in before.recordings)
@@ -98,11 +100,11 @@ def write_friction_rrd(path: Path, before: Fit, after: Fit, document: Document) 
 
 
 def write_recording_rrd(path: Path, signals: Signals, overrides: Overrides) -> None:
-    """Write a recording that has not been fitted as a Rerun file, with the panels of a fit that need none.
+    """Write a recording as a Rerun file, with the panels that need no fit.
 
     Entities as in `write_fit_rrd`.
 
-    Raises `AcquisitionError`: where the file cannot be written.
+    Raises `AcquisitionError`: the file cannot be written.
     """
     refusal, settings = None, None
     try:
@@ -122,8 +124,8 @@ def write_recording_rrd(path: Path, signals: Signals, overrides: Overrides) -> N
 def write_comparison_rrd(path: Path, own: ParameterSet, other: ParameterSet) -> None:
     """Write two sets of parameters as a Rerun file: entities `trust` and `report`.
 
-    Raises `AcquisitionError`: where the file `path` cannot be written. Raises `IdentificationError`: where the sets do
-    not belong together, as `report.differences` has it.
+    Raises `AcquisitionError`: the file cannot be written. Raises `IdentificationError`: the sets do not
+    belong together (`report.differences`).
     """
     document, name = comparison_document(own, other), f"{own.label} and {other.label}"
     drawing = deviation_drawing(own, [other])
@@ -136,9 +138,9 @@ def write_comparison_rrd(path: Path, own: ParameterSet, other: ParameterSet) -> 
 
 
 def write_study_rrd(path: Path, robot: str, runs: Sequence[Run], true: Array, document: Document) -> None:
-    """Write a study as a Rerun file: entities `study`, every run's error and their medians, and `report`.
+    """Write a study as a Rerun file: entities `study` (errors of all runs and their medians) and `report`.
 
-    Raises `AcquisitionError`: where the file cannot be written.
+    Raises `AcquisitionError`: the file cannot be written.
     """
     identity = repr([(run.number, run.iv and run.iv.error, run.ls and run.ls.error) for run in runs])
 
@@ -150,12 +152,12 @@ def write_study_rrd(path: Path, robot: str, runs: Sequence[Run], true: Array, do
 
 
 def write_excitation_rrd(path: Path, excitation: Excitation, document: Document) -> None:
-    """Write a period of a reference with its limits, and the expected intervals, as one page of a Rerun file.
+    """Write one period of a reference with its limits, and the expected intervals, as a Rerun file of one page.
 
-    Entities are `q/<joint>`, `dq/<joint>` and, where it is known, `torque/<joint>`, each with `reference`, `low` and `high`;
+    Entities are `q/<joint>`, `dq/<joint>` and, if known, `torque/<joint>`, each with `reference`, `low` and `high`;
     `robot`, `intervals`, `report`.
 
-    Raises `AcquisitionError`: where the file cannot be written.
+    Raises `AcquisitionError`: the file cannot be written.
     """
     robot, identity = excitation.robot.name, f"{excitation.settings} {excitation.sigma.tobytes()!r}"
 
@@ -171,22 +173,22 @@ def write_excitation_rrd(path: Path, excitation: Excitation, document: Document)
 def write_fleet_rrd(path: Path, series: Sequence[Drift], document: Document) -> None:
     """Write the drift of a fleet as a Rerun file, a page per robot: entities `drift/<robot>/<number>`, and `report`.
 
-    Times are those from the first recording charted, on the timeline `time`.
+    Times are relative to the first recording in the chart, on the timeline `time`.
 
-    Raises `AcquisitionError`: where the file cannot be written.
+    Raises `AcquisitionError`: the file cannot be written.
     """
     names = ", ".join(drift.name for drift in series)
     identity = repr([(row.sha256, row.parameters) for drift in series for row in drift.rows])
 
     def pages(show: Show) -> list[Any]:
-        report, found = show(_report(document)), []
+        report, pages_of_robots = show(_report(document)), []
         for drift in series:
             views = [show(plot) for plot in drift_plots(drift)]
             starts = range(0, len(views), 16)
             tabs = [rrb.Grid(*views[k : k + 16], grid_columns=4, name=f"from {k + 1}") for k in starts]
             charts = rrb.Tabs(*tabs, active_tab=0)
-            found.append(rrb.Horizontal(charts, report, column_shares=[5, 2], name=shown_text(drift.name)))
-        return found or [rrb.Horizontal(report, name="report")]
+            pages_of_robots.append(rrb.Horizontal(charts, report, column_shares=[5, 2], name=shown_text(drift.name)))
+        return pages_of_robots or [rrb.Horizontal(report, name="report")]
 
     write_pages(path, f"fleet {names}", identity, "fleet", pages)
 
@@ -196,7 +198,7 @@ def _report(document: Document) -> Note:
 
 
 def _fit_pages(show: Show, signals: Signals, fit: Fit, truth: Array | None) -> list[Any]:
-    """A page with the answer, then pages with the evidence."""
+    """A page with the result, then pages with the evidence."""
     n, own = signals.robot.n, fitted_parameters(fit)
     others = [least_squares_parameters(fit)] if fit.iv else []
     others += [true_parameters(fit.base, truth)] if truth is not None else []
@@ -228,9 +230,9 @@ def _fit_pages(show: Show, signals: Signals, fit: Fit, truth: Array | None) -> l
 def _signal_pages(
     show: Show, signals: Signals, settings: Settings | None, fit: Fit | None, lines: Lines, *, answer: Any
 ) -> list[Any]:
-    """The pages of a recording, fitted or not: the answer, how good the signals are, extra objects of drives, the motion."""
+    """The pages of a recording with or without a fit: overview, signal quality, extra objects of drives, motion."""
     n, joints = signals.robot.n, signals.robot.joints
-    # Did the robot follow, beside it the robot; is the torque explained; at the side what came out.
+    # The overview: tracking and the robot above, torques below, the result at the side.
     grid = 1 if n == 1 else 2 if n == 2 else 3 if n <= 6 else 4
     follow = rrb.Horizontal(
         rrb.Grid(*map(show, position_plots(signals, fit, lines)), grid_columns=grid),
@@ -240,7 +242,7 @@ def _signal_pages(
     explained = rrb.Grid(*map(show, torque_plots(signals, fit, lines)), grid_columns=grid)
     both = rrb.Vertical(follow, explained, row_shares=[4, 5])
     pages = [rrb.Horizontal(both, answer, column_shares=[5, 2], name="overview" if fit else "recording")]
-    # Rows of the page of signals, each with its share of the height.
+    # Rows of the signal page with their shares of the height.
     rows: list[tuple[Any, float]] = []
     if spectra := [show(drawing) for drawing in spectrum_drawings(signals, settings)]:
         rows.append((rrb.Horizontal(*spectra), 5.0))
@@ -262,7 +264,7 @@ def _signal_pages(
 
 
 def _friction_page(show: Show, fits: Mapping[str, Fit]) -> Any:
-    """Friction of each joint over its speed, of one fit or several by name, side by side."""
+    """Friction of each joint over its speed, for one fit or several fits side by side."""
     drawings = [
         [show(friction_drawing(friction, of=name)) for friction in friction_of_joints(fit)]
         for name, fit in fits.items()
