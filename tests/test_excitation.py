@@ -144,12 +144,12 @@ def test_the_jacobian_of_the_limits_is_that_of_differences(robot):
     *_, direct = modelled(robot)
     limits, basis, x = limits_of(robot, direct, 0.8, "here"), SERIES.basis(40), random_x(robot)
     every = np.tile(np.arange(40)[:, None], (1, 24))
-    J = limits.jacobian(limits.used_and_slopes(motion_of(x, basis))[1], basis, every)
+    J = limits.jacobian(limits.shares_and_slopes(motion_of(x, basis))[1], basis, every)
     assert J.shape == (40 * (18 + 6), x.size)
     rng, h = np.random.default_rng(4), 1e-5
     for _ in range(4):
         d = rng.standard_normal(x.shape)
-        ends = [limits.used(motion_of(x + k * h * d, basis)).ravel() for k in (-2, -1, 1, 2)]
+        ends = [limits.shares(motion_of(x + k * h * d, basis)).ravel() for k in (-2, -1, 1, 2)]
         slope = (8 * (ends[2] - ends[1]) - (ends[3] - ends[0])) / (12 * h)
         for rows in (slice(0, 18), slice(18, None)):  # motion; efforts, whose shares are smaller by far
             found, expected = ((v.reshape(40, -1)[:, rows]) for v in (J @ d.ravel(), slope))
@@ -261,7 +261,7 @@ def test_a_search_that_makes_no_parameter_worse_goes_before_one_of_less_criterio
     sigmas = iter(np.array([[0.3, 1.2], [0.9, 0.9], [0.8, 0.95], [0.9, 1.0]]))
     starts = [random_x(SCARA, seed=seed, share=0.4) for seed in range(4)]
     monkeypatch.setattr(search, "STARTS", 4)
-    monkeypatch.setattr(search, "_start", lambda problem, seed: starts[seed - 4])
+    monkeypatch.setattr(search, "_random_start", lambda problem, seed: starts[seed - 4])
     monkeypatch.setattr(search, "best_series", lambda problem, start, say: start)
     information = SimpleNamespace(sigma=lambda motion: next(sigmas))
     limits = limits_of(SCARA, None, 0.8, "here")
@@ -465,7 +465,7 @@ def test_a_search_starts_where_the_links_are_far_apart():
     limits = limits_of(robot, None, 0.8, "here", obstacles)
 
     def most(pose):
-        used = np.abs(limits.used((pose[None], np.zeros((1, 2)), np.zeros((1, 2))))).max()
+        used = np.abs(limits.shares((pose[None], np.zeros((1, 2)), np.zeros((1, 2))))).max()
         return max(used, limits.nearness(pose[None], 0.22)[0])
 
     poses = np.random.default_rng(9).uniform(-0.5, 0.5, (50, 2)) * limits.maximum[0]

@@ -21,17 +21,8 @@ from .work import Serial, Work
 
 ON_GRID = 0.05  # of a period: samples farther from a uniform grid are interpolated
 MAX_GAP = 3.0  # periods between two samples, ± half a period
-JOINT_FIELDS = (
-    "name",
-    "type",
-    "dh",
-    "zero_deg",
-    "zero_m",
-    "stribeck_speed_deg_s",
-    "stribeck_speed_m_s",
-    "rotor_inertia",
-)
-MOTOR_FIELDS = ("name", "ratio", "effort_unit", "drive_gain", "drive_gain_unit")
+JOINT_KEYS = ("name", "type", "dh", "zero_deg", "zero_m", "stribeck_speed_deg_s", "stribeck_speed_m_s", "rotor_inertia")
+MOTOR_KEYS = ("name", "ratio", "effort_unit", "drive_gain", "drive_gain_unit")
 
 
 def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signals:
@@ -64,7 +55,7 @@ def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signa
     grid, rate_hz, off_grid = _grid(stamps, recording.sample_rate_hz, path)
     first_ns, was = int(stamps[0]), recording.robot
     names = [name for name in ("position", "effort", "reference", *OPTIONAL) if name in fields]
-    columns = {name: _at(grid, stamps, field_of(samples, name)) for name in names}
+    columns = {name: _resample(grid, stamps, field_of(samples, name)) for name in names}
     law = was.files.get(SIMULATED_CONTROLLER)
     if robot is not None and law is not None:  # it belongs to the drives of this recording, not to the description
         robot = robot_from_files({**robot.files, SIMULATED_CONTROLLER: law}, str(path))
@@ -154,7 +145,7 @@ def _grid(stamps: NDArray[np.int64], nominal_hz: float, path: Path) -> tuple[Arr
     return grid, round(1e9 / period, 6), off_grid
 
 
-def _at(grid: Array, stamps: NDArray[np.int64], x: Array) -> Array:
+def _resample(grid: Array, stamps: NDArray[np.int64], x: Array) -> Array:
     """x (N, n), sampled at `stamps`, on the grid: unchanged, or by a cubic spline."""
     since = (stamps - stamps[0]).astype(float)
     if len(grid) == len(since) and (grid == since).all():
@@ -167,12 +158,12 @@ def _at(grid: Array, stamps: NDArray[np.int64], x: Array) -> Array:
 def _health(recording: Recording, first_ns: int) -> dict[str, tuple[Array, Array]]:
     """The recorder's counters by name, over time in s from the first sample."""
     names = dict.fromkeys(name for health in recording.health for name in health.counters)
-    found = {}
+    counters = {}
     for name in names:
         rows = [(1e-9 * (h.stamp_ns - first_ns), h.counters[name]) for h in recording.health if name in h.counters]
         t_s, counts = np.array(rows).T
-        found[name] = (t_s, counts)
-    return found
+        counters[name] = (t_s, counts)
+    return counters
 
 
 def _phase(recording: Recording, name: str, grid: Array, first_ns: int) -> tuple[int, int] | None:
@@ -242,20 +233,20 @@ def check_one_robot(recordings: Sequence[Signals]) -> None:
         if other.robot.n != first.robot.n:
             expected = f"{first.robot.n}, as in {first.recording}"
             raise IdentificationError(place=other.recording, key="joints", value=other.robot.n, expected=expected)
-        for key, value, wanted in _compared(other.robot, first.robot):
+        for key, value, wanted in _compare(other.robot, first.robot):
             if value != wanted:
                 expected = f"{wanted!r}, as in {first.recording}: recordings of one fit are of one robot"
                 raise IdentificationError(place=other.recording, key=key, value=value, expected=expected)
 
 
-def _compared(a: Robot, b: Robot) -> Iterator[tuple[str, Any, Any]]:
+def _compare(a: Robot, b: Robot) -> Iterator[tuple[str, Any, Any]]:
     """What must agree between two robots with as many joints: key and both values."""
     for mine, others in zip(a.joints, b.joints, strict=True):
-        for name in JOINT_FIELDS:
+        for name in JOINT_KEYS:
             yield f"joint {mine.name}: {name}", getattr(mine, name), getattr(others, name)
         yield f"joint {mine.name}: friction", _friction(mine), _friction(others)
     for motor, other in zip(a.motors, b.motors, strict=True):
-        for name in MOTOR_FIELDS:
+        for name in MOTOR_KEYS:
             yield f"motor {motor.name}: {name}", getattr(motor, name), getattr(other, name)
     for key, x, y in (("gravity_m_s2", a.gravity, b.gravity), ("motor_matrix", a.R, b.R)):
         yield key, np.asarray(x).tolist(), np.asarray(y).tolist()

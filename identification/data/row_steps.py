@@ -9,10 +9,8 @@ from ..arrays import Array
 MIN_DEVIATIONS = (
     10.0  # of steps about their neighbours: smaller steps cannot be distinguished from double or zero steps
 )
-MAX_MULTIPLE_ERROR = 0.15  # of a step: largest distance from a multiple
-MAX_NEIGHBOUR_DIFFERENCE = (
-    0.25  # of a step: of three of four neighbours from their median (of two next to a missing row)
-)
+MAX_ERROR = 0.15  # of a step: largest distance from a multiple
+MAX_DIFFERENCE = 0.25  # of a step: of three of four neighbours from their median (of two next to a missing row)
 QUANTUM_DEVIATION = 0.41  # standard deviation of the step between two rounded positions, in quanta
 MAX_MULTIPLE = 4  # of its neighbours: a longer step does not count as lost rows
 ROUNDING = 1e-9  # of the largest position: smaller steps count as none
@@ -41,13 +39,13 @@ def position_steps(q: Array) -> PositionSteps:
     """The counts of positions q (N, n) whose rows are nominally evenly spaced in time."""
     whole, coarse = np.zeros(4, dtype=int), np.zeros((q.shape[1], 3), dtype=int)
     for start in range(0, max(1, len(q) - 5), _ROWS_AT_ONCE):
-        of_block, of_joints = _counts(q[start : start + _ROWS_AT_ONCE + 5])
+        of_block, of_joints = _count(q[start : start + _ROWS_AT_ONCE + 5])
         whole, coarse = whole + of_block, coarse + of_joints
     moving, lost, repeated, held = map(int, whole)
     return PositionSteps(moving=moving, lost=lost, repeated=repeated, held=held, coarse=coarse)
 
 
-def _counts(q: Array) -> tuple[Array, Array]:
+def _count(q: Array) -> tuple[Array, Array]:
     steps, n = np.diff(q, axis=0), q.shape[1]
     blocks = max(1, (len(q) - 5) // _BLOCK_ROWS)
     rows = (len(q) - 5) // blocks * blocks
@@ -66,15 +64,13 @@ def _counts(q: Array) -> tuple[Array, Array]:
     weight = np.divide(1.0, deviation, out=np.zeros_like(m), where=deviation > 0)
     # All joints together: a row that is missing is missing for all of them.
     size = np.linalg.norm(m * weight, axis=1)
-    none, once, twice = (
-        np.linalg.norm((around - k * m) * weight, axis=2) < MAX_NEIGHBOUR_DIFFERENCE * size for k in (0, 1, 2)
-    )
+    none, once, twice = (np.linalg.norm((around - k * m) * weight, axis=2) < MAX_DIFFERENCE * size for k in (0, 1, 2))
     alike = (once.sum(axis=0) >= 3) | ((once.sum(axis=0) == 2) & (none | once | twice).all(axis=0))
     moving = (size > MIN_DEVIATIONS) & alike
     ratio = np.divide((x * m * weight**2).sum(axis=1), size**2, out=np.ones(rows), where=moving)
     multiple = np.rint(ratio)
     extra = np.where(
-        (np.abs(ratio - multiple) < MAX_MULTIPLE_ERROR) & (multiple >= 0) & (multiple <= MAX_MULTIPLE), multiple - 1, 0
+        (np.abs(ratio - multiple) < MAX_ERROR) & (multiple >= 0) & (multiple <= MAX_MULTIPLE), multiple - 1, 0
     )
     odd = extra != 0
     group = np.cumsum(odd & ~np.concatenate([[False], odd[:-1]]))[odd]  # of neighbours that compensate each other
@@ -83,11 +79,7 @@ def _counts(q: Array) -> tuple[Array, Array]:
     held = np.minimum(without, without + net)
     coarse = (np.abs(m) > MIN_DEVIATIONS * noise) & (np.abs(m) <= MIN_DEVIATIONS * deviation)
     parts = np.divide(x, m, out=np.ones_like(x), where=coarse)
-    by_joint = [
-        np.abs(m) > MIN_DEVIATIONS * noise,
-        np.abs(parts - 2) < MAX_MULTIPLE_ERROR,
-        np.abs(parts) < MAX_MULTIPLE_ERROR,
-    ]
+    by_joint = [np.abs(m) > MIN_DEVIATIONS * noise, np.abs(parts - 2) < MAX_ERROR, np.abs(parts) < MAX_ERROR]
     counts = moving.sum(), net[net > 0].sum(), -net[net < 0].sum(), held.sum()
     return np.array(counts).astype(int), np.stack([part.sum(axis=0) for part in by_joint], axis=1)
 

@@ -159,9 +159,9 @@ def signals_from_arrays(
             raise IdentificationError(place=NAME, key=name, expected=f"columns {', '.join(OPTIONAL)}")
     if not 0 < sample_rate_hz < math.inf:
         raise IdentificationError(place=NAME, key="sample_rate_hz", value=sample_rate_hz, expected="a number above 0")
-    arrays: dict[str, Any] = {"q": _copied("q", q, robot.n), "effort": _copied("effort", effort, robot.n)}
+    arrays: dict[str, Any] = {"q": _copy("q", q, robot.n), "effort": _copy("effort", effort, robot.n)}
     given: dict[str, Any] = {"q_ref": q_ref, **columns}
-    arrays |= {x: _copied(x, given[x], robot.n) for x in ("q_ref", *OPTIONAL) if given.get(x) is not None}
+    arrays |= {x: _copy(x, given[x], robot.n) for x in ("q_ref", *OPTIONAL) if given.get(x) is not None}
     digest = hashlib.sha256()
     for name, array in arrays.items():
         digest.update((name if name in OPTIONAL else "").encode() + array.tobytes())
@@ -180,7 +180,7 @@ def signals_from_arrays(
     return replace(signals, events=events)
 
 
-def _copied(name: str, array: ArrayLike, n: int) -> Array:
+def _copy(name: str, array: ArrayLike, n: int) -> Array:
     try:
         copied = np.array(array, dtype=np.float64, order="C")
     except (TypeError, ValueError) as error:

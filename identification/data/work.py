@@ -71,7 +71,7 @@ class Pool:
         Raises `IdentificationError`: if workers died three times; `WorkersNotStartedError`: if they
         cannot start.
         """
-        futures = [self._submitted(function, task) for task in tasks]
+        futures = [self._submit(function, task) for task in tasks]
         lost = 0
         for k in range(len(tasks)):
             while not self._is_done(futures[k]):
@@ -97,7 +97,7 @@ class Pool:
             if any(not worker.is_alive() for worker in self._workers):
                 return False
 
-    def _submitted(self, function: Callable[..., Any], task: Task) -> "Future[Any]":
+    def _submit(self, function: Callable[..., Any], task: Task) -> "Future[Any]":
         """The task's future; a failed one if a worker has already died."""
         try:
             future = self._executor.submit(function, *task)
@@ -128,7 +128,7 @@ class Pool:
         for i in range(k, len(tasks)):
             done = futures[i].done() and not futures[i].cancelled() and futures[i].exception() is None
             if not done:
-                futures[i] = self._submitted(function, tasks[i])
+                futures[i] = self._submit(function, tasks[i])
 
     def close(self) -> None:
         """End the workers; drop tasks that have not begun."""

@@ -139,7 +139,7 @@ def excite(
     if limits.obstacles is not None and limits.obstacles.pairs:
         apart, names = limits.obstacles.nearest(fine[0], FAR_M)
         nearest = names[int(apart.argmin())], float(apart.min())
-    found = Excitation(
+    excitation = Excitation(
         robot=robot,
         base=base,
         settings=settings,
@@ -158,23 +158,23 @@ def excite(
     if robot.bus is not None:
         at_sync = np.arange(0.0, settings.period_s, robot.bus.sync_period_s)
         refuse_out_of_range(reference.at(at_sync)[0], robot, resolve(robot, place), "the reference")
-    return found
+    return excitation
 
 
 def _refuse_fast(robot: Robot, settings: ExcitationSettings, place: str) -> None:
     """Refuse harmonics near the bandwidth: the loop does not follow them."""
     bandwidth_hz = robot.bandwidth_hz
-    most_hz = MAX_BANDWIDTH_SHARE * bandwidth_hz
+    max_hz = MAX_BANDWIDTH_SHARE * bandwidth_hz
     highest_hz = settings.harmonics / settings.period_s
-    if highest_hz > most_hz * (1 + 1e-9):
-        few = math.floor(most_hz * settings.period_s + 1e-9)
-        ways = f"--harmonics {few} or fewer, or " if few >= MIN_HARMONICS else ""
+    if highest_hz > max_hz * (1 + 1e-9):
+        count = math.floor(max_hz * settings.period_s + 1e-9)
+        ways = f"--harmonics {count} or fewer, or " if count >= MIN_HARMONICS else ""
         raise IdentificationError(
             f"the highest harmonic of {highest_hz:.4g} Hz is above a third of the bandwidth of {bandwidth_hz:g} Hz",
             place=place,
             key="harmonics",
             value=settings.harmonics,
-            expected=f"{ways}--period {math.ceil(100 * settings.harmonics / most_hz) / 100:g} or longer",
+            expected=f"{ways}--period {math.ceil(100 * settings.harmonics / max_hz) / 100:g} or longer",
         )
 
 
@@ -182,7 +182,7 @@ def _refuse_rest(limits: Limits, place: str) -> None:
     """Refuse a robot that cannot stand in the middle of its ranges: references start there."""
     n = limits.robot.n
     middle = limits.middle[None]
-    used = np.abs(limits.used((middle, np.zeros((1, n)), np.zeros((1, n)))))[0]
+    used = np.abs(limits.shares((middle, np.zeros((1, n)), np.zeros((1, n)))))[0]
     if used.max() > 1:
         worst = int(used.argmax()) - 3 * n
         effort = limits.effort
@@ -196,22 +196,22 @@ def _refuse_rest(limits: Limits, place: str) -> None:
 
 def _warnings(limits: Limits, mus: Sequence[str]) -> tuple[str, ...]:
     """Which torques and distances were not checked; load friction `mus`, which the criterion leaves out."""
-    found, obstacles = [], limits.obstacles
+    warnings, obstacles = list[str](), limits.obstacles
     if obstacles is not None and obstacles.missing:
         missing = f"{len(obstacles.missing)} meshes of the URDF are not found, such as {obstacles.missing[0]}"
-        found.append(f"distances not checked: {missing}; set ROS_PACKAGE_PATH, or describe capsules")
+        warnings.append(f"distances not checked: {missing}; set ROS_PACKAGE_PATH, or describe capsules")
     if obstacles is not None and obstacles.near:
         near = "; ".join(obstacles.near)
-        found.append(f"distances not checked of pairs always nearer than {MARGIN_M:g} m: {near}")
+        warnings.append(f"distances not checked of pairs always nearer than {MARGIN_M:g} m: {near}")
     if limits.model is None:
-        found.append("torque not checked: no parameters, neither a fit nor [parameters]")
+        warnings.append("torque not checked: no parameters, neither a fit nor [parameters]")
     elif not limits.robot.gain_known:
-        found.append("limits in N m or N not checked: efforts are in A or V, drive gains unknown")
+        warnings.append("limits in N m or N not checked: efforts are in A or V, drive gains unknown")
     if limits.model is not None and not len(limits.effort.limits):
-        found.append("torque not checked: no joint has effort_nm or effort_n, no motor a saturation")
+        warnings.append("torque not checked: no joint has effort_nm or effort_n, no motor a saturation")
     if mus:
-        found.append(f"load friction ({', '.join(mus)}) is not in the criterion, but in the effort limits")
-    return tuple(found)
+        warnings.append(f"load friction ({', '.join(mus)}) is not in the criterion, but in the effort limits")
+    return tuple(warnings)
 
 
 def excitation_document(excitation: Excitation) -> Document:

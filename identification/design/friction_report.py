@@ -225,7 +225,7 @@ def friction_of_joints(fit: Fit) -> tuple[JointFriction, ...]:
     applies = np.concatenate([np.tile(own, (len(dq), 1)) for dq, _, _, own in at_rows])  # (rows, b)
     mean = np.mean([own for *_, own in at_rows], axis=0)
     beta, covariance = fit.estimate.beta, fit.intervals.covariance
-    found = []
+    joints = []
     for j, joint in enumerate(robot.joints):
         peak = np.abs(moved[:, j]).max(initial=0.0)
         rows = np.flatnonzero(np.abs(moved[:, j]) > 0.02 * peak)
@@ -238,7 +238,7 @@ def friction_of_joints(fit: Fit) -> tuple[JointFriction, ...]:
             G = friction_alone(problem.model, columns, j, speed, np.full(len(speed), np.nan_to_num(level))) * mean
             half = fit.intervals.reach * np.sqrt(np.maximum(np.sum((G @ covariance) * G, axis=1), 0.0))
             curves.append(FrictionCurve(load=float(level), speed=speed, torque=G @ beta, half=half))
-        found.append(
+        joints.append(
             JointFriction(
                 joint=joint.name,
                 unit=robot.effort_units[j],
@@ -249,7 +249,7 @@ def friction_of_joints(fit: Fit) -> tuple[JointFriction, ...]:
                 curves=tuple(curves),
             )
         )
-    return tuple(found)
+    return tuple(joints)
 
 
 def _rows_of(fit: Fit, one: FittedRecording) -> tuple[Array, Array, Array, Array]:

@@ -169,17 +169,17 @@ class Information:
 
     def sigma(self, motion: Motion) -> Array:
         """(b,) standard deviations of the parameters after a motion q, dq, ddq (N, n)."""
-        return np.asarray(np.sqrt(np.diag(_inverse(self._of(self._linear(motion))))))
+        return np.asarray(np.sqrt(np.diag(_inverse(self._information(self._regressor(motion))))))
 
     def criterion(self, motion: Motion, plain: Array) -> tuple[float, Motion]:
         """The criterion relative to the deviations `plain` (b,), and its gradients (N, n) by q, dq and ddq."""
-        W = self._linear(motion)
+        W = self._regressor(motion)
         slopes = []
         for c, term in self._sliding:
             friction, slope = term.rounded(motion[1], self.creep)
             W[:, :, c] = friction[:, None] * term.direction
             slopes.append(slope)
-        C, D = _inverse(self._of(W)), 1 / plain**2
+        C, D = _inverse(self._information(W)), 1 / plain**2
         total = float(D @ np.diag(C))
         # total = tr(D C), so d total = -tr(P dM) with P = C D C, and dM = 2 W'dW / s².
         G = -2 / total * self.rows / len(W) * (W / self.noise[:, None] ** 2) @ ((C * D) @ C)
@@ -188,14 +188,14 @@ class Information:
             by_dq += (slope * (G[:, :, c] @ term.direction))[:, None] * term.direction
         return float(np.log(total / len(D))), (by_q, by_dq, by_ddq)
 
-    def _linear(self, motion: Motion) -> Array:
+    def _regressor(self, motion: Motion) -> Array:
         """W (N, n, b)."""
         entries = self.model.entries(self.base.columns)
         W = np.zeros((*motion[0].shape, self.base.b))
         W[:, entries[:, 0], entries[:, 1]] = self.model.series(*motion, self.base.columns).T
         return W
 
-    def _of(self, W: Array) -> Array:
+    def _information(self, W: Array) -> Array:
         V = (W / self.noise[:, None]).reshape(-1, W.shape[-1])
         return np.asarray(V.T @ V * (self.rows / len(W)) + self.earlier)
 

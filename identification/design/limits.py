@@ -114,7 +114,7 @@ class Limits:
 
     def largest(self, motion: Motion) -> tuple[float, str]:
         """The largest share used of a limit, and its name; of distances 1 is the margin, smaller is farther."""
-        used = np.abs(self.used(motion)).max(axis=0)
+        used = np.abs(self.shares(motion)).max(axis=0)
         worst, name = float(used.max()), self.names[int(used.argmax())]
         # Distances are slow: computed only if all other limits hold, and exact only near the margin.
         if worst <= 1 and (near := float(self.nearness(motion[0], 1.1 * MARGIN_M).max())) > worst:
@@ -129,23 +129,23 @@ class Limits:
 
     def share_of_whole(self, motion: Motion) -> Array:
         """(L,) the largest share that a motion uses of each whole limit, with Coulomb friction."""
-        n, used = self.robot.n, np.abs(self.used(motion)).max(axis=0)
+        n, used = self.robot.n, np.abs(self.shares(motion)).max(axis=0)
         m = len(self.effort.limits) if self.model is not None else 0
         efforts = (used[3 * n : 3 * n + m] * self.allowed[:m] + self.coulomb[:m]) / self.effort.limits[:m]
         return np.concatenate([self.share * used[: 3 * n], efforts])
 
-    def used_and_slopes(self, motion: Motion) -> tuple[Array, Array]:
+    def shares_and_slopes(self, motion: Motion) -> tuple[Array, Array]:
         """The shares (N, L), and derivatives (3, N, m, n) of the m shares of efforts by q, dq and ddq."""
         if self.model is None:
-            return self.used(motion), np.zeros((3, len(motion[0]), 0, self.robot.n))
+            return self.shares(motion), np.zeros((3, len(motion[0]), 0, self.robot.n))
         links = torque_of_links(self.model, motion)
         tau, by_joint = torque_without_sliding(self.model, motion, links)
         scaled = self.effort.directions / self.allowed[:, None]
         sides = _sides(tau @ scaled.T)
         by_load = (self.load * np.sign(links[0]))[..., None] * links[1]
-        return self.used(motion), scaled @ by_joint + sides[..., None] * (np.abs(scaled) @ by_load)
+        return self.shares(motion), scaled @ by_joint + sides[..., None] * (np.abs(scaled) @ by_load)
 
-    def used(self, motion: Motion) -> Array:
+    def shares(self, motion: Motion) -> Array:
         """Shares (N, L), signed, along a motion q, dq, ddq (N, n)."""
         q, dq, ddq = motion
         parts = [(q - self.middle) / self.maximum[0], dq / self.maximum[1], ddq / self.maximum[2]]
@@ -159,7 +159,7 @@ class Limits:
     def jacobian(self, slopes: Array, basis: Motion, at: NDArray[np.intp]) -> Array:
         """Derivatives (B L, n K) of the shares at the samples `at` (B, L) by the coefficients (n, K) of a series.
 
-        `slopes` are those of `used_and_slopes`, `basis` that of the series.
+        `slopes` are those of `shares_and_slopes`, `basis` that of the series.
         """
         n, K = self.robot.n, basis[0].shape[1]
         efforts = at[:, 3 * n :]

@@ -22,7 +22,7 @@ SAMPLES_PER_PERIOD = 15  # of the highest harmonic
 SAMPLES_PER_WINDOW = 3  # samples, of which a search constrains the largest share
 CHECKS_PER_SAMPLE = 10  # times as many samples check the motion between those of the search
 # A sum of harmonics is above its largest sample by (pi / samples of a period of the highest)² / 2 at most (Bernstein).
-MAX_SHARE_AT_CHECKS = 1 - (math.pi / (CHECKS_PER_SAMPLE * SAMPLES_PER_PERIOD)) ** 2 / 2
+MAX_SHARE = 1 - (math.pi / (CHECKS_PER_SAMPLE * SAMPLES_PER_PERIOD)) ** 2 / 2
 STARTS = 3  # from random references of other seeds
 FIRST_SEED = 20  # of these: smaller ones are those of plain references
 MAX_DEVIATION_RATIO = 1 / 0.95  # of a parameter's deviation over that of the plain reference
@@ -63,7 +63,7 @@ def best_of_searches(problem: SearchProblem, seed: int, place: str, say: Callabl
         text = f"search {i + 1} of {STARTS}"
         say(text)
         try:
-            start = _start(problem, STARTS * seed + i)
+            start = _random_start(problem, STARTS * seed + i)
             x = best_series(problem, start, partial(_say_criterion, say, text))
             fine = motion_of(x, finer)
             most, name = problem.limits.largest(fine)
@@ -75,9 +75,9 @@ def best_of_searches(problem: SearchProblem, seed: int, place: str, say: Callabl
             worst = str(error)
             continue
         ratios = sigma / problem.plain
-        found = (bool(ratios.max() > MAX_DEVIATION_RATIO), float(np.mean(ratios**2))), x, sigma
-        if best is None or found[0] < best[0]:
-            best = found
+        result = (bool(ratios.max() > MAX_DEVIATION_RATIO), float(np.mean(ratios**2))), x, sigma
+        if best is None or result[0] < best[0]:
+            best = result
     if best is None:
         expected = "wider limits, another --seed or --harmonics"
         raise IdentificationError(f"no reference keeps the limits: {worst}", place=place, expected=expected)
@@ -87,32 +87,30 @@ def best_of_searches(problem: SearchProblem, seed: int, place: str, say: Callabl
 def random_within(limits: Limits, series: Series, seed: int) -> FourierReference:
     """A random reference that uses the same share of all limits, torque too; without distances of links."""
     robot, limits = limits.robot, replace(limits, obstacles=None)
-    found = fourier_reference(
+    reference = fourier_reference(
         robot, period_s=series.period_s, seed=seed, harmonics=series.harmonics, share=limits.share
     )
-    x, _ = shrink(series.coefficients(found), series, limits, SAMPLES_PER_PERIOD * series.harmonics)
+    x, _ = shrink(series.coefficients(reference), series, limits, SAMPLES_PER_PERIOD * series.harmonics)
     return series.reference(x)
 
 
-def _start(problem: SearchProblem, seed: int) -> Array:
+def _random_start(problem: SearchProblem, seed: int) -> Array:
     """Coefficients (n, K) of a random reference within a share of the limits, with its links far apart."""
     limits, series = problem.limits, problem.series
     x = START_SHARE * series.coefficients(random_within(limits, series, FIRST_SEED + seed))
     x[:, 0] /= START_SHARE
     if limits.obstacles is not None:
         x[:, 0] = _roomiest_pose(limits, seed)
-    return shrink(x, series, limits, CHECKS_PER_SAMPLE * problem.samples, share=MAX_SHARE_AT_CHECKS)[0]
+    return shrink(x, series, limits, CHECKS_PER_SAMPLE * problem.samples, share=MAX_SHARE)[0]
 
 
 def _roomiest_pose(limits: Limits, seed: int) -> Array:
     """The random pose (n,) near the middle of the usable ranges whose links are farthest apart."""
-    poses = (
-        limits.middle
-        + np.random.default_rng(seed).uniform(-0.5, 0.5, (START_POSES, limits.robot.n)) * limits.maximum[0]
-    )
+    offsets = np.random.default_rng(seed).uniform(-0.5, 0.5, (START_POSES, limits.robot.n))
+    poses = limits.middle + offsets * limits.maximum[0]
     still = np.zeros(poses.shape)
-    used = np.abs(limits.used((poses, still, still))).max(axis=1)
-    return np.asarray(poses[int(np.maximum(used, limits.nearness(poses, FAR_M + MARGIN_M)).argmin())])
+    shares = np.abs(limits.shares((poses, still, still))).max(axis=1)
+    return np.asarray(poses[int(np.maximum(shares, limits.nearness(poses, FAR_M + MARGIN_M)).argmin())])
 
 
 def _say_criterion(say: Callable[[str], None], text: str, criterion: float) -> None:
@@ -126,12 +124,10 @@ def best_series(problem: SearchProblem, start: Array, say: Callable[[float], Non
     the criterion after each iteration.
     """
     search, limits, between = _Search(problem, say), problem.limits, CHECKS_PER_SAMPLE * problem.samples
-    x = search.from_there(start, MAX_ITERATIONS)
+    x = search.minimise(start, MAX_ITERATIONS)
     search.tighten(x)
-    safe, _ = shrink(x, problem.series, limits, between, start, MAX_SHARE_AT_CHECKS)
-    return shrink(
-        search.from_there(x, POLISHING_ITERATIONS), problem.series, limits, between, safe, MAX_SHARE_AT_CHECKS
-    )[0]
+    safe, _ = shrink(x, problem.series, limits, between, start, MAX_SHARE)
+    return shrink(search.minimise(x, POLISHING_ITERATIONS), problem.series, limits, between, safe, MAX_SHARE)[0]
 
 
 class _Search:
@@ -146,7 +142,7 @@ class _Search:
         self._tight = np.ones(len(problem.limits.names))  # (L,) factors of the shares at the samples
         self._last: tuple[Array, Array, Array, NDArray[np.intp]] | None = None
 
-    def from_there(self, x: Array, iterations: int) -> Array:
+    def minimise(self, x: Array, iterations: int) -> Array:
         """Coefficients (n, K) after iterations from x."""
         from scipy.optimize import minimize
 
@@ -164,38 +160,38 @@ class _Search:
     def tighten(self, x: Array) -> None:
         """Scale shares at the samples from now on by how much those of x (n, K) rise between them."""
         finer = self._problem.series.basis(CHECKS_PER_SAMPLE * self._problem.samples)
-        coarse, fine = (np.abs(self._problem.limits.used(motion_of(x, b))).max(axis=0) for b in (self._basis, finer))
+        coarse, fine = (np.abs(self._problem.limits.shares(motion_of(x, b))).max(axis=0) for b in (self._basis, finer))
         self._tight = np.maximum(fine, MIN_TIGHTENED_SHARE) / np.maximum(coarse, MIN_TIGHTENED_SHARE)
 
-    def _at(self, z: Array) -> Motion:
+    def _motion_at(self, z: Array) -> Motion:
         return motion_of(z.reshape(self._unit.shape) * self._unit, self._basis)
 
     def _objective(self, z: Array) -> tuple[float, Array]:
-        self._value, gradients = self._problem.information.criterion(self._at(z), self._problem.plain)
+        self._value, gradients = self._problem.information.criterion(self._motion_at(z), self._problem.plain)
         by_x = sum((g.T @ A for g, A in zip(gradients, self._basis, strict=True)), start=np.zeros(self._unit.shape))
         return self._value, (by_x * self._unit).ravel()
 
-    def _at_last(self, z: Array) -> tuple[Array, Array, NDArray[np.intp]]:
+    def _shares_at(self, z: Array) -> tuple[Array, Array, NDArray[np.intp]]:
         """Shares, their slopes, and the samples of their peaks; those of the last z are cached."""
         if self._last is None or not np.array_equal(self._last[0], z):
-            used, slopes = self._problem.limits.used_and_slopes(self._at(z))
-            self._last = z.copy(), used, slopes, _peaks(used)
+            shares, slopes = self._problem.limits.shares_and_slopes(self._motion_at(z))
+            self._last = z.copy(), shares, slopes, _peaks(shares)
         return self._last[1:]
 
     def _slack(self, z: Array) -> Array:
-        used, _, peaks = self._at_last(z)
-        return np.asarray(1 - (self._tight * np.abs(np.take_along_axis(used, peaks, axis=0))).ravel())
+        shares, _, peaks = self._shares_at(z)
+        return np.asarray(1 - (self._tight * np.abs(np.take_along_axis(shares, peaks, axis=0))).ravel())
 
     def _slack_slopes(self, z: Array) -> Array:
-        used, slopes, peaks = self._at_last(z)
-        signs = (self._tight * np.sign(np.take_along_axis(used, peaks, axis=0))).ravel()
+        shares, slopes, peaks = self._shares_at(z)
+        signs = (self._tight * np.sign(np.take_along_axis(shares, peaks, axis=0))).ravel()
         J = self._problem.limits.jacobian(slopes, self._basis, peaks)
         return np.asarray(-signs[:, None] * J * self._unit.ravel())
 
 
-def _peaks(used: Array) -> NDArray[np.intp]:
+def _peaks(shares: Array) -> NDArray[np.intp]:
     """Samples (N / SAMPLES_PER_WINDOW, L) at which each limit is used most in each window."""
-    windows = np.abs(used).reshape(-1, SAMPLES_PER_WINDOW, used.shape[1])
+    windows = np.abs(shares).reshape(-1, SAMPLES_PER_WINDOW, shares.shape[1])
     return np.asarray(windows.argmax(axis=1) + SAMPLES_PER_WINDOW * np.arange(len(windows))[:, None])
 
 
@@ -212,14 +208,14 @@ def shrink(
     if towards is not None:
         still = towards
 
-    def most(scale: float) -> float:
+    def largest_share(scale: float) -> float:
         return limits.largest(motion_of(still + scale * (x - still), basis))[0]
 
     low, high = 0.0, 1.0
-    if most(1.0) <= share:
+    if largest_share(1.0) <= share:
         low = 1.0
     else:
         for _ in range(BISECTIONS):
             middle = (low + high) / 2
-            low, high = (middle, high) if most(middle) <= share else (low, middle)
-    return still + low * (x - still), most(low)
+            low, high = (middle, high) if largest_share(middle) <= share else (low, middle)
+    return still + low * (x - still), largest_share(low)

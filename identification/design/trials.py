@@ -81,14 +81,14 @@ def with_terms(robot: Robot, terms: TermSet) -> Robot:
 
 def parameters_of(model: InverseModel, base: BaseParameters) -> dict[tuple[int, FrictionTerm], tuple[str, ...]]:
     """Base parameters by joint and tried term: two if a motor turns with several joints."""
-    found: dict[tuple[int, FrictionTerm], tuple[str, ...]] = {}
+    names: dict[tuple[int, FrictionTerm], tuple[str, ...]] = {}
     for name, column in zip(base.names, base.columns, strict=True):
         source = model.sources[column]
         for term in CANDIDATES:
             if isinstance(source, JointTerm) and source.kind == term:
                 key = int("".join(filter(str.isdigit, name))) - 1, term
-                found[key] = (*found.get(key, ()), name)
-    return found
+                names[key] = (*names.get(key, ()), name)
+    return names
 
 
 def for_all_joints(joints: Sequence[Joint], kinds: frozenset[FrictionTerm]) -> TermSet:
@@ -129,23 +129,23 @@ def predictable_parts(parts: Sequence[Part], observed: Regression) -> tuple[tupl
 
     `observed` has all tried terms. Raises `IdentificationError`: if fewer than two parts are left.
     """
-    found, refused = [], dict[str, str]()
+    predicted, refused = [], dict[str, str]()
     for part in parts:
         counts = (observed.fast & ~part.rows[:, None]).T.reshape(-1)
         names = tuple(name for name, own in zip(observed.system.names, part.own, strict=True) if not own)
         if lost := undetermined_parameters(observed.system.W[counts][:, ~part.own], names):
             refused[part.name] = f"{part.name} cannot be predicted by the others: {', '.join(lost[:8])} undetermined"
         else:
-            found.append(part)
-    if len(found) < MIN_PARTS:
+            predicted.append(part)
+    if len(predicted) < MIN_PARTS:
         text = "; ".join(refused.values())
         expected = "recordings that each move all joints, or a single recording, whose fifths are then held out"
         if len(observed.parts) == 1:
             expected = "motion of all joints in all fifths of the recording"
         raise IdentificationError(
-            text, key="parts held out", value=len(found), expected=f"at least {MIN_PARTS}: {expected}"
+            text, key="parts held out", value=len(predicted), expected=f"at least {MIN_PARTS}: {expected}"
         )
-    return tuple(found), refused
+    return tuple(predicted), refused
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -217,9 +217,9 @@ class Trials:
             if unsettled:
                 self.left_out |= unsettled
                 fewer = (more - {"load"} if f"mu{j + 1}" in unsettled else more for j, more in enumerate(terms))
-                found = self.of(tuple(fewer))
-                self._done[found.terms] = found
-                return found
+                trial = self.of(tuple(fewer))
+                self._done[trial.terms] = trial
+                return trial
             self._done[terms] = self._trial(terms, observed, estimate)
         return self._done[terms]
 
@@ -230,14 +230,14 @@ class Trials:
         weighted = rho * self._weights * self.regression.fast
         W, _ = observed.system.with_columns(self._columns(terms)).weighted(self._weights)
         Q = W @ estimate.bread  # W bread has orthonormal columns: bread breadᵀ = (WᵀW)⁻¹
-        found = intervals(
+        fitted = intervals(
             replace(estimate, Q=Q), weighted.T.reshape(-1), self.regression.tau.shape[1], self.regression.parts
         )
         with np.errstate(divide="ignore", invalid="ignore"):
-            values = np.nan_to_num(estimate.beta / found.sigma, nan=0.0)
+            values = np.nan_to_num(estimate.beta / fitted.sigma, nan=0.0)
         t = {name: float(x) for name, x in zip(estimate.names, values, strict=True) if name not in self._baseline}
         level = 1 - FALSE_TERM_RATE / max(1, sum(len(names) for names in self.parameters.values()))
-        limit = t_quantile(0.5 + level / 2, found.freedom)
+        limit = t_quantile(0.5 + level / 2, fitted.freedom)
         # The interval of load friction must lie above 0: no friction decreases with load.
         beyond = {name for name, x in t.items() if (x if name.startswith("mu") else abs(x)) > limit}
         return Trial(
@@ -248,7 +248,7 @@ class Trials:
             lag_one=lag_one(weighted),
             condition_number_scaled=estimate.condition_number_scaled,
             t=t,
-            freedom=found.freedom,
+            freedom=fitted.freedom,
             significant_terms=tuple(
                 frozenset(term for term in more if beyond.intersection(self.parameters[j, term]))
                 for j, more in enumerate(terms)

@@ -237,10 +237,8 @@ def _fit_all(tasks: Sequence[Task], open_work: OpenWork) -> Iterator[tuple[Row, 
         with open_work(max(2, len(given))) as work:  # never in this process, which could die with the task
             try:
                 for result in work.run(fit_row, given):
-                    yield (
-                        result or _failed_row(tasks[done][2], NOT_FOUND.format(tasks[done][2].file)),
-                        result is not None,
-                    )
+                    row = tasks[done][2]
+                    yield result or _failed_row(row, NOT_FOUND.format(row.file)), result is not None
                     done += 1
             except WorkersNotStartedError:
                 raise

@@ -179,9 +179,7 @@ def _drift_section(drift: Drift) -> Section:
         if chart.limits is not None
         for k in chart.outside
     )
-    text = (
-        f"{len(drift.charts)} charts of {len(drift.rows)} fits; limits: mean ± 3 deviations from the mean moving range"
-    )
+    text = f"{len(drift.charts)} charts of {len(drift.rows)} fits; limits: mean ± 3 sigma from the mean moving range"
     if not rows:
         return Section(title=title, lines=(text, "no value is outside its control limits"))
     head = columns("of", "recording", numbers=("value", "lower", "upper")) + columns("unit")

@@ -81,18 +81,18 @@ class Summary:
 
 def summaries(runs: Sequence[Run], true: Array) -> list[Summary]:
     """One summary per cut-off and method; `true` (b,) are the values simulated with."""
-    found = []
+    rows = []
     for cutoff in sorted({r.drawn.cutoff for r in runs}, key=lambda c: c or np.inf):
         here = [r for r in runs if r.drawn.cutoff == cutoff]
-        settled = [r for r in here if r.status == "converged"]
-        false = [r for r in settled if r.iv and not (r.iv.positive and r.iv.error <= FALSE_ERROR * r.error_tuned_ls)]
+        converged = [r for r in here if r.status == "converged"]
+        false = [r for r in converged if r.iv and not (r.iv.positive and r.iv.error <= FALSE_ERROR * r.error_tuned_ls)]
         for method, kind in (("wls", "ls"), ("iv", "iv")):
-            every: list[tuple[Run, RunFit]] = [(r, fit) for r in here if (fit := getattr(r, kind)) is not None]
-            used = [fit for r, fit in every if method == "wls" or r.status == "converged"]
+            fits: list[tuple[Run, RunFit]] = [(r, fit) for r in here if (fit := getattr(r, kind)) is not None]
+            used = [fit for r, fit in fits if method == "wls" or r.status == "converged"]
             beta, sigma, errors, half = (_stack(used, name, true) for name in ("beta", "sigma", "error", "half"))
             inside = [fit.half_widths_off(true) <= 1 for fit in used]
             spread = beta.std(axis=0, ddof=1) if len(used) > 1 else np.full(len(true), np.nan)
-            found.append(
+            rows.append(
                 Summary(
                     method=method,
                     cutoff=cutoff,
@@ -102,19 +102,19 @@ def summaries(runs: Sequence[Run], true: Array) -> list[Summary]:
                     sigma_over_spread=float(np.median(np.median(sigma, axis=0) / spread)),
                     median_error_percent=float(100 * np.median(errors)),
                     worst_error_percent=float(100 * errors.max()),
-                    converged_percent=100 * len(settled) / len(here) if method == "iv" else None,
-                    mean_passes=float(np.mean([r.passes for r in settled])) if method == "iv" and settled else None,
+                    converged_percent=100 * len(converged) / len(here) if method == "iv" else None,
+                    mean_passes=float(np.mean([r.passes for r in converged])) if method == "iv" and converged else None,
                     false_percent=100 * len(false) / len(here) if method == "iv" else None,
                     coverage_percent=float(100 * np.mean(inside)) if inside else np.nan,
                     half_over_spread=float(np.median(np.median(half, axis=0) / (NORMAL_QUANTILE * spread))),
-                    verdicts=len(every),
-                    trusted=sum(fit.verdict == "trust" for _, fit in every),
-                    false_trust=sum(false_trust(fit, true) for _, fit in every),
-                    clean=sum(is_clean(r, fit, true) for r, fit in every),
-                    false_caution=sum(is_clean(r, fit, true) and bool(fit.doubts) for r, fit in every),
+                    verdicts=len(fits),
+                    trusted=sum(fit.verdict == "trust" for _, fit in fits),
+                    false_trust=sum(false_trust(fit, true) for _, fit in fits),
+                    clean=sum(is_clean(r, fit, true) for r, fit in fits),
+                    false_caution=sum(is_clean(r, fit, true) and bool(fit.doubts) for r, fit in fits),
                 )
             )
-    return found
+    return rows
 
 
 def _stack(fits: Sequence[RunFit], name: str, true: Array) -> Array:
@@ -268,11 +268,11 @@ def _summary_table(summaries: Sequence[Summary], cells: dict[str, tuple[str, str
 
 def trust_notes(runs: Sequence[Run], true: Array) -> tuple[str, ...]:
     """What the columns about verdicts count, and the runs with false trust."""
-    found = {
+    numbers_of = {
         method: [r.number for r in runs if (fit := getattr(r, kind)) is not None and false_trust(fit, true)]
         for method, kind in (("wls", "ls"), ("iv", "iv"))
     }
-    listed = "; ".join(f"{method}: {', '.join(map(str, numbers))}" for method, numbers in found.items() if numbers)
+    listed = "; ".join(f"{method}: {', '.join(map(str, numbers))}" for method, numbers in numbers_of.items() if numbers)
     return (
         "coverage %: true values inside their 95 % intervals, over all parameters; of iv, converged runs only",
         f"false trust: verdict trust although an essential parameter is more than {FALSE_TRUST:g} half-widths off or M is "
@@ -286,7 +286,7 @@ def study_notes(study: Study) -> tuple[str, str]:
     """What the study simulated and varied, and what `false %` counts."""
     noise = study.noise
 
-    def listed(values: Sequence[float]) -> str:
+    def join(values: Sequence[float]) -> str:
         return ", ".join(f"{x:g}" if x else "none" for x in values)
 
     cell, recorded, controllers = noise.text, str(noise.recorded), ", ".join(study.controllers)
@@ -295,8 +295,8 @@ def study_notes(study: Study) -> tuple[str, str]:
         recorded, controllers = "either", "described, none"
     return (
         f"{study.runs} runs of {study.duration_s:g} s at {study.sample_rate_hz:g} Hz, seed {study.seed}; cell: {cell}; torque "
-        f"recorded as {recorded}; drawn by each run: cut-off {listed(study.cutoffs)} x bandwidth, "
-        f"start {listed(study.starts)} x true inertia, gains {listed(study.gain_errors)} x true, controller {controllers}",
+        f"recorded as {recorded}; drawn by each run: cut-off {join(study.cutoffs)} x bandwidth, "
+        f"start {join(study.starts)} x true inertia, gains {join(study.gain_errors)} x true, controller {controllers}",
         "false %: converged runs whose inertia matrix is not positive, or whose error is more than "
         f"{FALSE_ERROR:g} times that of least squares at the default cut-off on the same recording",
     )
