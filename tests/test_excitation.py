@@ -144,12 +144,12 @@ def test_the_jacobian_of_the_limits_is_that_of_differences(robot):
     *_, direct = modelled(robot)
     limits, basis, x = limits_of(robot, direct, 0.8, "here"), SERIES.basis(40), random_x(robot)
     every = np.tile(np.arange(40)[:, None], (1, 24))
-    J = limits.jacobian(limits.used_and_slopes(motion_of(x, basis))[1], basis, every)
+    J = limits.jacobian(limits.shares_and_slopes(motion_of(x, basis))[1], basis, every)
     assert J.shape == (40 * (18 + 6), x.size)
     rng, h = np.random.default_rng(4), 1e-5
     for _ in range(4):
         d = rng.standard_normal(x.shape)
-        ends = [limits.used(motion_of(x + k * h * d, basis)).ravel() for k in (-2, -1, 1, 2)]
+        ends = [limits.shares(motion_of(x + k * h * d, basis)).ravel() for k in (-2, -1, 1, 2)]
         slope = (8 * (ends[2] - ends[1]) - (ends[3] - ends[0])) / (12 * h)
         for rows in (slice(0, 18), slice(18, None)):  # motion; efforts, whose shares are smaller by far
             found, expected = ((v.reshape(40, -1)[:, rows]) for v in (J @ d.ravel(), slope))
@@ -245,11 +245,11 @@ def test_what_leaves_the_limits_is_drawn_to_what_keeps_them_even_if_its_rest_doe
     limits = limits_of(SCARA, None, 0.8, "here")
     start = random_x(SCARA, share=0.4)
     x = 2.5 * start
-    x[0, 0] = limits.middle[0] + limits.most[0, 0] * (1 + 1e-9)
-    rest, most = search.shrunk(x, SERIES, limits, 400)
+    x[0, 0] = limits.middle[0] + limits.maximum[0, 0] * (1 + 1e-9)
+    rest, most = search.shrink(x, SERIES, limits, 400)
     assert most > 1
     assert not rest[:, 1:].any()
-    found, most = search.shrunk(x, SERIES, limits, 400, start, 0.99)
+    found, most = search.shrink(x, SERIES, limits, 400, start, 0.99)
     assert 0.98 < most <= 0.99
     assert limits.largest(motion_of(found, SERIES.basis(400)))[0] == most
     share = (found - start)[x != start] / (x - start)[x != start]
@@ -261,7 +261,7 @@ def test_a_search_that_makes_no_parameter_worse_goes_before_one_of_less_criterio
     sigmas = iter(np.array([[0.3, 1.2], [0.9, 0.9], [0.8, 0.95], [0.9, 1.0]]))
     starts = [random_x(SCARA, seed=seed, share=0.4) for seed in range(4)]
     monkeypatch.setattr(search, "STARTS", 4)
-    monkeypatch.setattr(search, "_start", lambda problem, seed: starts[seed - 4])
+    monkeypatch.setattr(search, "_random_start", lambda problem, seed: starts[seed - 4])
     monkeypatch.setattr(search, "best_series", lambda problem, start, say: start)
     information = SimpleNamespace(sigma=lambda motion: next(sigmas))
     limits = limits_of(SCARA, None, 0.8, "here")
@@ -274,7 +274,7 @@ def test_a_search_that_makes_no_parameter_worse_goes_before_one_of_less_criterio
 def test_searches_that_all_leave_a_limit_end_in_one_line(monkeypatch):
     monkeypatch.setattr(search, "best_series", lambda problem, start, say: 2 * start)
     with pytest.raises(
-        IdentificationError, match=r"no reference keeps the limits: \w+ of joint \w+ is left by .* --seed"
+        IdentificationError, match=r"no reference keeps the limits: \w+ of joint \w+ is exceeded by .* --seed"
     ):
         excite(SCARA, ExcitationSettings(period_s=2.0, harmonics=3), prior_information(SCARA), "here")
 
@@ -322,7 +322,7 @@ def test_without_parameters_the_torque_is_said_not_to_be_checked():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(search, "STARTS", 1)
         found = excite(robot, ExcitationSettings(period_s=2.0, harmonics=2), knowledge, "here")
-    assert found.warnings == ("torque was not checked: neither a fit nor [parameters] give it",)
+    assert found.warnings == ("torque not checked: no parameters, neither a fit nor [parameters]",)
     assert found.noise.tolist() == [1.0, 1.0]
 
 
@@ -377,8 +377,8 @@ def test_the_command_writes_a_reference_that_can_be_tracked(earlier, tmp_path, c
     assert main(["excite", str(toml), "-o", str(out), *options]) == 0
     printed = capsys.readouterr().out
     assert "SCARA: reference of 2 x 3 s, 3 harmonics up to 1 Hz, seed 1" in printed
-    assert "times smaller than those of the plain reference in the median" in printed
-    assert "20 random ones of 3 harmonics at the same share of all limits" in " ".join(printed.split())
+    assert "times smaller than with the plain reference (median)" in printed
+    assert "20 random ones with 3 harmonics and the same share of all limits" in " ".join(printed.split())
     robot = load_robot(toml)
     path = table_reference(out, robot, robot.bus.sync_period_s)  # as `record --track` reads it
     check_limits(path, robot, robot.bus.sync_period_s, str(out))
@@ -453,7 +453,7 @@ def test_the_largest_share_counts_distances_within_a_margin():
         share = 1 - (apart - 0.02) / 0.2
         motion = (np.array([[0.0, bend]]), still, still)
         assert limits.nearness(motion[0], 0.22) == pytest.approx(max(share, 0.0), abs=1e-5)
-        others = bend / limits.most[0, 1]
+        others = bend / limits.maximum[0, 1]
         found, name = limits.largest(motion)
         assert found == pytest.approx(max(share, others, 0.99), abs=1e-5)
         assert name == ("position of joint b" if others > max(share, 0.99) else "distance of links")
@@ -465,12 +465,12 @@ def test_a_search_starts_where_the_links_are_far_apart():
     limits = limits_of(robot, None, 0.8, "here", obstacles)
 
     def most(pose):
-        used = np.abs(limits.used((pose[None], np.zeros((1, 2)), np.zeros((1, 2))))).max()
+        used = np.abs(limits.shares((pose[None], np.zeros((1, 2)), np.zeros((1, 2))))).max()
         return max(used, limits.nearness(pose[None], 0.22)[0])
 
-    poses = np.random.default_rng(9).uniform(-0.5, 0.5, (50, 2)) * limits.most[0]
+    poses = np.random.default_rng(9).uniform(-0.5, 0.5, (50, 2)) * limits.maximum[0]
     for seed in range(5):
-        assert most(search._roomiest(limits, seed)) <= np.percentile([most(pose) for pose in poses], 5)
+        assert most(search._roomiest_pose(limits, seed)) <= np.percentile([most(pose) for pose in poses], 5)
 
 
 def test_links_keep_their_distance_between_the_samples_of_the_search(monkeypatch):

@@ -42,9 +42,9 @@ def test_efforts_count_load_friction_against_the_motion(robot):
     )
     scaled = limits.effort.directions / limits.allowed[:, None]
     expected = np.abs(smooth @ scaled.T) + (mu * np.abs(of_links[0])) @ np.abs(scaled).T
-    used, slopes = limits.used_and_slopes(motion)
+    used, slopes = limits.shares_and_slopes(motion)
     assert np.abs(used[:, 3 * n :]) == pytest.approx(expected)
-    assert limits.used(motion) == pytest.approx(used)
+    assert limits.shares(motion) == pytest.approx(used)
     true = np.abs(direct.torque(*motion) @ limits.effort.directions.T / limits.effort.limits).max(axis=0)
     assert (limits.share_of_whole(motion)[3 * n :] >= true * (1 - 1e-9)).all()
     m = len(limits.effort.limits)
@@ -52,7 +52,7 @@ def test_efforts_count_load_friction_against_the_motion(robot):
     rng, h = np.random.default_rng(4), 1e-6
     for _ in range(3):
         d = rng.standard_normal(x.shape)
-        low, high = (limits.used(motion_of(x + k * h * d, basis))[:, 3 * n :] for k in (-1, 1))
+        low, high = (limits.shares(motion_of(x + k * h * d, basis))[:, 3 * n :] for k in (-1, 1))
         found, expected = J[:, 3 * n :] @ d.ravel(), (high - low) / (2 * h)
         same = low * high > 0  # where an effort changes its side, so does what load adds
         assert same.mean() > 0.9

@@ -278,7 +278,7 @@ def test_a_recording_that_vanishes_while_the_fleet_is_fitted_is_a_row(fleet, tmp
 
     rows = {Path(row.file).name: row for row in run(folder, tmp_path / "kept", open_work=late)}
     assert rows["1.mcap"].status == "failed"
-    assert rows["1.mcap"].reason.startswith(f"{folder / '1.mcap'}: a worker does not find it")
+    assert rows["1.mcap"].reason.startswith(f"{folder / '1.mcap'}: not found by a worker")
     assert rows["2.mcap"].is_fitted
 
 
@@ -340,7 +340,7 @@ def test_a_recording_that_a_worker_does_not_find_is_tried_again_the_next_time(fl
     def far(tasks):
         yield Far()
 
-    assert all("does not find it" in row.reason for row in run(fleet, tmp_path / "kept", open_work=far))
+    assert all("not found by a worker" in row.reason for row in run(fleet, tmp_path / "kept", open_work=far))
     assert any(row.is_fitted for row in run(fleet, tmp_path / "kept"))
 
 
@@ -383,7 +383,7 @@ def test_the_command_by_iv_with_its_report(tmp_path, capsys):
     assert main([*arguments, "--method", "iv", "--workers", "1"]) == 0
     printed = capsys.readouterr().out
     assert printed.startswith("recordings: 1, fitted: 1")
-    assert "fits that can be charted: 1; control limits need 5" in printed
+    assert "fits in the charts: 1; control limits need 5" in printed
     (row,) = pyarrow.parquet.read_table(out).to_pylist()
     assert (row["method"], row["status"], row["robot"]) == ("iv", "converged", "SCARA")
     made = read_recording(REPLAY / "scara" / "session.mcap").metadata["created"]
@@ -404,7 +404,7 @@ def test_bad_input_is_one_line(tmp_path, capsys):
     (tmp_path / "empty").mkdir()
     assert refused(tmp_path / "none", "-o", tmp_path / "f.parquet") == (
         1,
-        f"robot-identify: {tmp_path / 'none'}: is no folder: expected a folder of recordings, *.mcap\n",
+        f"robot-identify: {tmp_path / 'none'}: is not a folder: expected a folder of recordings, *.mcap\n",
     )
     status, error = refused(tmp_path / "empty", "-o", tmp_path / "f.parquet")
     assert status == 1

@@ -199,6 +199,6 @@ def test_a_recording_made_span_by_span_is_the_same(monkeypatch, tmp_path):
 
     whole = made()
     monkeypatch.setattr("identification.study.simulated_cell.SPAN", 70)
-    monkeypatch.setattr("identification.study.simulated_cell.LONG", 1000)
+    monkeypatch.setattr("identification.study.simulated_cell.MAX_BYTES_IN_MEMORY", 1000)
     for one, other in zip(made(), whole, strict=True):
         np.testing.assert_allclose(one, other, rtol=0, atol=1e-9)

@@ -37,7 +37,7 @@ def test_each_recording_gives_the_fit_and_the_truth_beside_it(name, count):
 def compare_with_readme(out: str) -> None:
     """The lines that the README shows of a demo are those of this one, to three digits of a value and the deviations' size."""
     shown = (ROOT / "README.md").read_text().split("line that opens the picture:")[1].split("`session/` then holds")[0]
-    against = out.split("against the values simulated with")[1]
+    against = out.split("compared with the simulated values")[1]
     told = {cells[0]: cells for line in against.splitlines() if len(cells := re.findall(r"[^\s│┃]+", line)) == 8}
     rows = [line.split() for line in shown.splitlines() if len(line.split()) == 8]
     assert [row[0] for row in rows] == ["parameter", "ZZ1R", "Fv1", "Fc1"]

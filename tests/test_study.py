@@ -15,7 +15,7 @@ NAN = np.full(2, np.nan)
 QUIET = Noise()
 
 
-def judged(off: tuple[float, float], verdict: str = "trust", **others: object) -> RunFit:
+def fit_of_run(off: tuple[float, float], verdict: str = "trust", **others: object) -> RunFit:
     """Of intervals with half-widths of 0.1, off the truth by so many of them."""
     middle = TRUE + 0.1 * np.array(off)
     known = {"doubts": (), "essential": np.array([True, False]), "positive": True}
@@ -31,30 +31,30 @@ def run(one: RunFit, noise: Noise = QUIET, gain_error: float = 1.0) -> Run:
 @pytest.mark.parametrize(
     ("one", "wrong"),
     [
-        (judged((FALSE_TRUST - 0.1, 9.0)), False),  # the second is not essential
-        (judged((FALSE_TRUST + 0.1, 0.0)), True),
-        (judged((-FALSE_TRUST - 0.1, 0.0)), True),
-        (judged((FALSE_TRUST + 0.1, 0.0), verdict="caution"), False),
-        (judged((FALSE_TRUST + 0.1, 0.0), verdict="do not use"), False),
-        (judged((0.0, 0.0), positive=False), True),
-        (judged((0.0, 0.0), positive=False, verdict="caution"), False),
+        (fit_of_run((FALSE_TRUST - 0.1, 9.0)), False),  # the second is not essential
+        (fit_of_run((FALSE_TRUST + 0.1, 0.0)), True),
+        (fit_of_run((-FALSE_TRUST - 0.1, 0.0)), True),
+        (fit_of_run((FALSE_TRUST + 0.1, 0.0), verdict="caution"), False),
+        (fit_of_run((FALSE_TRUST + 0.1, 0.0), verdict="do not use"), False),
+        (fit_of_run((0.0, 0.0), positive=False), True),
+        (fit_of_run((0.0, 0.0), positive=False, verdict="caution"), False),
     ],
 )
 def test_false_trust_is_trust_in_what_is_far_off_or_no_robot(one, wrong):
     assert false_trust(one, TRUE) == wrong
-    other = run(judged((0.0, 0.0), beta=1.1 * TRUE))
+    other = run(fit_of_run((0.0, 0.0), beta=1.1 * TRUE))
     iv = summaries([run(one), other], TRUE)[1]
     assert (iv.verdicts, iv.false_trust) == (2, int(wrong))
     assert iv.trusted == 1 + (one.verdict == "trust")
 
 
 def test_false_caution_is_that_of_clean_runs_alone():
-    doubted = judged((INSIDE - 0.1, 9.0), verdict="caution", doubts=("halves",))
-    capped = judged((0.0, 0.0), verdict="caution")  # a test that was not made: no doubt
+    doubted = fit_of_run((INSIDE - 0.1, 9.0), verdict="caution", doubts=("halves",))
+    capped = fit_of_run((0.0, 0.0), verdict="caution")  # a test that was not made: no doubt
     for one, clean, false in (
         (run(doubted), 1, 1),
         (run(capped), 1, 0),
-        (run(judged((INSIDE + 0.1, 0.0), verdict="caution", doubts=("halves",))), 0, 0),
+        (run(fit_of_run((INSIDE + 0.1, 0.0), verdict="caution", doubts=("halves",))), 0, 0),
         (run(doubted, gain_error=1.3), 0, 0),
         (run(doubted, noise=Noise(encoder_step=1e-5, coloured_percent=2.0)), 1, 1),
         *((run(doubted, noise=Noise(**{name: 1})), 0, 0) for name in
@@ -66,7 +66,7 @@ def test_false_caution_is_that_of_clean_runs_alone():
 
 def test_coverage_counts_all_parameters_of_the_printed_intervals():
     offs = {-1: (0.5, -0.9), 0: (1.1, 0.0), 1: (0.0, -2.0)}
-    runs = [run(judged(off, beta=TRUE + k * np.array([0.1, 0.2]))) for k, off in offs.items()]
+    runs = [run(fit_of_run(off, beta=TRUE + k * np.array([0.1, 0.2]))) for k, off in offs.items()]
     iv = summaries(runs, TRUE)[1]
     assert iv.coverage_percent == pytest.approx(100 * 4 / 6)
     assert iv.half_over_spread == pytest.approx(np.median([0.1 / (1.96 * 0.1), 0.1 / (1.96 * 0.2)]))

@@ -157,7 +157,7 @@ def test_a_cluster_without_dask_says_how_to_install_it(monkeypatch):
 
 def test_a_scheduler_that_does_not_answer_is_one_line(monkeypatch):
     pytest.importorskip("distributed")
-    monkeypatch.setattr(cluster_module, "PATIENCE_S", 0.3)
+    monkeypatch.setattr(cluster_module, "SCHEDULER_TIMEOUT_S", 0.3)
     for address in ("tcp://127.0.0.1:9", "nowhere://x", "tcp://no.such.host.invalid:8786"):
         began = time.monotonic()
         with pytest.raises(IdentificationError, match="no scheduler answers") as told, cluster(address):

@@ -32,10 +32,10 @@ def run(options: argparse.Namespace) -> int:
         from ..study import FleetSettings, drifts, fleet_document, found_recordings, method_of, run_fleet, write_table
 
         recordings = found_recordings(options.folders, by_folder=options.by_folder)
-        paths = [path for _, path in recordings]
+        paths = [entry.path for entry in recordings]
         settings = FleetSettings(
             description=tuple(load_robot(options.robot).files.items()) if options.robot else None,
-            method=options.method or method_of(paths),
+            method=options.method or method_of(recordings),
             overrides=from_options(Overrides, options),
         )
         refuse_outputs(paths, options.out, options.rrd)

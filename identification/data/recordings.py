@@ -1,4 +1,4 @@
-"""Recordings → `Signals`, the only reader of them on this side; where recordings are; whether they are of one robot."""
+"""Recordings → `Signals` (no other module here reads them); check that recordings are of one robot."""
 
 import hashlib
 from collections.abc import Iterator, Sequence
@@ -19,10 +19,10 @@ from ..errors import IdentificationError
 from .signals import SignalEvent, Signals
 from .work import Serial, Work
 
-ON_GRID = 0.05  # of a period: samples further off a uniform grid are interpolated
-LONGEST_GAP = 3.0  # periods between two samples, give or take half of one
-JOINT = ("name", "type", "dh", "zero_deg", "zero_m", "stribeck_speed_deg_s", "stribeck_speed_m_s", "rotor_inertia")
-MOTOR = ("name", "ratio", "effort_unit", "drive_gain", "drive_gain_unit")
+ON_GRID = 0.05  # of a period: samples farther from a uniform grid are interpolated
+MAX_GAP = 3.0  # periods between two samples, ± half a period
+JOINT_KEYS = ("name", "type", "dh", "zero_deg", "zero_m", "stribeck_speed_deg_s", "stribeck_speed_m_s", "rotor_inertia")
+MOTOR_KEYS = ("name", "ratio", "effort_unit", "drive_gain", "drive_gain_unit")
 
 
 def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signals:
@@ -30,23 +30,23 @@ def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signa
 
     Parameters
     ----------
-    path : of an MCAP file with joint samples.
-    robot : takes the place of the description stored in the recording; it may correct ratios and gains, not units.
+    path : an MCAP file with joint samples.
+    robot : replaces the description stored in the recording; it may correct ratios and gains, not units.
 
     Returns
     -------
-    The samples in SI units at the joints, on a uniform grid: interpolated where they are more than 0.05 periods off it.
+    The samples in SI units at the joints, on a uniform grid; interpolated if they are more than 0.05 periods off it.
 
     Raises
     ------
     AcquisitionError : the file cannot be read.
-    IdentificationError : it is cut, has no joint samples or gaps in them, or `robot` has other units than were recorded.
+    IdentificationError : it is cut off, has gaps or no joint samples, or `robot` has other units than the recording.
     """
     path = Path(path)
     recording = read_recording(path)
     if recording.cut:
-        expected = f"a recording with its end: `robot-acquire recover {path} -o OUT.mcap` keeps what it holds"
-        raise IdentificationError("is cut", place=str(path), expected=expected)
+        expected = f"a complete recording: `robot-acquire recover {path} -o OUT.mcap` repairs it"
+        raise IdentificationError("is cut off", place=str(path), expected=expected)
     samples = recording.samples
     if samples is None or len(samples) == 0:
         expected = "the channel /samples (`robot-acquire decode` makes it from frames)"
@@ -55,13 +55,13 @@ def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signa
     grid, rate_hz, off_grid = _grid(stamps, recording.sample_rate_hz, path)
     first_ns, was = int(stamps[0]), recording.robot
     names = [name for name in ("position", "effort", "reference", *OPTIONAL) if name in fields]
-    columns = {name: _at(grid, stamps, field_of(samples, name)) for name in names}
+    columns = {name: _resample(grid, stamps, field_of(samples, name)) for name in names}
     law = was.files.get(SIMULATED_CONTROLLER)
-    if robot is not None and law is not None:  # that of the drives in this recording, whoever describes the robot
+    if robot is not None and law is not None:  # it belongs to the drives of this recording, not to the description
         robot = robot_from_files({**robot.files, SIMULATED_CONTROLLER: law}, str(path))
     if robot is not None and robot.n == was.n:
         _refuse_other_units(was, robot, path)
-        # Samples stand at the joint: back to the motors as they were recorded, and out again as `robot` has it.
+        # Samples are at the joint: convert to the motors as recorded, and back to joints by `robot`.
         for name, to_motor, to_joint in (
             ("position", was.motor_position, robot.joint_position),
             ("reference", was.motor_position, robot.joint_position),
@@ -99,7 +99,7 @@ def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signa
 
 
 def _refuse_other_units(was: Robot, robot: Robot, path: Path) -> None:
-    """Another description may correct ratios and gains; what was recorded in volts never becomes amperes, nor rad m."""
+    """Another description may correct ratios and gains, but cannot change volts to amperes or rad to m."""
     for kind, old, new in (
         ("motor", [(m.name, m.recorded_unit) for m in was.motors], [m.recorded_unit for m in robot.motors]),
         ("joint", [(j.name, j.position_unit) for j in was.joints], [j.position_unit for j in robot.joints]),
@@ -111,23 +111,23 @@ def _refuse_other_units(was: Robot, robot: Robot, path: Path) -> None:
 
 
 def _grid(stamps: NDArray[np.int64], nominal_hz: float, path: Path) -> tuple[Array, float, float]:
-    """A uniform grid (N,) in ns from the first of `stamps`, its rate in Hz, and how far a stamp is off it, in periods.
+    """A uniform grid (N,) in ns from the first of `stamps`, its rate in Hz, and the largest offset of a stamp in periods.
 
-    The grid is the stamps themselves where they lie on one. Where samples are missing it has the nominal rate, if that is
-    theirs within 10 %. Refuses gaps over three periods and time that does not grow.
+    Uniform stamps are the grid. If samples are missing, the grid has the nominal rate, if that agrees
+    with theirs within 10 %. Refuses gaps over three periods and time that does not increase.
     """
     if len(stamps) < 2:
         raise IdentificationError(place=str(path), key="samples", value=len(stamps), expected="a trajectory")
     steps = np.diff(stamps)
     period = float(np.median(steps))
-    bad = np.flatnonzero((steps <= 0) | (steps > (LONGEST_GAP + 0.5) * max(period, 1.0)))
+    bad = np.flatnonzero((steps <= 0) | (steps > (MAX_GAP + 0.5) * max(period, 1.0)))
     if bad.size:
         k = int(bad[0])
         raise IdentificationError(
             f"{bad.size} gap(s), the first after {1e-9 * (stamps[k] - stamps[0]):.4f} s: a step of {steps[k] * 1e-6:.3f} ms",
             place=str(path),
             key="samples",
-            expected=f"{period * 1e-6:.3f} ms throughout, and at most {LONGEST_GAP:g} times that",
+            expected=f"{period * 1e-6:.3f} ms throughout, and at most {MAX_GAP:g} times that",
         )
     since = np.asarray(stamps - stamps[0], dtype=np.float64)
     whole = steps.max() <= 1.5 * period or len(stamps) < 3
@@ -145,8 +145,8 @@ def _grid(stamps: NDArray[np.int64], nominal_hz: float, path: Path) -> tuple[Arr
     return grid, round(1e9 / period, 6), off_grid
 
 
-def _at(grid: Array, stamps: NDArray[np.int64], x: Array) -> Array:
-    """x (N, n), sampled at `stamps`, at the instants of the grid: as it is, or a cubic spline in between."""
+def _resample(grid: Array, stamps: NDArray[np.int64], x: Array) -> Array:
+    """x (N, n), sampled at `stamps`, on the grid: unchanged, or by a cubic spline."""
     since = (stamps - stamps[0]).astype(float)
     if len(grid) == len(since) and (grid == since).all():
         return x
@@ -156,18 +156,18 @@ def _at(grid: Array, stamps: NDArray[np.int64], x: Array) -> Array:
 
 
 def _health(recording: Recording, first_ns: int) -> dict[str, tuple[Array, Array]]:
-    """The recorder's counters by name, over seconds from the first sample."""
+    """The recorder's counters by name, over time in s from the first sample."""
     names = dict.fromkeys(name for health in recording.health for name in health.counters)
-    found = {}
+    counters = {}
     for name in names:
         rows = [(1e-9 * (h.stamp_ns - first_ns), h.counters[name]) for h in recording.health if name in h.counters]
         t_s, counts = np.array(rows).T
-        found[name] = (t_s, counts)
-    return found
+        counters[name] = (t_s, counts)
+    return counters
 
 
 def _phase(recording: Recording, name: str, grid: Array, first_ns: int) -> tuple[int, int] | None:
-    """Sample range of a session phase: from the event that begins it to the next phase's event."""
+    """Sample range of a session phase, from its event to that of the next phase."""
     phases = [(event.stamp_ns, event.text) for event in recording.events if event.kind == "phase"]
     for k, (begin_ns, phase) in enumerate(phases):
         if phase == name:
@@ -179,11 +179,11 @@ def _phase(recording: Recording, name: str, grid: Array, first_ns: int) -> tuple
 
 @dataclass(frozen=True, kw_only=True)
 class RecordingFile:
-    """A recording's file, read by the process that needs it, at the same path in all of them.
+    """A recording's file; the process that needs it reads it, at the same path in all processes.
 
     Attributes:
         path: of the file.
-        description: content of the files of a description in place of the recording's own, by name; None for its own.
+        description: files, by name, of a description that replaces the recording's own; None for its own.
     """
 
     path: str
@@ -191,7 +191,7 @@ class RecordingFile:
 
     @classmethod
     def at(cls, path: Path, robot: Robot | None = None) -> "RecordingFile":
-        """The recording at `path`, by the description `robot` where one is given."""
+        """The recording at `path`, with the description `robot` if given."""
         return cls(path=str(path.absolute()), description=None if robot is None else tuple(robot.files.items()))
 
     @property
@@ -206,47 +206,47 @@ class RecordingFile:
 
     @property
     def key(self) -> str:
-        """What tells it from others in a cache."""
+        """The key of the signals in a cache."""
         described = hashlib.sha256(repr(self.description).encode()).hexdigest()
         return f"{self.path} {described}"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Recordings:
-    """Recordings of one robot that are fitted together, and where the work on them is done."""
+    """Recordings of one robot that are fitted together, and where their tasks run."""
 
     sources: tuple[Signals | RecordingFile, ...]
     work: Work = field(default_factory=Serial)
 
 
 def check_one_robot(recordings: Sequence[Signals]) -> None:
-    """Refuse recordings that are not of one robot, or one recording twice.
+    """Refuse recordings of different robots, or the same recording twice.
 
     Raises `IdentificationError` with the recording, the joint or motor, the value, and that of the first recording.
     """
     first, seen = recordings[0], {recordings[0].sha256: recordings[0].recording}
     for other in recordings[1:]:
         if other.sha256 and other.sha256 in seen:
-            problem = f"holds the same as {seen[other.sha256]}"
+            problem = f"has the same content as {seen[other.sha256]}"
             raise IdentificationError(problem, place=other.recording, expected="each recording once")
         seen[other.sha256] = other.recording
         if other.robot.n != first.robot.n:
             expected = f"{first.robot.n}, as in {first.recording}"
             raise IdentificationError(place=other.recording, key="joints", value=other.robot.n, expected=expected)
-        for key, value, wanted in _compared(other.robot, first.robot):
+        for key, value, wanted in _compare(other.robot, first.robot):
             if value != wanted:
                 expected = f"{wanted!r}, as in {first.recording}: recordings of one fit are of one robot"
                 raise IdentificationError(place=other.recording, key=key, value=value, expected=expected)
 
 
-def _compared(a: Robot, b: Robot) -> Iterator[tuple[str, Any, Any]]:
-    """What must agree of two robots of as many joints: its place, and the value of each."""
+def _compare(a: Robot, b: Robot) -> Iterator[tuple[str, Any, Any]]:
+    """What must agree between two robots with as many joints: key and both values."""
     for mine, others in zip(a.joints, b.joints, strict=True):
-        for name in JOINT:
+        for name in JOINT_KEYS:
             yield f"joint {mine.name}: {name}", getattr(mine, name), getattr(others, name)
         yield f"joint {mine.name}: friction", _friction(mine), _friction(others)
     for motor, other in zip(a.motors, b.motors, strict=True):
-        for name in MOTOR:
+        for name in MOTOR_KEYS:
             yield f"motor {motor.name}: {name}", getattr(motor, name), getattr(other, name)
     for key, x, y in (("gravity_m_s2", a.gravity, b.gravity), ("motor_matrix", a.R, b.R)):
         yield key, np.asarray(x).tolist(), np.asarray(y).tolist()
@@ -255,6 +255,6 @@ def _compared(a: Robot, b: Robot) -> Iterator[tuple[str, Any, Any]]:
 
 
 def _friction(joint: Joint) -> tuple[str, ...]:
-    """The friction terms of a joint, in one order: keys and lists that mean the same are the same."""
+    """The friction terms of a joint in fixed order, so that equivalent descriptions are equal."""
     terms = tuple(term for term in get_args(FrictionTerm) if term in joint.terms)
     return ("for each direction", *terms) if joint.one_sided else terms

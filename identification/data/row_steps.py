@@ -1,4 +1,4 @@
-"""Rows that a recording lacks or repeats, by the steps of its positions: the times of a table without stamps hide them."""
+"""Missing and repeated rows, found from position steps: times of a table without stamps do not show them."""
 
 from dataclasses import dataclass
 
@@ -6,13 +6,15 @@ import numpy as np
 
 from ..arrays import Array
 
-FAR_DEVIATIONS = 10.0  # of steps about their neighbours: what a step must be to tell twice of it, and none, from it
-NEAR = 0.15  # of a step: how near a multiple it must be
-ALIKE = 0.25  # of a step: how near their median three of the four neighbours must be, or two beside a missing row
-QUANTUM_DEVIATION = 0.41  # of the step between two rounded positions, in quanta
-MAX_MULTIPLE = 4  # of its neighbours: a longer step is no few rows lost
-ROUNDING = 1e-9  # of the largest position: less is no step
-_BLOCK, _AT_ONCE = 256, 100_000  # rows of which noise and quanta are judged, and that are in memory
+MIN_DEVIATIONS = (
+    10.0  # of steps about their neighbours: smaller steps cannot be distinguished from double or zero steps
+)
+MAX_ERROR = 0.15  # of a step: largest distance from a multiple
+MAX_DIFFERENCE = 0.25  # of a step: of three of four neighbours from their median (of two next to a missing row)
+QUANTUM_DEVIATION = 0.41  # standard deviation of the step between two rounded positions, in quanta
+MAX_MULTIPLE = 4  # of its neighbours: a longer step does not count as lost rows
+ROUNDING = 1e-9  # of the largest position: smaller steps count as none
+_BLOCK_ROWS, _ROWS_AT_ONCE = 256, 100_000  # rows for an estimate of noise and quantum; rows in memory
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -20,10 +22,10 @@ class PositionSteps:
     """Counts of a recording's position steps, each compared with the median of its four neighbours.
 
     Attributes:
-        moving: steps that are far beyond noise and quanta; all joints together.
-        lost: rows missing, where a step is a multiple of its neighbours; repeated: rows without a step; held: rows without a
-            step that the next step makes up for.
-        coarse: (n, 3) steps of each joint beyond its noise; those that are double, or none, within a few quanta.
+        moving: steps far above noise and quanta; all joints together.
+        lost: missing rows, where a step is a multiple of its neighbours; repeated: rows without a step; held: rows without a
+            step, compensated by the next step.
+        coarse: (n, 3) steps of each joint above its noise; of those within a few quanta, the double steps and the zero steps.
     """
 
     moving: int
@@ -34,25 +36,25 @@ class PositionSteps:
 
 
 def position_steps(q: Array) -> PositionSteps:
-    """The counts of positions q (N, n) of rows that are said to be evenly spaced in time."""
+    """The counts of positions q (N, n) whose rows are nominally evenly spaced in time."""
     whole, coarse = np.zeros(4, dtype=int), np.zeros((q.shape[1], 3), dtype=int)
-    for start in range(0, max(1, len(q) - 5), _AT_ONCE):
-        of_block, of_joints = _counts(q[start : start + _AT_ONCE + 5])
+    for start in range(0, max(1, len(q) - 5), _ROWS_AT_ONCE):
+        of_block, of_joints = _count(q[start : start + _ROWS_AT_ONCE + 5])
         whole, coarse = whole + of_block, coarse + of_joints
     moving, lost, repeated, held = map(int, whole)
     return PositionSteps(moving=moving, lost=lost, repeated=repeated, held=held, coarse=coarse)
 
 
-def _counts(q: Array) -> tuple[Array, Array]:
+def _count(q: Array) -> tuple[Array, Array]:
     steps, n = np.diff(q, axis=0), q.shape[1]
-    blocks = max(1, (len(q) - 5) // _BLOCK)
+    blocks = max(1, (len(q) - 5) // _BLOCK_ROWS)
     rows = (len(q) - 5) // blocks * blocks
-    if rows < _BLOCK // 4:
+    if rows < _BLOCK_ROWS // 4:
         return np.zeros(4, dtype=int), np.zeros((n, 3), dtype=int)
     around = np.stack([steps[k : k + rows] for k in (0, 1, 3, 4)])
     x, m = steps[2 : 2 + rows], np.median(around, axis=0)
     rounding = ROUNDING * np.abs(q).max(axis=0)
-    change = np.abs(np.diff(steps[2 : 3 + rows], axis=0))  # a quantum at least, where positions are rounded
+    change = np.abs(np.diff(steps[2 : 3 + rows], axis=0))  # at least a quantum if positions are rounded
     scatter, quantum = (
         np.repeat(_medians(np.where(moves, values, np.inf).reshape(blocks, -1, n)), rows // blocks, axis=0)
         for values, moves in ((np.abs(x - m), np.abs(m) > rounding), (change, change > rounding))
@@ -62,25 +64,27 @@ def _counts(q: Array) -> tuple[Array, Array]:
     weight = np.divide(1.0, deviation, out=np.zeros_like(m), where=deviation > 0)
     # All joints together: a row that is missing is missing for all of them.
     size = np.linalg.norm(m * weight, axis=1)
-    none, once, twice = (np.linalg.norm((around - k * m) * weight, axis=2) < ALIKE * size for k in (0, 1, 2))
+    none, once, twice = (np.linalg.norm((around - k * m) * weight, axis=2) < MAX_DIFFERENCE * size for k in (0, 1, 2))
     alike = (once.sum(axis=0) >= 3) | ((once.sum(axis=0) == 2) & (none | once | twice).all(axis=0))
-    moving = (size > FAR_DEVIATIONS) & alike
+    moving = (size > MIN_DEVIATIONS) & alike
     ratio = np.divide((x * m * weight**2).sum(axis=1), size**2, out=np.ones(rows), where=moving)
     multiple = np.rint(ratio)
-    extra = np.where((np.abs(ratio - multiple) < NEAR) & (multiple >= 0) & (multiple <= MAX_MULTIPLE), multiple - 1, 0)
+    extra = np.where(
+        (np.abs(ratio - multiple) < MAX_ERROR) & (multiple >= 0) & (multiple <= MAX_MULTIPLE), multiple - 1, 0
+    )
     odd = extra != 0
-    group = np.cumsum(odd & ~np.concatenate([[False], odd[:-1]]))[odd]  # of neighbours that make up for one another
+    group = np.cumsum(odd & ~np.concatenate([[False], odd[:-1]]))[odd]  # of neighbours that compensate each other
     net = np.bincount(group, extra[odd])
     without = np.bincount(group, extra[odd] < 0)
     held = np.minimum(without, without + net)
-    coarse = (np.abs(m) > FAR_DEVIATIONS * noise) & (np.abs(m) <= FAR_DEVIATIONS * deviation)
+    coarse = (np.abs(m) > MIN_DEVIATIONS * noise) & (np.abs(m) <= MIN_DEVIATIONS * deviation)
     parts = np.divide(x, m, out=np.ones_like(x), where=coarse)
-    by_joint = [np.abs(m) > FAR_DEVIATIONS * noise, np.abs(parts - 2) < NEAR, np.abs(parts) < NEAR]
+    by_joint = [np.abs(m) > MIN_DEVIATIONS * noise, np.abs(parts - 2) < MAX_ERROR, np.abs(parts) < MAX_ERROR]
     counts = moving.sum(), net[net > 0].sum(), -net[net < 0].sum(), held.sum()
     return np.array(counts).astype(int), np.stack([part.sum(axis=0) for part in by_joint], axis=1)
 
 
 def _medians(x: Array) -> Array:
-    """Medians (blocks, n) of x (blocks, rows, n), infinite numbers left out."""
+    """Medians (blocks, n) of the finite numbers of x (blocks, rows, n)."""
     place = np.isfinite(x).sum(axis=1, keepdims=True) // 2
     return np.asarray(np.take_along_axis(np.sort(x, axis=1), place, axis=1)[:, 0])

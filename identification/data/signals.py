@@ -1,4 +1,4 @@
-"""Signals: what was measured, in SI units on a uniform grid; those of arrays in memory."""
+"""Signals: measurements in SI units on a uniform grid, also from arrays in memory."""
 
 import hashlib
 import math
@@ -18,7 +18,7 @@ from acquisition.robot import EffortTiming, ExtraColumn, Robot, check_recorded_v
 from ..arrays import Array
 from ..errors import IdentificationError
 
-NAME = "arrays"  # stands where the name of a recording stands
+NAME = "arrays"  # in place of a recording's name
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,25 +32,25 @@ class SignalEvent:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Signals:
-    """What was measured, on a uniform grid.
+    """The measurements of a recording on a uniform grid.
 
     Attributes:
         t_s: (N,) time from the first sample, s.
         q: (N, n) measured joint positions, rad or m.
         q_ref: (N, n) reference positions, or None.
-        effort: (N, n) joint torques in N m, forces in N; in A or V where the drive gain is not known.
+        effort: (N, n) joint torques in N m, forces in N; in A or V if the drive gain is unknown.
         track: (start, stop) sample range of the tracking phase, or None.
         recording, sha256: file name of the recording, and its digest.
         health: the recorder's counters by name: t_s (k,) from the first sample, and the counts (k,).
-        extras: the drives' extra objects: t_s (k,) from the first sample, and the values (k,) as they were recorded.
-        effort_timing: `command` of an instant, held after it; `mean` over the control period about it, as those that this
-            package simulates; `measured` at the instant, as in joint states of ROS; or `unknown`.
-        provenance: where the efforts come from, in words.
+        extras: the drives' extra objects: t_s (k,) from the first sample, and the recorded values (k,).
+        effort_timing: `command` of an instant, held after it; `mean` over the control period around it, as this package
+            simulates; `measured` at the instant, as in ROS joint states; or `unknown`.
+        provenance: origin of the efforts, in words.
         velocity: (N, n) measured speeds of the joints, rad/s or m/s, or None.
-        known_torque: (N, n) torques on the joints that are known and not of the drives, N m or N, or None.
-        feedforward: (N, n) what was added to the controller's output, by motor in the unit of the recorded effort, or None.
-        began: when the recording began, None where nothing says so.
-        off_grid: how far a sample's own time was off the grid at most, in periods; interpolated beyond `ON_GRID`.
+        known_torque: (N, n) known external torques on the joints, N m or N, or None.
+        feedforward: (N, n) feedforward added to the controller's output, by motor in the unit of the recorded effort, or None.
+        began: when the recording began, None if unknown.
+        off_grid: largest offset of a sample's time from the grid, in periods; above `ON_GRID` samples are interpolated.
     """
 
     t_s: Array
@@ -101,12 +101,12 @@ class Signals:
 
     @property
     def of_drives(self) -> bool:
-        """Whether efforts are objects of drives, which have loops of their own."""
+        """Whether efforts are objects of drives, which have internal loops."""
         return ": object " in self.provenance
 
     @cached_property
     def torque(self) -> Array:
-        """What the inverse dynamic model gives (N, n): the efforts of the drives and the known torques."""
+        """(N, n) torque of the inverse dynamic model: efforts of the drives plus known torques."""
         return self.effort if self.known_torque is None else self.effort + self.known_torque
 
     def __repr__(self) -> str:
@@ -118,7 +118,7 @@ class Signals:
 
 
 class OptionalColumns(TypedDict, total=False):
-    """Arrays (N, n) that may stand beside position and effort, by the names that they have in a recording."""
+    """Optional arrays (N, n), by their names in a recording."""
 
     velocity: ArrayLike | None
     known_torque: ArrayLike | None
@@ -133,24 +133,24 @@ def signals_from_arrays(
     q_ref: ArrayLike | None = None,
     **columns: Unpack[OptionalColumns],
 ) -> Signals:
-    """Signals out of arrays that are copied.
+    """Signals from arrays, which are copied.
 
     Parameters
     ----------
     q, q_ref : (N, n) measured and reference positions of the joints, rad or m.
-    effort : (N, n) torques at the joint in N m, forces in N; in A or V where `robot` has no drive gain.
+    effort : (N, n) torques at the joint in N m, forces in N; in A or V if `robot` has no drive gain.
     sample_rate_hz : rate of the N samples.
     robot : its description, of n joints.
-    columns : (N, n) `velocity` of the joints, rad/s or m/s; `known_torque` on the joints that is not of the drives, N m or N;
-        `feedforward` that was added to the controller's output, by motor in the unit of its effort.
+    columns : (N, n) `velocity` of the joints, rad/s or m/s; `known_torque` on the joints from outside the drives, N m or N;
+        `feedforward` added to the controller's output, by motor in the unit of its effort.
 
     Returns
     -------
-    Signals : a velocity that is over 10 % off the derivative of q is a warning among its events.
+    Signals : with a warning in `events` if a velocity differs by over 10 % from the derivative of q.
 
     Raises
     ------
-    IdentificationError : where shapes differ from one another or from the robot, a number is not finite, the rate is not
+    IdentificationError : if shapes differ from one another or from the robot, a number is not finite, the rate is not
         above 0, or a column has another name; for a known torque of a robot without drive gains.
     AcquisitionError : for a velocity of another unit or sign.
     """
@@ -159,9 +159,9 @@ def signals_from_arrays(
             raise IdentificationError(place=NAME, key=name, expected=f"columns {', '.join(OPTIONAL)}")
     if not 0 < sample_rate_hz < math.inf:
         raise IdentificationError(place=NAME, key="sample_rate_hz", value=sample_rate_hz, expected="a number above 0")
-    arrays: dict[str, Any] = {"q": _copied("q", q, robot.n), "effort": _copied("effort", effort, robot.n)}
+    arrays: dict[str, Any] = {"q": _copy("q", q, robot.n), "effort": _copy("effort", effort, robot.n)}
     given: dict[str, Any] = {"q_ref": q_ref, **columns}
-    arrays |= {x: _copied(x, given[x], robot.n) for x in ("q_ref", *OPTIONAL) if given.get(x) is not None}
+    arrays |= {x: _copy(x, given[x], robot.n) for x in ("q_ref", *OPTIONAL) if given.get(x) is not None}
     digest = hashlib.sha256()
     for name, array in arrays.items():
         digest.update((name if name in OPTIONAL else "").encode() + array.tobytes())
@@ -180,7 +180,7 @@ def signals_from_arrays(
     return replace(signals, events=events)
 
 
-def _copied(name: str, array: ArrayLike, n: int) -> Array:
+def _copy(name: str, array: ArrayLike, n: int) -> Array:
     try:
         copied = np.array(array, dtype=np.float64, order="C")
     except (TypeError, ValueError) as error:

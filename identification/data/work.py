@@ -1,6 +1,6 @@
-"""Tasks on an executor: functions of a module and of positional arguments, each run again elsewhere if its worker dies.
+"""Tasks on an executor: functions of a module with positional arguments; a task runs again if its worker dies.
 
-Results come in the order of the tasks, whatever the order in which they are done: sums over them are the same to the last bit
+Results come in the order of the tasks, whatever the order in which they finish: sums over them are identical to the last bit
 with any number of workers.
 """
 
@@ -16,19 +16,19 @@ from typing import Any, Protocol
 
 from ..errors import IdentificationError
 
-LOST_WORKERS = 2  # times that tasks are given to new workers
-LOOK_S = 1.0  # between looks at whether workers live
-NO_GUARD = 71  # exit code of a worker that would start workers itself
-FAILED = 1  # of one that ends by its script's error
-GUARD = 'the call below `if __name__ == "__main__":`, as workers run the script too, to find its functions'
+MAX_RENEWALS = 2  # times that tasks are submitted to new workers
+POLL_S = 1.0  # between checks whether workers are alive
+EXIT_NO_GUARD = 71  # exit code of a worker whose script would start workers
+EXIT_SCRIPT_ERROR = 1  # exit code of a worker whose script fails
+EXPECTED_GUARD = 'the call below `if __name__ == "__main__":`, because workers also run the script'
 EXTRA = "pip install 'robot-idim[cluster]'"
-PACKAGES = ("robot-idim", "numpy", "scipy", "pin")  # whose versions must agree for the same bits
-PATIENCE_S = 10.0  # for an answer of a scheduler
+PACKAGES = ("robot-idim", "numpy", "scipy", "pin")  # versions must agree for identical results
+SCHEDULER_TIMEOUT_S = 10.0  # to wait for the scheduler
 Task = tuple[Any, ...]  # positional arguments of a task
 
 
 class WorkersNotStartedError(IdentificationError):
-    """Workers that end before they are given a task; others would end likewise."""
+    """Workers ended before their first task; new ones would end too."""
 
 
 class Work(Protocol):
@@ -36,10 +36,10 @@ class Work(Protocol):
 
     @property
     def remote(self) -> bool:
-        """Whether tasks run in other processes: arguments and results are then sent."""
+        """Whether tasks run in other processes, so that arguments and results are sent."""
 
     def run(self, function: Callable[..., Any], tasks: Sequence[Task]) -> Iterator[Any]:
-        """Results in the order of the tasks. An error of a task is raised where its result stands."""
+        """Results in the order of the tasks. An error of a task is raised in place of its result."""
 
 
 class Serial:
@@ -53,14 +53,14 @@ class Serial:
 
 
 class Pool:
-    """Runs tasks on an executor that `open_executor` gives; a new one where its workers died, twice at most."""
+    """Runs tasks on an executor of `open_executor`; opens a new one if workers die, at most twice."""
 
     remote = True
 
     def __init__(
         self, open_executor: Callable[[], Executor], lost: tuple[type[BaseException], ...] = (BrokenProcessPool,)
     ) -> None:
-        """`lost` are the errors by which a task says that its worker died."""
+        """`lost` are the errors of a task whose worker died."""
         self._others: list[BaseProcess] = active_children()  # that are not workers
         self._workers: list[BaseProcess] = []
         self._open, self._executor, self._lost = open_executor, open_executor(), lost
@@ -68,16 +68,16 @@ class Pool:
     def run(self, function: Callable[..., Any], tasks: Sequence[Task]) -> Iterator[Any]:
         """Results in the order of the tasks; all of them are submitted at once.
 
-        Raises `IdentificationError`: where workers died with the same task three times; `WorkersNotStartedError`: where they
+        Raises `IdentificationError`: if workers died three times; `WorkersNotStartedError`: if they
         cannot start.
         """
-        futures = [self._submitted(function, task) for task in tasks]
+        futures = [self._submit(function, task) for task in tasks]
         lost = 0
         for k in range(len(tasks)):
             while not self._is_done(futures[k]):
                 self._refuse_no_start()
                 lost += 1
-                if lost > LOST_WORKERS:
+                if lost > MAX_RENEWALS:
                     problem = f"workers ended {lost} times before task {k + 1} of {len(tasks)} was done: out of memory?"
                     raise IdentificationError(problem, expected="fewer --workers, or a larger --decimate")
                 self._renew(function, tasks, futures, k)
@@ -88,17 +88,17 @@ class Pool:
     def _is_done(self, future: "Future[Any]") -> bool:
         """Wait for a task; False if its worker died.
 
-        The pool of the standard library overlooks a worker that dies while it starts, and waits for ever.
+        The pool of the standard library does not notice a worker that dies while it starts, and waits forever.
         """
         while True:
-            finished, _ = wait([future], timeout=LOOK_S)
+            finished, _ = wait([future], timeout=POLL_S)
             if finished:
                 return future.cancelled() or not isinstance(future.exception(), self._lost)
             if any(not worker.is_alive() for worker in self._workers):
                 return False
 
-    def _submitted(self, function: Callable[..., Any], task: Task) -> "Future[Any]":
-        """The task's future: one that failed where a worker has died already, while tasks were handed over."""
+    def _submit(self, function: Callable[..., Any], task: Task) -> "Future[Any]":
+        """The task's future; a failed one if a worker has already died."""
         try:
             future = self._executor.submit(function, *task)
         except self._lost as error:
@@ -109,17 +109,17 @@ class Pool:
 
     def _refuse_no_start(self) -> None:
         for worker in self._workers:
-            worker.join(LOOK_S)  # it closes its pipe, by which its pool knows, before it has an exit code
+            worker.join(POLL_S)  # the pool sees the closed pipe before the exit code exists
         codes = {worker.exitcode for worker in self._workers}
-        if NO_GUARD in codes:
-            raise WorkersNotStartedError("the script starts workers whenever it is imported", expected=GUARD)
-        if FAILED in codes:  # errors of tasks do not end a worker
+        if EXIT_NO_GUARD in codes:
+            raise WorkersNotStartedError("the script starts workers whenever it is imported", expected=EXPECTED_GUARD)
+        if EXIT_SCRIPT_ERROR in codes:  # errors of tasks do not end a worker
             raise WorkersNotStartedError(
-                "workers end while they start", expected=f"a script that can be imported; {GUARD}"
+                "workers end while they start", expected=f"a script that can be imported; {EXPECTED_GUARD}"
             )
 
     def _renew(self, function: Callable[..., Any], tasks: Sequence[Task], futures: list["Future[Any]"], k: int) -> None:
-        """A pool breaks whole: open a new one and submit what is not done from task k on."""
+        """A broken pool is unusable: open a new one and submit the unfinished tasks from k on."""
         for worker in self._workers:
             worker.kill()
         self._executor.shutdown(wait=False, cancel_futures=True)
@@ -128,24 +128,24 @@ class Pool:
         for i in range(k, len(tasks)):
             done = futures[i].done() and not futures[i].cancelled() and futures[i].exception() is None
             if not done:
-                futures[i] = self._submitted(function, tasks[i])
+                futures[i] = self._submit(function, tasks[i])
 
     def close(self) -> None:
-        """End the workers; tasks that have not begun are dropped."""
+        """End the workers; drop tasks that have not begun."""
         self._executor.shutdown(wait=True, cancel_futures=True)
 
 
 @contextmanager
 def processes(workers: int) -> Iterator[Work]:
-    """So many worker processes of this machine, or this process alone for one.
+    """Worker processes on this machine, or this process alone for one.
 
-    Processes are spawned, with one thread of linear algebra each: the processes are the parallelism.
+    Processes are spawned, each with one thread of linear algebra.
     """
     if workers == 1:
         yield Serial()
         return
-    if getattr(current_process(), "_inheriting", False):  # a worker that imports its script, which has no guard
-        os._exit(NO_GUARD)
+    if getattr(current_process(), "_inheriting", False):  # a worker that imports a script without guard
+        os._exit(EXIT_NO_GUARD)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     pool = Pool(lambda: ProcessPoolExecutor(max_workers=workers, mp_context=get_context("spawn")))
     try:
@@ -160,8 +160,8 @@ def cluster(address: str) -> Iterator[Work]:
 
     Raises
     ------
-    IdentificationError : where Dask distributed is not installed, the scheduler does not answer or has no worker, or a worker
-        lacks this package or has other versions of what a fit rests on.
+    IdentificationError : if Dask distributed is not installed, the scheduler does not answer or has no worker, or a worker
+        lacks this package or has other versions of `PACKAGES`.
     """
     try:
         from distributed import Client, KilledWorker
@@ -169,7 +169,7 @@ def cluster(address: str) -> Iterator[Work]:
         problem = "Dask distributed is not installed"
         raise IdentificationError(problem, key="--cluster", value=address, expected=EXTRA) from error
     try:
-        client = Client(address, timeout=PATIENCE_S, set_as_default=False)
+        client = Client(address, timeout=SCHEDULER_TIMEOUT_S, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
         problem = f"no scheduler answers: {error}"
         expected = "the address that `dask scheduler` prints, such as tcp://host:8786"
@@ -182,7 +182,7 @@ def cluster(address: str) -> Iterator[Work]:
 
 
 def versions() -> dict[str, str]:
-    """Versions of what a fit rests on, in this process."""
+    """Versions of `PACKAGES` in this process."""
     return {name: version(name) for name in PACKAGES}
 
 

@@ -1,4 +1,4 @@
-"""Which motion to record and which friction terms to fit: exciting references, terms chosen with parts held out."""
+"""Which motion to record and which friction terms to fit: exciting references, friction terms by cross-validation."""
 
 from .excitation import Excitation, ExcitationSettings, excitation_document, excite
 from .friction_report import JointFriction, friction_document, friction_file, friction_of_joints, write_friction

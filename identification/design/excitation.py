@@ -1,4 +1,4 @@
-"""References that tell most of a robot's base parameters, within its limits, and their report."""
+"""Exciting references that make base parameters as identifiable as possible within limits, and their report."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -18,23 +18,23 @@ from ..options import ReferenceOptions
 from ..report import Document, Number, Row, Section, Table, columns
 from .information import Information, PriorInformation, earlier_information, rows_per_s, torque_noise
 from .limits import FAR_M, KINDS, MARGIN_M, Limits, Series, limits_of, motion_of
-from .search import FINER, SAMPLES_PER_PERIOD, SearchProblem, best_of_searches, random_within
+from .search import CHECKS_PER_SAMPLE, SAMPLES_PER_PERIOD, SearchProblem, best_of_searches, random_within
 
-PLAIN = 20  # random references of seeds from 0 on, whose geometric mean the criterion is relative to
-POSES = 200  # at which links that are always near each other are found, and room to start
-BANDWIDTH_SHARE = 1 / 3  # highest harmonic over bandwidth: beyond it the loop does not follow
+PLAIN_REFERENCES = 20  # random references, seeds from 0 on; the criterion is relative to their geometric mean
+SAMPLE_POSES = 200  # to find links that are always near each other
+MAX_BANDWIDTH_SHARE = 1 / 3  # highest harmonic over bandwidth: the loop does not follow faster ones
 CREEP_SHARE = 0.05  # of a joint's speed limit
-FEWEST_HARMONICS = 2  # with one, nothing is left by zero speed and acceleration at the ends
-CURVE_SAMPLES = 100  # per period of the highest harmonic, of what is drawn
-REACH = 1.959964  # deviations to each side of a 95 % interval
+MIN_HARMONICS = 2  # zero speed and acceleration at the ends leave nothing of a single one
+CURVE_SAMPLES = 100  # per period of the highest harmonic, in pictures
+NORMAL_QUANTILE = 1.959964  # deviations to each side of a 95 % interval
 
 
 class ExcitationSettings(ReferenceOptions):
-    """What a reference is to be; the same `seed` gives the same one."""
+    """What a reference is designed for; the same `seed` gives the same one."""
 
     @property
     def plain_harmonics(self) -> int:
-        """Of the plain references: those of the usual random reference."""
+        """Harmonics of the plain references: at most those of the random reference."""
         return min(HARMONICS, self.harmonics)
 
 
@@ -44,12 +44,11 @@ class Excitation:
 
     Attributes:
         reference: one period.
-        sigma, plain: (b,) expected deviations of the parameters, and the geometric mean of the same with plain references.
-        noise, noise_from: (n,) deviation of the torque in a row of the fit, and its origin in words.
-        limits, used: the limits, and (L,) the largest share of each in use; 1 is the whole limit.
-        nearest: the pair of links, or link and ground, that come nearest to each other, and their distance in m, at most
-            `FAR_M`; None where no shapes are described.
-        beta, beta_from: parameters that the torque is computed by, and their origin; None where it was not checked.
+        sigma, plain: (b,) expected standard deviations of the parameters; geometric mean of the same with plain references.
+        noise, noise_from: (n,) deviation of the torque in a row of the fit; its origin in words.
+        limits, used: the limits, and (L,) the largest share used of each; 1 is the whole limit.
+        nearest: the closest pair of links, or link and ground, and its distance in m, at most `FAR_M`; None without shapes.
+        beta, beta_from: parameters for the torque, and their origin; None where torque was not checked.
         warnings: lines.
     """
 
@@ -71,12 +70,12 @@ class Excitation:
     @property
     def half(self) -> Array:
         """(b,) half-widths of the expected 95 % intervals."""
-        return REACH * self.sigma
+        return NORMAL_QUANTILE * self.sigma
 
     @property
     def plain_half(self) -> Array:
         """(b,) the same of the plain references."""
-        return REACH * self.plain
+        return NORMAL_QUANTILE * self.plain
 
     def curves(self) -> tuple[Array, Array, Array, Array | None]:
         """Times (N,) in s, positions, speeds and, where it is known, torque, each (N, n), of one period."""
@@ -100,7 +99,7 @@ def excite(
     place: str,
     say: Callable[[str], None] = lambda text: None,
 ) -> Excitation:
-    """The reference within a robot's limits that tells most of its base parameters.
+    """An exciting reference that makes the base parameters as identifiable as possible within the limits.
 
     Raises `IdentificationError`: where the limits leave no reference, or the drives would not follow it. Raises
     `AcquisitionError`: where the drives cannot represent its positions.
@@ -114,7 +113,7 @@ def excite(
     base = every.without(mus)
     known = [every.names.index(name) for name in base.names]
     ranges = np.array([joint.si("position") or (0.0, 0.0) for joint in robot.joints])
-    poses = np.random.default_rng(0).uniform(ranges[:, 0], ranges[:, 1], (POSES, robot.n))
+    poses = np.random.default_rng(0).uniform(ranges[:, 0], ranges[:, 1], (SAMPLE_POSES, robot.n))
     obstacles = obstacles_of(model, partial(find_mesh, folder=knowledge.folder), poses, MARGIN_M)
     limits = limits_of(robot, direct, settings.limits_percent / 100, place, obstacles)
     _refuse_rest(limits, place)
@@ -122,7 +121,7 @@ def excite(
     samples = SAMPLES_PER_PERIOD * settings.harmonics
     t_s = np.arange(samples, dtype=np.float64) * (settings.period_s / samples)
     plain_series = Series(period_s=settings.period_s, harmonics=settings.plain_harmonics)
-    plain = [random_within(limits, plain_series, seed).at(t_s) for seed in range(PLAIN)]
+    plain = [random_within(limits, plain_series, seed).at(t_s) for seed in range(PLAIN_REFERENCES)]
     noise, noise_from = torque_noise(robot, direct, knowledge, plain)
     information = Information(
         model=model,
@@ -136,11 +135,11 @@ def excite(
     problem = SearchProblem(series=series, information=information, limits=limits, plain=sigma_plain)
     x, sigma = best_of_searches(problem, settings.seed, place, say)
     reference = series.reference(x)
-    fine, nearest = motion_of(x, series.basis(FINER * problem.samples)), None
+    fine, nearest = motion_of(x, series.basis(CHECKS_PER_SAMPLE * problem.samples)), None
     if limits.obstacles is not None and limits.obstacles.pairs:
         apart, names = limits.obstacles.nearest(fine[0], FAR_M)
         nearest = names[int(apart.argmin())], float(apart.min())
-    found = Excitation(
+    excitation = Excitation(
         robot=robot,
         base=base,
         settings=settings,
@@ -159,31 +158,31 @@ def excite(
     if robot.bus is not None:
         at_sync = np.arange(0.0, settings.period_s, robot.bus.sync_period_s)
         refuse_out_of_range(reference.at(at_sync)[0], robot, resolve(robot, place), "the reference")
-    return found
+    return excitation
 
 
 def _refuse_fast(robot: Robot, settings: ExcitationSettings, place: str) -> None:
-    """The loop would not follow harmonics near its bandwidth."""
+    """Refuse harmonics near the bandwidth: the loop does not follow them."""
     bandwidth_hz = robot.bandwidth_hz
-    most_hz = BANDWIDTH_SHARE * bandwidth_hz
+    max_hz = MAX_BANDWIDTH_SHARE * bandwidth_hz
     highest_hz = settings.harmonics / settings.period_s
-    if highest_hz > most_hz * (1 + 1e-9):
-        few = math.floor(most_hz * settings.period_s + 1e-9)
-        ways = f"--harmonics {few} or fewer, or " if few >= FEWEST_HARMONICS else ""
+    if highest_hz > max_hz * (1 + 1e-9):
+        count = math.floor(max_hz * settings.period_s + 1e-9)
+        ways = f"--harmonics {count} or fewer, or " if count >= MIN_HARMONICS else ""
         raise IdentificationError(
             f"the highest harmonic of {highest_hz:.4g} Hz is above a third of the bandwidth of {bandwidth_hz:g} Hz",
             place=place,
             key="harmonics",
             value=settings.harmonics,
-            expected=f"{ways}--period {math.ceil(100 * settings.harmonics / most_hz) / 100:g} or longer",
+            expected=f"{ways}--period {math.ceil(100 * settings.harmonics / max_hz) / 100:g} or longer",
         )
 
 
 def _refuse_rest(limits: Limits, place: str) -> None:
-    """Standing in the middle of the ranges must be possible: references start from there."""
+    """Refuse a robot that cannot stand in the middle of its ranges: references start there."""
     n = limits.robot.n
     middle = limits.middle[None]
-    used = np.abs(limits.used((middle, np.zeros((1, n)), np.zeros((1, n)))))[0]
+    used = np.abs(limits.shares((middle, np.zeros((1, n)), np.zeros((1, n)))))[0]
     if used.max() > 1:
         worst = int(used.argmax()) - 3 * n
         effort = limits.effort
@@ -196,27 +195,27 @@ def _refuse_rest(limits: Limits, place: str) -> None:
 
 
 def _warnings(limits: Limits, mus: Sequence[str]) -> tuple[str, ...]:
-    """What of torque and distances was not checked, and the load friction `mus` that the criterion lacks."""
-    found, obstacles = [], limits.obstacles
+    """Which torques and distances were not checked; load friction `mus`, which the criterion leaves out."""
+    warnings, obstacles = list[str](), limits.obstacles
     if obstacles is not None and obstacles.missing:
         missing = f"{len(obstacles.missing)} meshes of the URDF are not found, such as {obstacles.missing[0]}"
-        found.append(f"distances not checked: {missing}; set ROS_PACKAGE_PATH, or describe capsules")
+        warnings.append(f"distances not checked: {missing}; set ROS_PACKAGE_PATH, or describe capsules")
     if obstacles is not None and obstacles.near:
         near = "; ".join(obstacles.near)
-        found.append(f"distances not checked of what is always nearer than {MARGIN_M:g} m: {near}")
+        warnings.append(f"distances not checked of pairs always nearer than {MARGIN_M:g} m: {near}")
     if limits.model is None:
-        found.append("torque was not checked: neither a fit nor [parameters] give it")
+        warnings.append("torque not checked: no parameters, neither a fit nor [parameters]")
     elif not limits.robot.gain_known:
-        found.append("limits in N m or N were not checked: efforts are in A or V, the drive gains are not known")
+        warnings.append("limits in N m or N not checked: efforts are in A or V, drive gains unknown")
     if limits.model is not None and not len(limits.effort.limits):
-        found.append("torque was not checked: no joint states effort_nm or effort_n, no motor a saturation")
+        warnings.append("torque not checked: no joint has effort_nm or effort_n, no motor a saturation")
     if mus:
-        found.append(f"load friction ({', '.join(mus)}) is not in the criterion; limits of efforts count it")
-    return tuple(found)
+        warnings.append(f"load friction ({', '.join(mus)}) is not in the criterion, but in the effort limits")
+    return tuple(warnings)
 
 
 def excitation_document(excitation: Excitation) -> Document:
-    """What a reference is expected to give, and what it takes."""
+    """Expected intervals of a reference, and the limits that it uses."""
     e, s = excitation, excitation.settings
     smaller = e.plain / e.sigma
     known = e.beta is not None
@@ -235,12 +234,12 @@ def excitation_document(excitation: Excitation) -> Document:
     expected = Table(columns=(*columns("parameter", numbers=headings), *columns("unit")), rows=rows)
     noise = ", ".join(f"{x:.3g}" for x in e.noise)
     lines = (
-        f"intervals are {np.median(smaller):.2f} times smaller than those of the plain reference in the median, "
-        f"{smaller.min():.2f} at least",
-        f"plain reference: the geometric mean over {PLAIN} random ones of {s.plain_harmonics} harmonics at the same share of "
-        "all limits",
-        f"noise of the torque in a row of the fit: {noise} ({', '.join(dict.fromkeys(e.robot.effort_units))}): {e.noise_from}",
-        f"torque by {e.beta_from}" if known else "torque not known",
+        f"intervals: {np.median(smaller):.2f} times smaller than with the plain reference (median), at least "
+        f"{smaller.min():.2f} times",
+        f"plain reference: geometric mean of {PLAIN_REFERENCES} random ones with {s.plain_harmonics} harmonics and the same "
+        "share of all limits",
+        f"torque noise per row of the fit: {noise} ({', '.join(dict.fromkeys(e.robot.effort_units))}): {e.noise_from}",
+        f"torque from {e.beta_from}" if known else "torque unknown",
     )
     n, percents = e.robot.n, [Number(100 * float(x), ".1f") for x in e.used]
     efforts = dict(zip(e.limits.names[3 * n : len(e.used)], percents[3 * n :], strict=True))

@@ -1,4 +1,4 @@
-"""What a choice of friction terms shows: its report and JSON file, the lines of a description, torque over speed and load."""
+"""Report and JSON file of a choice of friction terms, the lines of a description, friction over speed and load."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -23,8 +23,8 @@ from ..report import Document, Number, ResultFile, Section, Table, columns
 from .selection import TermChoice
 from .trials import CANDIDATES, Trial, candidate_terms, described_terms
 
-POINTS = 80  # of a curve, each way
-LEVELS = (10.0, 50.0, 90.0)  # percentiles of the load at which curves are given
+POINTS = 80  # of a curve, in each direction
+LEVELS = (10.0, 50.0, 90.0)  # percentiles of the load at which curves are drawn
 _TABLE = re.compile(r"^\s*\[(\[?)\s*([\w.\"'-]+)\s*\]")
 _KEY = re.compile(r"^\s*(friction|viscous|coulomb|offset|stribeck_speed_deg_s|stribeck_speed_m_s)\s*=")
 Lists = dict[str, tuple[FrictionTerm, ...]]  # by joint, as the list `friction` of a description
@@ -34,8 +34,8 @@ class FrictionFile(ResultFile, frozen=True, kw_only=True):
     """The JSON file of `friction`: all sets, best first, and the recommended terms by joint.
 
     Attributes:
-        recording, sha256: of the first; `recordings` has both of all, where they are several.
-        held_out: names of the parts held out, which `held_out_percents` of a set are of.
+        recording, sha256: of the first; `recordings` has both of all if there are several.
+        held_out: names of the parts held out, in the order of `held_out_percents` of a set.
     """
 
     recording: str
@@ -49,7 +49,7 @@ class FrictionFile(ResultFile, frozen=True, kw_only=True):
 
 
 def friction_file(choice: TermChoice) -> FrictionFile:
-    """A choice of terms as it goes into its JSON file; an error that does not exist is null."""
+    """The JSON file of a choice of terms; an error that does not exist is null."""
     first = choice.recordings[0]
     each = [{"recording": one.recording, "sha256": one.sha256} for one in choice.recordings]
     return FrictionFile(
@@ -84,7 +84,7 @@ def friction_document(choice: TermChoice) -> Document:
         errors += f", {chosen.held_out_error_percent:.2f} % with the recommended ones"
     table = Table(
         columns=columns(
-            "beside the usual terms",
+            "added terms",
             numbers=("terms", "fitted %", "held out %", "score /\nusual", "residual lag-1", "cond(W)"),
         )
         + columns(""),
@@ -116,13 +116,13 @@ def friction_document(choice: TermChoice) -> Document:
 
 
 def friction_line(terms: tuple[FrictionTerm, ...]) -> str:
-    """The line of a joint in robot.toml."""
+    """A joint's line in robot.toml."""
     quoted = ", ".join(f'"{term}"' for term in terms)
     return f"friction = [{quoted}]"
 
 
 def set_text(robot: Robot, trial: Trial) -> str:
-    """A set in words, such as `root; load: joint_3`: where no joint is named, all of them have the term."""
+    """A set in words, such as `root; load: joint_3`; without a joint's name, all joints have the term."""
     parts = []
     for term in CANDIDATES:
         able = [joint.name for joint in robot.joints if term in candidate_terms(joint)]
@@ -135,7 +135,7 @@ def set_text(robot: Robot, trial: Trial) -> str:
 def write_friction(path: Path, terms: Lists, files: Mapping[str, bytes]) -> None:
     """Put the terms into the description at `path`.
 
-    Raises `IdentificationError`: where the file is laid out so that lines cannot be replaced; it stays as it was.
+    Raises `IdentificationError`: where the layout prevents replacing lines; the file is not changed.
     Raises `AcquisitionError`: where it cannot be read or written.
     """
     try:
@@ -157,7 +157,7 @@ def write_friction(path: Path, terms: Lists, files: Mapping[str, bytes]) -> None
 
 
 def with_friction(text: str, terms: Sequence[tuple[FrictionTerm, ...]]) -> str:
-    """A description's text with these terms, joint by joint; where Stribeck friction goes, its speed becomes a comment."""
+    """A description's text with these terms, joint by joint; the speed of removed Stribeck friction becomes a comment."""
     lines = text.splitlines(keepends=True)
     heads = [i for i, line in enumerate(lines) if _TABLE.match(line)]
     out, lists = lines[: heads[0] if heads else len(lines)], list(terms)
@@ -169,7 +169,7 @@ def with_friction(text: str, terms: Sequence[tuple[FrictionTerm, ...]]) -> str:
 
 
 def _joint_section(section: list[str], terms: tuple[FrictionTerm, ...]) -> list[str]:
-    """The lines of a joint; the list takes the place of its first line of friction, or stands below its type."""
+    """The lines of a joint; the list replaces its first line of friction, or follows its type."""
     out: list[str] = []
     place, depth = None, 0
     for line in section:
@@ -197,11 +197,11 @@ class FrictionCurve:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class JointFriction:
-    """Friction of a joint in the rows that count, and as it was identified.
+    """Measured and identified friction of a joint, in the rows that count.
 
     Attributes:
-        speed, torque, load: (k,) of the rows; torque is what is measured less all else that the fit predicts, offset included.
-        curves: one for a joint without load friction, whose load is nan; else at a low, the middle and a high load.
+        speed, torque, load: (k,) of the rows; torque is the measured one minus all other predicted torque (the offset too).
+        curves: without load friction one, of load NaN; else at a low, a middle and a high load.
     """
 
     joint: str
@@ -214,18 +214,18 @@ class JointFriction:
 
 
 def friction_of_joints(fit: Fit) -> tuple[JointFriction, ...]:
-    """Friction of each joint as a fit has it, in the rows of all its recordings; of a long recording its first rows.
+    """Friction of each joint by a fit, in the rows of all its recordings; in the first rows of a long recording.
 
-    Where recordings have parameters of their own, the rows are each recording's and the curve is that of their means.
+    If recordings have parameters of their own, rows use each recording's and the curve uses their means.
     """
     problem, robot, names = fit.problem, fit.problem.signals.robot, fit.estimate.names
     columns = problem.base.columns[[fit.base.names.index(base_name(name)) for name in names]]
     at_rows = [_rows_of(fit, one) for one in fit.recordings]
     moved, torques, residuals = (np.concatenate(x) for x in zip(*(one[:3] for one in at_rows), strict=True))
-    applies = np.concatenate([np.tile(own, (len(dq), 1)) for dq, _, _, own in at_rows])  # (rows, b) its own or shared
+    applies = np.concatenate([np.tile(own, (len(dq), 1)) for dq, _, _, own in at_rows])  # (rows, b)
     mean = np.mean([own for *_, own in at_rows], axis=0)
     beta, covariance = fit.estimate.beta, fit.intervals.covariance
-    found = []
+    joints = []
     for j, joint in enumerate(robot.joints):
         peak = np.abs(moved[:, j]).max(initial=0.0)
         rows = np.flatnonzero(np.abs(moved[:, j]) > 0.02 * peak)
@@ -238,7 +238,7 @@ def friction_of_joints(fit: Fit) -> tuple[JointFriction, ...]:
             G = friction_alone(problem.model, columns, j, speed, np.full(len(speed), np.nan_to_num(level))) * mean
             half = fit.intervals.reach * np.sqrt(np.maximum(np.sum((G @ covariance) * G, axis=1), 0.0))
             curves.append(FrictionCurve(load=float(level), speed=speed, torque=G @ beta, half=half))
-        found.append(
+        joints.append(
             JointFriction(
                 joint=joint.name,
                 unit=robot.effort_units[j],
@@ -249,11 +249,11 @@ def friction_of_joints(fit: Fit) -> tuple[JointFriction, ...]:
                 curves=tuple(curves),
             )
         )
-    return tuple(found)
+    return tuple(joints)
 
 
 def _rows_of(fit: Fit, one: FittedRecording) -> tuple[Array, Array, Array, Array]:
-    """Speeds, torques of the links and residuals (rows, n) of a recording, and which parameters (b,) are its own or shared."""
+    """Speeds, torques of the links and residuals (rows, n) of a recording, and which parameters (b,) it has."""
     dq, rigid = rigid_torque_at_rows(one.problem, fit.estimate.values_of(one.parameters))
     residual = (fit.tau - fit.tau_predicted)[one.rows][: len(dq)]
     return dq, rigid, residual, np.array([name in one.parameters for name in fit.estimate.names], dtype=float)

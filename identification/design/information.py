@@ -1,4 +1,4 @@
-"""What is known of a robot before a motion, and what the motion tells of its base parameters.
+"""Prior information about a robot, and the information of a motion about its base parameters.
 
 The information of a motion is M = sum of W'W / s², s the torque noise of each joint; the deviations of the parameters are
 sigma = sqrt(diag(inv(M))). The A-optimal criterion is log(mean((sigma / sigma of a plain reference)²)).
@@ -33,21 +33,21 @@ from ..regression import Overrides, decimation_rule, make_problem, regression_of
 from ..report import read_fit
 from .limits import Motion
 
-NOISE_SHARE = 0.02  # of a joint's rms torque, where no noise is known
-SAMPLE_RATE_HZ = 1000.0  # of a recording, where nothing states one
+NOISE_SHARE = 0.02  # of a joint's rms torque, if the noise is unknown
+SAMPLE_RATE_HZ = 1000.0  # of a recording, if none is stated
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PriorInformation:
-    """What is known of the robot beforehand.
+    """What is known about the robot before the motion.
 
     Attributes:
-        beta: (b,) base parameters that the torque is computed by; None where there are none.
+        beta: (b,) base parameters for the torque; None if unknown.
         beta_from: their origin, in words.
-        noise: (n,) stated deviation of the torque; None where none is.
-        noise_share: (n,) the same of a fit's rows, as shares of the rms torque; None without a fit.
-        recordings: whose information adds to that of the reference.
-        folder: of the description, where collision meshes of its URDF are looked for first.
+        noise: (n,) stated deviation of the torque, or None.
+        noise_share: (n,) deviation in a fit's rows over the rms torque; None without a fit.
+        recordings: earlier ones, whose information is added.
+        folder: of the description, searched first for meshes of its URDF.
         warnings: about the fit.
     """
 
@@ -68,7 +68,7 @@ def prior_information(
     noise: Sequence[float] | None = None,
     after: Sequence[Path] = (),
 ) -> PriorInformation:
-    """What files and options know of a robot: a fit's parameters, else those of the description.
+    """Information from files and options: a fit's parameters, else those of the description.
 
     Raises `IdentificationError`: where a file cannot be read, or is not of this robot.
     """
@@ -89,7 +89,7 @@ def prior_information(
     stored = read_fit(fit)
     share, errors = None, stored.joints
     if len(errors) == robot.n and all(e.autocorrelation is not None and e.percent is not None for e in errors):
-        # r rows of correlation rho are worth r (1 - rho)/(1 + rho) independent ones.
+        # r rows of correlation rho equal r (1 - rho)/(1 + rho) independent ones.
         rho = np.clip([e.autocorrelation or 0.0 for e in errors], 0.0, 0.95)
         share = 0.01 * np.array([e.percent for e in errors]) * np.sqrt((1 + rho) / (1 - rho))
     return replace(
@@ -106,13 +106,13 @@ def torque_noise(
 ) -> tuple[Array, str]:
     """Deviation (n,) of each joint's torque in a row of the fit, and its origin in words.
 
-    A stated one; else the error of a fit, in percent of the torque along `motions`, larger where it is correlated from row
-    to row; else a share of that torque; else 1 for each joint, if no parameters give a torque.
+    The stated one; else the error of a fit in percent of the torque along `motions`, larger where rows are correlated; else
+    a share of that torque; else 1 for each joint, if no parameters are known.
     """
     if knowledge.noise is not None:
         return knowledge.noise, "as stated"
     if model is None:
-        return np.ones(robot.n), "1 N m or N for each joint, for want of better"
+        return np.ones(robot.n), "1 N m or N for each joint, assumed"
     tau = np.concatenate([model.torque(*motion) for motion in motions])
     rms = np.sqrt(np.mean(tau**2, axis=0))
     rms = np.maximum(rms, 1e-6 * rms.max(initial=1e-9))
@@ -122,7 +122,7 @@ def torque_noise(
 
 
 def rows_per_s(robot: Robot) -> float:
-    """Rows of the fit of a recording per second, by the rule of decimation."""
+    """Rows per second of a fit, by the decimation rule."""
     rate_hz = robot.controller.sample_rate_hz or SAMPLE_RATE_HZ
     if robot.bus is not None:
         rate_hz = 1 / robot.bus.sync_period_s
@@ -130,9 +130,9 @@ def rows_per_s(robot: Robot) -> float:
 
 
 def earlier_information(base: BaseParameters, noise: Array, recordings: Sequence[Signals]) -> Array:
-    """Sum of W'W / s² (b, b) over the rows of earlier recordings that count; `base` has no load friction.
+    """Sum of W'W / s² (b, b) over the rows of earlier recordings; `base` without load friction.
 
-    Raises `IdentificationError` where a recording is of a robot with other base parameters, or cannot be fitted.
+    Raises `IdentificationError` if a recording's robot has other base parameters, or it cannot be fitted.
     """
     M = np.zeros((base.b, base.b))
     for signals in recordings:
@@ -140,7 +140,7 @@ def earlier_information(base: BaseParameters, noise: Array, recordings: Sequence
         own = problem.base.without(load_parameters(problem.base))
         known = (own.names, own.units, own.expressions)
         if known != (base.names, base.units, base.expressions):
-            expected = "a recording of the described robot: its base parameters are others"
+            expected = "a recording of the described robot, with the same base parameters"
             raise IdentificationError(place=signals.recording, key="robot", value=signals.robot.name, expected=expected)
         W, _ = regression_of_recording(replace(problem, base=own)).system.weighted(1 / noise)
         M += W.T @ W
@@ -149,15 +149,15 @@ def earlier_information(base: BaseParameters, noise: Array, recordings: Sequence
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Information:
-    """Information of motions about the base parameters.
+    """Computes the information of motions about the base parameters.
 
     Attributes:
         model, base: the inverse dynamic model, its base parameters.
         noise: (n,) deviation of each joint's torque in a row of the fit, in the unit of its effort.
-        rows: of the fit in the whole recording, however many samples a motion is given by.
-        earlier: (b, b) information of earlier recordings, which adds to that of the motion.
-        creep: (n,) speeds at which friction changes its sign in the criterion, as u / sqrt(u² + creep²): a jump has no
-            gradient, and a fit leaves out rows of low speed.
+        rows: of the fit in the whole recording, whatever the number of samples of a motion.
+        earlier: (b, b) information of earlier recordings, which is added.
+        creep: (n,) speeds of the smooth sign u / sqrt(u² + creep²) of friction in the criterion: a jump has no gradient, and
+            a fit leaves out rows of low speed.
     """
 
     model: InverseModel
@@ -168,18 +168,18 @@ class Information:
     creep: Array
 
     def sigma(self, motion: Motion) -> Array:
-        """(b,) deviations of the parameters after a motion q, dq, ddq (N, n)."""
-        return np.asarray(np.sqrt(np.diag(_inverse(self._of(self._linear(motion))))))
+        """(b,) standard deviations of the parameters after a motion q, dq, ddq (N, n)."""
+        return np.asarray(np.sqrt(np.diag(_inverse(self._information(self._regressor(motion))))))
 
     def criterion(self, motion: Motion, plain: Array) -> tuple[float, Motion]:
         """The criterion relative to the deviations `plain` (b,), and its gradients (N, n) by q, dq and ddq."""
-        W = self._linear(motion)
+        W = self._regressor(motion)
         slopes = []
         for c, term in self._sliding:
             friction, slope = term.rounded(motion[1], self.creep)
             W[:, :, c] = friction[:, None] * term.direction
             slopes.append(slope)
-        C, D = _inverse(self._of(W)), 1 / plain**2
+        C, D = _inverse(self._information(W)), 1 / plain**2
         total = float(D @ np.diag(C))
         # total = tr(D C), so d total = -tr(P dM) with P = C D C, and dM = 2 W'dW / s².
         G = -2 / total * self.rows / len(W) * (W / self.noise[:, None] ** 2) @ ((C * D) @ C)
@@ -188,31 +188,31 @@ class Information:
             by_dq += (slope * (G[:, :, c] @ term.direction))[:, None] * term.direction
         return float(np.log(total / len(D))), (by_q, by_dq, by_ddq)
 
-    def _linear(self, motion: Motion) -> Array:
+    def _regressor(self, motion: Motion) -> Array:
         """W (N, n, b)."""
         entries = self.model.entries(self.base.columns)
         W = np.zeros((*motion[0].shape, self.base.b))
         W[:, entries[:, 0], entries[:, 1]] = self.model.series(*motion, self.base.columns).T
         return W
 
-    def _of(self, W: Array) -> Array:
+    def _information(self, W: Array) -> Array:
         V = (W / self.noise[:, None]).reshape(-1, W.shape[-1])
         return np.asarray(V.T @ V * (self.rows / len(W)) + self.earlier)
 
     @cached_property
     def _sliding(self) -> list[tuple[int, JointTerm]]:
-        """Columns, and terms, of friction with the sign of a speed."""
+        """Columns and terms of friction with the sign of a speed."""
         terms = [(c, self.model.sources[column]) for c, column in enumerate(self.base.columns)]
         return [(c, t) for c, t in terms if isinstance(t, JointTerm) and t.kind in SLIDING]
 
 
 def _inverse(M: Array) -> Array:
-    """Inverse of a positive definite matrix, rows and columns scaled to a diagonal of ones before."""
+    """Inverse of a positive definite matrix, first scaled to a diagonal of ones."""
     with np.errstate(divide="ignore", invalid="ignore"):
         d = 1 / np.sqrt(np.diag(M))
         scaled = M * d[:, None] * d
     try:
         return np.asarray(cho_solve(cho_factor(scaled), np.eye(len(M))) * d[:, None] * d)
     except (np.linalg.LinAlgError, ValueError) as error:
-        expected = "wider limits, or fewer terms of friction"
+        expected = "wider limits, or fewer friction terms"
         raise IdentificationError("no reference within the limits excites all parameters", expected=expected) from error

@@ -12,8 +12,8 @@ from ..arrays import Array
 from ..errors import IdentificationError
 from ..model import DirectModel, Obstacles, torque_of_links, torque_without_sliding
 
-MARGIN_M = 0.02  # that links keep from each other and from the ground
-FAR_M = 0.2  # from which on a distance does not matter
+MARGIN_M = 0.02  # smallest distance of links from each other and from the ground
+FAR_M = 0.2  # larger distances do not matter
 KINDS = ("position", "speed", "acceleration")
 
 Motion = tuple[Array, Array, Array]
@@ -24,7 +24,7 @@ Motion = tuple[Array, Array, Array]
 class Series:
     """Periodic Fourier series whose speed and acceleration are zero at the ends of the period.
 
-    A joint's series has K = 2 H - 1 coefficients: its position at the ends, and those of a basis of the null space of the two
+    A joint's series has K = 2 H - 1 coefficients: its position at the ends, and those in a basis of the null space of both
     conditions. A motion of n joints is x (n, K).
     """
 
@@ -36,7 +36,7 @@ class Series:
         """(H, H - 1) each: sine coefficients with zero speed, cosine coefficients with zero acceleration at the ends."""
         k = np.arange(1, self.harmonics + 1, dtype=float)
         # With coefficients s/k, harmonics of equal s have equal speeds: the speed is sum(s), the acceleration sum(k s).
-        return _complement(np.ones_like(k)) / k[:, None], _complement(k) / k[:, None]
+        return _orthogonal_basis(np.ones_like(k)) / k[:, None], _orthogonal_basis(k) / k[:, None]
 
     def reference(self, x: Array) -> FourierReference:
         """The series with the coefficients x (n, K)."""
@@ -52,7 +52,7 @@ class Series:
         return np.concatenate([reference.center[:, None], reference.sine @ sine.T, reference.cosine @ cosine.T], axis=1)
 
     def basis(self, samples: int) -> Motion:
-        """Matrices (N, K) of position, speed and acceleration at N instants of a period, from its begin: q_j = A x_j."""
+        """Matrices (N, K) of position, speed and acceleration at N instants from the start of a period: q_j = A x_j."""
         t_s = np.arange(samples, dtype=np.float64) * (self.period_s / samples)
         position, speed, acceleration = self.reference(np.eye(2 * self.harmonics - 1)).at(t_s)
         return position, speed, acceleration
@@ -64,30 +64,30 @@ def motion_of(x: Array, basis: Motion) -> Motion:
     return q, dq, ddq
 
 
-def _complement(v: Array) -> Array:
-    """Orthonormal basis (H, H - 1) of the vectors square to v (H,)."""
+def _orthogonal_basis(v: Array) -> Array:
+    """Orthonormal basis (H, H - 1) of the vectors orthogonal to v (H,)."""
     return np.asarray(np.linalg.qr(v[:, None], mode="complete")[0][:, 1:])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Limits:
-    """Limits of a robot's motion; a share of 1 or -1 is all of what may be used of a limit.
+    """Limits of a robot's motion; a share of 1 or -1 is all that may be used of a limit.
 
-    Friction with the sign of a speed, that by load too, counts at its full size against the motion: this holds for both signs
-    of a speed, and has no jumps.
+    Friction with the sign of a speed (load friction too) counts at full size against the motion: valid for both signs of a
+    speed, without jumps.
 
     Attributes:
         middle: (n,) of the joints' ranges.
-        most: (3, n) half the range, the speed, the acceleration, each times the share that may be used.
-        model: with the parameters that the torque is computed by; None where there are none.
-        coulomb: (m,) what friction with a sign takes of each at most: of Coulomb, of Stribeck, by the root of speed.
-        share: of all limits that may be used.
-        obstacles: pairs of shapes that keep a margin; None where there are none.
+        maximum: (3, n) half the range, the speed, the acceleration, each times the share that may be used.
+        model: with the parameters for the torque; None if unknown.
+        coulomb: (m,) most that signed friction takes of each effort: Coulomb, Stribeck, root of speed.
+        share: that may be used of all limits.
+        obstacles: pairs of shapes that must keep a margin, or None.
     """
 
     robot: Robot
     middle: Array
-    most: Array
+    maximum: Array
     model: DirectModel | None
     effort: EffortLimits
     coulomb: Array
@@ -96,59 +96,59 @@ class Limits:
 
     @property
     def allowed(self) -> Array:
-        """(m,) what the limits of the efforts leave for all but Coulomb friction."""
+        """(m,) what the effort limits leave besides Coulomb friction."""
         return self.share * self.effort.limits - self.coulomb
 
     @cached_property
     def load(self) -> Array:
-        """(n,) size of the joints' load friction per torque of the links."""
+        """(n,) load friction of the joints per torque of the links."""
         assert self.model is not None
         return np.abs(self.model.load_friction)
 
     @property
     def names(self) -> tuple[str, ...]:
-        """(L,) what is limited: position, speed and acceleration of each joint, the efforts."""
+        """(L,) the limited quantities: position, speed and acceleration of each joint, efforts."""
         efforts = self.effort.names if self.model is not None else ()
         names = [f"{kind} of joint {joint.name}" for kind in KINDS for joint in self.robot.joints]
         return (*names, *(f"effort of {name}" for name in efforts))
 
     def largest(self, motion: Motion) -> tuple[float, str]:
-        """The largest share of a limit in use, and which; of distances 1 is the margin, and less is farther."""
-        used = np.abs(self.used(motion)).max(axis=0)
+        """The largest share used of a limit, and its name; of distances 1 is the margin, smaller is farther."""
+        used = np.abs(self.shares(motion)).max(axis=0)
         worst, name = float(used.max()), self.names[int(used.argmax())]
-        # Distances take long: they are of interest where all else is kept, and near the margin.
+        # Distances are slow: computed only if all other limits hold, and exact only near the margin.
         if worst <= 1 and (near := float(self.nearness(motion[0], 1.1 * MARGIN_M).max())) > worst:
             return near, "distance of links"
         return worst, name
 
     def nearness(self, q: Array, far_m: float) -> Array:
-        """(N,) shares of the distances at the positions q (N, n), 1 at the margin; distances beyond `far_m` count as it."""
+        """(N,) shares of the distances at q (N, n), 1 at the margin; larger distances than `far_m` count as `far_m`."""
         if self.obstacles is None or not self.obstacles.pairs:
             return np.zeros(len(q))
         return 1 - (self.obstacles.nearest(q, far_m)[0] - MARGIN_M) / FAR_M
 
     def share_of_whole(self, motion: Motion) -> Array:
-        """The largest share of each whole limit that a motion uses, Coulomb friction included."""
-        n, used = self.robot.n, np.abs(self.used(motion)).max(axis=0)
+        """(L,) the largest share that a motion uses of each whole limit, with Coulomb friction."""
+        n, used = self.robot.n, np.abs(self.shares(motion)).max(axis=0)
         m = len(self.effort.limits) if self.model is not None else 0
         efforts = (used[3 * n : 3 * n + m] * self.allowed[:m] + self.coulomb[:m]) / self.effort.limits[:m]
         return np.concatenate([self.share * used[: 3 * n], efforts])
 
-    def used_and_slopes(self, motion: Motion) -> tuple[Array, Array]:
-        """The shares (N, L), and derivatives (3, N, m, n) by q, dq and ddq of the m that are of efforts."""
+    def shares_and_slopes(self, motion: Motion) -> tuple[Array, Array]:
+        """The shares (N, L), and derivatives (3, N, m, n) of the m shares of efforts by q, dq and ddq."""
         if self.model is None:
-            return self.used(motion), np.zeros((3, len(motion[0]), 0, self.robot.n))
+            return self.shares(motion), np.zeros((3, len(motion[0]), 0, self.robot.n))
         links = torque_of_links(self.model, motion)
         tau, by_joint = torque_without_sliding(self.model, motion, links)
         scaled = self.effort.directions / self.allowed[:, None]
         sides = _sides(tau @ scaled.T)
         by_load = (self.load * np.sign(links[0]))[..., None] * links[1]
-        return self.used(motion), scaled @ by_joint + sides[..., None] * (np.abs(scaled) @ by_load)
+        return self.shares(motion), scaled @ by_joint + sides[..., None] * (np.abs(scaled) @ by_load)
 
-    def used(self, motion: Motion) -> Array:
+    def shares(self, motion: Motion) -> Array:
         """Shares (N, L), signed, along a motion q, dq, ddq (N, n)."""
         q, dq, ddq = motion
-        parts = [(q - self.middle) / self.most[0], dq / self.most[1], ddq / self.most[2]]
+        parts = [(q - self.middle) / self.maximum[0], dq / self.maximum[1], ddq / self.maximum[2]]
         if self.model is not None:
             rigid = self.model.torques_of_links(*motion)
             scaled = self.effort.directions / self.allowed[:, None]
@@ -157,32 +157,32 @@ class Limits:
         return np.concatenate(parts, axis=1)
 
     def jacobian(self, slopes: Array, basis: Motion, at: NDArray[np.intp]) -> Array:
-        """Derivatives (B L, n K) by the coefficients (n, K) of a series, of the shares at the samples `at` (B, L).
+        """Derivatives (B L, n K) of the shares at the samples `at` (B, L) by the coefficients (n, K) of a series.
 
-        `slopes` are those along the motion, `basis` its (N, K).
+        `slopes` are those of `shares_and_slopes`, `basis` that of the series.
         """
         n, K = self.robot.n, basis[0].shape[1]
         efforts = at[:, 3 * n :]
         J = np.zeros((*at.shape, n, K))
         for kind, A in enumerate(basis):
             for j in range(n):
-                J[:, kind * n + j, j] = A[at[:, kind * n + j]] / self.most[kind, j]
+                J[:, kind * n + j, j] = A[at[:, kind * n + j]] / self.maximum[kind, j]
             by_joint = slopes[kind][efforts, np.arange(efforts.shape[1])]  # (B, m, n)
             J[:, 3 * n :] += by_joint[..., None] * A[efforts][:, :, None]
         return J.reshape(at.size, n * K)
 
 
 def _sides(shares: Array) -> Array:
-    """The sides, 1 or -1, on which friction by load adds to shares of efforts."""
+    """The sign, 1 or -1, of load friction that enlarges the shares of efforts."""
     return np.where(shares < 0, -1.0, 1.0)
 
 
 def limits_of(
     robot: Robot, model: DirectModel | None, share: float, place: str, obstacles: Obstacles | None = None
 ) -> Limits:
-    """The limits of a robot, of which a reference may use a share in (0, 1], and the shapes that keep a margin.
+    """The limits of a robot, of which a reference may use a `share` in (0, 1].
 
-    The torque is limited where the `model`, with its parameters, is known; `place` names the description in errors.
+    The torque is limited if the `model` with its parameters is known; `place` names the description in errors.
 
     Raises `IdentificationError`: where a joint states no limit, or friction alone needs more than a joint's or motor's
     effort. Raises `AcquisitionError`: where the bus is described wrongly.
@@ -207,11 +207,11 @@ def limits_of(
                 f"{name}: Coulomb friction of {friction:.4g} {unit}", place=place, expected=expected
             )
     motion = np.array([[joint.si(kind) for joint in robot.joints] for kind in KINDS[1:]])
-    most = share * np.concatenate([np.ptp(ranges, axis=1)[None] / 2, motion])
+    maximum = share * np.concatenate([np.ptp(ranges, axis=1)[None] / 2, motion])
     return Limits(
         robot=robot,
         middle=ranges.mean(axis=1),
-        most=most,
+        maximum=maximum,
         model=model,
         effort=limits,
         coulomb=coulomb,

@@ -1,12 +1,11 @@
-"""Which friction terms a robot needs: those that predict parts of a recording, or recordings, that were not fitted.
+"""Choice of friction terms by cross-validation: over parts of a recording, or over recordings.
 
-1. Sets for all joints: every choice of the tried terms.
-2. Joint by joint, from the best of these sets: terms whose interval contains 0 go; terms absent from it whose interval
-   excludes 0 in the fit with all of them come, where the score falls with them; then, the least sure first, a term goes where
-   the score does not rise without it. Intervals are of a level at which, of all terms tried, one in twenty recordings of a
-   robot without any has one outside.
-3. Recommended is the smallest set whose terms all have an interval that excludes 0, and whose score is within one standard
-   error, of the paired difference over the parts, of the best of these sets.
+1. The same set for all joints: every combination of the tried terms.
+2. Joint by joint, from the best of these sets: remove terms whose interval contains 0; add terms whose interval excludes 0 in
+   the fit with all terms, if the score falls; then, smallest |t| first, remove a term if the score does not rise. The level of
+   the intervals is such that one in twenty recordings of a robot without such terms shows any.
+3. Recommended is the smallest set whose intervals all exclude 0, and whose score is within one standard error (of the paired
+   difference over the parts) of the best such set.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -40,21 +39,21 @@ from .trials import (
     described_terms,
     for_all_joints,
     parts_of,
-    predictable,
+    predictable_parts,
     with_terms,
 )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TermChoice:
-    """The sets of friction terms tried on recordings, best first, and which is recommended.
+    """The sets of friction terms tried on recordings, best first, and the recommended one.
 
     Attributes:
         recordings: in the order given.
-        held_out: names of the parts that were held out, recordings or fifths of one.
-        trials: of all sets; `usual` of that without any.
-        recommended: the smallest set that predicts about as well as the best.
-        left_out: what of all terms the recordings cannot tell, and recordings that the others cannot predict, one line each.
+        held_out: names of the parts held out: recordings, or fifths of one.
+        trials: of all sets; `usual`: of the one without added terms.
+        recommended: the smallest set that predicts nearly as well as the best.
+        left_out: unidentifiable terms, and recordings that the others cannot predict, one line each.
     """
 
     recordings: tuple[Signals, ...]
@@ -66,12 +65,12 @@ class TermChoice:
 
     @property
     def robot(self) -> Robot:
-        """That of the first recording."""
+        """The robot of the first recording."""
         return self.recordings[0].robot
 
     @property
     def described(self) -> dict[str, tuple[FrictionTerm, ...]]:
-        """The recommended terms by joint, as the list `friction` of a description has them."""
+        """The recommended terms by joint, as a description lists them under `friction`."""
         return described_terms(self.robot, self.recommended.terms)
 
 
@@ -81,21 +80,21 @@ def choose_terms(
 ) -> TermChoice:
     """Try sets of friction terms on a recording, or on several of one robot, in this process.
 
-    Returns the sets with their errors, and the recommended one. Raises `IdentificationError`: where recordings are too
-    long or too short, excite too little, are not of one robot, or where the others cannot predict at least two parts.
+    Raises `IdentificationError`: if recordings are too long or too short, excite too little, are not of one robot, or if
+    fewer than two parts can be predicted by the others.
     """
     sources = signals.sources if isinstance(signals, Recordings) else (signals,)
     recordings = tuple(source if isinstance(source, Signals) else source.load() for source in sources)
     robot = recordings[0].robot
     observed = correct_known_lags(
-        stack_of(_with_terms(recordings, frozenset(CANDIDATES)), in_rows_of_iv(robot, overrides), say)
+        stack_of(_with_terms(recordings, frozenset(CANDIDATES)), with_rows_of_iv(robot, overrides), say)
     )
     names = [one.problem.signals.recording for one in observed.observations]
     if observed.regression.reduced:
         raise IdentificationError("too long", place=", ".join(names), expected="a part of it, or a larger --decimate")
-    observed = _identifiable(observed)
+    observed = _leave_out_unidentifiable(observed)
     about = observed.at(baseline_estimate(observed).values_of(observed.parameters.names))
-    parts, unpredicted = predictable(parts_of(observed, names), about.regression)
+    parts, unpredicted = predictable_parts(parts_of(observed, names), about.regression)
     trials = Trials(observed, parts)
     usual = trials.of(for_all_joints(robot.joints, frozenset()))
     for terms in _for_all_joints(robot):
@@ -108,7 +107,7 @@ def choose_terms(
         held_out=tuple(part.name for part in parts),
         trials=tuple(found),
         usual=usual,
-        recommended=recommended(found),
+        recommended=recommend(found),
         left_out=(*trials.left_out.values(), *unpredicted.values()),
     )
 
@@ -116,14 +115,14 @@ def choose_terms(
 def fits_with(choice: TermChoice, overrides: Overrides) -> tuple[Fit, Fit]:
     """Least squares of the recordings with the usual terms, and with the recommended ones."""
     before, after = (
-        identify_ls(_with_terms(choice.recordings, trial.terms), in_rows_of_iv(choice.robot, overrides))
+        identify_ls(_with_terms(choice.recordings, trial.terms), with_rows_of_iv(choice.robot, overrides))
         for trial in (choice.usual, choice.recommended)
     )
     return before, after
 
 
-def in_rows_of_iv(robot: Robot, overrides: Overrides) -> Overrides:
-    """The same with least squares in the rows of instrumental variables, where nothing else is asked for."""
+def with_rows_of_iv(robot: Robot, overrides: Overrides) -> Overrides:
+    """The same, with least squares in the rows of instrumental variables unless rows are chosen."""
     stored = robot.identification.low_speed
     rows = LowSpeed(ls=stored.iv, iv=stored.iv) if overrides.low_speed_percent is None else overrides.low_speed_percent
     return replace(overrides, low_speed_percent=rows)
@@ -136,9 +135,9 @@ def _with_terms(recordings: Sequence[Signals], terms: TermSet | frozenset[Fricti
     return Recordings(sources=tuple(replace(one, robot=robot) for one, robot in zip(recordings, robots, strict=True)))
 
 
-def recommended(trials: Iterable[Trial]) -> Trial:
-    """The smallest set within one standard error of the best, of those whose terms are all sure."""
-    able = sorted((trial for trial in trials if trial.sure == trial.terms), key=lambda trial: trial.score)
+def recommend(trials: Iterable[Trial]) -> Trial:
+    """The smallest set within one standard error of the best, of those whose terms are all significant."""
+    able = sorted((trial for trial in trials if trial.significant_terms == trial.terms), key=lambda trial: trial.score)
     best = able[0]
 
     def near(trial: Trial) -> bool:
@@ -148,8 +147,8 @@ def recommended(trials: Iterable[Trial]) -> Trial:
     return min((trial for trial in able if near(trial)), key=lambda trial: (trial.count, trial.score))
 
 
-def _identifiable(observed: StackedSystem) -> StackedSystem:
-    """W and Y without the terms that cannot be identified with all others at hand."""
+def _leave_out_unidentifiable(observed: StackedSystem) -> StackedSystem:
+    """The system without terms that are unidentifiable next to all others."""
     observed = leave_out_collinear_terms(observed)
     while observed.load:
         names = observed.parameters.names
@@ -164,30 +163,30 @@ def _identifiable(observed: StackedSystem) -> StackedSystem:
 
 
 def _for_all_joints(robot: Robot) -> Iterator[frozenset[FrictionTerm]]:
-    """Every choice of the terms that some joint may have, small ones first."""
+    """Every combination of terms that some joint can have, smallest first."""
     able = [term for term in CANDIDATES if any(term in candidate_terms(joint) for joint in robot.joints)]
     for size in range(1, len(able) + 1):
         yield from (frozenset(chosen) for chosen in combinations(able, size))
 
 
 def _joint_by_joint(trials: Trials, everything: Trial, say: Callable[[str], None]) -> None:
-    """Try sets that differ between joints; `trials` has them all in the end."""
+    """Try sets that differ between joints; `trials` records them."""
     best = min(trials.done, key=lambda trial: trial.score)
-    now = trials.of(best.sure)
+    now = trials.of(best.significant_terms)
     for j, term in _places(everything.terms):
-        if term not in now.terms[j] and term in everything.sure[j]:
+        if term not in now.terms[j] and term in everything.significant_terms[j]:
             say(f"set {len(trials.done) + 1}: {term} at joint {j + 1}")
-            wider = trials.of(_toggled(now.terms, j, term))
-            if wider.score < now.score and wider.sure == wider.terms:
+            wider = trials.of(_toggle(now.terms, j, term))
+            if wider.score < now.score and wider.significant_terms == wider.terms:
                 now = wider
     while True:
-        pruned = trials.of(now.sure)
-        now = pruned if pruned.score <= now.score or now.sure != now.terms else now
-        # The size of a term is its value in deviations, the larger where it has two parameters.
+        pruned = trials.of(now.significant_terms)
+        now = pruned if pruned.score <= now.score or now.significant_terms != now.terms else now
+        # The size of a term is its |t|, the larger one if it has two parameters.
         sizes = {at: max(abs(now.t[name]) for name in trials.parameters[at]) for at in _places(now.terms)}
         for j, term in sorted(sizes, key=sizes.__getitem__):
             say(f"set {len(trials.done) + 1}: without {term} at joint {j + 1}")
-            narrower = trials.of(_toggled(now.terms, j, term))
+            narrower = trials.of(_toggle(now.terms, j, term))
             if narrower.score <= now.score:
                 now = narrower
                 break
@@ -199,6 +198,6 @@ def _places(terms: TermSet) -> list[tuple[int, FrictionTerm]]:
     return [(j, term) for j, more in enumerate(terms) for term in CANDIDATES if term in more]
 
 
-def _toggled(terms: TermSet, j: int, term: FrictionTerm) -> TermSet:
-    """The set with this term at a joint, or without it where it is there."""
+def _toggle(terms: TermSet, j: int, term: FrictionTerm) -> TermSet:
+    """The set with this term added at a joint, or removed."""
     return (*terms[:j], terms[j] ^ {term}, *terms[j + 1 :])

@@ -1,4 +1,4 @@
-"""Robots whose parameters are known, Monte-Carlo studies, the demo; many recordings, fitted one by one."""
+"""Simulated robots with known parameters: recordings, Monte-Carlo studies, the demo; fits of whole fleets."""
 
 from .demo import description, record_simulated_session
 from .fleet import FleetSettings, Row, Value, found_recordings, method_of, run_fleet

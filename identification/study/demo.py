@@ -1,7 +1,7 @@
-"""The main job with nothing but the package: simulated drives move a simulated robot, a recording is made and identified.
+"""The demo's session: simulated drives move a simulated robot, and a recording is made.
 
-Drives that speak CiA 402 stand in front of the rigid robot on an in-process CAN bus, in simulated time. The one place where
-this side hands something to the other: the plant that the drives move.
+Simulated CiA 402 drives on an in-process CAN bus move the rigid robot in simulated time. This is the only place where
+`identification` gives an object to `acquisition`: the plant that the drives move.
 """
 
 from collections.abc import Callable
@@ -20,7 +20,7 @@ from ..model import inertias
 from ..simulation import RigidBodyPlant, drive_loops
 from .simulated_cell import periodic_reference, true_model
 
-DURATION_S, SEED = 12.0, 1  # of the session; of its reference and noise
+DURATION_S, SEED = 12.0, 1  # of the session; of reference and noise
 
 
 def record_simulated_session(
@@ -30,7 +30,7 @@ def record_simulated_session(
 
     `noise_percent` is the noise of the torque, of each joint's rms.
 
-    Raises `IdentificationError` or `AcquisitionError`: where the description lacks `[bus]` or values, or the session
+    Raises `IdentificationError` or `AcquisitionError`: if the description lacks `[bus]` or values, or the session
     fails.
     """
     if robot.bus is None:
@@ -50,7 +50,7 @@ def record_simulated_session(
     )
     mechanism = DrivenPlant(plant=plant, loops=drive_loops(robot, inertias(model.inertia(q_ref[::50]))))
     bus = resolve(robot, place)
-    source = "simulated drives before the rigid robot of [parameters]"
+    source = "simulated drives with the rigid robot of [parameters]"
     log = InlineLog(Recorder(out, describe_loops(robot, mechanism.loops), source=source, place=place))
     simulated = LockStepLink(SimulatedDrives(robot, bus, mechanism), tap=log.tap)
     try:
@@ -64,6 +64,6 @@ def record_simulated_session(
 
 
 def description(name: str) -> Path:
-    """The description of a robot that comes with the project: `scara` or `tx40`."""
+    """The description of a robot of this project: `scara` or `tx40`."""
     installed = Path(__file__).parents[1] / "robots" / name / "robot.toml"
     return installed if installed.exists() else Path(__file__).parents[2] / "replay_data" / name / "robot.toml"

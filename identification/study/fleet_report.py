@@ -1,4 +1,4 @@
-"""What the rows of a fleet show: the table as a Parquet file, drift against control limits, the report."""
+"""Results of a fleet: the Parquet table, control charts of drift, the report."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -14,8 +14,8 @@ from ..arrays import Array
 from ..report import Document, Number, Section, Table, columns
 from .fleet import Row, Value
 
-FEWEST = 5  # fits for control limits
-PER_RANGE = 3 / 1.128  # 3 deviations, d2 = 1.128: the mean moving range of two normal values in deviations
+MIN_FITS = 5  # fits for control limits
+LIMIT_PER_RANGE = 3 / 1.128  # 3 deviations, d2 = 1.128: the mean moving range of two normal values in deviations
 ERROR = "moving error"
 _TEXTS = ("folder", "file", "sha256", "robot", "method", "status", "verdict", "reason")
 _ERRORS = ("error_percent", "moving_error_percent", "standing_error_percent")
@@ -26,7 +26,7 @@ def write_table(path: Path, rows: Sequence[Row]) -> None:
 
     Columns: `folder`, `file`, `sha256`, `start` (UTC), `robot`, `method`, `status`, `verdict`, `reason`; `error_percent`,
     `moving_error_percent`, `standing_error_percent`; per parameter its name, name_low and name_high, with the `unit` in the
-    metadata of the column. What a row does not have is null.
+    metadata of the column. Missing values are null.
     """
     import pyarrow
     import pyarrow.parquet
@@ -49,11 +49,11 @@ def write_table(path: Path, rows: Sequence[Row]) -> None:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ControlChart:
-    """A parameter, or the error of moving rows in %, of each of k fits over time.
+    """A parameter, or the error of moving rows in %, of k fits over time.
 
     Attributes:
-        t_s: (k,) seconds from the first fit; `x` the numbers, `low`, `high` their 95 % intervals, NaN where there are none.
-        limits: centre, lower and upper control limit; None where fits are too few.
+        t_s: (k,) seconds from the first fit; `x`: values; `low`, `high`: their 95 % intervals, or NaN.
+        limits: centre, lower and upper control limit; None for too few fits.
     """
 
     name: str
@@ -67,7 +67,7 @@ class ControlChart:
 
     @property
     def outside(self) -> list[int]:
-        """Which fits are beyond the control limits."""
+        """Indices of the fits outside the control limits."""
         if self.limits is None:
             return []
         _, lower, upper = self.limits
@@ -78,7 +78,7 @@ class ControlChart:
 class Drift:
     """The charts of a robot in a folder: the error of moving rows first, then its parameters.
 
-    `rows` are those that are charted: fits whose verdict is not `do not use` and whose start is known.
+    `rows` are charted: fits with a known start whose verdict is not `do not use`.
     """
 
     name: str
@@ -90,16 +90,16 @@ def control_limits(x: Array) -> tuple[float, float, float] | None:
     """Centre, lower and upper limit of a chart of individual values x (k,), by their mean moving range.
 
     Mean ± 3 MR / d2, MR the mean of |x[i] - x[i - 1]|, d2 = 1.128 (Shewhart; ISO 7870-2:2013, charts for individuals): the
-    moving range of neighbours widens little where the mean drifts. None for fewer than `FEWEST` values.
+    moving range grows little if the mean drifts. None for fewer than `MIN_FITS` values.
     """
-    if len(x) < FEWEST:
+    if len(x) < MIN_FITS:
         return None
-    centre, half = float(x.mean()), PER_RANGE * float(np.abs(np.diff(x)).mean())
+    centre, half = float(x.mean()), LIMIT_PER_RANGE * float(np.abs(np.diff(x)).mean())
     return centre, centre - half, centre + half
 
 
 def drifts(rows: Sequence[Row]) -> list[Drift]:
-    """Charts by folder and robot, of the rows in the order of their start; none where no row can be charted."""
+    """Charts by folder and robot, with rows ordered by start."""
     series: dict[tuple[str, str], list[tuple[datetime, Row]]] = {}
     for row in rows:
         if row.is_fitted and row.verdict != "do not use" and row.start is not None:
@@ -123,7 +123,7 @@ def drifts(rows: Sequence[Row]) -> list[Drift]:
 
 
 def _chart(name: str, values: Mapping[int, Value], t_s: Array, rows: Sequence[Row]) -> ControlChart:
-    """The chart of a number that the rows of these places have."""
+    """The chart of a value, by the index of its row."""
     x, low, high = (
         np.array([getattr(v, key) for v in values.values()], dtype=np.float64) for key in ("value", "low", "high")
     )
@@ -140,7 +140,7 @@ def _chart(name: str, values: Mapping[int, Value], t_s: Array, rows: Sequence[Ro
 
 
 def fleet_document(rows: Sequence[Row]) -> Document:
-    """The report: a line per recording, in the order of the rows, and what is beyond its control limits."""
+    """The report: a line per recording, and the values outside their control limits."""
     shown = tuple(
         (
             row.start.strftime("%Y-%m-%d %H:%M") if row.start else "-",
@@ -163,8 +163,8 @@ def fleet_document(rows: Sequence[Row]) -> Document:
 
 def _drift_section(drift: Drift) -> Section:
     title = f"drift: {drift.name}"
-    if len(drift.rows) < FEWEST:
-        few = f"fits that can be charted: {len(drift.rows)}; control limits need {FEWEST}"
+    if len(drift.rows) < MIN_FITS:
+        few = f"fits in the charts: {len(drift.rows)}; control limits need {MIN_FITS}"
         return Section(title=title, lines=(few,))
     rows = tuple(
         (
@@ -179,8 +179,8 @@ def _drift_section(drift: Drift) -> Section:
         if chart.limits is not None
         for k in chart.outside
     )
-    text = f"{len(drift.charts)} charts of {len(drift.rows)} fits; mean ± 3 deviations, these by the mean moving range"
+    text = f"{len(drift.charts)} charts of {len(drift.rows)} fits; limits: mean ± 3 sigma from the mean moving range"
     if not rows:
-        return Section(title=title, lines=(text, "nothing is beyond its control limits"))
+        return Section(title=title, lines=(text, "no value is outside its control limits"))
     head = columns("of", "recording", numbers=("value", "lower", "upper")) + columns("unit")
     return Section(title=title, table=Table(columns=head, rows=rows), lines=(text,))

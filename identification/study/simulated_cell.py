@@ -1,8 +1,8 @@
-"""Recordings of a simulated robot whose parameters are known: what a fit of them must give back.
+"""Recordings of a simulated robot whose parameters are known.
 
-The robot has the values of the description's `[parameters]` and tracks a random exciting reference under its own
-controller, or under a PD of the stated bandwidth where none is described. The cell has the imperfections that are asked for:
-noise that the controller sees, friction and a delay of the torque that a description does not have.
+The robot has the description's `[parameters]` and tracks a random exciting reference with the described controller, or with a
+PD of the stated bandwidth if none is described. The cell has optional imperfections: noise that the controller sees, friction
+and a torque delay that the description lacks.
 """
 
 from collections.abc import Iterator, Mapping
@@ -32,24 +32,24 @@ from ..options import CellOptions
 from ..regression import differentiate
 from ..simulation import ClosedLoop, ControlLaw, Disturbances, Reference, recorded_loop, surrogate_loop
 
-PERIOD_S = 10.0  # of the reference, about: one period as long as a long recording would be slow, and excite little
-LEAST_SAMPLES, MOST_SAMPLES = 100, 10_000_000  # of a simulated recording
+PERIOD_S = 10.0  # of the reference, about; a very long period would be slow and excite little
+MIN_SAMPLES, MAX_SAMPLES = 100, 10_000_000  # of a simulated recording
 SUBSTEPS = 2  # of the plant per controller period; with more, motion and torque change by less than 0.1 %
-SPAN, LONG = 50_000, 2**24  # samples made at a time; bytes of an array that is held in memory
-AR = 0.98  # correlation of coloured noise from sample to sample
+SPAN, MAX_BYTES_IN_MEMORY = 50_000, 2**24  # samples computed at a time; larger arrays are memory-mapped
+AR = 0.98  # autocorrelation of coloured noise at lag 1
 RECORDED = {
     "tick": "the command of its tick, held after it",
     "mean": "the mean of the control periods before and after",
 }
-# Streams of random numbers: one kind of noise does not change another.
+# Separate random streams: one kind of noise does not change another.
 _POSITION, _EFFORT, _COLOURED, _DISTURBANCE = range(4)
 
 
 class Noise(CellOptions):
-    """Imperfections of a simulated cell, with which the controller acts on counts and on the encoder's noise.
+    """Imperfections of a simulated cell; the controller sees encoder counts and noise.
 
-    Coloured noise and disturbances are AR(0.98) from sample to sample. `recorded` as the mean of the control periods before and
-    after its instant, as a drive's own filter shows it; or as the command of the `tick`, which is held after it.
+    Coloured noise and disturbances are AR(0.98). The torque is `recorded` as the `mean` of the control periods before and after
+    its instant, like a drive's filter; or as the command of the `tick`, which is held after it.
     """
 
     @property
@@ -60,17 +60,17 @@ class Noise(CellOptions):
 
     @property
     def modelled(self) -> bool:
-        """Whether all of it is noise: nothing that a description could say and does not, but how the torque is recorded."""
+        """Whether all imperfections are noise: the description lacks nothing except how the torque is recorded."""
         return not (self.lag_samples or self.stribeck_percent or self.asymmetry_percent or self.integral_hz)
 
     def disturbances(self, rms: Array, samples: int, seed: int) -> Disturbances:
-        """What acts on a loop of so many samples; `rms` (n,) are the torques along its reference."""
+        """Disturbances of a loop of so many samples; `rms` (n,) are torques along its reference."""
         shape = samples, len(rms)
 
         def series(size: float | Array, stream: int, ar: float) -> Array:
             if not np.any(size):
                 return np.zeros(shape)
-            x = allocate(shape, LONG)
+            x = allocate(shape, MAX_BYTES_IN_MEMORY)
             for here, noise in noise_parts(np.random.default_rng([seed, stream]), shape, ar):
                 x[here] = size * noise
                 release_pages(x)
@@ -85,9 +85,9 @@ class Noise(CellOptions):
         )
 
     def on_effort(self, held: Array, seed: int) -> Array:
-        """Torques as they are recorded (N, n), of those that the controller gives and holds from sample to sample."""
+        """Recorded torques (N, n) from the controller's torques, which are held from sample to sample."""
         N, late = len(held), min(self.lag_samples, len(held))
-        tau, squares = allocate(held.shape, LONG), np.zeros(held.shape[1])
+        tau, squares = allocate(held.shape, MAX_BYTES_IN_MEMORY), np.zeros(held.shape[1])
         for first in range(0, N, SPAN):
             at = np.maximum(np.arange(first, min(first + SPAN, N)) - late, 0)
             part = held[at]
@@ -106,7 +106,7 @@ class Noise(CellOptions):
 
 
 def noise_parts(rng: np.random.Generator, shape: tuple[int, ...], ar: float = 0.0) -> Iterator[tuple[slice, Array]]:
-    """Noise of deviation 1, AR(`ar`) along the first axis from the first sample on, `SPAN` samples at a time."""
+    """Stationary AR(`ar`) noise of deviation 1 along the first axis, `SPAN` samples at a time."""
     before = np.zeros(shape[1])
     for first in range(0, shape[0], SPAN):
         here = slice(first, min(first + SPAN, shape[0]))
@@ -120,21 +120,21 @@ def noise_parts(rng: np.random.Generator, shape: tuple[int, ...], ar: float = 0.
 
 
 def study_truth(robot: Robot) -> tuple[BaseParameters, Array]:
-    """The base parameters of the robot and the values (b,) a study simulates with."""
+    """The base parameters of the robot and their true values (b,) in a study."""
     idm = InverseModel(robot)
     base = base_parameters(idm)
     return base, described_parameters(idm, base)
 
 
 def true_model(robot: Robot) -> DirectModel:
-    """The direct model with the values that the description states."""
+    """The direct model with the values of the description."""
     idm = InverseModel(robot)
     base = base_parameters(idm)
     return direct_model(idm, base.standard_parameters(described_parameters(idm, base)))
 
 
 def periodic_reference(robot: Robot, *, duration_s: float, seed: int, period_s: float = PERIOD_S) -> FourierReference:
-    """A random exciting reference that is at rest at the end of `duration_s`: whole periods, each of about `period_s`."""
+    """A random exciting reference of whole periods, each of about `period_s`, at rest after `duration_s`."""
     periods = max(1, round(duration_s / period_s))
     return fourier_reference(robot, period_s=duration_s / periods, seed=seed)
 
@@ -146,9 +146,9 @@ def random_reference(
 
     Parameters
     ----------
-    duration_s, sample_rate_hz : length and rate, which together give 100 to 10 000 000 samples.
-    seed : the same one gives the same reference.
-    period_s : about the period; a whole number of periods makes up the length. A shorter recording has one.
+    duration_s, sample_rate_hz : length and rate, for 100 to 10 000 000 samples.
+    seed : the same seed gives the same reference.
+    period_s : about the period; the length is a whole number of periods. A shorter recording has one.
 
     Returns
     -------
@@ -159,12 +159,12 @@ def random_reference(
     IdentificationError : for another number of samples.
     """
     samples = duration_s * sample_rate_hz
-    if not LEAST_SAMPLES <= samples <= MOST_SAMPLES:
+    if not MIN_SAMPLES <= samples <= MAX_SAMPLES:
         raise IdentificationError(
-            f"{duration_s:g} s at {sample_rate_hz:g} Hz: {samples:g} samples; expected {LEAST_SAMPLES} to {MOST_SAMPLES}"
+            f"{duration_s:g} s at {sample_rate_hz:g} Hz: {samples:g} samples; expected {MIN_SAMPLES} to {MAX_SAMPLES}"
         )
     reference = periodic_reference(robot, duration_s=duration_s, seed=seed, period_s=period_s)
-    q = allocate((round(samples) + 1, robot.n), LONG)
+    q = allocate((round(samples) + 1, robot.n), MAX_BYTES_IN_MEMORY)
     for first in range(0, len(q), SPAN):
         q[first : first + SPAN] = reference.at(np.arange(first, min(first + SPAN, len(q))) / sample_rate_hz)[0]
         release_pages(q)
@@ -174,7 +174,7 @@ def random_reference(
 def closed_loop(robot: Robot, q_ref: Array, sample_rate_hz: float, *, noise: Noise, seed: int) -> Signals:
     """Signals of the simulated robot tracking a reference.
 
-    The controller acts on what the encoders give, noise and counts included.
+    The controller sees encoder noise and counts.
 
     Parameters
     ----------
@@ -185,7 +185,7 @@ def closed_loop(robot: Robot, q_ref: Array, sample_rate_hz: float, *, noise: Noi
 
     Raises
     ------
-    IdentificationError : where the description has no values or another rate, or the robot does not follow.
+    IdentificationError : if the description has no values or another rate, or the robot does not follow.
     """
     model = true_model(robot)
     loop = _loop(robot, model, q_ref, sample_rate_hz, noise)
@@ -194,7 +194,7 @@ def closed_loop(robot: Robot, q_ref: Array, sample_rate_hz: float, *, noise: Noi
             f"robot {robot.name}: controller.sample_rate_hz = {1 / loop.period_s:g}: expected {sample_rate_hz:g}, the "
             "rate of the simulated recording"
         )
-    # Span by span: a long recording, with the steps of the plant and its derivatives, is too much to be held in memory.
+    # Span by span: the plant's steps and derivatives of a long recording do not fit in memory.
     N, squares, fastest = len(q_ref), [], np.zeros(len(model.directions))
     for first in range(0, N, SPAN):
         span = _span(q_ref, first, sample_rate_hz)
@@ -204,7 +204,7 @@ def closed_loop(robot: Robot, q_ref: Array, sample_rate_hz: float, *, noise: Noi
     bound = np.full(robot.n, 10 * np.ptp(q_ref, axis=0).max())
     start = (q_ref[0].copy(), _span(q_ref[:3], 0, sample_rate_hz).dq[0])
     follower = ClosedLoop(model, loop, start, fastest=fastest, substeps=SUBSTEPS, cell=cell)
-    q, tau = allocate(q_ref.shape, LONG), allocate(q_ref.shape, LONG)
+    q, tau = allocate(q_ref.shape, MAX_BYTES_IN_MEMORY), allocate(q_ref.shape, MAX_BYTES_IN_MEMORY)
     for first in range(0, N, SPAN):
         here = slice(first, first + SPAN)
         part = replace(cell, position=cell.position[here], torque=cell.torque[here])
@@ -229,7 +229,7 @@ def closed_loop(robot: Robot, q_ref: Array, sample_rate_hz: float, *, noise: Noi
 
 
 def _span(q_ref: Array, first: int, sample_rate_hz: float) -> Reference:
-    """`SPAN` instants of a reference with its derivatives, which take two samples on each side."""
+    """`SPAN` instants of a reference with derivatives, which need two samples on each side."""
     low = max(0, first - 2)
     dq = differentiate(q_ref[low : first + SPAN + 2], sample_rate_hz)
     ddq, rows = differentiate(dq, sample_rate_hz), slice(first - low, first - low + SPAN)
@@ -237,7 +237,7 @@ def _span(q_ref: Array, first: int, sample_rate_hz: float) -> Reference:
 
 
 def _loop(robot: Robot, model: DirectModel, q_ref: Array, sample_rate_hz: float, noise: Noise) -> ControlLaw:
-    """The described control law, or a PD; a PD that sees noise has to tell the speed from it."""
+    """The described control law, or a PD; with encoder noise the PD estimates the speed."""
     loop = recorded_loop(robot)
     if loop is None:
         J = inertias(model.inertia(poses_of(q_ref)))
@@ -254,11 +254,11 @@ def write_signals(
 
     Parameters
     ----------
-    path : of the recording; it is written whole or not at all.
+    path : of the recording, written whole or not at all.
     signals : with the robot's description.
-    source : where they come from, as `info` shows it.
-    noise : imperfections that they were simulated with, which the metadata then name.
-    notes : more keys of the recording's metadata.
+    source : their origin, shown by `info`.
+    noise : imperfections of the simulation, for the metadata.
+    notes : additional keys of the metadata.
     """
     provenance, cell = "simulated joint torque", {}
     if noise is not None:

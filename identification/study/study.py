@@ -1,7 +1,7 @@
-"""Monte-Carlo on the simulated robot: what least squares and instrumental variables give where the truth is known.
+"""Monte-Carlo study of least squares and instrumental variables on simulated robots with known parameters.
 
-Each run simulates a recording with known parameters and imperfections of the cell, and fits it at one cut-off, from a wrong
-start and told of a wrong controller, by least squares and by instrumental variables.
+Each run simulates a recording with imperfections of the cell. It fits the recording at one cut-off, from a wrong start and
+with a wrong controller, by least squares and by instrumental variables.
 """
 
 from collections.abc import Iterator, Mapping
@@ -34,13 +34,12 @@ from .simulated_cell import Noise, closed_loop, random_reference, study_truth
 
 @dataclass(frozen=True, kw_only=True)
 class Study(StudyOptions):
-    """What is varied. Each run draws one of each list, seeded by its number.
+    """What a study varies. Each run draws one value of each list, seeded by its number.
 
-    `cutoffs` are in multiples of the bandwidth, 0 for none; `starts` factors on each joint's true inertia, all that the start
-    knows of the robot; `gain_errors` factors on the controller's gains (on the bandwidth of a
-    surrogate) as the fit knows them; `controllers` whether the fit is given the described control law, or none. `vary` says
-    whether each run has the imperfections of `noise`, or draws `everything`: imperfections of all kinds in some runs, none
-    that a description leaves out in others, and any of the controllers.
+    `cutoffs` are multiples of the bandwidth, 0 for none; `starts` are factors on each joint's true inertia, the only values in
+    the start; `gain_errors` are factors on the controller's gains (or a surrogate's bandwidth) that the fit gets;
+    `controllers`: the fit gets the described control law, or none. `vary`: each run has the imperfections of `noise`, or
+    draws `everything`: any controller and any noise, and in half of the runs imperfections that a description lacks.
     """
 
     noise: Noise = field(default_factory=Noise)
@@ -48,7 +47,7 @@ class Study(StudyOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class RunSettings:
-    """What one run has; `seed` is that of its reference and noise."""
+    """Settings of one run; `seed` of its reference and noise."""
 
     cutoff: float
     start: float
@@ -59,17 +58,17 @@ class RunSettings:
 
     @property
     def modelled(self) -> bool:
-        """Whether the fit is told all but the noise."""
+        """Whether the fit knows everything except the noise."""
         return self.noise.modelled and (self.gain_error == 1.0 or self.controller == "none")
 
 
 def draw(study: Study, number: int, bandwidth_hz: float) -> RunSettings:
-    """What run `number` of a study has: the same number gives the same."""
+    """Settings of run `number` of a study: the same number gives the same settings."""
     rng = np.random.default_rng([study.seed, number])
     cutoff, start = float(rng.choice(study.cutoffs)), float(rng.choice(study.starts))
     gain_error, seed = float(rng.choice(study.gain_errors)), int(rng.integers(2**31))
     if study.vary == "everything":
-        noise = _any_noise(study.noise, rng, bandwidth_hz)
+        noise = _draw_noise(study.noise, rng, bandwidth_hz)
         controllers: tuple[Controllers, ...] = ("described", "described", "none")
     else:
         noise, controllers = study.noise, study.controllers
@@ -77,8 +76,8 @@ def draw(study: Study, number: int, bandwidth_hz: float) -> RunSettings:
     return RunSettings(cutoff=cutoff, start=start, gain_error=gain_error, seed=seed, controller=controller, noise=noise)
 
 
-def _any_noise(noise: Noise, rng: np.random.Generator, bandwidth_hz: float) -> Noise:
-    """Noise of any kind, its encoder step about that of `noise`; in half of the runs also what no description has."""
+def _draw_noise(noise: Noise, rng: np.random.Generator, bandwidth_hz: float) -> Noise:
+    """Random noise, encoder step near that of `noise`; in half of the runs also imperfections that no description has."""
 
     def some(low: float, high: float) -> float:
         return float(rng.uniform(low, high)) if rng.random() < 0.5 else 0.0
@@ -104,7 +103,7 @@ def _any_noise(noise: Noise, rng: np.random.Generator, bandwidth_hz: float) -> N
 
 
 def robot_given_to_fit(robot: Robot, drawn: RunSettings) -> Robot:
-    """The robot with its controller as the fit is told it: gains off by a factor, or nothing but a bandwidth, off by it."""
+    """The robot with the controller that the fit gets: wrong gains, or only a wrong bandwidth."""
     c, factor = robot.controller, drawn.gain_error
     if drawn.controller == "none":
         keys = ("structure", "sample_rate_hz", "position_gain", "velocity_gain", "integral_gain", "velocity_estimate")
@@ -122,13 +121,13 @@ def robot_given_to_fit(robot: Robot, drawn: RunSettings) -> Robot:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RunFit:
-    """The fit of a run by one method: what it says of itself, and what is true of it. Vectors are (b,).
+    """The fit of a run by one method, compared with the truth. Vectors are (b,).
 
     Attributes:
         error: |beta - true| / |true| over all parameters.
-        verdict: of its tests; `doubts` the names of those that say caution or worse, not made ones apart.
+        verdict: of its tests; `doubts`: names of tests with level `caution` or `do not use`.
         low, high: its 95 % intervals.
-        essential: which parameters the recording determines well.
+        essential: whether the recording determines a parameter well.
         positive: whether M of the estimate is positive on the reference.
     """
 
@@ -147,7 +146,7 @@ class RunFit:
         """(b,) half-widths of the intervals."""
         return 0.5 * (self.high - self.low)
 
-    def off(self, true: Array) -> Array:
+    def half_widths_off(self, true: Array) -> Array:
         """(b,) distances of the true values from the middles of the intervals, in half-widths."""
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.asarray(np.abs(self.low + self.high - 2 * true) / (self.high - self.low))
@@ -155,10 +154,10 @@ class RunFit:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Run:
-    """One run, and its fits where there are any.
+    """One run, and its fits if it has any.
 
-    `status` and `passes` are those of IV, `reason` says why it is not `converged` or why there is no fit; `error_tuned_ls` is
-    the error of least squares on the same recording at the rule's cut-off.
+    `status` and `passes` are those of IV; `reason`: why it is not `converged`, or why there is no fit; `error_tuned_ls`: the
+    error of least squares on the same recording at the default cut-off.
     """
 
     number: int
@@ -174,8 +173,8 @@ class Run:
 def run_study(robot: Robot, study: Study, work: Work) -> Iterator[Run]:
     """All runs of a study.
 
-    Returns the runs in order; one that fails has a `reason`. Raises `IdentificationError`: where no run can succeed: no
-    values in the description, a cut-off above half the rate.
+    Returns the runs in order; one that fails has a `reason`. Raises `IdentificationError`: if no run can succeed (no values in
+    the description, or a cut-off above half the rate).
     """
     fs, highest_hz = study.sample_rate_hz, max(study.cutoffs) * robot.bandwidth_hz
     study_truth(robot)
@@ -188,7 +187,7 @@ def run_study(robot: Robot, study: Study, work: Work) -> Iterator[Run]:
 
 @one_thread
 def one_run(files: Mapping[str, bytes], study: Study, number: int) -> Run:
-    """Run `number` of a study of the robot that these files describe: the same number gives the same run."""
+    """Run `number` of a study of the robot described by `files`: the same number gives the same run."""
     robot = robot_from_files(files, "study")
     fs, bandwidth_hz = study.sample_rate_hz, robot.bandwidth_hz
     drawn = draw(study, number, bandwidth_hz)

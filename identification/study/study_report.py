@@ -1,4 +1,4 @@
-"""What the runs of a study amount to, and its report; robots with known parameters: base parameters, estimates and truth."""
+"""Summaries and report of a study; documents of base parameters, and of estimates and true values."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,10 +16,10 @@ from ..model import BaseParameters
 from ..report import Document, Number, ResultFile, Row, Section, Table, columns, value_form
 from .study import Run, RunFit, Study
 
-FALSE_ERROR = 5.0  # times the error of least squares at the rule's cut-off
-FALSE_TRUST = 3.0  # half-widths that an essential parameter may be off for `trust`
-INSIDE = 2.0  # half-widths within which nothing is wrong
-NORMAL = 1.96  # half-width of 95 % of a normal distribution, in deviations
+FALSE_ERROR = 5.0  # times the error of least squares at the default cut-off
+FALSE_TRUST = 3.0  # half-widths: largest error of an essential parameter for `trust`
+INSIDE = 2.0  # half-widths: largest error of an essential parameter in a clean fit
+NORMAL_QUANTILE = 1.96  # half-width of 95 % of a normal distribution, in deviations
 # By heading of a table: the field of a `Summary`, and its format.
 ESTIMATES = {
     "runs": ("runs", "d"),
@@ -45,18 +45,18 @@ VERDICTS = {
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Summary:
-    """Runs at one cut-off by one method: of wls those with an estimate, of iv those that converged. NaN where there are none.
+    """Runs at one cut-off by one method: of wls those with an estimate, of iv those that converged. NaN if there are none.
 
-    `bias_percent` and `spread_percent` are norms over all parameters in percent of the norm of the true ones;
-    `sigma_over_spread` is the median over the parameters of the formula's deviation by the observed one.
-    `false_percent` is the share of runs called converged whose M is not positive, or whose error is over `FALSE_ERROR`
-    times that of least squares at the rule's cut-off on the same recording. By luck that may be right to many digits.
+    `bias_percent`, `spread_percent`: norms over all parameters in percent of the norm of the true ones.
+    `sigma_over_spread`: median over the parameters of the formula's deviation over the observed one.
+    `false_percent`: converged runs whose M is not positive, or whose error exceeds `FALSE_ERROR` times that of least squares at
+    the default cut-off on the same recording (which may be very accurate by chance).
 
-    Of the printed 95 % intervals: `coverage_percent`, the share of true values inside, over all parameters, and
-    `half_over_spread`, the median over the parameters of half-width by 1.96 times the observed deviation. Of the verdicts of
-    all runs here: `false_trust` counts those with `trust` though an essential parameter is more than `FALSE_TRUST` half-widths
-    off or M is not positive; `false_caution` those of the `clean` runs in which a test says caution or worse. Clean is a run
-    whose fit is told all but the noise, with every essential parameter inside `INSIDE` half-widths and M positive.
+    `coverage_percent`: true values inside their 95 % intervals, over all parameters. `half_over_spread`: median over the
+    parameters of half-width over 1.96 observed deviations. `false_trust`: runs with verdict `trust` although an essential
+    parameter is more than `FALSE_TRUST` half-widths off or M is not positive. `clean`: runs whose fit knows everything except
+    the noise, with M positive and every essential parameter within `INSIDE` half-widths; `false_caution`: clean runs in which
+    a test has level `caution` or `do not use`.
     """
 
     method: str
@@ -81,18 +81,18 @@ class Summary:
 
 def summaries(runs: Sequence[Run], true: Array) -> list[Summary]:
     """One summary per cut-off and method; `true` (b,) are the values simulated with."""
-    found = []
+    rows = []
     for cutoff in sorted({r.drawn.cutoff for r in runs}, key=lambda c: c or np.inf):
         here = [r for r in runs if r.drawn.cutoff == cutoff]
-        settled = [r for r in here if r.status == "converged"]
-        false = [r for r in settled if r.iv and not (r.iv.positive and r.iv.error <= FALSE_ERROR * r.error_tuned_ls)]
+        converged = [r for r in here if r.status == "converged"]
+        false = [r for r in converged if r.iv and not (r.iv.positive and r.iv.error <= FALSE_ERROR * r.error_tuned_ls)]
         for method, kind in (("wls", "ls"), ("iv", "iv")):
-            every: list[tuple[Run, RunFit]] = [(r, fit) for r in here if (fit := getattr(r, kind)) is not None]
-            used = [fit for r, fit in every if method == "wls" or r.status == "converged"]
-            beta, sigma, errors, half = (_stacked(used, name, true) for name in ("beta", "sigma", "error", "half"))
-            inside = [fit.off(true) <= 1 for fit in used]
+            fits: list[tuple[Run, RunFit]] = [(r, fit) for r in here if (fit := getattr(r, kind)) is not None]
+            used = [fit for r, fit in fits if method == "wls" or r.status == "converged"]
+            beta, sigma, errors, half = (_stack(used, name, true) for name in ("beta", "sigma", "error", "half"))
+            inside = [fit.half_widths_off(true) <= 1 for fit in used]
             spread = beta.std(axis=0, ddof=1) if len(used) > 1 else np.full(len(true), np.nan)
-            found.append(
+            rows.append(
                 Summary(
                     method=method,
                     cutoff=cutoff,
@@ -102,39 +102,39 @@ def summaries(runs: Sequence[Run], true: Array) -> list[Summary]:
                     sigma_over_spread=float(np.median(np.median(sigma, axis=0) / spread)),
                     median_error_percent=float(100 * np.median(errors)),
                     worst_error_percent=float(100 * errors.max()),
-                    converged_percent=100 * len(settled) / len(here) if method == "iv" else None,
-                    mean_passes=float(np.mean([r.passes for r in settled])) if method == "iv" and settled else None,
+                    converged_percent=100 * len(converged) / len(here) if method == "iv" else None,
+                    mean_passes=float(np.mean([r.passes for r in converged])) if method == "iv" and converged else None,
                     false_percent=100 * len(false) / len(here) if method == "iv" else None,
                     coverage_percent=float(100 * np.mean(inside)) if inside else np.nan,
-                    half_over_spread=float(np.median(np.median(half, axis=0) / (NORMAL * spread))),
-                    verdicts=len(every),
-                    trusted=sum(fit.verdict == "trust" for _, fit in every),
-                    false_trust=sum(false_trust(fit, true) for _, fit in every),
-                    clean=sum(clean(r, fit, true) for r, fit in every),
-                    false_caution=sum(clean(r, fit, true) and bool(fit.doubts) for r, fit in every),
+                    half_over_spread=float(np.median(np.median(half, axis=0) / (NORMAL_QUANTILE * spread))),
+                    verdicts=len(fits),
+                    trusted=sum(fit.verdict == "trust" for _, fit in fits),
+                    false_trust=sum(false_trust(fit, true) for _, fit in fits),
+                    clean=sum(is_clean(r, fit, true) for r, fit in fits),
+                    false_caution=sum(is_clean(r, fit, true) and bool(fit.doubts) for r, fit in fits),
                 )
             )
-    return found
+    return rows
 
 
-def _stacked(fits: Sequence[RunFit], name: str, true: Array) -> Array:
-    """An attribute of all fits (fits, ...); a row of NaN where there are none."""
+def _stack(fits: Sequence[RunFit], name: str, true: Array) -> Array:
+    """An attribute of all fits (fits, ...); a row of NaN without fits."""
     return np.array([getattr(fit, name) for fit in fits]) if fits else np.full((1, len(true)), np.nan)
 
 
 def false_trust(fit: RunFit, true: Array) -> bool:
-    """Whether a fit says `trust` and should not: an essential parameter far off, or M not positive."""
-    wrong = not fit.positive or bool((fit.off(true)[fit.essential] > FALSE_TRUST).any())
+    """Whether the verdict is wrongly `trust`: an essential parameter is far off, or M is not positive."""
+    wrong = not fit.positive or bool((fit.half_widths_off(true)[fit.essential] > FALSE_TRUST).any())
     return fit.verdict == "trust" and wrong
 
 
-def clean(run: Run, fit: RunFit, true: Array) -> bool:
-    """Whether there is nothing to be cautious of: the fit knows everything except the noise, and is right."""
-    return run.drawn.modelled and fit.positive and bool((fit.off(true)[fit.essential] <= INSIDE).all())
+def is_clean(run: Run, fit: RunFit, true: Array) -> bool:
+    """Whether the fit knows everything except the noise, and is right."""
+    return run.drawn.modelled and fit.positive and bool((fit.half_widths_off(true)[fit.essential] <= INSIDE).all())
 
 
 class BaseParameter(msgspec.Struct, frozen=True, kw_only=True):
-    """A base parameter, the sum of standard parameters it stands for, and its value where it is known."""
+    """A base parameter, its sum of standard parameters, and its value if known."""
 
     name: str
     expression: str
@@ -146,7 +146,7 @@ class BaseFile(ResultFile, frozen=True, kw_only=True):
     """The JSON file of a robot's base parameters, or of the values that a recording was simulated with."""
 
     robot: str
-    joint_names: list[str]  # joint number 1, 2, ..., which ends the names of parameters
+    joint_names: list[str]  # of joints 1, 2, ...: names of parameters end with this number
     parameters: list[BaseParameter]
 
 
@@ -161,7 +161,7 @@ class StudyFile(ResultFile, frozen=True, kw_only=True):
 
 
 def base_file(base: BaseParameters, robot: Robot, true: Array | None = None) -> BaseFile:
-    """Base parameters as they go into their JSON file. Parameters as of `base_document`."""
+    """The JSON file of base parameters; arguments as of `base_document`."""
     values: list[float | UnsetType] = [UNSET] * base.b if true is None else [float(x) for x in true]
     parameters = [
         BaseParameter(name=name, expression=expression, unit=unit, value=value)
@@ -171,23 +171,23 @@ def base_file(base: BaseParameters, robot: Robot, true: Array | None = None) -> 
 
 
 def study_file(study: Study, runs: Sequence[Run], base: BaseParameters, true: Array) -> StudyFile:
-    """A study as it goes into its JSON file, `true` (b,) are the values of the parameters `base`."""
+    """The JSON file of a study; `true` (b,) are the values of `base`."""
     return StudyFile(
-        study=_plain(study),
+        study=_to_builtins(study),
         parameters=list(base.names),
         true=true.tolist(),
-        summaries=_plain(summaries(runs, true)),
+        summaries=_to_builtins(summaries(runs, true)),
         runs=[_run_json(run, base.b) for run in runs],
     )
 
 
-def _plain(value: Any) -> Any:
+def _to_builtins(value: Any) -> Any:
     return msgspec.to_builtins(value, enc_hook=lambda numbers: numbers.tolist())
 
 
 def _run_json(run: Run, b: int) -> dict[str, Any]:
-    """A run with what each fit estimates, null where there is none, beside what the fit says of itself."""
-    content: dict[str, Any] = _plain(run)
+    """A run, with the estimates of each fit at the top level, null without a fit."""
+    content: dict[str, Any] = _to_builtins(run)
     content |= {name: content["drawn"][name] for name in ("cutoff", "start", "gain_error")}
     content["positive"] = run.iv is not None and run.iv.positive
     for kind in ("ls", "iv"):
@@ -198,7 +198,7 @@ def _run_json(run: Run, b: int) -> dict[str, Any]:
 
 
 def base_document(base: BaseParameters, robot: Robot, true: Array | None = None) -> Document:
-    """The base parameters of a robot with the sums of standard parameters that they stand for, and its joints by number."""
+    """The base parameters of a robot as sums of standard parameters, and its joints by number."""
     names = zip(base.names, base.expressions, base.units, strict=True)
     values: list[tuple[Number, ...]] = [()] * base.b if true is None else [(Number(float(x), ".6g"),) for x in true]
     table = Table(
@@ -209,14 +209,14 @@ def base_document(base: BaseParameters, robot: Robot, true: Array | None = None)
         columns=columns("number", "joint", "type"),
         rows=tuple((str(j + 1), joint.name, joint.type) for j, joint in enumerate(robot.joints)),
     )
-    sections = (Section(table=table), Section(title="joints, by the number that ends a name", table=joints))
+    sections = (Section(table=table), Section(title="joints, by the number at the end of a name", table=joints))
     return Document(title=f"{robot.name}: {base.b} base parameters", sections=sections)
 
 
 def truth_document(robot: str, fits: Sequence[Fit], true: Array) -> Document:
-    """Estimates beside the values that a recording was simulated with.
+    """Estimates next to the true values of a simulated recording.
 
-    Each has half its 95 % interval, and by how many of these halves it is off.
+    Each has the half-width of its 95 % interval, and its error in half-widths.
     """
     halves = [fit.intervals.half for fit in fits]
     rows: list[Row] = []
@@ -238,12 +238,12 @@ def truth_document(robot: str, fits: Sequence[Fit], true: Array) -> Document:
     table = Table(columns=columns("parameter", numbers=("true", *headings)), rows=tuple(rows))
     return Document(
         title=f"{robot}: {len(true)} estimated parameters and their true values",
-        sections=(Section(title="against the values simulated with", table=table, lines=tuple(lines)),),
+        sections=(Section(title="compared with the simulated values", table=table, lines=tuple(lines)),),
     )
 
 
 def study_document(robot: str, study: Study, runs: Sequence[Run], true: Array) -> Document:
-    """A study's summaries, one row per cut-off and method, and what it varied."""
+    """A study's summaries by cut-off and method, and its settings."""
     rows = summaries(runs, true)
     return Document(
         title=f"{robot}: {len(runs)} runs",
@@ -257,7 +257,7 @@ def study_document(robot: str, study: Study, runs: Sequence[Run], true: Array) -
 
 
 def _summary_table(summaries: Sequence[Summary], cells: dict[str, tuple[str, str]]) -> Table:
-    """By heading a field of the summaries, and its format."""
+    """The table of the fields in `cells`, which are as `ESTIMATES`."""
     rows: list[Row] = []
     for s in summaries:
         numbers = [(getattr(s, name), form) for name, form in cells.values()]
@@ -267,26 +267,26 @@ def _summary_table(summaries: Sequence[Summary], cells: dict[str, tuple[str, str
 
 
 def trust_notes(runs: Sequence[Run], true: Array) -> tuple[str, ...]:
-    """What the verdicts' columns count, and the runs that say `trust` and should not."""
-    found = {
+    """What the columns about verdicts count, and the runs with false trust."""
+    numbers_of = {
         method: [r.number for r in runs if (fit := getattr(r, kind)) is not None and false_trust(fit, true)]
         for method, kind in (("wls", "ls"), ("iv", "iv"))
     }
-    listed = "; ".join(f"{method}: {', '.join(map(str, numbers))}" for method, numbers in found.items() if numbers)
+    listed = "; ".join(f"{method}: {', '.join(map(str, numbers))}" for method, numbers in numbers_of.items() if numbers)
     return (
-        "coverage %: true values inside the printed 95 % intervals, all parameters; of runs of iv, those that converged",
-        f"false trust: verdict trust though an essential parameter is more than {FALSE_TRUST:g} half-widths off, or M not "
-        f"positive: {f'runs {listed}' if listed else 'no run'}",
-        "clean: the fit is told all but the noise, and every essential parameter is inside "
-        f"{INSIDE:g} half-widths; false caution: of these, a test says caution or worse (tests not made apart)",
+        "coverage %: true values inside their 95 % intervals, over all parameters; of iv, converged runs only",
+        f"false trust: verdict trust although an essential parameter is more than {FALSE_TRUST:g} half-widths off or M is "
+        f"not positive: {f'runs {listed}' if listed else 'no run'}",
+        "clean: the fit knows everything except the noise, and every essential parameter is within "
+        f"{INSIDE:g} half-widths; false caution: clean runs in which a test says caution or do not use",
     )
 
 
 def study_notes(study: Study) -> tuple[str, str]:
-    """What was simulated and varied, and what `false %` counts."""
+    """What the study simulated and varied, and what `false %` counts."""
     noise = study.noise
 
-    def listed(values: Sequence[float]) -> str:
+    def join(values: Sequence[float]) -> str:
         return ", ".join(f"{x:g}" if x else "none" for x in values)
 
     cell, recorded, controllers = noise.text, str(noise.recorded), ", ".join(study.controllers)
@@ -295,8 +295,8 @@ def study_notes(study: Study) -> tuple[str, str]:
         recorded, controllers = "either", "described, none"
     return (
         f"{study.runs} runs of {study.duration_s:g} s at {study.sample_rate_hz:g} Hz, seed {study.seed}; cell: {cell}; torque "
-        f"recorded as {recorded}; drawn by each run: cut-off {listed(study.cutoffs)} x bandwidth, "
-        f"start {listed(study.starts)} x true inertia, gains {listed(study.gain_errors)} x true, controller {controllers}",
-        "false %: runs called converged that should not be: their inertia matrix is not positive, or they are off by more than "
-        f"{FALSE_ERROR:g} times what least squares at the rule's cut-off is on the same recording",
+        f"recorded as {recorded}; drawn by each run: cut-off {join(study.cutoffs)} x bandwidth, "
+        f"start {join(study.starts)} x true inertia, gains {join(study.gain_errors)} x true, controller {controllers}",
+        "false %: converged runs whose inertia matrix is not positive, or whose error is more than "
+        f"{FALSE_ERROR:g} times that of least squares at the default cut-off on the same recording",
     )
