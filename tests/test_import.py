@@ -8,7 +8,7 @@ import scipy.io
 from conftest import REPLAY, needs_data, robot_named
 
 from acquisition.errors import AcquisitionError
-from acquisition.importing import Imported, import_tables
+from acquisition.importing import ImportSummary, import_tables
 from acquisition.recording import read_recording
 from acquisition.robot import Robot, robot_from_files
 from identification.data import load_signals
@@ -62,7 +62,7 @@ def csv(path: Path, header: str, *columns: np.ndarray, separator: str = ",") -> 
     return path
 
 
-def run(folder: Path, robot: Robot, table_map: str, *tables: Path) -> Imported:
+def run(folder: Path, robot: Robot, table_map: str, *tables: Path) -> ImportSummary:
     (folder / "map.toml").write_text(table_map)
     return import_tables(tables, robot, folder / "map.toml", folder / "out.mcap")
 

@@ -151,7 +151,7 @@ def test_what_unpacks_to_too_much_is_refused(
     assert (tmp_path / "bomb.mcap").stat().st_size < 20_000
     with pytest.raises(AcquisitionError, match=r"a chunk of 7.* bytes: expected 67108864"):
         read_recording(tmp_path / "bomb.mcap")
-    monkeypatch.setattr(mcap_content, "_LARGEST_TOTAL", 10_000)
+    monkeypatch.setattr(mcap_content, "_MAX_TOTAL_BYTES", 10_000)
     with pytest.raises(AcquisitionError, match="more than 10000 bytes unpacked"):
         read_recording(whole)
 

@@ -4,4 +4,4 @@ from .bags import import_bag, is_bag
 from .conversions import decode_recording, import_log, is_log, recover_recording, row_warnings
 from .exports import export_bag, export_csv
 from .tables import import_tables
-from .time_base import Imported
+from .time_base import ImportSummary

@@ -13,11 +13,11 @@ from ..recording import JOINT_STATE, Header
 from ..robot import Robot
 from .quantities import EFFORT_UNITS, effort_at_joint, effort_side, position_side, si_units
 from .stamps import smallest_difference
-from .time_base import Imported, resample, with_warnings, write_samples
+from .time_base import ImportSummary, resample, with_warnings, write_samples
 
 SUFFIXES = (".mcap", ".db3")
 # Noise and motion are so many times as large at Nyquist in a few per cent of the windows of so many rows.
-WINDOW, NYQUIST_RATIO = 16, 100.0
+WINDOW, MIN_NYQUIST_RATIO = 16, 100.0
 MAX_ALTERNATING, MAX_WITHOUT_EFFORT = 0.1, 0.01  # of the windows, of the rows: more are of two publishers
 QUANTA = 3.0  # by which two publishers differ at least
 
@@ -29,7 +29,7 @@ def is_bag(path: Path) -> bool:
 
 def import_bag(
     bag: Path, robot: Robot, out: Path, *, topic: str, effort_unit: Sequence[str], resample_hz: float | None = None
-) -> Imported:
+) -> ImportSummary:
     """Write the recording `out` from joint states of a ROS 2 bag; joints go by their names in robot.toml.
 
     Times are the headers' stamps, or those of reception where headers have none; values are interpolated to a uniform grid.
@@ -55,7 +55,7 @@ def import_bag(
     stamps_ns, received, parts, doubts = _joint_states(bag, topic, joints)
     position = parts["position"]
     parts["effort"], provenance = _effort(robot, parts.get("effort"), effort_unit, place)
-    _refuse_several(position, parts["effort"], joints, place)
+    _refuse_several_publishers(position, parts["effort"], joints, place)
     if "velocity" in parts and not np.isfinite(parts["velocity"]).all():
         del parts["velocity"]
         doubts.append("velocities that are not finite numbers are left out")
@@ -76,7 +76,7 @@ def import_bag(
     return write_samples(header, grid, doubts, str(place), out)
 
 
-def _refuse_several(position: Array, effort: Array, joints: list[str], place: Place) -> None:
+def _refuse_several_publishers(position: Array, effort: Array, joints: list[str], place: Place) -> None:
     """Refuse the states of two publishers in turns: rows with no effort at all among others, or every other row elsewhere."""
     none = np.asarray(~effort.any(axis=1))
     large = np.asarray((np.abs(effort) > QUANTA * smallest_difference(effort)).any(axis=1))
@@ -86,13 +86,13 @@ def _refuse_several(position: Array, effort: Array, joints: list[str], place: Pl
         problem = f"{100 * alone.mean():.2g} % of the rows have no effort, between others that have"
         place.refuse("effort", expected=expected, text=problem)
     for key, x in (("position", position), ("effort", effort)):
-        share = _alternating(x)
+        share = _alternating_share(x)
         if share.max() > MAX_ALTERNATING:
             problem = f"every other row is elsewhere, in {100 * share.max():.2g} % of the time"
             place.refuse(f"{key} of joint {joints[int(share.argmax())]}", expected=expected, text=problem)
 
 
-def _alternating(x: Array) -> Array:
+def _alternating_share(x: Array) -> Array:
     """Share (n,) of windows of x (N, n) whose second differences have by far most of their energy at the Nyquist frequency.
 
     Compared with that at half of it. Values that are only rounded alternate by a quantum now and then: more are asked for.
@@ -105,7 +105,7 @@ def _alternating(x: Array) -> Array:
     energy = np.abs(np.fft.rfft(windows * np.hanning(WINDOW)[:, None], axis=1)) ** 2
     half = energy[:, WINDOW // 4 - 1 : WINDOW // 4 + 2].sum(axis=1)
     large = np.abs(windows).max(axis=1) > 4 * QUANTA * smallest_difference(x)
-    found = large & ((steps == 0).mean(axis=1) < 0.4) & (energy[:, -2:].sum(axis=1) > NYQUIST_RATIO * half)
+    found = large & ((steps == 0).mean(axis=1) < 0.4) & (energy[:, -2:].sum(axis=1) > MIN_NYQUIST_RATIO * half)
     return np.asarray(np.maximum(found.sum(axis=0) - 2, 0) / len(windows))  # two may be chance, in a short recording
 
 

@@ -23,11 +23,11 @@ from ..recording import (
     written_by_master,
 )
 from ..robot import Robot, check_recorded_positions, resolve
-from ..session import Recorded, write_decoded
-from .time_base import Imported
+from ..session import RecordedSummary, write_decoded
+from .time_base import ImportSummary
 
 
-def decode_recording(path: Path, out: Path, robot: Robot | None, place: str) -> Imported:
+def decode_recording(path: Path, out: Path, robot: Robot | None, place: str) -> ImportSummary:
     """Decode the frames of a recording again, into a new recording.
 
     Parameters
@@ -47,13 +47,13 @@ def decode_recording(path: Path, out: Path, robot: Robot | None, place: str) -> 
     if not recording.frames:
         Place(str(path)).refuse(text="holds no CAN frames", expected="a recording of drives")
     frames = max(recording.frames.values(), key=len)
-    decoded = _decoded(frames, robot, str(path), place)
-    decoded = replace(decoded, warnings=(*decoded.warnings, *_fallen(recording, decoded)))
+    decoded = _decode_checked(frames, robot, str(path), place)
+    decoded = replace(decoded, warnings=(*decoded.warnings, *_refused_row_warnings(recording, decoded)))
     notes = {**recording.metadata, "decoded_from": recording.sha256}
-    header, end_ns = replace(recording.header, notes=notes, **_of_bus(decoded)), int(frames["time_ns"][-1])
+    header, end_ns = replace(recording.header, notes=notes, **_bus_header(decoded)), int(frames["time_ns"][-1])
     # Warnings are those of the decoding before.
     rewrite(recording, header, out, lambda writer: decoded.write(writer, end_ns), without="warning")
-    return _imported(decoded, out)
+    return _summarize(decoded, out)
 
 
 def row_warnings(recording: Recording) -> str:
@@ -62,13 +62,13 @@ def row_warnings(recording: Recording) -> str:
         return ""
     frames = max(recording.frames.values(), key=len)
     try:
-        decoded = _decoded(frames, recording.robot, "its frames", "its robot.toml")
+        decoded = _decode_checked(frames, recording.robot, "its frames", "its robot.toml")
     except AcquisitionError as error:
         return f"all {len(recording.samples)} fall: {error}"
-    return "; ".join(_fallen(recording, decoded))
+    return "; ".join(_refused_row_warnings(recording, decoded))
 
 
-def _fallen(recording: Recording, decoded: Decoded) -> list[str]:
+def _refused_row_warnings(recording: Recording, decoded: Decoded) -> list[str]:
     """How many samples of an older version do not stand: their joints are not proven to be of one instant."""
     if recording.samples is None or not _is_older(recording):
         return []
@@ -83,7 +83,7 @@ def _is_older(recording: Recording) -> bool:
     return not any(UNCERTAIN in health.counters for health in recording.health)
 
 
-def recover_recording(path: Path, out: Path) -> tuple[Recording, Recorded]:
+def recover_recording(path: Path, out: Path) -> tuple[Recording, RecordedSummary]:
     """Write a whole recording of everything before the cut of one without its end; samples are decoded from its frames, if any.
 
     Returns what was read, and what samples there are. An `AcquisitionError` as of `read_recording`; also if the file is not
@@ -92,7 +92,7 @@ def recover_recording(path: Path, out: Path) -> tuple[Recording, Recorded]:
     recording = read_recording(path)
     if not recording.cut:
         Place(str(path)).refuse(text="has its proper end: nothing to recover")
-    found = Recorded(frames=0, samples=0 if recording.samples is None else len(recording.samples), warnings=())
+    found = RecordedSummary(frames=0, samples=0 if recording.samples is None else len(recording.samples), warnings=())
 
     def write(writer: RecordingWriter) -> None:
         nonlocal found
@@ -112,7 +112,7 @@ def is_log(path: Path) -> bool:
     return path.suffix.lower() in SUFFIXES
 
 
-def import_log(log: Path, out: Path, robot: Robot, place: str) -> Imported:
+def import_log(log: Path, out: Path, robot: Robot, place: str) -> ImportSummary:
     """Write the recording `out` from a CAN log of another tool.
 
     Parameters
@@ -127,19 +127,19 @@ def import_log(log: Path, out: Path, robot: Robot, place: str) -> Imported:
     AcquisitionError
         The log cannot be read, none of its frames are of the described interface, or they do not decode.
     """
-    frames, left_out = _of_one_interface(log, robot)
+    frames, left_out = _select_interface(log, robot)
     frames["time_ns"] = np.maximum.accumulate(frames["time_ns"])
-    decoded = _decoded(frames, robot, str(log), place)
+    decoded = _decode_checked(frames, robot, str(log), place)
     decoded = replace(decoded, warnings=left_out + decoded.warnings)
     notes = {"left_out": "; ".join(left_out)} if left_out else {}
-    header = Header(source=f"log {log.name}", notes=notes, **_of_bus(decoded))
+    header = Header(source=f"log {log.name}", notes=notes, **_bus_header(decoded))
     with atomic_write(out) as partial, RecordingWriter(partial, header) as writer:
         writer.frames("log", frames)
         decoded.write(writer, int(frames["time_ns"][-1]))
-    return _imported(decoded, out)
+    return _summarize(decoded, out)
 
 
-def _of_one_interface(log: Path, robot: Robot) -> tuple[Block, tuple[str, ...]]:
+def _select_interface(log: Path, robot: Robot) -> tuple[Block, tuple[str, ...]]:
     """The frames of a log, and what is left out. Frames of two buses together would give two samples for every SYNC."""
     found: list[tuple[str | None, Frame]] = []
     fd = 0
@@ -164,7 +164,7 @@ def _of_one_interface(log: Path, robot: Robot) -> tuple[Block, tuple[str, ...]]:
     return frames, (f"frames left out: {', '.join(left_out)}",) if left_out else ()
 
 
-def _decoded(frames: Block, robot: Robot, name: str, place: str) -> Decoded:
+def _decode_checked(frames: Block, robot: Robot, name: str, place: str) -> Decoded:
     """Samples of frames, checked."""
     decoded = decode(frames, robot, resolve(robot, place, written_by_master(frames)), name)
     q = np.concatenate([block["position"].copy() for block in decoded.blocks()])  # a view would keep its whole block
@@ -172,7 +172,7 @@ def _decoded(frames: Block, robot: Robot, name: str, place: str) -> Decoded:
     return replace(decoded, warnings=decoded.warnings + warnings)
 
 
-def _of_bus(decoded: Decoded) -> dict[str, Any]:
+def _bus_header(decoded: Decoded) -> dict[str, Any]:
     """What a header says of the drives."""
     file = decoded.bus.file
     return {
@@ -183,8 +183,8 @@ def _of_bus(decoded: Decoded) -> dict[str, Any]:
     }
 
 
-def _imported(decoded: Decoded, out: Path) -> Imported:
-    return Imported(
+def _summarize(decoded: Decoded, out: Path) -> ImportSummary:
+    return ImportSummary(
         out=out,
         robot=decoded.robot.name,
         samples=len(decoded.stamps),

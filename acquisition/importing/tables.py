@@ -18,11 +18,11 @@ from ..recording import OPTIONAL, Header
 from ..robot import EffortTiming, Positive, Robot, parse_toml
 from .quantities import Quantity, Source, TableNumber
 from .stamps import ticks_from_velocity
-from .time_base import LARGEST_GAP_PERIODS, Imported, OnGrid, even, resample, with_warnings, write_samples
+from .time_base import MAX_GAP_PERIODS, GridValues, ImportSummary, resample, uniform_grid, with_warnings, write_samples
 
 Periods = Annotated[float, msgspec.Meta(ge=1.5)]
 
-TICK_OFF = 0.01  # a tick that differs by more than this share from that of the stamps is a mistake
+MAX_TICK_ERROR = 0.01  # a tick that differs by more than this share from that of the stamps is a mistake
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # in s
 
 FROM_VELOCITY = "from velocity"  # in place of the column of a counter
@@ -45,7 +45,7 @@ class Time(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     ticks: str | int | None = None
     tick_s: Positive | None = None
     resample_hz: Positive | None = None
-    largest_gap_periods: Periods = LARGEST_GAP_PERIODS
+    largest_gap_periods: Periods = MAX_GAP_PERIODS
 
 
 class TableMap(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -66,7 +66,7 @@ class TableMap(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     effort_timing: EffortTiming = "unknown"
 
 
-def import_tables(tables: Sequence[Path], robot: Robot, map_path: Path, out: Path) -> Imported:
+def import_tables(tables: Sequence[Path], robot: Robot, map_path: Path, out: Path) -> ImportSummary:
     """Write the recording `out` from tables.
 
     Parameters
@@ -118,13 +118,13 @@ def _parts(source: Source, table_map: TableMap) -> tuple[dict[str, Array], str]:
     return parts, provenance
 
 
-def _on_grid(source: Source, table_map: TableMap, parts: Mapping[str, Array]) -> OnGrid:
+def _on_grid(source: Source, table_map: TableMap, parts: Mapping[str, Array]) -> GridValues:
     """The rows on a uniform grid: by the stated rate, or by their times."""
     time, given_hz = table_map.time, table_map.sample_rate_hz
     if time is None:
         if given_hz is None:
             source.place.refuse("sample_rate_hz", None, "it, or a [time] table")
-        return OnGrid(parts=parts, start_s=0.0, rate_hz=given_hz)
+        return GridValues(parts=parts, start_s=0.0, rate_hz=given_hz)
     time_s, off_s = _times(source, time, parts)
     twice = 0
     if time.ticks == FROM_VELOCITY:  # rows of one tick are one row, though a PC stamped them apart
@@ -133,7 +133,7 @@ def _on_grid(source: Source, table_map: TableMap, parts: Mapping[str, Array]) ->
     place = Place(f"{source.table('time.table', time.table)}: {time.column if time.ticks is None else time.ticks}")
     gap = time.largest_gap_periods
     if time.resample_hz is None:
-        grid = even(time_s, parts, place)
+        grid = uniform_grid(time_s, parts, place)
     else:
         grid = resample(time_s, parts, rate_hz=time.resample_hz, largest_gap_periods=gap, place=place)
     if given_hz is not None and abs(given_hz / grid.rate_hz - 1) > 1e-3:
@@ -165,7 +165,7 @@ def _times(source: Source, time: Time, parts: Mapping[str, Array]) -> tuple[Arra
         assert stamp_s is not None
         return stamp_s, None
     time_s = _ticks(source, time, parts, stamp_s) * time.tick_s
-    return time_s, None if stamp_s is None else _off_ticks(time_s, stamp_s, time.tick_s, place)
+    return time_s, None if stamp_s is None else stamp_scatter_s(time_s, stamp_s, time.tick_s, place)
 
 
 def _ticks(source: Source, time: Time, parts: Mapping[str, Array], stamp_s: Array | None) -> Array:
@@ -192,9 +192,9 @@ def _column(table: Path, name: str | int, rows: int, place: Place) -> Array:
     return np.asarray(column[:, 0])
 
 
-def _off_ticks(time_s: Array, stamp_s: Array, tick_s: float, place: Place) -> float:
+def stamp_scatter_s(time_s: Array, stamp_s: Array, tick_s: float, place: Place) -> float:
     """Deviation in s of stamps about the time that ticks give; refuses ticks of another length."""
     rate, start = np.polyfit(time_s - time_s[0], stamp_s, 1)
-    if not abs(rate - 1) <= TICK_OFF:
+    if not abs(rate - 1) <= MAX_TICK_ERROR:
         place.refuse("time.tick_s", tick_s, f"{tick_s * rate:.6g} as the stamps say")
     return float(np.std(stamp_s - start - rate * (time_s - time_s[0])))

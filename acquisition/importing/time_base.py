@@ -9,15 +9,15 @@ import numpy as np
 from ..arrays import Array, Ints
 from ..errors import Place
 from ..files import atomic_write
-from ..recording import LARGEST_STAMP_NS, Header, RecordingWriter, sample_dtype
+from ..recording import MAX_STAMP_NS, Header, RecordingWriter, sample_dtype
 from ..robot import check_recorded_positions, check_recorded_velocities
-from .stamps import LONG_STEP, row_numbers, rows_in_time, stamps_warning
+from .stamps import MIN_GAP_STEP, row_numbers, rows_in_time, stamps_warning
 
 POSITION = "position"
-COARSER, FINER = 0.9, 2.5  # times the rows' rate: grids beyond are warned of
-MANY_OFF = 0.02  # of the rows left out: more is warned of
-LARGEST_GAP_PERIODS = 3.0  # a longer step is not interpolated over, unless the map says so
-FINEST = 100.0  # times the rows' rate: a finer grid is a mistake
+MIN_RATE_RATIO, MAX_RATE_RATIO = 0.9, 2.5  # times the rows' rate: grids beyond are warned of
+MAX_LEFT_OUT = 0.02  # of the rows left out: more is warned of
+MAX_GAP_PERIODS = 3.0  # a longer step is not interpolated over, unless the map says so
+MAX_OVERSAMPLING = 100.0  # times the rows' rate: a finer grid is a mistake
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,7 +68,7 @@ class TimeReport:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class OnGrid:
+class GridValues:
     """Values (M, n) by name on a uniform grid from `start_s` after `first_ns` on; the report of the times before, doubts."""
 
     parts: Mapping[str, Array]
@@ -87,14 +87,14 @@ class OnGrid:
         """Stamps (M,) in ns; from 0 where they would begin before 0. Errors name `place`."""
         rows = len(self.parts[POSITION])
         start_s = max(0.0, self.start_s)
-        if not start_s + rows / self.rate_hz < LARGEST_STAMP_NS * 1e-9 or self.rate_hz > 1e8:
+        if not start_s + rows / self.rate_hz < MAX_STAMP_NS * 1e-9 or self.rate_hz > 1e8:
             problem = f"{rows} rows at {self.rate_hz} Hz from {start_s} s"
             Place(place).refuse(expected="68 years and 100 MHz at most", text=problem)
         steps = np.rint(np.arange(rows) * (1e9 / self.rate_hz)).astype(np.int64)
         return np.asarray(self.first_ns + round(start_s * 1e9) + steps)
 
 
-def with_warnings(grid: OnGrid, time_s: Array, q: Array, clock: str, way_out: str) -> OnGrid:
+def with_warnings(grid: GridValues, time_s: Array, q: Array, clock: str, way_out: str) -> GridValues:
     """A grid of rows at times (N,) by a `clock` and positions q (N, n), with doubts about these times."""
     assert grid.report is not None
     report = replace(grid.report, clock=clock)
@@ -103,11 +103,11 @@ def with_warnings(grid: OnGrid, time_s: Array, q: Array, clock: str, way_out: st
     return replace(grid, report=report, doubts=(*rate_warnings(report), *([warning] if warning else [])))
 
 
-def report_of(time_s: Array, doubled: int = 0) -> TimeReport:
+def time_report(time_s: Array, doubled: int = 0) -> TimeReport:
     """What growing times (N,) are like."""
     steps = np.diff(time_s)
     period = float(np.median(steps))
-    long = steps > LONG_STEP * period
+    long = steps > MIN_GAP_STEP * period
     regular = steps[~long]
     return TimeReport(
         rows=len(time_s),
@@ -126,9 +126,9 @@ def resample(
     parts: Mapping[str, Array],
     *,
     rate_hz: float | None,
-    largest_gap_periods: float = LARGEST_GAP_PERIODS,
+    largest_gap_periods: float = MAX_GAP_PERIODS,
     place: Place,
-) -> OnGrid:
+) -> GridValues:
     """Interpolate `parts` (N, n) at the times (N,) to a uniform grid, by cubic splines.
 
     Left out are rows that repeat the row before in time and values, and those whose `position` in `parts` contradicts their
@@ -138,10 +138,10 @@ def resample(
     """
     from scipy.interpolate import CubicSpline
 
-    time_s, parts, doubled = _without_doubled(time_s, parts, place)
+    time_s, parts, doubled = _drop_repeated_rows(time_s, parts, place)
     if len(time_s) < 4:
         place.refuse("time", expected="4 at least", text=f"{len(time_s)} rows of different times")
-    report = report_of(time_s, doubled)
+    report = time_report(time_s, doubled)
     in_time = rows_in_time(time_s, parts[POSITION]) if POSITION in parts else np.ones(len(time_s), dtype=bool)
     time_s, parts = time_s[in_time], {name: x[in_time] for name, x in parts.items()}
     steps = np.diff(time_s)
@@ -156,16 +156,18 @@ def resample(
         )
     rate_hz = rate_hz or roundest_rate_hz(time_s)
     count = int((time_s[-1] - time_s[0]) * rate_hz + 1e-6) + 1
-    if count < 2 or rate_hz * report.period_s > FINEST:
+    if count < 2 or rate_hz * report.period_s > MAX_OVERSAMPLING:
         expected = f"about the {1 / report.period_s:.4g} Hz of the rows, which last {time_s[-1] - time_s[0]:.4g} s"
         place.refuse("resample_hz", rate_hz, expected)
     grid = np.minimum(time_s[0] + np.arange(count) / rate_hz, time_s[-1])
     report = replace(report, grid_hz=rate_hz, off=int((~in_time).sum()))
     interpolated = {name: np.asarray(CubicSpline(time_s, x)(grid)) for name, x in parts.items()}
-    return OnGrid(parts=interpolated, start_s=float(time_s[0]), rate_hz=rate_hz, report=report)
+    return GridValues(parts=interpolated, start_s=float(time_s[0]), rate_hz=rate_hz, report=report)
 
 
-def _without_doubled(time_s: Array, parts: Mapping[str, Array], place: Place) -> tuple[Array, Mapping[str, Array], int]:
+def _drop_repeated_rows(
+    time_s: Array, parts: Mapping[str, Array], place: Place
+) -> tuple[Array, Mapping[str, Array], int]:
     """Times that grow, and the values at them, without rows that are there twice; how many these were."""
     steps = np.diff(time_s)
     if (steps < 0).any():
@@ -207,17 +209,17 @@ def rate_warnings(report: TimeReport | None) -> list[str]:
     if report is None or report.grid_hz is None:
         return []
     doubts, ratio, own_hz = [], report.grid_hz * report.period_s, 1 / report.period_s
-    if report.off > MANY_OFF * report.rows:
+    if report.off > MAX_LEFT_OUT * report.rows:
         share = 100 * report.off / report.rows
         doubts.append(
             f"{share:.2g} % of the rows are left out, whose {report.clock} the motion contradicts: take another clock"
         )
-    if ratio < COARSER:
+    if ratio < MIN_RATE_RATIO:
         doubts.append(
             f"resample_hz = {report.grid_hz:g} is below the rows' {own_hz:.4g} Hz: noise above half of it is "
             "folded into the samples; interpolate to the rows' own rate, a fit decimates by itself"
         )
-    if ratio > FINER:
+    if ratio > MAX_RATE_RATIO:
         doubts.append(
             f"resample_hz = {report.grid_hz:g} is {ratio:.2g} times the rows' {own_hz:.4g} Hz: samples between "
             "rows are interpolated, they tell nothing new"
@@ -225,7 +227,7 @@ def rate_warnings(report: TimeReport | None) -> list[str]:
     return doubts
 
 
-def even(time_s: Array, parts: Mapping[str, Array], place: Place) -> OnGrid:
+def uniform_grid(time_s: Array, parts: Mapping[str, Array], place: Place) -> GridValues:
     """Values (N, n) at times (N,) that lie on a uniform grid as they are; refuses times that do not grow or leave the grid."""
     way_out = "time.resample_hz interpolates rows to a uniform grid"
     steps = np.diff(time_s)
@@ -251,11 +253,11 @@ def even(time_s: Array, parts: Mapping[str, Array], place: Place) -> OnGrid:
     # The roundest rate that the scatter of the times cannot tell from the measured one: 1000, not 1000.00000013.
     scatter = min(max(float(off.max()) / duration_s, 1e-12), 1e-4)
     rate_hz = _roundest(1 / period, scatter)
-    return OnGrid(parts=parts, start_s=float(time_s[0]), rate_hz=rate_hz, report=report_of(time_s))
+    return GridValues(parts=parts, start_s=float(time_s[0]), rate_hz=rate_hz, report=time_report(time_s))
 
 
 @dataclass(frozen=True, kw_only=True)
-class Imported:
+class ImportSummary:
     """What was written: sizes, what was recorded besides position, the report of the times, warnings."""
 
     out: Path
@@ -269,7 +271,7 @@ class Imported:
     warnings: tuple[str, ...] = ()
 
 
-def write_samples(header: Header, grid: OnGrid, doubts: Sequence[str], place: str, out: Path) -> Imported:
+def write_samples(header: Header, grid: GridValues, doubts: Sequence[str], place: str, out: Path) -> ImportSummary:
     """Check samples and write them as the recording `out`, whole or not at all.
 
     Parameters
@@ -296,7 +298,7 @@ def write_samples(header: Header, grid: OnGrid, doubts: Sequence[str], place: st
         writer.samples(rows)
         for text in doubts:
             writer.event(int(stamps[-1]), "warning", text)
-    return Imported(
+    return ImportSummary(
         out=out,
         robot=robot.name,
         samples=len(rows),

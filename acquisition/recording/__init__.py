@@ -6,7 +6,7 @@ from .rows import (
     ERROR,
     EXTENDED,
     FRAME,
-    LARGEST_STAMP_NS,
+    MAX_STAMP_NS,
     OPTIONAL,
     REMOTE_REQUEST,
     SENT,

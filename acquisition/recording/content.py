@@ -24,8 +24,8 @@ from ..files import GrowingBytes
 
 _MAGIC = b"\x89MCAP0\r\n"
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
-_LARGEST_CHUNK = 64 * 2**20  # bytes; chunks are written at about 1 MiB, so more is a hostile or damaged size
-_LARGEST_TOTAL = 4 * 2**30  # bytes of all chunks unpacked
+_MAX_CHUNK_BYTES = 64 * 2**20  # bytes; chunks are written at about 1 MiB, so more is a hostile or damaged size
+_MAX_TOTAL_BYTES = 4 * 2**30  # bytes of all chunks unpacked
 Accept: TypeAlias = Callable[[Mapping[str, str], str], None]
 Wanted: TypeAlias = Callable[[str], object]  # true of topics that are read
 _DAMAGE = (McapError, zstandard.ZstdError, struct.error, ValueError, MemoryError, OverflowError)
@@ -190,10 +190,10 @@ class _Chunks:
         self.messages: dict[str, Messages] = {}
 
     def add(self, chunk: Any) -> None:
-        content = _unpacked(chunk)
+        content = _unpack(chunk)
         self._size += len(content)
-        if self._size > _LARGEST_TOTAL:
-            raise ValueError(f"more than {_LARGEST_TOTAL} bytes unpacked")
+        if self._size > _MAX_TOTAL_BYTES:
+            raise ValueError(f"more than {_MAX_TOTAL_BYTES} bytes unpacked")
         for opcode, begin, end in _records(content):
             if opcode == Opcode.MESSAGE:
                 number, _, stamp_ns, _ = _MESSAGE.unpack_from(content, begin)
@@ -215,12 +215,12 @@ class _Chunks:
                 self._channels[channel.id] = topic
 
 
-def _unpacked(chunk: Any) -> bytes:
+def _unpack(chunk: Any) -> bytes:
     if chunk.compression != "zstd":
         raise ValueError(f"compression {chunk.compression!r}: expected 'zstd'")
     size = zstandard.get_frame_parameters(chunk.data).content_size
-    if size != chunk.uncompressed_size or size > _LARGEST_CHUNK:
-        raise ValueError(f"a chunk of {size} bytes: expected {min(chunk.uncompressed_size, _LARGEST_CHUNK)}")
+    if size != chunk.uncompressed_size or size > _MAX_CHUNK_BYTES:
+        raise ValueError(f"a chunk of {size} bytes: expected {min(chunk.uncompressed_size, _MAX_CHUNK_BYTES)}")
     content: bytes = zstandard.decompress(chunk.data)
     _check_crc(zlib.crc32(content), chunk.uncompressed_crc.to_bytes(4, "little"))
     return content

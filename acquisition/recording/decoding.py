@@ -19,14 +19,14 @@ from .rows import SENT, Block, Rows, Traffic, sample_dtype
 from .sync_grid import SyncTimes, associate, counted_steps, sync_steps, sync_times, without_repeats
 from .writer import RecordingWriter
 
-LARGEST_PERIOD_ERROR = 0.05  # of the described SYNC period
-FEWEST_SYNCS = 10  # with fewer their period is not checked
-MAX_MISSING = 0.05  # of the PDOs of a drive; with more, rows of different instants may look right
-FEW_MISSING = 2  # PDOs of a drive, which are no share in a short recording
+MAX_PERIOD_ERROR = 0.05  # of the described SYNC period
+MIN_SYNCS = 10  # with fewer their period is not checked
+MAX_MISSING_SHARE = 0.05  # of the PDOs of a drive; with more, rows of different instants may look right
+MAX_MISSING_COUNT = 2  # PDOs of a drive, which are no share in a short recording
 UNCERTAIN = "uncertain"  # counter of SYNCs without a sample, in `/health`
 LOSSES = ("late", "duplicate", "missing", "short")  # what PDOs are counted by
 _AT_ONCE = 10_000  # samples
-FEWEST_TARGETS = 0.1  # of the SYNCs; with fewer there is no reference
+MIN_TARGET_SHARE = 0.1  # of the SYNCs; with fewer there is no reference
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,7 +88,7 @@ class Decoded:
             for i, drive in enumerate(self.bus.drives):
                 raw = self._integers(drive, drive.position, part)
                 before, by = last[i] if first else (int(raw[0]), 0)
-                counts = unwrapped(np.concatenate([[before], raw]), drive.position.bits)[0][1:] + by
+                counts = unwrap(np.concatenate([[before], raw]), drive.position.bits)[0][1:] + by
                 last[i : i + 1] = [(int(raw[-1]), int(counts[-1] - raw[-1]))]
                 motor[0, :, i] = drive.position_codec.si(counts)
                 motor[1, :, i] = drive.effort.si(self._integers(drive, drive.effort.entry, part))
@@ -137,7 +137,7 @@ class Decoded:
         }
 
 
-def decode(frames: Block, robot: Robot, bus: Bus, place: str, *, max_missing: float = MAX_MISSING) -> Decoded:
+def decode(frames: Block, robot: Robot, bus: Bus, place: str, *, max_missing: float = MAX_MISSING_SHARE) -> Decoded:
     """Joint samples from the raw frames of one CAN channel.
 
     Parameters
@@ -181,7 +181,7 @@ def decode(frames: Block, robot: Robot, bus: Bus, place: str, *, max_missing: fl
     index_of = np.concatenate([[0], np.cumsum(steps[:-1])])
     times = traffic.at("time_ns", sync_rows)
     clock = sync_times(times, index_of, int(steps.sum()), ours=ours, nominal_ns=bus.period_ns)
-    if len(sync_rows) >= FEWEST_SYNCS:
+    if len(sync_rows) >= MIN_SYNCS:
         _refuse_period(clock.period_s, bus.file.sync_period_s, place)
     del times
     answered, rows_of_pdos, losses, missing_share = associate(pdos, sync_rows, steps, paused, torn)
@@ -190,7 +190,7 @@ def decode(frames: Block, robot: Robot, bus: Bus, place: str, *, max_missing: fl
         replace(pdo, late=lost["late"], duplicate=pdo.duplicate + lost["duplicate"], missing=lost["missing"])
         for pdo, lost in zip(counted, losses, strict=True)
     )
-    if missing_share > max_missing and max(count.missing for count in counts) > FEW_MISSING:
+    if missing_share > max_missing and max(count.missing for count in counts) > MAX_MISSING_COUNT:
         text = f"{missing_share:.1%} of the PDOs of a drive are missing"
         Place(place).refuse(text=text, expected=f"{max_missing:.0%} at most: it is uncertain what belongs together")
     if len(answered) < 2:
@@ -228,7 +228,7 @@ def _carriers(bus: Bus) -> dict[Pdo, str]:
     return found
 
 
-def unwrapped(counts: Ints, bits: int) -> tuple[Ints, Ints]:
+def unwrap(counts: Ints, bits: int) -> tuple[Ints, Ints]:
     """Counts continued where a counter of `bits` wraps from one end to the other, and the rows at which it wraps.
 
     Between two answers no motor moves by half of the range of a counter, so a larger step is a wrap.
@@ -248,7 +248,7 @@ def _wraps(traffic: Traffic, bus: Bus, rows_of: Mapping[Pdo, Rows], stamps: Ints
         carrier = drive.carrier(drive.position, "tpdo")
         assert carrier is not None  # `resolve` refuses drives without one
         raw = traffic.integers(rows_of[carrier], carrier, drive.position)
-        wraps = unwrapped(raw, drive.position.bits)[1]
+        wraps = unwrap(raw, drive.position.bits)[1]
         if len(wraps):
             first_s = (stamps[wraps[0]] - stamps[0]) * 1e-9
             yield (
@@ -266,7 +266,7 @@ def _targets(traffic: Traffic, sync_rows: Rows, index_of: Ints, answered: Rows, 
     for drive in bus.drives:
         pdo = drive.carrier(drive.target, "rpdo")
         rows = np.zeros(0, np.int32) if pdo is None else traffic.of(pdo)[0]
-        if len(rows) < FEWEST_TARGETS * len(answered):
+        if len(rows) < MIN_TARGET_SHARE * len(answered):
             return None
         row = np.full(following[-1] + 1, -1, np.int32)
         row[following[np.searchsorted(sync_rows, rows)]] = rows
@@ -276,7 +276,7 @@ def _targets(traffic: Traffic, sync_rows: Rows, index_of: Ints, answered: Rows, 
 
 def _refuse_period(measured_s: float, stated_s: float, place: str) -> None:
     """Refuse a SYNC period that is not the described one: rates and filters are computed from the description."""
-    if abs(measured_s / stated_s - 1) > LARGEST_PERIOD_ERROR:
+    if abs(measured_s / stated_s - 1) > MAX_PERIOD_ERROR:
         Place(place).refuse(
             text=f"SYNC came every {measured_s * 1e3:.4g} ms; bus.sync_period_s = {stated_s:g} in robot.toml",
             expected=f"{measured_s:.3g}; correct robot.toml and import again, or make samples of a recording's frames by "

@@ -151,8 +151,8 @@ def read_recording(path: str | PathLike[str]) -> Recording:
         elif match := FRAMES_TOPIC.fullmatch(topic):
             frames[match[1]] = _rows(blocks, [FRAME], where)
             check_frames(frames[match[1]], str(where))
-    events = _decoded(topics, "/events", _EventText, path)
-    health = _decoded(topics, "/health", dict[str, float | None], path)
+    events = _decode_json(topics, "/events", _EventText, path)
+    health = _decode_json(topics, "/health", dict[str, float | None], path)
     return Recording(
         samples=samples,
         frames=frames,
@@ -197,7 +197,7 @@ def _rows(blocks: Messages, known: list[np.dtype[np.void]], place: Place) -> Blo
     return rows
 
 
-def _decoded(topics: Mapping[str, Messages], topic: str, kind: Any, path: Path) -> list[tuple[int, Any]]:
+def _decode_json(topics: Mapping[str, Messages], topic: str, kind: Any, path: Path) -> list[tuple[int, Any]]:
     try:
         messages = topics[topic].items() if topic in topics else ()
         return [(stamp, msgspec.json.decode(text, type=kind)) for stamp, text in messages]

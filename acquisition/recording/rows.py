@@ -23,8 +23,10 @@ _DATA_AT = FRAME.itemsize - 8  # offset of a frame's bytes in its row
 _NO_ID = 0xFFFF  # of frames that CANopen does not use
 _AT_ONCE = 100_000  # rows: many may lie on disk, and only these are in memory
 _TAKEN = 20_000  # rows: those of one PDO are spread over many more frames
-WHOLE = 0.1  # periods by which a step over missing rows, or SYNCs of another producer, may be off whole ones
-LARGEST_STAMP_NS = 2**31 * 1_000_000_000 - 1  # a ROS time counts seconds in 32 bits
+MAX_PERIOD_OFFSET = (
+    0.1  # periods by which a step over missing rows, or SYNCs of another producer, may be off whole ones
+)
+MAX_STAMP_NS = 2**31 * 1_000_000_000 - 1  # a ROS time counts seconds in 32 bits
 
 Block = NDArray[np.void]
 Rows = NDArray[np.int32]  # indices of frames or SYNCs: half the memory of Ints
@@ -65,7 +67,7 @@ def gaps(samples: Block, sample_rate_hz: float, sync_ns: Ints | None = None) -> 
     stamps = samples["stamp_ns"]
     periods = np.diff(stamps) * (sample_rate_hz * 1e-9)
     rows = np.flatnonzero(periods > 1.5)
-    late = np.abs(periods[rows] - np.rint(periods[rows])) > WHOLE
+    late = np.abs(periods[rows] - np.rint(periods[rows])) > MAX_PERIOD_OFFSET
     if sync_ns is not None:
         late = np.searchsorted(sync_ns, stamps[rows + 1]) - np.searchsorted(sync_ns, stamps[rows], "right") == 0
     return tuple(
@@ -86,11 +88,11 @@ def check_samples(samples: Block, after_ns: int, place: str) -> None:
     first = 0
     for rows in in_parts(samples):
         stamps = rows["stamp_ns"]
-        bad = (stamps <= np.concatenate([[after_ns], stamps[:-1]])) | (stamps > LARGEST_STAMP_NS)
+        bad = (stamps <= np.concatenate([[after_ns], stamps[:-1]])) | (stamps > MAX_STAMP_NS)
         if bad.any():
             row = int(np.argmax(bad))
             where = Place(f"{place}: row {first + row + 1}")
-            where.refuse("stamp_ns", int(stamps[row]), f"growing stamps from 0 to {LARGEST_STAMP_NS}")
+            where.refuse("stamp_ns", int(stamps[row]), f"growing stamps from 0 to {MAX_STAMP_NS}")
         after_ns = int(stamps[-1])
         for field in (samples.dtype.names or ())[1:]:
             finite = np.isfinite(rows[field])
@@ -138,7 +140,7 @@ class Traffic:
 
     def at(self, field: str, rows: Rows) -> NDArray[Any]:
         """A field of the frames `rows`."""
-        return self._taken(self.frames[field], rows)
+        return self._take(self.frames[field], rows)
 
     def integers(self, rows: Rows, pdo: Pdo, entry: ObjectEntry) -> Ints:
         """The integers of one object in the frames `rows`."""
@@ -147,9 +149,9 @@ class Traffic:
         # One strided field over the rows in place: three times as fast as copying the bytes of each frame.
         kind = f"<{entry.type[0].lower()}{size}"
         only = np.dtype({"names": ["value"], "formats": [kind], "offsets": [_DATA_AT + at], "itemsize": FRAME.itemsize})
-        return self._taken(self.frames.view(only)["value"], rows).astype(np.int64)
+        return self._take(self.frames.view(only)["value"], rows).astype(np.int64)
 
-    def _taken(self, column: NDArray[Any], rows: Rows) -> NDArray[Any]:
+    def _take(self, column: NDArray[Any], rows: Rows) -> NDArray[Any]:
         found = np.empty((len(rows), *column.shape[1:]), column.dtype)
         for first in range(0, len(rows), _TAKEN):
             part = slice(first, first + _TAKEN)

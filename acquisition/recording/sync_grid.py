@@ -22,17 +22,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array, Ints
-from .rows import WHOLE, Rows
+from .rows import MAX_PERIOD_OFFSET, Rows
 
 Bools = NDArray[np.bool_]
 Number = TypeVar("Number", np.int32, np.float64)
 
-PAUSE = 1.5  # periods: a longer step between SYNCs is a pause
-LONGEST_RUN = 255  # SYNCs within which late PDOs must end, and SYNCs lost in a row; a longer silence is a pause
-IN_ORDER, LATE_IN_ORDER = 3, 8  # intervals in a row that prove the order; at most so many more where drives are late
-_IN_TIME = 0.75  # periods after SYNC: a later PDO may answer one that was not recorded
-_MUCH_DELAYED = 4.0  # times the usual delay: such SYNCs are not used for the period
-_LOOKED_AHEAD = (15, 127)  # SYNCs by which the delay of one is removed, in the first and the second pass
+MIN_PAUSE_PERIODS = 1.5  # periods: a longer step between SYNCs is a pause
+MAX_RUN_SYNCS = 255  # SYNCs within which late PDOs must end, and SYNCs lost in a row; a longer silence is a pause
+MIN_IN_ORDER, MAX_LATE_IN_ORDER = (
+    3,
+    8,
+)  # intervals in a row that prove the order; at most so many more where drives are late
+_MAX_ANSWER_PERIODS = 0.75  # periods after SYNC: a later PDO may answer one that was not recorded
+_MAX_DELAY_RATIO = 4.0  # times the usual delay: such SYNCs are not used for the period
+_LOOKAHEAD_SYNCS = (15, 127)  # SYNCs by which the delay of one is removed, in the first and the second pass
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -60,9 +63,9 @@ def sync_times(times: Ints, index_of: Ints, grid: int, *, ours: bool, nominal_ns
     `ours`: we sent them. Of two estimates of the period the one nearer to the nominal one is used.
     """
     index = index_of.astype(np.float64)
-    times, set_back = _without_set_back(times, index_of)
+    times, set_back = _remove_set_back(times, index_of)
     since = (times - times[0]).astype(np.float64)
-    freed, run, within = _even(index, since)
+    freed, run, within = _remove_delays(index, since)
     overall = _slope(index, since, np.zeros_like(run)) if run[-1] else within
     # Pauses lengthen the second estimate, delays may disturb the first; a wrong description changes neither.
     period = min((within, overall), key=lambda p: abs(p - nominal_ns))
@@ -80,12 +83,12 @@ def sync_times(times: Ints, index_of: Ints, grid: int, *, ours: bool, nominal_ns
         stamps=stamps,
         period_s=period * 1e-9,
         jitter_s=(float(deviation.std()) * 1e-9, float(np.abs(deviation).max()) * 1e-9),
-        pauses=np.flatnonzero(np.diff(stamps) > PAUSE * period),
+        pauses=np.flatnonzero(np.diff(stamps) > MIN_PAUSE_PERIODS * period),
         set_back=set_back,
     )
 
 
-def _without_set_back(times: Ints, index_of: Ints) -> tuple[Ints, tuple[tuple[int, float], ...]]:
+def _remove_set_back(times: Ints, index_of: Ints) -> tuple[Ints, tuple[tuple[int, float], ...]]:
     """Times with each step back replaced by one period, and where the steps back are."""
     steps = np.diff(times)
     back = np.flatnonzero(steps < 0)
@@ -98,22 +101,22 @@ def _without_set_back(times: Ints, index_of: Ints) -> tuple[Ints, tuple[tuple[in
     return times + np.cumsum(jumps), found
 
 
-def _even(index: Array, since: Array) -> tuple[Array, Ints, float]:
+def _remove_delays(index: Array, since: Array) -> tuple[Array, Ints, float]:
     """Times without delays, the run between pauses that each SYNC belongs to, and the period within runs.
 
     A delay does not last: a lateness that the next SYNCs keep is a pause.
     """
     period = float(np.median(np.diff(since) / np.diff(index)))
     ahead, run = 0, np.zeros(len(since), np.int64)
-    for ahead in _LOOKED_AHEAD:  # with a better period, over more SYNCs
-        freed = least_ahead(since - index * period, ahead) + index * period
-        paused = np.diff(freed) - np.diff(index) * period > (PAUSE - 1) * period
+    for ahead in _LOOKAHEAD_SYNCS:  # with a better period, over more SYNCs
+        freed = minimum_ahead(since - index * period, ahead) + index * period
+        paused = np.diff(freed) - np.diff(index) * period > (MIN_PAUSE_PERIODS - 1) * period
         run = np.concatenate([[0], np.cumsum(paused)])
         delay = since - freed
-        usual = delay <= _MUCH_DELAYED * np.median(delay)
+        usual = delay <= _MAX_DELAY_RATIO * np.median(delay)
         if np.count_nonzero(usual) >= 2:
             period = _slope(index[usual], since[usual], run[usual])
-    return least_ahead(since - index * period, ahead) + index * period, run, period
+    return minimum_ahead(since - index * period, ahead) + index * period, run, period
 
 
 def _mean_of_run(values: Array, run: Ints) -> Array | float:
@@ -131,7 +134,7 @@ def _slope(index: Array, since: Array, run: Ints) -> float:
     return float(k @ (since - _mean_of_run(since, run))) / square if square > 0 else float(np.median(np.diff(since)))
 
 
-def least_ahead(values: NDArray[Number], ahead: int) -> NDArray[Number]:
+def minimum_ahead(values: NDArray[Number], ahead: int) -> NDArray[Number]:
     """Least of each value and the next `ahead`, a power of two less one."""
     least = values.copy()
     step = 1
@@ -174,21 +177,21 @@ def sync_steps(
     steps, paused, torn = np.ones(len(times), np.int32), np.zeros(len(times), np.bool_), np.zeros(len(times), np.bool_)
     period = float(np.median(np.diff(times))) or 1.0
     end = max(int(times_of(pdo[-1:])[0]) for pdo in pdos)
-    after_last = 1 + int((end - times[-1]) / period + 1 - _IN_TIME)
+    after_last = 1 + int((end - times[-1]) / period + 1 - _MAX_ANSWER_PERIODS)
     periods = np.append(np.diff(times) / period, after_last)
-    long = np.flatnonzero(periods > PAUSE)
+    long = np.flatnonzero(periods > MIN_PAUSE_PERIODS)
     lost = np.rint(periods[long]).astype(np.int64) - 1
     after = np.empty((len(pdos), len(long)), np.int64)
     for count, pdo in zip(after, pdos, strict=True):
         interval = _interval(pdo, sync_rows)
         here = np.isin(interval, long)
         interval = interval[here]
-        interval = interval[times_of(pdo[here]) - times[interval] > _IN_TIME * period]
+        interval = interval[times_of(pdo[here]) - times[interval] > _MAX_ANSWER_PERIODS * period]
         count[:] = np.bincount(interval, minlength=len(times))[long]
     known = np.sort(after, axis=0)[(len(pdos) - 1) // 2] >= lost
     if not ours:
-        known |= (np.abs(periods[long] - lost - 1) <= WHOLE) & (long < len(times) - 1)
-    known &= lost < LONGEST_RUN
+        known |= (np.abs(periods[long] - lost - 1) <= MAX_PERIOD_OFFSET) & (long < len(times) - 1)
+    known &= lost < MAX_RUN_SYNCS
     steps[long[known]] += lost[known]
     paused[long], torn[long] = ~known, ~known & after.any(axis=0)
     return steps, paused, torn
@@ -219,7 +222,7 @@ def associate(
         alone &= count == 1
         behind.append(edges - _sums(count))
         del count
-        later, before = (least_ahead(x, LONGEST_RUN) for x in (behind[-1], behind[-1][::-1]))
+        later, before = (minimum_ahead(x, MAX_RUN_SYNCS) for x in (behind[-1], behind[-1][::-1]))
         # A drive that is less behind both before and later is late here.
         caught_up |= (behind[-1] > later) & (behind[-1] > before[::-1])
     if all(x[-1] == 0 for x in behind) and any(x.max() > 0 for x in behind):
@@ -227,10 +230,10 @@ def associate(
     # In a pause drives catch up: one that has not done so answers a SYNC that was not recorded.
     torn = torn | paused & caught_up[1:]
     # Late drives, too, have one PDO in each of some intervals, and a lost one may hide that they catch up.
-    hidden = min(_longest_run(alone & caught_up[1:] & caught_up[:-1]) + 1, LATE_IN_ORDER) if caught_up.any() else 0
+    hidden = min(_longest_run(alone & caught_up[1:] & caught_up[:-1]) + 1, MAX_LATE_IN_ORDER) if caught_up.any() else 0
     in_order, sums = np.zeros(len(edges), np.bool_), _sums(alone)
-    runs = np.flatnonzero(sums[IN_ORDER + hidden :] - sums[: -IN_ORDER - hidden] == IN_ORDER + hidden)
-    for k in range(hidden, IN_ORDER + hidden + 1):
+    runs = np.flatnonzero(sums[MIN_IN_ORDER + hidden :] - sums[: -MIN_IN_ORDER - hidden] == MIN_IN_ORDER + hidden)
+    for k in range(hidden, MIN_IN_ORDER + hidden + 1):
         in_order[runs + k] = True
     proven = in_order & ~caught_up
     # The recording may have begun while answers were pending: then there are more of them than SYNCs.

@@ -3,7 +3,7 @@
 from .bus import BusFile, DriveFile, EffortTiming, demand_ripple_warnings, parse_homed
 from .description import Capsule, Controller, Edges, FrictionTerm, Joint, LowSpeed, RobotFile, low_speed_by_method
 from .drives import (
-    LARGEST_LOAD,
+    MAX_LOAD,
     Bus,
     Drive,
     ExtraColumn,

@@ -34,7 +34,7 @@ from .bus import AXIS, USUAL_SYNC, BusFile, DriveFile, ExtraFile, parse_object
 from .description import Motor
 from .robot import Robot
 
-LARGEST_LOAD = 0.95  # of the bus, with the worst case of bit stuffing
+MAX_LOAD = 0.95  # of the bus, with the worst case of bit stuffing
 FREE_CAN_IDS = range(0x680, 0x6E0)  # that CiA 301 gives to no service; PDOs have others
 POSITION_TYPE = "I32"  # of the position and of its target: codecs, and what is unwound of counters, go by it
 # Objects in position units, also a second (CiA 402-2), by their index on the first axis: name, unit of time.
@@ -139,9 +139,9 @@ class Bus:
 
 def refuse_load(bus: Bus, place: str) -> None:
     """Refuse PDOs in both directions that do not fit between two SYNCs; for sessions that send, not for listeners."""
-    if bus.load > LARGEST_LOAD:
+    if bus.load > MAX_LOAD:
         period_s = bus.file.sync_period_s
-        expected = f"{LARGEST_LOAD:.0%} at most: {bus.load * period_s / LARGEST_LOAD:.2g} s or longer, or fewer PDOs"
+        expected = f"{MAX_LOAD:.0%} at most: {bus.load * period_s / MAX_LOAD:.2g} s or longer, or fewer PDOs"
         problem = f"{bus.load:.0%} of {bus.file.bitrate} bit/s"
         Place(place, "bus").refuse("sync_period_s", period_s, expected, text=problem, shown=f"{period_s:g}")
 

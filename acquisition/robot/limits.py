@@ -16,16 +16,16 @@ from .description import Joint
 from .resolving import resolve
 from .robot import Robot
 
-FAR_OUT = 0.5  # of a joint's range: positions further beyond the limits are refused
-FAR_FASTER = 3.0  # times the speed limit
-UNSTATED_SPEED = {"revolute": 100.0, "prismatic": 30.0}  # rad/s, m/s: no robot's joint is faster, stated or not
-OVERSHOOT = 0.01  # of the range, and of the speed limit: below it there is no warning
+MAX_RANGE_EXCESS = 0.5  # of a joint's range: positions further beyond the limits are refused
+MAX_SPEED_RATIO = 3.0  # times the speed limit
+MAX_UNSTATED_SPEED = {"revolute": 100.0, "prismatic": 30.0}  # rad/s, m/s: no robot's joint is faster, stated or not
+MIN_OVERSHOOT = 0.01  # of the range, and of the speed limit: below it there is no warning
 NOISE_DEVIATIONS = 8.0  # of a sample's noise: its difference over one sample is not taken for speed
 SPEED_WINDOW_S = 0.05  # over which positions and speeds are compared: noise of single samples matters less
 MIN_TRAVEL_STEPS, MIN_TRAVEL_RATIO = 50.0, 25.0  # typical steps, or squares of noise: a joint that moves less stands
-SPEED_OFF = 0.1  # of the change of position: speeds further off are told
-WRONG_SPEED = 2.0  # a factor that only a wrong unit, sign or column explains
-_JUMP = 3.0  # times the steps before and after it: a step that stands alone
+MAX_SPEED_DEVIATION = 0.1  # of the change of position: speeds further off are told
+MAX_SPEED_GAIN = 2.0  # a factor that only a wrong unit, sign or column explains
+_MIN_JUMP_RATIO = 3.0  # times the steps before and after it: a step that stands alone
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -112,9 +112,9 @@ def check_recorded_velocities(robot: Robot, q: Array, v: Array, rate_hz: float, 
         gain = float(by_position[:, j] @ by_speed[:, j]) / moved
         off = float(np.linalg.norm(by_speed[:, j] - by_position[:, j])) / np.sqrt(moved)
         text = f"velocity of joint {joint.name} = {gain:.3g} x the derivative of its position, {100 * off:.2g} % off it"
-        if off > SPEED_OFF and not 1 / WRONG_SPEED < gain < WRONG_SPEED:
+        if off > MAX_SPEED_DEVIATION and not 1 / MAX_SPEED_GAIN < gain < MAX_SPEED_GAIN:
             Place(place).refuse(text=text, expected="the joint's own speed: check its unit, side, sign and column")
-        if off > SPEED_OFF:
+        if off > MAX_SPEED_DEVIATION:
             doubts.append(text)
     return tuple(doubts)
 
@@ -140,13 +140,13 @@ def _position(joint: Joint, stamp_s: Array, x: Array, place: Place) -> list[str]
     low, high = limits
     beyond = np.maximum(low - x, x - high)
     k = int(np.argmax(beyond))
-    if beyond[k] <= OVERSHOOT * (high - low):
+    if beyond[k] <= MIN_OVERSHOOT * (high - low):
         return []
     text = (
         f"joint {joint.name} at {_shown(joint, x[k])}, {stamp_s[k] - stamp_s[0]:.3f} s: "
         f"limits {_shown(joint, low)} and {_shown(joint, high)}"
     )
-    if beyond[k] <= FAR_OUT * (high - low):
+    if beyond[k] <= MAX_RANGE_EXCESS * (high - low):
         return [text]
     causes = "a wrong unit (degrees read as radians), ratio, zero or sign, a counter that wrapped"
     place.refuse(text=text, expected=f"a position within them: {causes}, or {joint.key('position')} of robot.toml")
@@ -154,7 +154,7 @@ def _position(joint: Joint, stamp_s: Array, x: Array, place: Place) -> list[str]
 
 def _speed(joint: Joint, stamp_s: Array, x: Array, place: Place) -> list[str]:
     stated = joint.si("speed")
-    most = FAR_FASTER * stated if stated is not None else UNSTATED_SPEED[joint.type]
+    most = MAX_SPEED_RATIO * stated if stated is not None else MAX_UNSTATED_SPEED[joint.type]
     step = np.abs(np.diff(x))
     if len(step) < 4:
         return []
@@ -169,11 +169,11 @@ def _speed(joint: Joint, stamp_s: Array, x: Array, place: Place) -> list[str]:
     limit = f"limit {_shown(joint, stated)}/s" if stated is not None else f"expected below {_shown(joint, most)}/s"
     when = f"{stamp_s[k + 1] - stamp_s[0]:.3f} s"
     if beyond[k] <= most:
-        if stated is None or beyond[k] <= (1 + OVERSHOOT) * stated:
+        if stated is None or beyond[k] <= (1 + MIN_OVERSHOOT) * stated:
             return []
         return [f"joint {joint.name} at {speed}, {when}: {limit}"]
     neighbour = max(step[k - 1] if k else 0.0, step[k + 1] if k + 1 < len(step) else 0.0)
-    if step[k] > _JUMP * neighbour:
+    if step[k] > _MIN_JUMP_RATIO * neighbour:
         problem = f"joint {joint.name} jumps by {_shown(joint, step[k])} in one sample, {when} ({speed}; {limit})"
         expected = "motion: a counter that wrapped, lost or foreign samples, or two recordings glued together"
         place.refuse(text=problem, expected=expected)

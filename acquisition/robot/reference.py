@@ -80,9 +80,9 @@ def fourier_reference(
 
 
 APPROACH_SHARE = 0.1  # of each joint's speed and acceleration limit
-LARGEST_ROUNDING = 1e-9  # by which a reference may leave a limit
-LONGEST_S = 24 * 3600.0  # of a table
-LARGEST_PATH = 10**8  # numbers in it, a position of each joint at each SYNC: 0.8 GB
+MAX_ROUNDING = 1e-9  # by which a reference may leave a limit
+MAX_TABLE_S = 24 * 3600.0  # of a table
+MAX_PATH_VALUES = 10**8  # numbers in it, a position of each joint at each SYNC: 0.8 GB
 
 
 def table_reference(path: Path, robot: Robot, period_s: float, speed: float = 1.0) -> Array:
@@ -100,7 +100,7 @@ def table_reference(path: Path, robot: Robot, period_s: float, speed: float = 1.
         if len(table) < 2 or not (np.diff(time_s) > 0).all():
             at.refuse(expected="two rows or more, with growing times")
         length_s = float(time_s[-1] - time_s[0]) / speed
-        longest_s = min(LONGEST_S, LARGEST_PATH / robot.n * period_s)
+        longest_s = min(MAX_TABLE_S, MAX_PATH_VALUES / robot.n * period_s)
         if length_s > longest_s:
             slower = f" at {speed:g} of its speed" if speed != 1 else ""
             expected = f"{longest_s:.6g} s at most, with SYNC every {period_s:g} s"
@@ -139,7 +139,7 @@ def check_limits(q: Array, robot: Robot, period_s: float, place: str) -> None:
             ("speed", dq[:, i], -speed, speed, "/s"),
             ("acceleration", ddq[:, i], -acceleration, acceleration, "/s²"),
         ):
-            slack = LARGEST_ROUNDING * max(abs(bottom), abs(top))
+            slack = MAX_ROUNDING * max(abs(bottom), abs(top))
             inside = (values >= bottom - slack) & (values <= top + slack)  # NaN is neither
             if not inside.all():
                 k = int(np.argmin(inside))

@@ -107,7 +107,7 @@ def _drive(robot: Robot, i: int, place: str, traffic: Mapping[int, Values] | Non
             counts_per_unit=file.counts_per_unit, sign=file.sign, zero_counts=file.zero_counts
         ),
         effort=effort,
-        rated=_rated(file),
+        rated=_rated_values(file),
         tpdos=tpdos,
         rpdos=rpdos,
         extras=extras,
@@ -126,7 +126,7 @@ def _drive(robot: Robot, i: int, place: str, traffic: Mapping[int, Values] | Non
 def _pdos(way: str, file: DriveFile, default: tuple[ObjectEntry, ...], entry: Entry, at: Place) -> tuple[Pdo, ...]:
     """The PDOs of one direction, as described, or those of the `default` objects in as few as their order allows."""
     found = []
-    files: tuple[PdoFile, ...] = getattr(file, way) or _packed(default)
+    files: tuple[PdoFile, ...] = getattr(file, way) or _pack(default)
     for k, written in enumerate(files):
         entries = tuple(entry(f"{way}[{k}].objects", name) for name in written.objects)
         number = written.number or k + 1
@@ -142,7 +142,7 @@ def _pdos(way: str, file: DriveFile, default: tuple[ObjectEntry, ...], entry: En
     return tuple(found)
 
 
-def _packed(entries: tuple[ObjectEntry, ...]) -> tuple[PdoFile, ...]:
+def _pack(entries: tuple[ObjectEntry, ...]) -> tuple[PdoFile, ...]:
     parts: list[tuple[ObjectEntry, ...]] = [()]
     for entry in entries:
         if sum(e.bits for e in parts[-1]) + entry.bits > MAX_PDO_BITS:
@@ -169,7 +169,7 @@ def _effort(file: DriveFile, word: str, entry: ObjectEntry, motor: Motor, at: Pl
     return EffortCodec(entry=entry, scale=scale, provenance=", ".join(parts))
 
 
-def _rated(file: DriveFile) -> dict[int, int]:
+def _rated_values(file: DriveFile) -> dict[int, int]:
     found = {}
     if file.rated_current_a is not None:
         found[RATED_CURRENT] = round(file.rated_current_a / RATED_UNITS[file.rated_current_unit])

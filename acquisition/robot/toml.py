@@ -13,8 +13,8 @@ from ..errors import Place
 T = TypeVar("T")
 
 # The parser's memory grows with the square of a dotted key's length, and recordings carry descriptions from elsewhere.
-LARGEST_TOML = 256 * 1024  # bytes
-LONGEST_LINE = 2000
+MAX_TOML_BYTES = 256 * 1024  # bytes
+MAX_LINE_BYTES = 2000
 
 Positive = Annotated[float, msgspec.Meta(gt=0)]
 Name = Annotated[str, msgspec.Meta(min_length=1, max_length=64, pattern=r"\A[A-Za-z0-9_.\- ]+\Z")]
@@ -36,9 +36,9 @@ def parse_toml(text: bytes, kind: type[T], place: str) -> T:
     """Decode TOML `text` into `kind`; every error carries `place`, key, value and what was expected."""
     file = Place(place)
     longest = max(map(len, text.splitlines()), default=0)
-    if len(text) > LARGEST_TOML or longest > LONGEST_LINE:
+    if len(text) > MAX_TOML_BYTES or longest > MAX_LINE_BYTES:
         file.refuse(
-            text=f"{len(text)} bytes, a line of {longest}", expected=f"{LARGEST_TOML} and {LONGEST_LINE} at most"
+            text=f"{len(text)} bytes, a line of {longest}", expected=f"{MAX_TOML_BYTES} and {MAX_LINE_BYTES} at most"
         )
     try:
         data = tomllib.loads(text.decode("utf-8"))
