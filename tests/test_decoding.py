@@ -231,7 +231,7 @@ def test_a_counter_that_wraps_goes_on(way, at_once, monkeypatch):
     assert found.samples["position"][:, 0] == pytest.approx(expected, rel=1e-12)
     assert found.samples["reference"][:, 0] == pytest.approx(expected, rel=1e-12)
     first_s = 0.04 if way == 1 else 0.042  # -2^31 is still held
-    told = f"motor_1: its position counter wrapped 2 times, first at {first_s:g} s: positions go on from there"
+    told = f"motor_1: its position counter wrapped 2 times, first at {first_s:g} s: positions are continued"
     assert found.warnings == (told,)
 
 
