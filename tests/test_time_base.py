@@ -295,8 +295,8 @@ def test_times_that_cannot_be_read_that_way(tmp_path):
     assert "time.column is missing: expected it, or ticks" in told(MAP.replace('column = "t"', ""), t=k)
     assert "log.csv: row 4: k = 3.5: expected whole counts" in told(TICKS_MAP, k=half)
     wrong = told(TICKS_MAP.replace("tick_s", 'column = "t"\ntick_s'), k=k, t=k / 100)
-    assert "time.tick_s = 0.001: expected 0.01 as the stamps say" in wrong
-    assert "sample_rate_hz = 50.0: expected none beside time.resample_hz" in told(
+    assert "time.tick_s = 0.001: expected 0.01, the tick of the stamps" in wrong
+    assert "sample_rate_hz = 50.0: expected none together with time.resample_hz" in told(
         "sample_rate_hz = 50\n" + MAP, t=UNEVEN
     )
     assert "time.largest_gap_periods = 1: expected `float` >= 1.5" in told(

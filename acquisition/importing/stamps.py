@@ -1,32 +1,32 @@
-"""Whether the motion agrees with the times of its rows: an error of time puts a position off its path by speed x error."""
+"""Compares the motion with the times of its rows: an error of time moves a position off its path by speed x error."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
 
-MIN_GAP_STEP = 1.5  # periods: a step beyond it is a gap, of rows that are missing
-MIN_ROUGHNESS_RATIO = 2.0  # how much rougher positions may be by their stamps than by their row numbers
-MIN_SCATTER = 0.02  # periods: stamps scattered less than this are not looked into
-MAX_REMAINING_STEP = 3.0  # periods: no row is left out where a longer step would be left
+MIN_GAP_STEP = 1.5  # periods: a longer step is a gap with missing rows
+MIN_ROUGHNESS_RATIO = 2.0  # of errors of time by stamps to those by row numbers: above it there is a warning
+MIN_SCATTER = 0.02  # periods: stamps that scatter less are not checked
+MAX_REMAINING_STEP = 3.0  # periods: no row is left out if a longer step would remain
 MIN_STAMP_ERROR, MIN_STAMP_DEVIATIONS = (
     0.05,
     6.0,
-)  # periods, and deviations of the scatter: stamps further off are left out
-MAX_EVEN_DEVIATION = 1e-3  # of a period: no stamp is off among steps as even
-MAX_REGULAR_DEVIATION = 0.25  # of a period: no stamp is off by over a period among steps as regular
-MIN_QUANTA = 3.0  # of the position, that a row moves in the time that its stamp is off
-MIN_TICK_DEVIATIONS = 5.0  # of the noise of a step, that a joint moves in a tick: its ticks can be counted
-_PASSES = 4  # a stamp that is off hides those beside it
+)  # periods, standard deviations: rows above both are left out
+MAX_EVEN_DEVIATION = 1e-3  # of a period: steps as uniform as this have no wrong stamp
+MAX_REGULAR_DEVIATION = 0.25  # of a period: stamps between such steps are wrong by a period at most
+MIN_QUANTA = 3.0  # of the position, that a joint moves in the time by which a stamp is wrong
+MIN_TICK_DEVIATIONS = 5.0  # of the noise of a step, that a joint moves in a tick, so that ticks can be counted
+_PASSES = 4  # a wrong stamp hides its neighbours
 _MAX_COMPARED_ROWS = 50_000  # rows of a long recording whose stamps are compared with the motion
 
 
 def stamps_warning(time_s: Array, q: Array, way_out: str) -> str | None:
-    """A warning where growing times (N,) jitter more than the motion q (N, n), rad or m, allows; `way_out` ends it.
+    """A warning if growing times (N,) jitter more than the motion q (N, n), rad or m, allows; it ends with `way_out`.
 
     Each position is compared with the cubic through two rows before and two after it, once by the times and once by the row
-    numbers. The deviation over the speed is an error of time. Rows that are evenly spaced in truth, with stamps of a clock that
-    was read late, are much smoother by their numbers.
+    numbers. The deviation over the speed is an error of time. Rows at uniform times, with stamps of a clock that was read late,
+    are much smoother by their numbers.
     """
     time_s, q = time_s[:_MAX_COMPARED_ROWS], q[:_MAX_COMPARED_ROWS]
     steps = np.diff(time_s)
@@ -50,16 +50,16 @@ def stamps_warning(time_s: Array, q: Array, way_out: str) -> str | None:
 
 
 def rows_in_time(time_s: Array, q: Array) -> NDArray[np.bool_]:
-    """Which rows at growing times (N,) have positions q (N, n) that their neighbours expect at their time.
+    """Rows whose positions q (N, n) agree with their neighbours at their growing times (N,).
 
-    A stamp that is off by a tick puts all joints off their path by their speed times the tick. Left out are rows whose
-    positions tell of an error of time over a twentieth of a period, far beyond the scatter of the others, one of any two
-    neighbours, and none where a gap would be left. A slow arm that settles is off its path as well, but by more time than lies
-    between the neighbouring stamps, by few quanta, or among even stamps: such rows are kept.
+    A stamp that is wrong by a tick moves all joints off their path by their speed times the tick. A row is left out if its
+    positions show an error of time above a twentieth of a period and far above the scatter of the others; only one of two
+    neighbours, and none if a gap would remain. A slow arm that settles leaves its path too, but by more time than between the
+    neighbouring stamps, by few quanta, or at uniform stamps: such rows are not left out.
     """
-    kept, quantum = np.arange(len(time_s)), smallest_difference(q)
+    rows, quantum = np.arange(len(time_s)), smallest_difference(q)
     for _ in range(_PASSES):
-        t, x = time_s[kept], q[kept]
+        t, x = time_s[rows], q[rows]
         if len(t) < 20:
             break
         steps = np.diff(t)
@@ -70,7 +70,7 @@ def rows_in_time(time_s: Array, q: Array) -> NDArray[np.bool_]:
         weight = np.divide(1.0, scatter**2, out=np.zeros_like(scatter), where=scatter > 0)
         information = speed**2 @ weight
         error_s = np.divide((speed * off) @ weight, information, out=np.zeros(len(off)), where=information > 0)
-        # Beside a stamp that is off, nodes are so close together that errors grow.
+        # Next to a wrong stamp, nodes are so close together that errors grow.
         deviations = np.abs(error_s) * np.sqrt(information) / size * np.median(size)
         late = (deviations > MIN_STAMP_DEVIATIONS) & (np.abs(error_s) > MIN_STAMP_ERROR * period)
         between = t[3:-1] - t[1:-3]
@@ -85,14 +85,14 @@ def rows_in_time(time_s: Array, q: Array) -> NDArray[np.bool_]:
         late &= (deviations >= around[:-2]) & (deviations > around[2:])
         if not late.any():
             break
-        kept = np.delete(kept, np.flatnonzero(late) + 2)
-    return np.isin(np.arange(len(time_s)), kept)
+        rows = np.delete(rows, np.flatnonzero(late) + 2)
+    return np.isin(np.arange(len(time_s)), rows)
 
 
 def ticks_from_velocity(stamp_s: Array, q: Array, v: Array, tick_s: float) -> Array:
-    """Ticks (N,) of rows: between two, as many as speeds v (N, n) need for the step of q (N, n); evenly where joints stand.
+    """Ticks (N,) of rows: from one to the next the step of q (N, n) over the speeds v (N, n); uniform at standstill.
 
-    Stretches of motion are counted through, and lie among the stamps by the median of all of theirs.
+    Each stretch of motion is counted, then shifted by the median difference from its stamps.
     """
     by_stamp, step, of_tick = stamp_s / tick_s, np.diff(q, axis=0), 0.5 * tick_s * (v[1:] + v[:-1])
     weighted = of_tick / np.maximum(np.ptp(q, axis=0), 1e-300) ** 2
@@ -112,15 +112,15 @@ def ticks_from_velocity(stamp_s: Array, q: Array, v: Array, tick_s: float) -> Ar
 
 
 def smallest_difference(q: Array) -> Array:
-    """The smallest difference (n,) of two positions q (N, n) that is no rounding; infinite for joints that stand."""
-    found = (np.diff(np.unique(x)) for x in q.T)
-    return np.array([min(x[x > 1e-9 * np.abs(q).max()], default=np.inf) for x in found])
+    """The smallest difference (n,) of two positions q (N, n) above rounding; infinite for joints that do not move."""
+    differences = (np.diff(np.unique(x)) for x in q.T)
+    return np.array([min(x[x > 1e-9 * np.abs(q).max()], default=np.inf) for x in differences])
 
 
 def row_numbers(time_s: Array) -> Array:
-    """Numbers (N,) of rows at growing times, those that are missing counted.
+    """Numbers (N,) of rows at growing times, missing rows included.
 
-    A late stamp alone makes a long step too, but not three long steps together.
+    A single late stamp makes a long step too, but the sum of three steps stays normal.
     """
     steps = np.diff(time_s)
     period = float(np.median(steps))
@@ -131,13 +131,13 @@ def row_numbers(time_s: Array) -> Array:
 
 
 def _time_error_s(time_s: Array, q: Array, speed: Array) -> Array:
-    """Error of time (n,) that would bring each q (N, n) as far off the cubic through its four neighbours as it is."""
+    """Error of time (n,) that explains the rms distance of q (N, n) from the cubics through four neighbours."""
     off, size = _neighbour_deviation(time_s, q)
     return np.asarray(np.sqrt(np.mean(off**2, axis=0) / np.mean(size**2)) / speed)
 
 
 def _neighbour_deviation(time_s: Array, q: Array) -> tuple[Array, Array]:
-    """How far each q (N, n) is off the cubic through two rows before and two after, and what errors of 1 give (N - 4,)."""
+    """Distance of q (N, n) from the cubic through two rows before and two after, and its standard deviation for unit noise."""
     nodes = np.stack([time_s[:-4], time_s[1:-3], time_s[3:-1], time_s[4:]]) - time_s[2:-2]
     weights = np.ones_like(nodes)
     for i in range(4):

@@ -290,9 +290,7 @@ def _warnings(counts: Sequence[PdoCount], lost: int, clock: SyncTimes, bus: Bus,
     nominal_s = bus.file.sync_period_s
     at_s = (clock.stamps - clock.stamps[answered[0]]) * 1e-9
     for k, by_s in clock.set_back:
-        texts.append(
-            f"the clock was set back by {by_s:.3g} s at {at_s[k]:.4g} s: later times are shifted forward"
-        )
+        texts.append(f"the clock was set back by {by_s:.3g} s at {at_s[k]:.4g} s: later times are shifted forward")
     if abs(clock.period_s / nominal_s - 1) > 0.01:
         expected = f"expected {nominal_s * 1e3:g} ms as robot.toml says"
         texts.append(f"SYNC came every {clock.period_s * 1e3:.4g} ms: {expected}")

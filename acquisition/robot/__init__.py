@@ -1,4 +1,4 @@
-"""The robot's description: joints, motors, limits, bus and drives, resolved; the references that it may follow."""
+"""The robot's description: joints, motors, limits, bus and drives; the references that it may follow."""
 
 from .bus import BusFile, DriveFile, EffortTiming, demand_ripple_warnings, parse_homed
 from .description import Capsule, Controller, Edges, FrictionTerm, Joint, LowSpeed, RobotFile, low_speed_by_method
