@@ -11,7 +11,7 @@ from made_up_buses import bus_of, bus_text, robot_of
 from acquisition.bus import Frame, Master
 from acquisition.recording import Recording, read_recording
 from acquisition.robot import Bus, Robot
-from acquisition.session import InlineLog, Outcome, Recorded, Recorder, Stop, Task, run_active
+from acquisition.session import InlineLog, Outcome, RecordedSummary, Recorder, Stop, Task, run_active
 from acquisition.simulated import DrivenPlant, LockStepLink, SimulatedDrives, cascaded_loops
 from acquisition.simulated.mechanism import Plant, rated_motor_effort, typical_inertia
 
@@ -74,7 +74,7 @@ class DrySession:
     outcome: Outcome | None
     raised: BaseException | None
     drives: SimulatedDrives
-    recorded: Recorded
+    recorded: RecordedSummary
     recording: Recording
     announced: tuple[Outcome, ...] = ()
 

@@ -11,7 +11,7 @@ from conftest import REPLAY
 from independent_robots import plant
 from independent_simulator import Imperfections, Runs, described_controller, references, simulate
 
-from acquisition.importing import Imported, import_tables
+from acquisition.importing import ImportSummary, import_tables
 from acquisition.robot import Robot, load_robot
 from identification.data import load_signals
 from identification.methods import identify_ls
@@ -45,7 +45,7 @@ class Jittered:
     """Of each run and parameter (S, b), whether the interval has the truth; what the last import said."""
 
     inside: np.ndarray
-    imported: Imported
+    imported: ImportSummary
 
 
 def drawn(seed: int, duration_s: float) -> tuple[np.ndarray, np.ndarray]:

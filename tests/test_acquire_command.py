@@ -72,7 +72,7 @@ def test_import_info_recover(folder: Path, capsys: pytest.CaptureFixture[str]) -
     assert recovered is not None
     assert recovered.tobytes() == samples.tobytes()
     assert main(["info", str(cut)]) == 0
-    assert "missing: this is what was written before the cut" in capsys.readouterr().out
+    assert "missing: only what was written before the cut" in capsys.readouterr().out
 
 
 def test_info_tells_everything_and_passes_no_terminal_codes_on(

@@ -11,7 +11,7 @@ from made_up_buses import block, bus_of, bus_text, counts, flat, frame, robot_of
 
 from acquisition.errors import AcquisitionError
 from acquisition.recording import ERROR, EXTENDED, FRAME, REMOTE_REQUEST, SENT, Decoded, decode, gaps, written_by_master
-from acquisition.recording.decoding import unwrapped
+from acquisition.recording.decoding import unwrap
 from acquisition.robot import resolve
 
 ROBOT = robot_of(bus_text())
@@ -231,14 +231,14 @@ def test_a_counter_that_wraps_goes_on(way, at_once, monkeypatch):
     assert found.samples["position"][:, 0] == pytest.approx(expected, rel=1e-12)
     assert found.samples["reference"][:, 0] == pytest.approx(expected, rel=1e-12)
     first_s = 0.04 if way == 1 else 0.042  # -2^31 is still held
-    told = f"motor_1: its position counter wrapped 2 times, first at {first_s:g} s: positions go on from there"
+    told = f"motor_1: its position counter wrapped 2 times, first at {first_s:g} s: positions are continued"
     assert found.warnings == (told,)
 
 
 @given(st.lists(st.integers(-(2**31) + 1, 2**31 - 1), min_size=1, max_size=20), st.integers(-(2**31), 2**31 - 1))
 def test_what_wrapped_is_unwrapped(steps, start):
     counts = np.cumsum([start, *steps])
-    found, rows = unwrapped((counts + 2**31) % 2**32 - 2**31, 32)
+    found, rows = unwrap((counts + 2**31) % 2**32 - 2**31, 32)
     assert found.tolist() == counts.tolist()
     assert rows.tolist() == (np.flatnonzero(np.diff((counts + 2**31) // 2**32)) + 1).tolist()
 

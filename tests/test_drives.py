@@ -53,7 +53,7 @@ def test_defaults_are_one_pdo_each_way():
 
 def test_an_actual_value_that_stands_in_says_so():
     drive = bus_of(robot_of(bus_text().replace("reference =", "actual ="))).drives[0]
-    assert "the actual value standing in for the reference" in drive.effort.provenance
+    assert "the actual value instead of the reference" in drive.effort.provenance
 
 
 def test_a_rate_of_six_axes():
@@ -81,7 +81,7 @@ def test_a_rate_of_six_axes():
         (('reference = "6074"', ""), "reference is missing: expected the object of the current or torque reference"),
         (("rated_torque_nm = 0.42", ""), "rated_torque_nm is missing: expected the rated value"),
         (("counts_per_turn = 65536", ""), "counts_per_turn is missing: expected counts_per_turn or counts_per_m"),
-        (("node = 1\n", 'node = 1\ndictionary = "../x.eds"\n'), "dictionary = '../x.eds': expected the name of a file beside"),
+        (("node = 1\n", 'node = 1\ndictionary = "../x.eds"\n'), "dictionary = '../x.eds': expected the name of a file in"),
         (("node = 1\n", 'node = 1\ntpdo = [{ objects = ["6041", "6064", "606C"] }]\n'), "2 + 4 + 4 = 10 bytes: expected 8"),
         (("node = 1\n", 'node = 1\ntpdo = [{ objects = ["6041", "6064"] }]\n'), "no PDO from the drive carries 6074:0"),
         (("node = 1\n", 'node = 1\nrpdo = [{ objects = ["6040"], can_id = 0x80 }]\n'), "0x080: expected 0x181 to 0x57F"),
@@ -104,7 +104,7 @@ OWN = "expected one of its own"
         ('rpdo = [{ objects = ["6040"], can_id = 0x601 }]', "rpdo 1 (mapping = 'table'): identifier 0x601: expected 0x181"),
         ('rpdo = [{ objects = ["6040"], can_id = 0x701 }]', "identifier 0x701: expected 0x181 to 0x57F"),
         ('rpdo = [{ objects = ["6040"], can_id = 0x182 }]', f"identifier 0x182 is that of a PDO of motor_1: {OWN}"),
-        ('tpdo = [{ objects = ["6041", "6064"] }, { objects = ["6074"], number = 1, can_id = 0x281 }]', "is there twice"),
+        ('tpdo = [{ objects = ["6041", "6064"] }, { objects = ["6074"], number = 1, can_id = 0x281 }]', "is used twice"),
     ],
 )  # fmt: skip
 def test_pdos_that_would_be_misunderstood(line, expected):
@@ -175,7 +175,7 @@ def test_every_real_dictionary_loads_or_is_refused_in_one_line(name):
         (
             "ros2_canopen_cia402_slave_fake.eds",
             'actual = "6077"\nactual_rule = "per mille of rated current"\nrated_current_a = 2.0',
-            "6077:0 (torque actual value (CiA 402)), the actual value standing in",
+            "6077:0 (torque actual value (CiA 402)), the actual value instead of",
         ),
     ],
 )

@@ -81,7 +81,7 @@ def test_a_drive_that_slides_has_metres_and_its_second_axis_the_same_names():
         ('extra = ["2081:1"]', "extra[0] = '2081:1': its type is not known"),
         ('extra = ["606C"]\ntpdo = [{ objects = ["6041", "6064", "6074"] }]', "no PDO from the drive carries 606C:0"),
         ('extra = [{ object = "606C", scale = 0.0 }]', "extra[0].scale = 0.0: expected a number other than 0"),
-        ('extra = [{ object = "606C", unit = "rpm" }]', "extra[0].unit = 'rpm': expected a scale beside it"),
+        ('extra = [{ object = "606C", unit = "rpm" }]', "extra[0].unit = 'rpm': expected a scale with it"),
     ],
 )
 def test_what_is_refused(drive, expected):

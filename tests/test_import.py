@@ -8,7 +8,7 @@ import scipy.io
 from conftest import REPLAY, needs_data, robot_named
 
 from acquisition.errors import AcquisitionError
-from acquisition.importing import Imported, import_tables
+from acquisition.importing import ImportSummary, import_tables
 from acquisition.recording import read_recording
 from acquisition.robot import Robot, robot_from_files
 from identification.data import load_signals
@@ -62,7 +62,7 @@ def csv(path: Path, header: str, *columns: np.ndarray, separator: str = ",") -> 
     return path
 
 
-def run(folder: Path, robot: Robot, table_map: str, *tables: Path) -> Imported:
+def run(folder: Path, robot: Robot, table_map: str, *tables: Path) -> ImportSummary:
     (folder / "map.toml").write_text(table_map)
     return import_tables(tables, robot, folder / "map.toml", folder / "out.mcap")
 
@@ -101,7 +101,7 @@ def test_joint_side_stands_as_it_is(tmp_path: Path, two: Robot) -> None:
     table_map += 'unit = ["deg", "rad"]\nside = "joint"\n'
     table = csv(tmp_path / "a.csv", "p1,p2,c1,c2", Q, CURRENT)
     with pytest.raises(
-        AcquisitionError, match=r"position.side = 'joint': zero_deg of joint first in robot.toml would do nothing"
+        AcquisitionError, match=r"position.side = 'joint': zero_deg of joint first in robot.toml has no effect"
     ):
         run(tmp_path, two, table_map, table)
     plain = robot_from_files({"robot.toml": ROBOT.replace("zero_deg = 90\n", "").encode()}, "plain.toml")
@@ -204,7 +204,7 @@ GRID = np.arange(100) / 500
         (np.zeros(100), "", "row 2: 0 s after 0 s: expected a later time"),
         (GRID + 3e-4 * (np.arange(100) == 50), "", "row 51: 0.0023 s after the row before: expected 0.002 s (not uniform)"),
         (GRID * (1 + 0.4 * GRID), "", "s off a uniform grid: expected 0.00"),
-        (GRID, "sample_rate_hz = 1000", "sample_rate_hz = 1000.0: expected 500 as"),
+        (GRID, "sample_rate_hz = 1000", "sample_rate_hz = 1000.0: expected 500,"),
         (GRID * 1e12, "", "expected 68 years and 100 MHz at most"),
         (GRID + 1e10, "", "expected 68 years and 100 MHz at most"),
     ],
@@ -255,9 +255,9 @@ def test_csv_mistakes(tmp_path: Path, two: Robot, content: str, message: str) ->
         ('unit = "deg"', 'unit = ["deg", "deg", "deg"]', "position.unit: 3 units: expected one, or 2, one per joint"),
         ('unit = "deg"\nside = "motor"', 'unit = "deg"', "position.side is missing: expected 'motor' or 'joint'"),
         ('side = "motor"\n[effort]', 'side = "load"\n[effort]', "position.side = 'load': expected one of 'joint', 'motor'"),
-        ('unit = "mA"', 'unit = "mV"', "effort.unit: gives V at the motor: expected A as robot.toml says"),
-        ('"mA"\nside = "motor"', '"mA"\nside = "joint"', "effort.unit: gives A at the joint: expected N m as robot.toml"),
-        ('"mA"\nside = "motor"', '"N"', "effort.unit: gives N at the motor: expected A as robot.toml says"),
+        ('unit = "mA"', 'unit = "mV"', "effort.unit: gives V at the motor: expected A, as in robot.toml"),
+        ('"mA"\nside = "motor"', '"mA"\nside = "joint"', "effort.unit: gives A at the joint: expected N m, as in robot.toml"),
+        ('"mA"\nside = "motor"', '"N"', "effort.unit: gives N at the motor: expected A, as in robot.toml"),
         ('unit = "mA"', 'unit = "Nm"', "effort.unit = 'Nm': expected one of A, mA, V, mV, N m, mN m, N"),
         ('unit = "mA"', 'unit = "mA"\ntable = 2', "effort.table = 2: expected 1 at most, the number of tables given"),
         ('unit = "mA"', 'unit = "mA"\ntable = 0', "effort.table = 0: expected `int` >= 1"),

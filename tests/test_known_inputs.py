@@ -196,7 +196,7 @@ def test_another_description_of_the_robot(tmp_path):
     [
         (
             '[known_torque]\ncolumns = ["k"]\nunit = "N m"',
-            "known_torque.unit: gives N m at the joint: expected N as robot",
+            "known_torque.unit: gives N m at the joint: expected N, as in robot",
         ),
         (
             '[known_torque]\ncolumns = ["k"]\nunit = "N"\nside = "motor"',
@@ -204,7 +204,7 @@ def test_another_description_of_the_robot(tmp_path):
         ),
         (
             '[feedforward]\ncolumns = ["k"]\nunit = "A"',
-            "feedforward.unit: gives A at the motor: expected V as robot.toml",
+            "feedforward.unit: gives A at the motor: expected V, as in robot.toml",
         ),
         ('[feedforward]\ncolumns = ["k"]\nunit = "V"\nside = "joint"', "feedforward.side = 'joint': expected 'motor'"),
         ('[velocity]\ncolumns = ["k"]\nunit = "rad/s"', "velocity.unit: in rad for joint 1 (axis): expected a length"),

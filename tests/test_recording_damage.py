@@ -19,7 +19,7 @@ from acquisition.errors import AcquisitionError
 from acquisition.importing import recover_recording
 from acquisition.recording import content as mcap_content
 from acquisition.recording import read_recording
-from acquisition.robot import Robot
+from acquisition.robot import Robot, robot_from_files
 
 
 @pytest.mark.slow
@@ -127,11 +127,28 @@ def test_recovers_a_cut_file(robot: Robot, tmp_path: Path, with_frames: bool) ->
     assert before.samples is not None
     assert len(before.samples) > 0
     assert recovered.metadata["recovered_from"] == before.sha256 == returned.sha256
-    if with_frames:  # samples are made of them anew, if the description says how
+    if with_frames:  # without SYNC: they prove no row
         assert recovered.events[-1].text.startswith("no samples: ")
         recovered = replace(recovered, samples=before.samples, events=recovered.events[:-1])
     kept = {k: v for k, v in recovered.metadata.items() if k not in ("recovered_from", "crc32")}
     assert same(replace(recovered, metadata={**kept, "crc32": before.metadata["crc32"]}), before)
+
+
+def test_recovery_copies_samples_if_no_drives_are_described(robot: Robot, tmp_path: Path) -> None:
+    cut, out = tmp_path / "cut.mcap", tmp_path / "out.mcap"
+    description = {**robot.files, "robot.toml": robot.files["robot.toml"].partition(b"[bus]")[0]}
+    write(cut, robot_from_files(description, "robot.toml"))
+    cut.write_bytes(cut.read_bytes()[:-8])
+    before, summary = recover_recording(cut, out)
+    recovered = read_recording(out)
+    assert before.samples is not None
+    assert recovered.samples is not None
+    assert recovered.samples.tobytes() == before.samples.tobytes()
+    assert (summary.samples, summary.no_samples) == (len(before.samples), "")
+    *events, reason, copied = recovered.events
+    assert tuple(events) == before.events
+    assert reason.text.startswith("no samples: ")
+    assert summary.warnings == (copied.text,)
 
 
 def test_a_whole_file_needs_no_recovery(whole: Path, tmp_path: Path) -> None:
@@ -151,7 +168,7 @@ def test_what_unpacks_to_too_much_is_refused(
     assert (tmp_path / "bomb.mcap").stat().st_size < 20_000
     with pytest.raises(AcquisitionError, match=r"a chunk of 7.* bytes: expected 67108864"):
         read_recording(tmp_path / "bomb.mcap")
-    monkeypatch.setattr(mcap_content, "_LARGEST_TOTAL", 10_000)
+    monkeypatch.setattr(mcap_content, "_MAX_TOTAL_BYTES", 10_000)
     with pytest.raises(AcquisitionError, match="more than 10000 bytes unpacked"):
         read_recording(whole)
 

@@ -13,7 +13,7 @@ from acquisition.commands import main
 from acquisition.errors import AcquisitionError, Place
 from acquisition.importing import import_tables
 from acquisition.importing.stamps import rows_in_time, stamps_warning, ticks_from_velocity
-from acquisition.importing.time_base import rate_warnings, report_of, resample, roundest_rate_hz
+from acquisition.importing.time_base import rate_warnings, resample, roundest_rate_hz, time_report
 from acquisition.recording import read_recording
 
 RNG = np.random.default_rng(5)
@@ -51,7 +51,7 @@ def test_a_cubic_is_exact():
 def test_the_report_by_hand():
     """Steps of 10, 10, 8, 12, 10, 30 and 10 ms: two rows missing in one gap, a deviation of 1.15 ms of the others."""
     t = 5 + np.cumsum([0, 10, 10, 8, 12, 10, 30, 10]) * 1e-3
-    report = report_of(t, doubled=2)
+    report = time_report(t, doubled=2)
     assert (report.rows, report.doubled, report.gaps, report.missing) == (8, 2, 1, 2)
     assert (report.shortest_s, report.period_s, report.longest_s) == pytest.approx((0.008, 0.010, 0.030))
     assert report.jitter_s == pytest.approx(np.std([10, 10, 8, 12, 10, 10]) * 1e-3)
@@ -59,7 +59,7 @@ def test_the_report_by_hand():
         "stamps of 8 rows: steps 8 to 30 ms, median 10 ms, jitter sd 1.155 ms, 1 gaps, 2 rows missing, 2 doubled rows"
     )
     assert report.text == f"{told} left out"
-    assert report_of(t[:5]).text.endswith("no gaps, no doubled rows")
+    assert time_report(t[:5]).text.endswith("no gaps, no doubled rows")
 
 
 def test_doubled_rows_are_left_out_and_counted():
@@ -195,7 +195,7 @@ def test_grids_coarser_or_much_finer_than_the_rows_are_told():
     assert doubts(80.0)[0].startswith("resample_hz = 80 is below the rows' 100 Hz")
     assert doubts(260.0)[0].startswith("resample_hz = 260 is 2.6 times the rows' 100 Hz")
     assert doubts(1000.0)[0].startswith("resample_hz = 1000 is 10 times the rows' 100 Hz")
-    assert rate_warnings(report_of(UNEVEN)) == []
+    assert rate_warnings(time_report(UNEVEN)) == []
     for rate_hz in (1e-3, 1e9):
         with pytest.raises(
             AcquisitionError, match=r"resample_hz = .*: expected about the 100 Hz of the rows, which last"
@@ -295,8 +295,8 @@ def test_times_that_cannot_be_read_that_way(tmp_path):
     assert "time.column is missing: expected it, or ticks" in told(MAP.replace('column = "t"', ""), t=k)
     assert "log.csv: row 4: k = 3.5: expected whole counts" in told(TICKS_MAP, k=half)
     wrong = told(TICKS_MAP.replace("tick_s", 'column = "t"\ntick_s'), k=k, t=k / 100)
-    assert "time.tick_s = 0.001: expected 0.01 as the stamps say" in wrong
-    assert "sample_rate_hz = 50.0: expected none beside time.resample_hz" in told(
+    assert "time.tick_s = 0.001: expected 0.01, the tick of the stamps" in wrong
+    assert "sample_rate_hz = 50.0: expected none together with time.resample_hz" in told(
         "sample_rate_hz = 50\n" + MAP, t=UNEVEN
     )
     assert "time.largest_gap_periods = 1: expected `float` >= 1.5" in told(
@@ -316,7 +316,7 @@ def test_the_report_is_printed_kept_and_shown(tmp_path, capsys):
     log = tmp_path / "log.mcap"
     arguments = [str(path), "--robot", str(REPLAY / "scara" / "robot.toml"), "--map", str(tmp_path / "map.toml")]
     assert main(["import", *arguments, "-o", str(log)]) == 0
-    told = report_of(UNEVEN).text + ", interpolated to 100 Hz"
+    told = time_report(UNEVEN).text + ", interpolated to 100 Hz"
     assert f"\ntimes: {told}\n" in capsys.readouterr().out
     assert "steps 8 to 13 ms" in told
     assert read_recording(log).metadata["times"] == told

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..errors import AcquisitionError
 from ..protocol import ANSWER, EMERGENCY, HEARTBEAT, REQUEST, usual_can_id
-from ..recording import ERROR, EXTENDED, FRAME, LARGEST_STAMP_NS, REMOTE_REQUEST, SENT, Block
+from ..recording import ERROR, EXTENDED, FRAME, MAX_STAMP_NS, REMOTE_REQUEST, SENT, Block
 from ..robot import Bus
 
 
@@ -141,7 +141,7 @@ def read_log(path: Path) -> Iterator[tuple[str | None, Frame | None]]:
     if path.suffix.lower() not in SUFFIXES:
         expected = ".log (candump), .asc, .blf or .trc"
         raise AcquisitionError(f"suffix {path.suffix!r}", place=str(path), expected=expected)
-    count, latest_s, doubts = 0, LARGEST_STAMP_NS * 1e-9, _FirstWarning()
+    count, latest_s, doubts = 0, MAX_STAMP_NS * 1e-9, _FirstWarning()
     logger = logging.getLogger("can.io.trc")
     logger.addHandler(doubts)
     try:

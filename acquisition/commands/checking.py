@@ -24,7 +24,7 @@ from ..bus import (
 )
 from ..errors import AcquisitionError, one_line
 from ..protocol import NOT_VALID, PARAMETERS, State, frame_bits
-from ..robot import LARGEST_LOAD, Bus, Drive, Robot, demand_ripple_warnings
+from ..robot import MAX_LOAD, Bus, Drive, Robot, demand_ripple_warnings
 from ..session import DEVIATIONS, steady, sync_jitter
 
 SCALES = {0x608F: "encoder increments per turns", 0x6091: "gear", 0x6092: "feed", 0x60A8: "position unit"}
@@ -180,10 +180,10 @@ def _mapped(master: Master, node: int) -> str:
 
 def _load(bus: Bus) -> Finding:
     bits = bus.load * bus.file.bitrate * bus.file.sync_period_s
-    fastest_hz = LARGEST_LOAD * bus.file.bitrate / max(bits, frame_bits(0))
+    fastest_hz = MAX_LOAD * bus.file.bitrate / max(bits, frame_bits(0))
     rate_hz = 1 / bus.file.sync_period_s
     text = f"{bus.load:.0%} of {bus.file.bitrate} bit/s at {rate_hz:g} Hz, at most {fastest_hz:.0f} Hz"
-    return Finding("bus load", text, ok=bus.load <= LARGEST_LOAD)
+    return Finding("bus load", text, ok=bus.load <= MAX_LOAD)
 
 
 def _jitter(master: Master) -> Finding:

@@ -8,7 +8,7 @@ from ..errors import one_line
 from .command_line import Progress, add_overwrite, add_path
 
 if TYPE_CHECKING:
-    from ..importing import Imported
+    from ..importing import ImportSummary
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -33,7 +33,7 @@ def run(options: argparse.Namespace) -> None:
     print_imported(found, sys.stderr)
 
 
-def print_imported(found: "Imported", warnings: TextIO) -> None:
+def print_imported(found: "ImportSummary", warnings: TextIO) -> None:
     """Print what was written, and its warnings to the stream `warnings`."""
     parts = [f"{found.out}: {found.robot}", f"{found.samples} samples at {found.sample_rate_hz:g} Hz"]
     parts += [f"effort in {', '.join(dict.fromkeys(found.effort_units))}"] if found.effort_units else []

@@ -13,7 +13,7 @@ from .command_line import add_flag, add_options, add_path, from_options
 
 if TYPE_CHECKING:
     from ..robot import Robot
-    from ..session import Outcome, Recorded, Status, Stop
+    from ..session import Outcome, RecordedSummary, Status, Stop
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -68,7 +68,7 @@ def run(options: argparse.Namespace) -> int:
     return _report(options.output, robot, outcome, recorded)
 
 
-def _report(out: Path, robot: "Robot", outcome: "Outcome", recorded: "Recorded") -> int:
+def _report(out: Path, robot: "Robot", outcome: "Outcome", recorded: "RecordedSummary") -> int:
     if outcome.fault:  # the reason is printed before what was recorded
         reason = "; ".join((outcome.reason, *outcome.reports))
         print(one_line(f"robot-acquire: {out}: ended by a fault: {reason}"), file=sys.stderr, flush=True)

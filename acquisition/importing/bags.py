@@ -13,52 +13,52 @@ from ..recording import JOINT_STATE, Header
 from ..robot import Robot
 from .quantities import EFFORT_UNITS, effort_at_joint, effort_side, position_side, si_units
 from .stamps import smallest_difference
-from .time_base import Imported, resample, with_warnings, write_samples
+from .time_base import ImportSummary, resample, with_warnings, write_samples
 
 SUFFIXES = (".mcap", ".db3")
-# Noise and motion are so many times as large at Nyquist in a few per cent of the windows of so many rows.
-WINDOW, NYQUIST_RATIO = 16, 100.0
-MAX_ALTERNATING, MAX_WITHOUT_EFFORT = 0.1, 0.01  # of the windows, of the rows: more are of two publishers
-QUANTA = 3.0  # by which two publishers differ at least
+WINDOW = 16  # rows
+MIN_NYQUIST_RATIO = 100.0  # of energies at and at half the Nyquist frequency; noise and motion rarely exceed it
+MAX_ALTERNATING, MAX_WITHOUT_EFFORT = 0.1, 0.01  # of the windows, of the rows; more are of two publishers
+MIN_PUBLISHER_QUANTA = 3.0  # smallest difference of two publishers
 
 
 def is_bag(path: Path) -> bool:
-    """Whether a path looks like a ROS 2 bag: a folder, or a file of one."""
+    """Whether a path looks like a ROS 2 bag, a folder or a file."""
     return path.is_dir() or path.suffix.lower() in SUFFIXES
 
 
 def import_bag(
     bag: Path, robot: Robot, out: Path, *, topic: str, effort_unit: Sequence[str], resample_hz: float | None = None
-) -> Imported:
-    """Write the recording `out` from joint states of a ROS 2 bag; joints go by their names in robot.toml.
+) -> ImportSummary:
+    """Write the recording `out` from joint states of a ROS 2 bag; joints are assigned by their names in robot.toml.
 
-    Times are the headers' stamps, or those of reception where headers have none; values are interpolated to a uniform grid.
-    The recording says that efforts were measured at these times: a JointState has no commands.
+    Times are the headers' stamps, or those of reception if headers have none; values are interpolated to a uniform grid. The
+    recording states that efforts were measured at these times, because a JointState has no commands.
 
     Parameters
     ----------
     bag : a folder, .mcap or .db3.
     topic : of the joint states.
-    effort_unit : one for all joints or one for each. N m and N are torques and forces at the joints; A, V and the like are of
-        the motors, in the order of the joints.
-    resample_hz : of the grid; None: the roundest that the stamps have.
+    effort_unit : one for all joints or one for each. N m and N are at the joints; A, V and their fractions are of the motors,
+        in the order of the joints.
+    resample_hz : rate of the grid; None: the rate of the stamps, rounded within their scatter.
 
     Raises
     ------
     AcquisitionError
         With `place`, `key`, `value` and `expected`: the bag or its topic cannot be read, efforts are missing, zero, not finite
-        or of other units than robot.toml says, stamps do not grow or leave gaps. Nothing is written then.
+        or in other units than those of robot.toml, stamps do not grow or have gaps. Nothing is written then.
     """
     joints = [joint.name for joint in robot.joints]
     place = Place(f"{bag}: {topic}")
     position_side(robot, "joint", "position", place)
-    stamps_ns, received, parts, doubts = _joint_states(bag, topic, joints)
+    stamps_ns, received, parts, warnings = _joint_states(bag, topic, joints)
     position = parts["position"]
     parts["effort"], provenance = _effort(robot, parts.get("effort"), effort_unit, place)
-    _refuse_several(position, parts["effort"], joints, place)
+    _refuse_several_publishers(position, parts["effort"], joints, place)
     if "velocity" in parts and not np.isfinite(parts["velocity"]).all():
         del parts["velocity"]
-        doubts.append("velocities that are not finite numbers are left out")
+        warnings.append("velocities that are not finite numbers are left out")
     first_ns = int(stamps_ns[0])
     time_s = np.asarray((stamps_ns - first_ns) * np.float64(1e-9))
     grid = resample(time_s, parts, rate_hz=resample_hz, place=place)
@@ -73,30 +73,30 @@ def import_bag(
         effort_timing="measured",
         notes=grid.notes,
     )
-    return write_samples(header, grid, doubts, str(place), out)
+    return write_samples(header, grid, warnings, str(place), out)
 
 
-def _refuse_several(position: Array, effort: Array, joints: list[str], place: Place) -> None:
-    """Refuse the states of two publishers in turns: rows with no effort at all among others, or every other row elsewhere."""
-    none = np.asarray(~effort.any(axis=1))
-    large = np.asarray((np.abs(effort) > QUANTA * smallest_difference(effort)).any(axis=1))
-    alone = none[1:-1] & large[:-2] & large[2:]
+def _refuse_several_publishers(position: Array, effort: Array, joints: list[str], place: Place) -> None:
+    """Refuse alternating states of two publishers: single rows without effort, or every other row far from its neighbours."""
+    zero = np.asarray(~effort.any(axis=1))
+    large = np.asarray((np.abs(effort) > MIN_PUBLISHER_QUANTA * smallest_difference(effort)).any(axis=1))
+    single = zero[1:-1] & large[:-2] & large[2:]
     expected = "one publisher: record the topic of the arm's own driver, or stop the other node"
-    if alone.sum() > MAX_WITHOUT_EFFORT * len(effort):
-        problem = f"{100 * alone.mean():.2g} % of the rows have no effort, between others that have"
+    if single.sum() > MAX_WITHOUT_EFFORT * len(effort):
+        problem = f"{100 * single.mean():.2g} % of the rows have no effort, but both neighbours have"
         place.refuse("effort", expected=expected, text=problem)
     for key, x in (("position", position), ("effort", effort)):
-        share = _alternating(x)
+        share = _alternating_share(x)
         if share.max() > MAX_ALTERNATING:
-            problem = f"every other row is elsewhere, in {100 * share.max():.2g} % of the time"
+            problem = f"every other row differs from its neighbours in {100 * share.max():.2g} % of the time"
             place.refuse(f"{key} of joint {joints[int(share.argmax())]}", expected=expected, text=problem)
 
 
-def _alternating(x: Array) -> Array:
-    """Share (n,) of windows of x (N, n) whose second differences have by far most of their energy at the Nyquist frequency.
+def _alternating_share(x: Array) -> Array:
+    """Share (n,) of windows of x (N, n) whose second differences have far more energy at the Nyquist frequency than at half.
 
-    Compared with that at half of it. Values that are only rounded alternate by a quantum now and then: more are asked for.
-    Values that are held for a row, as of an encoder slower than the log, do not alternate.
+    Rounded values sometimes alternate by one quantum, so several quanta are required. Values held for a row, as of an encoder
+    slower than the log, do not alternate.
     """
     rows = max(0, len(x) - 2) // WINDOW * WINDOW
     steps, windows = (np.diff(x, n=n, axis=0)[:rows].reshape(-1, WINDOW, x.shape[1]) for n in (1, 2))
@@ -104,13 +104,13 @@ def _alternating(x: Array) -> Array:
         return np.zeros(x.shape[1])
     energy = np.abs(np.fft.rfft(windows * np.hanning(WINDOW)[:, None], axis=1)) ** 2
     half = energy[:, WINDOW // 4 - 1 : WINDOW // 4 + 2].sum(axis=1)
-    large = np.abs(windows).max(axis=1) > 4 * QUANTA * smallest_difference(x)
-    found = large & ((steps == 0).mean(axis=1) < 0.4) & (energy[:, -2:].sum(axis=1) > NYQUIST_RATIO * half)
-    return np.asarray(np.maximum(found.sum(axis=0) - 2, 0) / len(windows))  # two may be chance, in a short recording
+    large = np.abs(windows).max(axis=1) > 4 * MIN_PUBLISHER_QUANTA * smallest_difference(x)
+    alternating = large & ((steps == 0).mean(axis=1) < 0.4) & (energy[:, -2:].sum(axis=1) > MIN_NYQUIST_RATIO * half)
+    return np.asarray(np.maximum(alternating.sum(axis=0) - 2, 0) / len(windows))  # two may be chance
 
 
 def _effort(robot: Robot, effort: Array | None, effort_unit: Sequence[str], place: Place) -> tuple[Array, str]:
-    """Joint efforts (N, n) and where they come from. A bag does not say what its efforts are."""
+    """Joint efforts (N, n) and their origin. A bag does not contain their unit."""
     if effort is None:
         place.refuse(expected="measured torques or currents in them", text="messages have no effort")
     _refuse_no_effort(robot, effort, place)
@@ -128,11 +128,11 @@ def _refuse_no_effort(robot: Robot, effort: Array, place: Place) -> None:
     names = [joint.name for joint in robot.joints]
     for name, x in zip(names, effort.T, strict=True):
         if not np.isfinite(x).any():
-            place.refuse(f"effort of joint {name}", expected="measured efforts", text="is not a number throughout")
+            place.refuse(f"effort of joint {name}", expected="measured efforts", text="is no number in any row")
     _refuse_infinite("effort", effort, names, place)
     if not effort.any():
         expected = "measured efforts; this driver does not publish them"
-        place.refuse("effort", expected=expected, text="is zero throughout")
+        place.refuse("effort", expected=expected, text="is zero in all rows")
 
 
 def _refuse_infinite(kind: str, x: Array, joints: Sequence[str], place: Place) -> None:
@@ -145,8 +145,8 @@ def _refuse_infinite(kind: str, x: Array, joints: Sequence[str], place: Place) -
 def _joint_states(path: Path, topic: str, joints: Sequence[str]) -> tuple[Ints, bool, dict[str, Array], list[str]]:
     """Joint states of the `joints`, by name, in the order of the bag.
 
-    Stamps (N,) in ns of the headers, of reception where headers have none (True then); `position` (N, n), `velocity` and
-    `effort` where messages have them; warnings.
+    Stamps (N,) in ns of the headers, or of reception if headers have none (then True); `position` (N, n), `velocity` and
+    `effort` if messages have them; warnings.
     """
     parts = _Parts(joints, Place(f"{path}: {topic}"))
     try:
@@ -163,26 +163,26 @@ def _joint_states(path: Path, topic: str, joints: Sequence[str]) -> tuple[Ints, 
         raise
     except OSError as error:
         Place(str(path)).refuse(text=f"cannot be read: {error.strerror or error}")
-    except Exception as error:  # readers and SQLite meet damage with whatever their parts raise
+    except Exception as error:  # readers and SQLite raise errors of any kind for a damaged file
         after = f" after {parts.count} messages" if parts.count else ""
         problem = f"cannot be read{after}: {(str(error) or type(error).__name__)[:200]}"
         Place(str(path)).refuse(expected="a ROS 2 bag: a folder, .mcap or .db3", text=problem)
     return parts.states(topic)
 
 
-def _refuse_topic(topic: str, found: dict[str, str], place: Place) -> None:
-    if found.get(topic) == JOINT_STATE:
+def _refuse_topic(topic: str, types: dict[str, str], place: Place) -> None:
+    if types.get(topic) == JOINT_STATE:
         return
-    states = [name for name, kind in found.items() if kind == JOINT_STATE]
-    problem = f"of type {found[topic]}" if topic in found else "is not there"
+    states = [name for name, kind in types.items() if kind == JOINT_STATE]
+    problem = f"has type {types[topic]}" if topic in types else "does not exist"
     expected = (
-        f"one of {JOINT_STATE}: {listed(states)}" if states else f"a topic of {JOINT_STATE}; it has {listed([*found])}"
+        f"one of {JOINT_STATE}: {listed(states)}" if states else f"a topic of {JOINT_STATE}; it has {listed([*types])}"
     )
     place.refuse(expected=expected, text=f"topic {topic} {problem}")
 
 
 class _Parts:
-    """Joint states so far. Messages of one publisher have one frame and one list of names."""
+    """Collects joint states. Messages of one publisher have one frame and one list of names."""
 
     def __init__(self, joints: Sequence[str], place: Place) -> None:
         self._joints, self._place = list(joints), place
@@ -206,21 +206,21 @@ class _Parts:
         self._received.append(received_ns)
         self._stamps.append(message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec)
         for kind, values in self._values.items():
-            found = getattr(message, kind)
-            if len(found) not in (0, len(source[1])) or (kind == "position" and not len(found)):
-                self._refuse_message(f"{len(found)} values of {kind}", f"{len(source[1])}, one for each name")
-            if len(found):
-                values.append(found[places])
+            content = getattr(message, kind)
+            if len(content) not in (0, len(source[1])) or (kind == "position" and not len(content)):
+                self._refuse_message(f"{len(content)} values of {kind}", f"{len(source[1])}, one for each name")
+            if len(content):
+                values.append(content[places])
 
     def _checked(self, source: tuple[str, tuple[str, ...]]) -> list[int] | None:
-        """Places of the joints in messages of a source; None for one that has none of them."""
+        """Indices of the joints in messages of a source; None if it has none of them."""
         names = source[1]
         missing = [joint for joint in self._joints if joint not in names]
         if len(missing) == len(self._joints) and self._joints:
             return None
         if missing:
-            problem = f"joints {listed(missing)} missing among {listed(names)}"
-            self._refuse_message(problem, "all joints of robot.toml in each message, by the names that it gives them")
+            problem = f"joints {listed(missing)} missing in {listed(names)}"
+            self._refuse_message(problem, "all joints of robot.toml in each message, by their names there")
         if self._source is not None:
             apart = f"frame {source[0]!r} after {self._source[0]!r}" if source[1] == self._source[1] else "other names"
             expected = "one publisher; record the topic of the arm's own driver"
@@ -235,11 +235,11 @@ class _Parts:
         """All that was added."""
         if not self._stamps:
             names = sorted({name for _, names in self._places for name in names})
-            found = f"has {listed(names)}" if names else "has no messages"
-            self._place.refuse(expected=f"the joints {listed(self._joints)} of robot.toml", text=found)
+            problem = f"has {listed(names)}" if names else "has no messages"
+            self._place.refuse(expected=f"the joints {listed(self._joints)} of robot.toml", text=problem)
         stamps, count = np.array(self._stamps, dtype=np.int64), len(self._stamps)
         received = not stamps.any()
-        if not received and not stamps[1:].all():  # a clock that begins at 0 stamps the first with it
+        if not received and not stamps[1:].all():  # a clock that begins at 0 gives the first stamp 0
             place = Place(f"{self._place}: state {2 + int(np.argmin(stamps[1:] != 0))}")
             place.refuse(expected="stamps in all headers or in none", text="a header without a stamp")
         for kind, values in self._values.items():
@@ -248,9 +248,11 @@ class _Parts:
                 self._place.refuse(expected=f"{kind} in all or in none", text=problem)
         arrays = {kind: np.array(values, dtype=np.float64) for kind, values in self._values.items() if values}
         _refuse_infinite("position", arrays["position"], self._joints, self._place)
-        doubts = ["headers have no stamps: times are those of reception, which jitter more"] if received else []
+        warnings = ["headers have no stamps: times are those of reception, which jitter more"] if received else []
         if self.publishers > 1:
-            doubts.append(f"{topic} has {self.publishers} publishers (connections or QoS profiles): record it with one")
+            warnings.append(
+                f"{topic} has {self.publishers} publishers (connections or QoS profiles): record it with one"
+            )
         if self._others:
-            doubts.append(f"{self._others} messages without any of the joints are left out")
-        return np.array(self._received, dtype=np.int64) if received else stamps, received, arrays, doubts
+            warnings.append(f"{self._others} messages without any of the joints are left out")
+        return np.array(self._received, dtype=np.int64) if received else stamps, received, arrays, warnings

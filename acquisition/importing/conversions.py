@@ -1,4 +1,4 @@
-"""Recordings out of frames: decoded again, recovered, and out of CAN logs."""
+"""Recordings from frames: decode again, recover, import CAN logs."""
 
 from collections import Counter
 from dataclasses import replace
@@ -23,11 +23,11 @@ from ..recording import (
     written_by_master,
 )
 from ..robot import Robot, check_recorded_positions, resolve
-from ..session import Recorded, write_decoded
-from .time_base import Imported
+from ..session import RecordedSummary, write_decoded
+from .time_base import ImportSummary
 
 
-def decode_recording(path: Path, out: Path, robot: Robot | None, place: str) -> Imported:
+def decode_recording(path: Path, out: Path, robot: Robot | None, place: str) -> ImportSummary:
     """Decode the frames of a recording again, into a new recording.
 
     Parameters
@@ -43,77 +43,88 @@ def decode_recording(path: Path, out: Path, robot: Robot | None, place: str) -> 
         There are no frames, or they do not decode with these drives.
     """
     recording = read_recording(path)
-    robot = robot or recording.robot
     if not recording.frames:
         Place(str(path)).refuse(text="holds no CAN frames", expected="a recording of drives")
     frames = max(recording.frames.values(), key=len)
-    decoded = _decoded(frames, robot, str(path), place)
-    decoded = replace(decoded, warnings=(*decoded.warnings, *_fallen(recording, decoded)))
+    decoded = _decode_checked(frames, robot or recording.robot, str(path), place)
+    decoded = replace(decoded, warnings=(*decoded.warnings, *_refused_row_warnings(recording, decoded)))
     notes = {**recording.metadata, "decoded_from": recording.sha256}
-    header, end_ns = replace(recording.header, notes=notes, **_of_bus(decoded)), int(frames["time_ns"][-1])
+    header, end_ns = replace(recording.header, notes=notes, **_bus_header(decoded)), int(frames["time_ns"][-1])
     # Warnings are those of the decoding before.
     rewrite(recording, header, out, lambda writer: decoded.write(writer, end_ns), without="warning")
-    return _imported(decoded, out)
+    return _summarize(decoded, out)
 
 
 def row_warnings(recording: Recording) -> str:
-    """What the frames of a recording of an older version say of its samples; empty where all of them stand."""
-    if not recording.frames or recording.samples is None or not _is_older(recording):
+    """Which samples of an older version its frames refuse, and why; empty if none.
+
+    Frames refuse a row if they do not prove that its joints are of one instant; without drives in the description they prove
+    nothing.
+    """
+    if not recording.frames or recording.samples is None or recording.robot.bus is None or not _is_older(recording):
         return ""
     frames = max(recording.frames.values(), key=len)
     try:
-        decoded = _decoded(frames, recording.robot, "its frames", "its robot.toml")
+        decoded = _decode_checked(frames, recording.robot, "its frames", "its robot.toml")
     except AcquisitionError as error:
-        return f"all {len(recording.samples)} fall: {error}"
-    return "; ".join(_fallen(recording, decoded))
+        return f"all {len(recording.samples)} rows are refused: {error}"
+    return "; ".join(_refused_row_warnings(recording, decoded))
 
 
-def _fallen(recording: Recording, decoded: Decoded) -> list[str]:
-    """How many samples of an older version do not stand: their joints are not proven to be of one instant."""
+def _refused_row_warnings(recording: Recording, decoded: Decoded) -> list[str]:
+    """A warning if joints of samples of an older version are not proven to be of one instant."""
     if recording.samples is None or not _is_older(recording):
         return []
     stamps = recording.samples["stamp_ns"]
     count = int(np.count_nonzero(~np.isin(stamps, decoded.stamps)))
-    text = f"{count} of {len(stamps)} rows of an older version fall: their joints may differ in their instants"
+    text = f"{count} of {len(stamps)} rows of an older version are refused: their joints may be of different instants"
     return [text] if count else []
 
 
 def _is_older(recording: Recording) -> bool:
-    """Whether a version made the samples that did not count uncertain ones."""
+    """Whether the version that made the samples did not yet count uncertain ones."""
     return not any(UNCERTAIN in health.counters for health in recording.health)
 
 
-def recover_recording(path: Path, out: Path) -> tuple[Recording, Recorded]:
-    """Write a whole recording of everything before the cut of one without its end; samples are decoded from its frames, if any.
+def recover_recording(path: Path, out: Path) -> tuple[Recording, RecordedSummary]:
+    """Repair a recording that was cut off: write everything before the cut as the recording `out`.
 
-    Returns what was read, and what samples there are. An `AcquisitionError` as of `read_recording`; also if the file is not
-    cut, or `out` cannot be written.
+    Samples are decoded from the frames. Without frames they are copied; also if the frames do not decode, unless
+    `row_warnings` refuses them. Returns what was read, and a summary of the samples. Raises `AcquisitionError` as
+    `read_recording`, and if the file is not cut or `out` cannot be written.
     """
     recording = read_recording(path)
     if not recording.cut:
-        Place(str(path)).refuse(text="has its proper end: nothing to recover")
-    found = Recorded(frames=0, samples=0 if recording.samples is None else len(recording.samples), warnings=())
+        Place(str(path)).refuse(text="is not cut off: nothing to recover")
+    samples = recording.samples
+    summary = RecordedSummary(frames=0, samples=0 if samples is None else len(samples), warnings=())
 
     def write(writer: RecordingWriter) -> None:
-        nonlocal found
+        nonlocal summary
         if recording.frames:
             frames = max(recording.frames.values(), key=len)
-            found = write_decoded(writer, frames, recording.robot, int(frames["time_ns"][-1]), str(path))
-        elif recording.samples is not None:
-            writer.samples(recording.samples)
+            end_ns = int(frames["time_ns"][-1])
+            summary = write_decoded(writer, frames, recording.robot, end_ns, str(path))
+            if not summary.no_samples or samples is None or row_warnings(recording):
+                return
+            text = f"{summary.no_samples}; the {len(samples)} samples before the cut are copied"
+            writer.event(end_ns, "warning", text)
+            summary = replace(summary, samples=len(samples), warnings=(text,), no_samples="")
+        if samples is not None:
+            writer.samples(samples)
 
     notes = {**recording.metadata, "recovered_from": recording.sha256}
     rewrite(recording, replace(recording.header, notes=notes), out, write)
-    return recording, found
+    return recording, summary
 
 
 def is_log(path: Path) -> bool:
-    """Whether a file is a CAN log, by its suffix."""
+    """Whether the suffix of a file is that of a CAN log."""
     return path.suffix.lower() in SUFFIXES
 
 
-def import_log(log: Path, out: Path, robot: Robot, place: str) -> Imported:
-    """Write the recording `out` from a CAN log of another tool.
+def import_log(log: Path, out: Path, robot: Robot, place: str) -> ImportSummary:
+    """Write the recording `out` from another tool's CAN log.
 
     Parameters
     ----------
@@ -127,20 +138,20 @@ def import_log(log: Path, out: Path, robot: Robot, place: str) -> Imported:
     AcquisitionError
         The log cannot be read, none of its frames are of the described interface, or they do not decode.
     """
-    frames, left_out = _of_one_interface(log, robot)
+    frames, left_out = _select_interface(log, robot)
     frames["time_ns"] = np.maximum.accumulate(frames["time_ns"])
-    decoded = _decoded(frames, robot, str(log), place)
+    decoded = _decode_checked(frames, robot, str(log), place)
     decoded = replace(decoded, warnings=left_out + decoded.warnings)
     notes = {"left_out": "; ".join(left_out)} if left_out else {}
-    header = Header(source=f"log {log.name}", notes=notes, **_of_bus(decoded))
+    header = Header(source=f"log {log.name}", notes=notes, **_bus_header(decoded))
     with atomic_write(out) as partial, RecordingWriter(partial, header) as writer:
         writer.frames("log", frames)
         decoded.write(writer, int(frames["time_ns"][-1]))
-    return _imported(decoded, out)
+    return _summarize(decoded, out)
 
 
-def _of_one_interface(log: Path, robot: Robot) -> tuple[Block, tuple[str, ...]]:
-    """The frames of a log, and what is left out. Frames of two buses together would give two samples for every SYNC."""
+def _select_interface(log: Path, robot: Robot) -> tuple[Block, tuple[str, ...]]:
+    """The frames of one bus in a log, and a warning about those left out: two buses would give two samples for each SYNC."""
     found: list[tuple[str | None, Frame]] = []
     fd = 0
     for interface, frame in read_log(log):
@@ -152,7 +163,7 @@ def _of_one_interface(log: Path, robot: Robot) -> tuple[Block, tuple[str, ...]]:
         Place(str(log)).refuse(text=f"holds no CAN frames ({fd} of CAN FD)", expected="some of classic CAN")
     counts = Counter(interface for interface, _ in found)
     named = [interface for interface in counts if interface is not None]
-    wanted = {None, *named}  # error frames may have no interface: with one bus in the log they are of that one
+    wanted = {None, *named}  # error frames may have no interface: they belong to the only bus of the log
     if len(named) > 1:
         wanted = {robot.bus.channel if robot.bus is not None else ""}
     left_out = [f"{count} of interface {name or '(not named)'}" for name, count in counts.items() if name not in wanted]
@@ -164,16 +175,15 @@ def _of_one_interface(log: Path, robot: Robot) -> tuple[Block, tuple[str, ...]]:
     return frames, (f"frames left out: {', '.join(left_out)}",) if left_out else ()
 
 
-def _decoded(frames: Block, robot: Robot, name: str, place: str) -> Decoded:
-    """Samples of frames, checked."""
+def _decode_checked(frames: Block, robot: Robot, name: str, place: str) -> Decoded:
     decoded = decode(frames, robot, resolve(robot, place, written_by_master(frames)), name)
-    q = np.concatenate([block["position"].copy() for block in decoded.blocks()])  # a view would keep its whole block
+    q = np.concatenate([block["position"].copy() for block in decoded.blocks()])  # a view would hold its whole block
     warnings = check_recorded_positions(robot, decoded.stamps * np.float64(1e-9), q, name)
     return replace(decoded, warnings=decoded.warnings + warnings)
 
 
-def _of_bus(decoded: Decoded) -> dict[str, Any]:
-    """What a header says of the drives."""
+def _bus_header(decoded: Decoded) -> dict[str, Any]:
+    """The fields of a header that describe the drives."""
     file = decoded.bus.file
     return {
         "robot": decoded.robot,
@@ -183,8 +193,8 @@ def _of_bus(decoded: Decoded) -> dict[str, Any]:
     }
 
 
-def _imported(decoded: Decoded, out: Path) -> Imported:
-    return Imported(
+def _summarize(decoded: Decoded, out: Path) -> ImportSummary:
+    return ImportSummary(
         out=out,
         robot=decoded.robot.name,
         samples=len(decoded.stamps),

@@ -1,4 +1,4 @@
-"""Recordings as CSV and as ROS 2 bags."""
+"""Exports recordings as CSV and as ROS 2 bags."""
 
 import os
 import shutil
@@ -23,8 +23,8 @@ _BAG_VERSION = 8  # of rosbag2's metadata; the oldest one that the package rosba
 def export_csv(path: Path, out: Path, warn: Callable[[str], None] = lambda text: None) -> int:
     """Write the joint samples of a recording as CSV, whole or not at all; returns their number.
 
-    Columns: `time_s` from the first sample, then position, effort and what else was recorded of each joint in SI, and the extra
-    objects of the drives; the unit is in the name of the column.
+    Columns: `time_s` from the first sample, then position, effort and all else recorded of each joint in SI, then the extra
+    objects of the drives. The column name contains the unit.
     """
     samples, robot = _samples(path, warn)
     fields = [field for field in samples.dtype.names or () if field not in ("stamp_ns", "extra")]
@@ -47,9 +47,8 @@ def export_csv(path: Path, out: Path, warn: Callable[[str], None] = lambda text:
 def export_bag(path: Path, out: Path, warn: Callable[[str], None] = lambda text: None) -> Mapping[str, int]:
     """Write the joint samples of a recording as a ROS 2 bag, a new folder; returns the number of messages by topic.
 
-    All samples are in /joint_states: position, velocity as it was recorded or the derivative of the position by central
-    differences, effort where it is in N m or N. The reference is in /joint_states/reference. /robot_description is the URDF,
-    if the robot has one.
+    /joint_states has all samples: position, velocity as recorded or the derivative of the position by central differences,
+    effort if it is in N m or N. /joint_states/reference is the reference, /robot_description the URDF if there is one.
     """
     samples, robot = _samples(path, warn)
     names, fields, nothing = [joint.name for joint in robot.joints], samples.dtype.names or (), np.zeros(0)
@@ -89,10 +88,10 @@ def _derivative(q: Array, t_s: Array) -> Array:
 
 
 def _samples(path: Path, warn: Callable[[str], None]) -> tuple[Block, Robot]:
-    """Samples and robot; `warn` is given the number of missing samples."""
+    """Samples and robot; calls `warn` if samples are missing."""
     recording = read_recording(path)
     if recording.samples is None:
-        expected = "some; `robot-acquire decode` makes them of frames"
+        expected = "some; `robot-acquire decode` makes them from frames"
         Place(str(path)).refuse(text=recording.no_samples, expected=expected)
     missing = [gap.missing for gap in gaps(recording.samples, recording.sample_rate_hz) if not gap.late]
     if missing:
@@ -101,7 +100,7 @@ def _samples(path: Path, warn: Callable[[str], None]) -> tuple[Block, Robot]:
 
 
 def _unit(robot: Robot, field: str, joint: int) -> str:
-    """Unit of a field of a joint's samples, as the name of a column has it."""
+    """Unit of a field of a joint's samples, for the name of a column."""
     if field == "feedforward":
         return robot.motors[joint].recorded_unit
     if field in ("effort", "known_torque"):
@@ -120,7 +119,7 @@ def _new_bag(folder: Path) -> Iterator[Any]:
     partial = folder.with_name(f".{folder.name}.{os.getpid()}.partial")
     try:
         partial.mkdir()
-        # The file inside has the folder's name: the folder has its own name from the beginning.
+        # The file inside gets the name of its folder, so the folder is written under its final name.
         writer = Writer(partial / folder.name, version=_BAG_VERSION, storage_plugin=StoragePlugin.MCAP)
         writer.open()
         try:
@@ -137,7 +136,7 @@ def _new_bag(folder: Path) -> Iterator[Any]:
 
 
 def _latched() -> Any:
-    """Quality of service of a topic whose last message is kept for late subscribers."""
+    """Quality of service of a topic that stores its last message for late subscribers."""
     from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 
     never = QosTime(2147483647, 4294967295)

@@ -1,4 +1,4 @@
-"""Values as they were recorded → values at the joint in SI: units, sides, the robot's rule.
+"""Recorded values → values at the joint in SI: units, sides, the robot's rule.
 
 The rule from motors to joints is `Robot.joint_position`, `Robot.joint_velocity` and `Robot.joint_effort`.
 """
@@ -20,7 +20,7 @@ Units = Mapping[str, tuple[str, float]]
 Side = Literal["motor", "joint"]
 TableNumber = Annotated[int, msgspec.Meta(ge=1)]
 
-# Of each unit the SI unit that values are converted to, and the factor.
+# For each unit the SI unit that values are converted to, and the factor.
 POSITION_UNITS = {
     "rad": ("rad", 1.0),
     "deg": ("rad", np.pi / 180),
@@ -44,7 +44,7 @@ EFFORT_UNITS = {
     "mN m": ("N m", 1e-3),
     "N": ("N", 1.0),
 }
-# Efforts that are of one side only, and why.
+# Efforts that exist at one side only, and the reason.
 ONE_SIDE: Mapping[str, tuple[Side, str]] = {
     "known_torque": ("joint", "where it acts"),
     "feedforward": ("motor", "where the controller's output acts"),
@@ -52,10 +52,10 @@ ONE_SIDE: Mapping[str, tuple[Side, str]] = {
 
 
 class Quantity(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """`[position]`, `[effort]` and the like: the columns, one per motor or joint, and what they are.
+    """`[position]`, `[effort]` and others: the columns, one per motor or joint, with unit and side.
 
-    `table` is the place of the file on the command line, from 1, as numbers of columns are. `side` may be left out where it
-    makes no difference or the unit decides.
+    `table` is the place of the file on the command line, from 1, as for numbers of columns. `side` may be omitted if it makes
+    no difference or follows from the unit.
     """
 
     columns: Annotated[tuple[str | int, ...], msgspec.Meta(min_length=1)]
@@ -66,14 +66,14 @@ class Quantity(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
 @dataclass(frozen=True, kw_only=True)
 class Source:
-    """Tables, and the robot and the map (`place`, for errors) that say what is in them."""
+    """Tables, the robot they are of, and the place of the map, for errors."""
 
     tables: Sequence[Path]
     robot: Robot
     place: Place
 
     def table(self, key: str, number: int) -> Path:
-        """The file that a map counts as `number`, from 1."""
+        """The table with this `number`, from 1."""
         if number > len(self.tables):
             self.place.refuse(key, number, f"{len(self.tables)} at most, the number of tables given")
         return self.tables[number - 1]
@@ -88,12 +88,12 @@ class Source:
     def velocity(self, key: str, quantity: Quantity) -> Array:
         """Joint speeds (N, n) in rad/s or m/s."""
         units, values = self._read(key, quantity, VELOCITY_UNITS)
-        side = _side_or_joint(quantity.side, _same(self.robot.R), key, self.place)
+        side = _side_or_joint(quantity.side, _is_identity(self.robot.R), key, self.place)
         self._check_kinds(key, units, side)
         return self.robot.joint_velocity(values) if side == "motor" else values
 
     def effort(self, key: str, quantity: Quantity) -> tuple[Array, str]:
-        """Joint efforts (N, n) in the robot's units, and where they come from."""
+        """Joint efforts (N, n) in the robot's units, and their origin."""
         units, values = self._read(key, quantity, EFFORT_UNITS)
         side = effort_side(self.robot, units, quantity.side, key, self.place)
         unit = quantity.unit if isinstance(quantity.unit, str) else ", ".join(quantity.unit)
@@ -106,7 +106,7 @@ class Source:
         """Known torques (N, n) on the joints in N m, forces in N; feed-forward by motor in the units of the recorded effort."""
         side, why = ONE_SIDE[key]
         if side == "joint" and not self.robot.gain_known:
-            problem = "cannot be added to efforts in " + one(self.robot.effort_units)
+            problem = "cannot be added to efforts in " + join_units(self.robot.effort_units)
             expected = "the drive gains in robot.toml, which make them N m or N"
             self.place.refuse(key, expected=expected, text=problem)
         if quantity.side not in (None, side):
@@ -116,7 +116,7 @@ class Source:
         return values
 
     def _read(self, key: str, quantity: Quantity, known: Units) -> tuple[tuple[str, ...], Array]:
-        """SI unit of each column, and the values (N, n) in them."""
+        """SI unit of each column, and the values (N, n) in these units."""
         n = self.robot.n
         given = (quantity.unit,) * n if isinstance(quantity.unit, str) else quantity.unit
         units, factors = si_units(given, n, known, f"{key}.unit", self.place)
@@ -127,7 +127,7 @@ class Source:
 
     def _check_kinds(self, key: str, units: Sequence[str], side: Side) -> None:
         for i, (joint, unit) in enumerate(zip(self.robot.joints, units, strict=True)):
-            # A motor turns whatever its joint does; a motor that slides drives a joint that slides.
+            # A motor that turns may drive any joint; a motor that slides drives a joint that slides.
             if unit != joint.position_unit and not (side == "motor" and unit == "rad"):
                 expected = "an angle" if joint.type == "revolute" else "a length"
                 problem = f"in {unit} for joint {i + 1} ({joint.name})"
@@ -145,18 +145,17 @@ def si_units(units: Sequence[str], n: int, known: Units, key: str, place: Place)
 
 
 def position_side(robot: Robot, side: Side | None, key: str, place: Place) -> Side:
-    """The side of positions; one that is not stated is the joint's where both are the same."""
-    side = _side_or_joint(side, _same(robot.R) and not robot.zero.any(), key, place)
+    """The side of positions; by default the joint's if both are equal."""
+    side = _side_or_joint(side, _is_identity(robot.R) and not robot.zero.any(), key, place)
     if side == "joint" and robot.zero.any():
         joint = robot.joints[int(np.flatnonzero(robot.zero)[0])]
         name = "zero_deg" if joint.type == "revolute" else "zero_m"
-        problem = f"{name} of joint {joint.name} in robot.toml would do nothing, joint positions are taken as they are"
+        problem = f"{name} of joint {joint.name} in robot.toml has no effect on positions at the joint"
         place.refuse(f"{key}.side", side, f"'motor', or no {name}", text=problem)
     return side
 
 
-def _same(R: Array) -> bool:
-    """Whether values of motors are those of joints by the matrix R (n, n)."""
+def _is_identity(R: Array) -> bool:
     return np.array_equal(R, np.eye(len(R)))
 
 
@@ -166,23 +165,23 @@ def _side_or_joint(side: Side | None, same: bool, key: str, place: Place) -> Sid
     return side or "joint"
 
 
-def effort_side(robot: Robot, found: tuple[str, ...], side: Side | None, key: str, place: Place) -> Side:
-    """The side of efforts in the units `found`; one that is not stated is that which the units fit."""
+def effort_side(robot: Robot, given: tuple[str, ...], side: Side | None, key: str, place: Place) -> Side:
+    """The side of efforts in the units `given`; by default the one whose units are the same."""
     expected = {"motor": tuple(m.recorded_unit for m in robot.motors), "joint": robot.effort_units}
-    fits = [side for side in ("motor", "joint") if found == expected[side]]
+    fits = [side for side in ("motor", "joint") if given == expected[side]]
     if side is None:
-        if len(fits) == 2 and not _same(robot.R * robot.gain[:, None]):
+        if len(fits) == 2 and not _is_identity(robot.R * robot.gain[:, None]):
             place.refuse(f"{key}.side", None, "'motor' or 'joint'")
         side = "joint" if fits == ["joint"] else "motor"
     if side not in fits:
-        wanted = f"{one(expected[side])} as robot.toml says"
-        place.refuse(f"{key}.unit", expected=wanted, text=f"gives {one(found)} at the {side}")
+        wanted = f"{join_units(expected[side])}, as in robot.toml"
+        place.refuse(f"{key}.unit", expected=wanted, text=f"gives {join_units(given)} at the {side}")
     return side
 
 
 def effort_at_joint(robot: Robot, values: Array, side: Side) -> tuple[Array, str]:
-    """Joint efforts (N, n) of values (N, n) in the units of their side, and the rule in words."""
-    units = one(robot.effort_units)
+    """Joint efforts (N, n) of values (N, n) in the units of their side, and the rule as text."""
+    units = join_units(robot.effort_units)
     if side == "joint":
         return values, f"joint effort = value in {units}"
     has_gain = robot.gain_known and any(m.drive_gain for m in robot.motors)
@@ -190,6 +189,6 @@ def effort_at_joint(robot: Robot, values: Array, side: Side) -> tuple[Array, str
     return robot.joint_effort(values), f"joint effort = motor_matrixᵀ{gain} · value, in {units}"
 
 
-def one(units: Sequence[str]) -> str:
-    """Units as one where all are the same."""
+def join_units(units: Sequence[str]) -> str:
+    """Units as text, one if all are the same."""
     return units[0] if len(set(units)) == 1 else ", ".join(units)

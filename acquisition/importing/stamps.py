@@ -1,35 +1,38 @@
-"""Whether the motion agrees with the times of its rows: an error of time puts a position off its path by speed x error."""
+"""Compares the motion with the times of its rows: an error of time moves a position off its path by speed x error."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
 
-LONG_STEP = 1.5  # periods: a step beyond it is a gap, of rows that are missing
-ROUGHER = 2.0  # how much rougher positions may be by their stamps than by their row numbers
-LEAST_SCATTER = 0.02  # periods: stamps scattered less than this are not looked into
-LEFT_OPEN = 3.0  # periods: no row is left out where a longer step would be left
-OFF_STAMP, FAR_DEVIATIONS = 0.05, 6.0  # periods, and deviations of the scatter: stamps further off are left out
-EVEN = 1e-3  # of a period: no stamp is off among steps as even
-REGULAR = 0.25  # of a period: no stamp is off by over a period among steps as regular
-MIN_QUANTA = 3.0  # of the position, that a row moves in the time that its stamp is off
-TICK_DEVIATIONS = 5.0  # of the noise of a step, that a joint moves in a tick: its ticks can be counted
-_PASSES = 4  # a stamp that is off hides those beside it
-_LOOKED_AT = 50_000  # rows of a long recording whose stamps are compared with the motion
+MIN_GAP_STEP = 1.5  # periods: a longer step is a gap with missing rows
+MIN_ROUGHNESS_RATIO = 2.0  # of errors of time by stamps to those by row numbers: above it there is a warning
+MIN_SCATTER = 0.02  # periods: stamps that scatter less are not checked
+MAX_REMAINING_STEP = 3.0  # periods: no row is left out if a longer step would remain
+MIN_STAMP_ERROR, MIN_STAMP_DEVIATIONS = (
+    0.05,
+    6.0,
+)  # periods, standard deviations: rows above both are left out
+MAX_EVEN_DEVIATION = 1e-3  # of a period: steps as uniform as this have no wrong stamp
+MAX_REGULAR_DEVIATION = 0.25  # of a period: stamps between such steps are wrong by a period at most
+MIN_QUANTA = 3.0  # of the position, that a joint moves in the time by which a stamp is wrong
+MIN_TICK_DEVIATIONS = 5.0  # of the noise of a step, that a joint moves in a tick, so that ticks can be counted
+_PASSES = 4  # a wrong stamp hides its neighbours
+_MAX_COMPARED_ROWS = 50_000  # rows of a long recording whose stamps are compared with the motion
 
 
 def stamps_warning(time_s: Array, q: Array, way_out: str) -> str | None:
-    """A warning where growing times (N,) jitter more than the motion q (N, n), rad or m, allows; `way_out` ends it.
+    """A warning if growing times (N,) jitter more than the motion q (N, n), rad or m, allows; it ends with `way_out`.
 
     Each position is compared with the cubic through two rows before and two after it, once by the times and once by the row
-    numbers. The deviation over the speed is an error of time. Rows that are evenly spaced in truth, with stamps of a clock that
-    was read late, are much smoother by their numbers.
+    numbers. The deviation over the speed is an error of time. Rows at uniform times, with stamps of a clock that was read late,
+    are much smoother by their numbers.
     """
-    time_s, q = time_s[:_LOOKED_AT], q[:_LOOKED_AT]
+    time_s, q = time_s[:_MAX_COMPARED_ROWS], q[:_MAX_COMPARED_ROWS]
     steps = np.diff(time_s)
     period = float(np.median(steps))
     rows = row_numbers(time_s) * period
-    if len(time_s) < 20 or np.std(steps[steps <= LONG_STEP * period]) < LEAST_SCATTER * period:
+    if len(time_s) < 20 or np.std(steps[steps <= MIN_GAP_STEP * period]) < MIN_SCATTER * period:
         return None
     speed = np.sqrt(np.mean((np.diff(q, axis=0) / period) ** 2, axis=0))
     moving = speed > 0
@@ -37,7 +40,7 @@ def stamps_warning(time_s: Array, q: Array, way_out: str) -> str | None:
         return None
     by_stamp, by_row = (_time_error_s(t, q[:, moving], speed[moving]) for t in (time_s, rows))
     joint = int(np.argmin(by_row))
-    if by_stamp[joint] <= max(ROUGHER * by_row[joint], LEAST_SCATTER * period):
+    if by_stamp[joint] <= max(MIN_ROUGHNESS_RATIO * by_row[joint], MIN_SCATTER * period):
         return None
     return (
         f"stamps jitter by {1e3 * np.std(steps):.3g} ms, more than the motion allows: positions lie on a smooth path within "
@@ -47,47 +50,49 @@ def stamps_warning(time_s: Array, q: Array, way_out: str) -> str | None:
 
 
 def rows_in_time(time_s: Array, q: Array) -> NDArray[np.bool_]:
-    """Which rows at growing times (N,) have positions q (N, n) that their neighbours expect at their time.
+    """Rows whose positions q (N, n) agree with their neighbours at their growing times (N,).
 
-    A stamp that is off by a tick puts all joints off their path by their speed times the tick. Left out are rows whose
-    positions tell of an error of time over a twentieth of a period, far beyond the scatter of the others, one of any two
-    neighbours, and none where a gap would be left. A slow arm that settles is off its path as well, but by more time than lies
-    between the neighbouring stamps, by few quanta, or among even stamps: such rows are kept.
+    A stamp that is wrong by a tick moves all joints off their path by their speed times the tick. A row is left out if its
+    positions show an error of time above a twentieth of a period and far above the scatter of the others; only one of two
+    neighbours, and none if a gap would remain. A slow arm that settles leaves its path too, but by more time than between the
+    neighbouring stamps, by few quanta, or at uniform stamps: such rows are not left out.
     """
-    kept, quantum = np.arange(len(time_s)), smallest_difference(q)
+    rows, quantum = np.arange(len(time_s)), smallest_difference(q)
     for _ in range(_PASSES):
-        t, x = time_s[kept], q[kept]
+        t, x = time_s[rows], q[rows]
         if len(t) < 20:
             break
         steps = np.diff(t)
         period = float(np.median(steps))
-        off, size = _off_neighbours(t, x)
+        off, size = _neighbour_deviation(t, x)
         speed = (x[3:-1] - x[1:-3]) / (t[3:-1] - t[1:-3])[:, None]
         scatter = np.median(np.abs(off), axis=0) / 0.6745
         weight = np.divide(1.0, scatter**2, out=np.zeros_like(scatter), where=scatter > 0)
         information = speed**2 @ weight
         error_s = np.divide((speed * off) @ weight, information, out=np.zeros(len(off)), where=information > 0)
-        # Beside a stamp that is off, nodes are so close together that errors grow.
+        # Next to a wrong stamp, nodes are so close together that errors grow.
         deviations = np.abs(error_s) * np.sqrt(information) / size * np.median(size)
-        late = (deviations > FAR_DEVIATIONS) & (np.abs(error_s) > OFF_STAMP * period)
+        late = (deviations > MIN_STAMP_DEVIATIONS) & (np.abs(error_s) > MIN_STAMP_ERROR * period)
         between = t[3:-1] - t[1:-3]
-        regular = np.maximum(np.abs(steps[1:-2] - period), np.abs(steps[2:-1] - period)) < REGULAR * period
-        uneven = np.abs(steps / period - np.rint(steps / period)) > EVEN
-        late &= (between < LEFT_OPEN * period) & (np.abs(error_s) < np.where(regular, period, between))
+        regular = (
+            np.maximum(np.abs(steps[1:-2] - period), np.abs(steps[2:-1] - period)) < MAX_REGULAR_DEVIATION * period
+        )
+        uneven = np.abs(steps / period - np.rint(steps / period)) > MAX_EVEN_DEVIATION
+        late &= (between < MAX_REMAINING_STEP * period) & (np.abs(error_s) < np.where(regular, period, between))
         late &= uneven[:-3] | uneven[1:-2] | uneven[2:-1] | uneven[3:]
         late &= (np.abs(speed * error_s[:, None]) >= MIN_QUANTA * quantum).any(axis=1)
         around = np.concatenate([[0.0], np.where(late, deviations, 0.0), [0.0]])
         late &= (deviations >= around[:-2]) & (deviations > around[2:])
         if not late.any():
             break
-        kept = np.delete(kept, np.flatnonzero(late) + 2)
-    return np.isin(np.arange(len(time_s)), kept)
+        rows = np.delete(rows, np.flatnonzero(late) + 2)
+    return np.isin(np.arange(len(time_s)), rows)
 
 
 def ticks_from_velocity(stamp_s: Array, q: Array, v: Array, tick_s: float) -> Array:
-    """Ticks (N,) of rows: between two, as many as speeds v (N, n) need for the step of q (N, n); evenly where joints stand.
+    """Ticks (N,) of rows: from one to the next the step of q (N, n) over the speeds v (N, n); uniform at standstill.
 
-    Stretches of motion are counted through, and lie among the stamps by the median of all of theirs.
+    Each stretch of motion is counted, then shifted by the median difference from its stamps.
     """
     by_stamp, step, of_tick = stamp_s / tick_s, np.diff(q, axis=0), 0.5 * tick_s * (v[1:] + v[:-1])
     weighted = of_tick / np.maximum(np.ptp(q, axis=0), 1e-300) ** 2
@@ -95,7 +100,7 @@ def ticks_from_velocity(stamp_s: Array, q: Array, v: Array, tick_s: float) -> Ar
     count = np.rint(np.divide((weighted * step).sum(axis=1), size, out=np.ones(len(size)), where=size > 0))
     noise, smallest = 1.4826 * np.median(np.abs(step - count[:, None] * of_tick), axis=0), smallest_difference(q)
     noise = np.maximum(noise, np.where(np.isfinite(smallest), 0.3 * smallest, 1e300))
-    known = (np.sqrt(((of_tick / noise) ** 2).sum(axis=1)) > TICK_DEVIATIONS) & (count >= 0)
+    known = (np.sqrt(((of_tick / noise) ** 2).sum(axis=1)) > MIN_TICK_DEVIATIONS) & (count >= 0)
     ticks, counted = np.rint(by_stamp), np.concatenate([[0.0], np.cumsum(np.where(known, count, 0.0))])
     edges = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]]).astype(int)))
     for first, last in edges.reshape(-1, 2):
@@ -107,32 +112,32 @@ def ticks_from_velocity(stamp_s: Array, q: Array, v: Array, tick_s: float) -> Ar
 
 
 def smallest_difference(q: Array) -> Array:
-    """The smallest difference (n,) of two positions q (N, n) that is no rounding; infinite for joints that stand."""
-    found = (np.diff(np.unique(x)) for x in q.T)
-    return np.array([min(x[x > 1e-9 * np.abs(q).max()], default=np.inf) for x in found])
+    """The smallest difference (n,) of two positions q (N, n) above rounding; infinite for joints that do not move."""
+    differences = (np.diff(np.unique(x)) for x in q.T)
+    return np.array([min(x[x > 1e-9 * np.abs(q).max()], default=np.inf) for x in differences])
 
 
 def row_numbers(time_s: Array) -> Array:
-    """Numbers (N,) of rows at growing times, those that are missing counted.
+    """Numbers (N,) of rows at growing times, missing rows included.
 
-    A late stamp alone makes a long step too, but not three long steps together.
+    A single late stamp makes a long step too, but the sum of three steps stays normal.
     """
     steps = np.diff(time_s)
     period = float(np.median(steps))
     padded = np.concatenate([[period], steps, [period]])
     together = padded[:-2] + padded[1:-1] + padded[2:]
-    missing = (steps > LONG_STEP * period) & (together > (2 + LONG_STEP) * period)
+    missing = (steps > MIN_GAP_STEP * period) & (together > (2 + MIN_GAP_STEP) * period)
     return np.concatenate([[0.0], np.cumsum(np.where(missing, np.rint(steps / period), 1.0))])
 
 
 def _time_error_s(time_s: Array, q: Array, speed: Array) -> Array:
-    """Error of time (n,) that would bring each q (N, n) as far off the cubic through its four neighbours as it is."""
-    off, size = _off_neighbours(time_s, q)
+    """Error of time (n,) that explains the rms distance of q (N, n) from the cubics through four neighbours."""
+    off, size = _neighbour_deviation(time_s, q)
     return np.asarray(np.sqrt(np.mean(off**2, axis=0) / np.mean(size**2)) / speed)
 
 
-def _off_neighbours(time_s: Array, q: Array) -> tuple[Array, Array]:
-    """How far each q (N, n) is off the cubic through two rows before and two after, and what errors of 1 give (N - 4,)."""
+def _neighbour_deviation(time_s: Array, q: Array) -> tuple[Array, Array]:
+    """Distance of q (N, n) from the cubic through two rows before and two after, and its standard deviation for unit noise."""
     nodes = np.stack([time_s[:-4], time_s[1:-3], time_s[3:-1], time_s[4:]]) - time_s[2:-2]
     weights = np.ones_like(nodes)
     for i in range(4):

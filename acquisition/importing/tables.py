@@ -1,6 +1,6 @@
 """Imports tables recorded elsewhere (CSV, MAT) into a recording; `map.toml` assigns the columns.
 
-The recording notes which columns the efforts are of, by which rule, and what the times of the rows were like.
+The recording states the columns and the rule of the efforts, and describes the times of the rows.
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,25 +18,25 @@ from ..recording import OPTIONAL, Header
 from ..robot import EffortTiming, Positive, Robot, parse_toml
 from .quantities import Quantity, Source, TableNumber
 from .stamps import ticks_from_velocity
-from .time_base import LARGEST_GAP_PERIODS, Imported, OnGrid, even, resample, with_warnings, write_samples
+from .time_base import MAX_GAP_PERIODS, GridValues, ImportSummary, resample, uniform_grid, with_warnings, write_samples
 
 Periods = Annotated[float, msgspec.Meta(ge=1.5)]
 
-TICK_OFF = 0.01  # a tick that differs by more than this share from that of the stamps is a mistake
+MAX_TICK_ERROR = 0.01  # relative difference from the tick of the stamps; more is a mistake
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # in s
 
-FROM_VELOCITY = "from velocity"  # in place of the column of a counter
+FROM_VELOCITY = "from velocity"  # instead of the column of a counter
 
 
 class Time(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """`[time]`: the column of sample times, or of a counter, and whether rows are interpolated to a uniform grid.
+    """`[time]`: the column of times or of a counter, and the uniform grid.
 
     Attributes:
         column, unit: times of the rows.
-        ticks, tick_s: a counter and the time of one count; it is the time, `column` is then only compared with it. Ticks
-            `FROM_VELOCITY` are counted by positions and recorded speeds.
+        ticks, tick_s: a counter, which then gives the times, and the time of one count; `column` is only compared with it.
+            Ticks `FROM_VELOCITY` are counted by positions and recorded speeds.
         resample_hz: rate of the grid that all values are interpolated to.
-        largest_gap_periods: longest step between two rows that is interpolated over, in periods of the rows.
+        largest_gap_periods: longest step between two rows that is interpolated, in periods of the rows.
     """
 
     column: str | int | None = None
@@ -45,14 +45,14 @@ class Time(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     ticks: str | int | None = None
     tick_s: Positive | None = None
     resample_hz: Positive | None = None
-    largest_gap_periods: Periods = LARGEST_GAP_PERIODS
+    largest_gap_periods: Periods = MAX_GAP_PERIODS
 
 
 class TableMap(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """`map.toml`: where positions, efforts and what else was recorded are found, and the rate or the times of the samples.
+    """`map.toml`: columns of positions, efforts and other quantities, and the rate or the times of the samples.
 
-    `effort_timing`: efforts are commands, each held from its sample to the next, means over the period about it, or were
-    measured at its instant.
+    `effort_timing`: efforts are commands held until the next sample, means over the period around it, or measured at its
+    instant.
     """
 
     position: Quantity
@@ -66,7 +66,7 @@ class TableMap(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     effort_timing: EffortTiming = "unknown"
 
 
-def import_tables(tables: Sequence[Path], robot: Robot, map_path: Path, out: Path) -> Imported:
+def import_tables(tables: Sequence[Path], robot: Robot, map_path: Path, out: Path) -> ImportSummary:
     """Write the recording `out` from tables.
 
     Parameters
@@ -106,7 +106,7 @@ def import_tables(tables: Sequence[Path], robot: Robot, map_path: Path, out: Pat
 
 
 def _parts(source: Source, table_map: TableMap) -> tuple[dict[str, Array], str]:
-    """All that the map assigns, at the joint (feed-forward: at the motor), and where the efforts come from."""
+    """All quantities of the map, at the joint (feed-forward: at the motor), and the origin of the efforts."""
     parts = {"position": source.position("position", table_map.position)}
     parts["effort"], provenance = source.effort("effort", table_map.effort)
     if table_map.reference is not None:
@@ -118,37 +118,37 @@ def _parts(source: Source, table_map: TableMap) -> tuple[dict[str, Array], str]:
     return parts, provenance
 
 
-def _on_grid(source: Source, table_map: TableMap, parts: Mapping[str, Array]) -> OnGrid:
+def _on_grid(source: Source, table_map: TableMap, parts: Mapping[str, Array]) -> GridValues:
     """The rows on a uniform grid: by the stated rate, or by their times."""
     time, given_hz = table_map.time, table_map.sample_rate_hz
     if time is None:
         if given_hz is None:
             source.place.refuse("sample_rate_hz", None, "it, or a [time] table")
-        return OnGrid(parts=parts, start_s=0.0, rate_hz=given_hz)
-    time_s, off_s = _times(source, time, parts)
-    twice = 0
-    if time.ticks == FROM_VELOCITY:  # rows of one tick are one row, though a PC stamped them apart
+        return GridValues(parts=parts, start_s=0.0, rate_hz=given_hz)
+    time_s, scatter_s = _times(source, time, parts)
+    repeated = 0
+    if time.ticks == FROM_VELOCITY:  # rows of one tick are one row, even with different stamps
         new = np.concatenate([[True], np.diff(time_s) > 0])
-        time_s, parts, twice = time_s[new], {name: x[new] for name, x in parts.items()}, int((~new).sum())
+        time_s, parts, repeated = time_s[new], {name: x[new] for name, x in parts.items()}, int((~new).sum())
     place = Place(f"{source.table('time.table', time.table)}: {time.column if time.ticks is None else time.ticks}")
     gap = time.largest_gap_periods
     if time.resample_hz is None:
-        grid = even(time_s, parts, place)
+        grid = uniform_grid(time_s, parts, place)
     else:
         grid = resample(time_s, parts, rate_hz=time.resample_hz, largest_gap_periods=gap, place=place)
     if given_hz is not None and abs(given_hz / grid.rate_hz - 1) > 1e-3:
-        given = f"{grid.rate_hz:.9g} as the times say"
-        expected = given if time.resample_hz is None else "none beside time.resample_hz"
+        measured = f"{grid.rate_hz:.9g}, the rate of the times"
+        expected = measured if time.resample_hz is None else "none together with time.resample_hz"
         source.place.refuse("sample_rate_hz", given_hz, expected)
     clock = "stamps" if time.ticks is None else "ticks"
-    way_out = "take a counter of the robot as time.ticks, or state sample_rate_hz in place of [time]"
+    way_out = "use a counter of the robot as time.ticks, or sample_rate_hz instead of [time]"
     grid = with_warnings(grid, time_s, parts["position"], clock, way_out)
     assert grid.report is not None
-    return replace(grid, report=replace(grid.report, doubled=grid.report.doubled + twice, stamps_off_s=off_s))
+    return replace(grid, report=replace(grid.report, doubled=grid.report.doubled + repeated, stamps_off_s=scatter_s))
 
 
 def _times(source: Source, time: Time, parts: Mapping[str, Array]) -> tuple[Array, float | None]:
-    """Times (N,) of the rows by their stamps or by ticks; what stamps deviate from ticks, s, where both are there."""
+    """Times (N,) of the rows by stamps or ticks; the scatter of the stamps about the ticks in s, None without both."""
     place, rows = source.place, len(parts["position"])
     if (time.ticks is None) != (time.tick_s is None):
         key = "time.tick_s" if time.tick_s is None else "time.ticks"
@@ -165,22 +165,22 @@ def _times(source: Source, time: Time, parts: Mapping[str, Array]) -> tuple[Arra
         assert stamp_s is not None
         return stamp_s, None
     time_s = _ticks(source, time, parts, stamp_s) * time.tick_s
-    return time_s, None if stamp_s is None else _off_ticks(time_s, stamp_s, time.tick_s, place)
+    return time_s, None if stamp_s is None else stamp_scatter_s(time_s, stamp_s, time.tick_s, place)
 
 
 def _ticks(source: Source, time: Time, parts: Mapping[str, Array], stamp_s: Array | None) -> Array:
-    """Ticks (N,) of the rows: those of a counter, or counted by positions and speeds."""
+    """Ticks (N,) of the rows, of a counter or counted by positions and speeds."""
     assert time.ticks is not None
     assert time.tick_s is not None
     if time.ticks == FROM_VELOCITY:
         if stamp_s is None or "velocity" not in parts:
-            source.place.refuse("time.ticks", time.ticks, "time.column, the stamps, and [velocity] beside it")
+            source.place.refuse("time.ticks", time.ticks, "time.column with the stamps, and [velocity]")
         return ticks_from_velocity(stamp_s, parts["position"], parts["velocity"], time.tick_s)
     table = source.table("time.table", time.table)
     ticks = _column(table, time.ticks, len(parts["position"]), source.place)
-    broken = np.flatnonzero(ticks != np.rint(ticks))
-    if len(broken):
-        row = broken[0]
+    fractional = np.flatnonzero(ticks != np.rint(ticks))
+    if len(fractional):
+        row = fractional[0]
         Place(f"{table}: row {row + 1}").refuse(str(time.ticks), float(ticks[row]), "whole counts")
     return ticks
 
@@ -192,9 +192,9 @@ def _column(table: Path, name: str | int, rows: int, place: Place) -> Array:
     return np.asarray(column[:, 0])
 
 
-def _off_ticks(time_s: Array, stamp_s: Array, tick_s: float, place: Place) -> float:
-    """Deviation in s of stamps about the time that ticks give; refuses ticks of another length."""
+def stamp_scatter_s(time_s: Array, stamp_s: Array, tick_s: float, place: Place) -> float:
+    """Standard deviation of stamps about the times of ticks, s; refuses a tick of another length."""
     rate, start = np.polyfit(time_s - time_s[0], stamp_s, 1)
-    if not abs(rate - 1) <= TICK_OFF:
-        place.refuse("time.tick_s", tick_s, f"{tick_s * rate:.6g} as the stamps say")
+    if not abs(rate - 1) <= MAX_TICK_ERROR:
+        place.refuse("time.tick_s", tick_s, f"{tick_s * rate:.6g}, the tick of the stamps")
     return float(np.std(stamp_s - start - rate * (time_s - time_s[0])))

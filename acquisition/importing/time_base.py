@@ -1,4 +1,4 @@
-"""Times of rows as somebody's clock gave them → a uniform grid, with a report of what was found on the way → a recording."""
+"""Times of rows by any clock → a uniform grid, with a report on the times → a recording."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -9,29 +9,29 @@ import numpy as np
 from ..arrays import Array, Ints
 from ..errors import Place
 from ..files import atomic_write
-from ..recording import LARGEST_STAMP_NS, Header, RecordingWriter, sample_dtype
+from ..recording import MAX_STAMP_NS, Header, RecordingWriter, sample_dtype
 from ..robot import check_recorded_positions, check_recorded_velocities
-from .stamps import LONG_STEP, row_numbers, rows_in_time, stamps_warning
+from .stamps import MIN_GAP_STEP, row_numbers, rows_in_time, stamps_warning
 
 POSITION = "position"
-COARSER, FINER = 0.9, 2.5  # times the rows' rate: grids beyond are warned of
-MANY_OFF = 0.02  # of the rows left out: more is warned of
-LARGEST_GAP_PERIODS = 3.0  # a longer step is not interpolated over, unless the map says so
-FINEST = 100.0  # times the rows' rate: a finer grid is a mistake
+MIN_RATE_RATIO, MAX_RATE_RATIO = 0.9, 2.5  # times the rows' rate: grids outside give a warning
+MAX_LEFT_OUT = 0.02  # of the rows; more give a warning
+MAX_GAP_PERIODS = 3.0  # a longer step is not interpolated, unless the map allows it
+MAX_OVERSAMPLING = 100.0  # times the rows' rate: a finer grid is a mistake
 
 
 @dataclass(frozen=True, kw_only=True)
 class TimeReport:
-    """What the times of rows were like, before any interpolation.
+    """Times of rows before any interpolation.
 
     Attributes:
-        rows: that are used; doubled: rows left out, equal to the row before in their time and in all values.
+        rows: used; doubled: rows left out, equal to the row before in time and all values.
         period_s: median step; shortest_s, longest_s: of all steps.
         jitter_s: standard deviation of the steps, gaps left out.
         off: rows left out because the motion contradicts their stamps.
-        gaps: steps over 1.5 periods; missing: the rows they would have held.
-        grid_hz: rate of the grid that values were interpolated to, None where they are as they were recorded.
-        clock: what the times are: `stamps`, `ticks`.
+        gaps: steps over 1.5 periods; missing: rows missing in them.
+        grid_hz: rate of the grid that values were interpolated to, None without interpolation.
+        clock: origin of the times: `stamps`, `ticks`.
         stamps_off_s: standard deviation of the stamps about the ticks, None without both.
     """
 
@@ -68,15 +68,15 @@ class TimeReport:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class OnGrid:
-    """Values (M, n) by name on a uniform grid from `start_s` after `first_ns` on; the report of the times before, doubts."""
+class GridValues:
+    """Values (M, n) by name on a uniform grid from `start_s` after `first_ns`; the report on the original times, warnings."""
 
     parts: Mapping[str, Array]
     start_s: float
     rate_hz: float
     first_ns: int = 0
     report: TimeReport | None = None
-    doubts: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
 
     @property
     def notes(self) -> Mapping[str, str]:
@@ -84,30 +84,30 @@ class OnGrid:
         return {} if self.report is None else {"times": self.report.text}
 
     def stamps_ns(self, place: str) -> Ints:
-        """Stamps (M,) in ns; from 0 where they would begin before 0. Errors name `place`."""
+        """Stamps (M,) in ns, from 0 if they would begin before 0. Errors name `place`."""
         rows = len(self.parts[POSITION])
         start_s = max(0.0, self.start_s)
-        if not start_s + rows / self.rate_hz < LARGEST_STAMP_NS * 1e-9 or self.rate_hz > 1e8:
+        if not start_s + rows / self.rate_hz < MAX_STAMP_NS * 1e-9 or self.rate_hz > 1e8:
             problem = f"{rows} rows at {self.rate_hz} Hz from {start_s} s"
             Place(place).refuse(expected="68 years and 100 MHz at most", text=problem)
         steps = np.rint(np.arange(rows) * (1e9 / self.rate_hz)).astype(np.int64)
         return np.asarray(self.first_ns + round(start_s * 1e9) + steps)
 
 
-def with_warnings(grid: OnGrid, time_s: Array, q: Array, clock: str, way_out: str) -> OnGrid:
-    """A grid of rows at times (N,) by a `clock` and positions q (N, n), with doubts about these times."""
+def with_warnings(grid: GridValues, time_s: Array, q: Array, clock: str, way_out: str) -> GridValues:
+    """Add `clock` and the warnings about times (N,) of positions q (N, n) to a grid."""
     assert grid.report is not None
     report = replace(grid.report, clock=clock)
     growing = np.concatenate([[True], np.diff(time_s) > 0])
     warning = stamps_warning(time_s[growing], q[growing], way_out)
-    return replace(grid, report=report, doubts=(*rate_warnings(report), *([warning] if warning else [])))
+    return replace(grid, report=report, warnings=(*rate_warnings(report), *([warning] if warning else [])))
 
 
-def report_of(time_s: Array, doubled: int = 0) -> TimeReport:
-    """What growing times (N,) are like."""
+def time_report(time_s: Array, doubled: int = 0) -> TimeReport:
+    """Statistics of growing times (N,)."""
     steps = np.diff(time_s)
     period = float(np.median(steps))
-    long = steps > LONG_STEP * period
+    long = steps > MIN_GAP_STEP * period
     regular = steps[~long]
     return TimeReport(
         rows=len(time_s),
@@ -126,22 +126,22 @@ def resample(
     parts: Mapping[str, Array],
     *,
     rate_hz: float | None,
-    largest_gap_periods: float = LARGEST_GAP_PERIODS,
+    largest_gap_periods: float = MAX_GAP_PERIODS,
     place: Place,
-) -> OnGrid:
+) -> GridValues:
     """Interpolate `parts` (N, n) at the times (N,) to a uniform grid, by cubic splines.
 
-    Left out are rows that repeat the row before in time and values, and those whose `position` in `parts` contradicts their
-    time (`rows_in_time`). The rate of the grid is by default the roundest one that the rows have. An `AcquisitionError` where
-    there are fewer than 4 rows, time runs backwards, two rows of one time have different values, a step is longer than
-    `largest_gap_periods` median ones, or the rows give less than two samples, or over 100 times their own number.
+    Rows that repeat the row before in time and values are left out, and rows whose `position` in `parts` contradicts their time
+    (`rows_in_time`). The default rate of the grid is that of the rows, rounded within their scatter. Raises `AcquisitionError`
+    if there are fewer than 4 rows, time runs backwards, two rows of one time have different values, a step is longer than
+    `largest_gap_periods` median ones, or the grid has less than two samples or over 100 times as many as the rows.
     """
     from scipy.interpolate import CubicSpline
 
-    time_s, parts, doubled = _without_doubled(time_s, parts, place)
+    time_s, parts, doubled = _drop_repeated_rows(time_s, parts, place)
     if len(time_s) < 4:
         place.refuse("time", expected="4 at least", text=f"{len(time_s)} rows of different times")
-    report = report_of(time_s, doubled)
+    report = time_report(time_s, doubled)
     in_time = rows_in_time(time_s, parts[POSITION]) if POSITION in parts else np.ones(len(time_s), dtype=bool)
     time_s, parts = time_s[in_time], {name: x[in_time] for name, x in parts.items()}
     steps = np.diff(time_s)
@@ -151,29 +151,30 @@ def resample(
         place.refuse(
             "time",
             expected=f"{largest_gap_periods:g} periods of {report.period_s:.6g} s at most; import the parts before and after "
-            "it apart, or state time.largest_gap_periods",
+            "it separately, or set time.largest_gap_periods",
             text=f"a gap of {steps[k]:.6g} s after {after_s:.6g} s, {periods:.1f} periods",
         )
     rate_hz = rate_hz or roundest_rate_hz(time_s)
     count = int((time_s[-1] - time_s[0]) * rate_hz + 1e-6) + 1
-    if count < 2 or rate_hz * report.period_s > FINEST:
+    if count < 2 or rate_hz * report.period_s > MAX_OVERSAMPLING:
         expected = f"about the {1 / report.period_s:.4g} Hz of the rows, which last {time_s[-1] - time_s[0]:.4g} s"
         place.refuse("resample_hz", rate_hz, expected)
     grid = np.minimum(time_s[0] + np.arange(count) / rate_hz, time_s[-1])
     report = replace(report, grid_hz=rate_hz, off=int((~in_time).sum()))
     interpolated = {name: np.asarray(CubicSpline(time_s, x)(grid)) for name, x in parts.items()}
-    return OnGrid(parts=interpolated, start_s=float(time_s[0]), rate_hz=rate_hz, report=report)
+    return GridValues(parts=interpolated, start_s=float(time_s[0]), rate_hz=rate_hz, report=report)
 
 
-def _without_doubled(time_s: Array, parts: Mapping[str, Array], place: Place) -> tuple[Array, Mapping[str, Array], int]:
-    """Times that grow, and the values at them, without rows that are there twice; how many these were."""
+def _drop_repeated_rows(
+    time_s: Array, parts: Mapping[str, Array], place: Place
+) -> tuple[Array, Mapping[str, Array], int]:
+    """Growing times and their values without repeated rows; the number of repeated rows."""
     steps = np.diff(time_s)
     if (steps < 0).any():
         row = int(np.argmax(steps < 0))
         place.refuse(
             f"row {row + 2}",
-            expected="growing times of one source; rows of two publishers, a clock that was set or a counter that "
-            "wrapped do not have them",
+            expected="growing times of one source: not two publishers, a clock that was set or a counter that wrapped",
             text=f"time runs backwards: {time_s[row + 1]:.9g} s after {time_s[row]:.9g} s",
         )
     same = np.flatnonzero(steps == 0)
@@ -182,14 +183,14 @@ def _without_doubled(time_s: Array, parts: Mapping[str, Array], place: Place) ->
         if differ.any():
             row = int(same[np.argmax(differ)])
             problem = f"{name} differs from the row before at the same time, {time_s[row]:.9g} s"
-            expected = "one row for each time; time.ticks names a counter where stamps are too coarse"
+            expected = "one row for each time; if stamps are too coarse, name a counter in time.ticks"
             place.refuse(f"row {row + 2}", expected=expected, text=problem)
     keep = np.concatenate([[True], steps > 0])
     return time_s[keep], {name: x[keep] for name, x in parts.items()}, len(same)
 
 
 def roundest_rate_hz(time_s: Array) -> float:
-    """The roundest rate that the scatter of growing times (N,) cannot tell from that of their rows: 1000, not 1000.0013."""
+    """The rate of growing times (N,), rounded within their scatter: 1000, not 1000.0013."""
     rows = row_numbers(time_s)
     period, start = np.polyfit(rows, time_s - time_s[0], 1)
     scatter = 3 * float(np.std(time_s - time_s[0] - start - period * rows)) / float(time_s[-1] - time_s[0])
@@ -198,35 +199,35 @@ def roundest_rate_hz(time_s: Array) -> float:
 
 
 def _roundest(rate_hz: float, scatter: float) -> float:
-    """The number of fewest digits that is the rate within a share of `scatter`."""
+    """The rate rounded to the fewest digits within the relative `scatter`."""
     return next(r for d in range(1, 18) if abs((r := float(f"{rate_hz:.{d}g}")) / rate_hz - 1) <= scatter)
 
 
 def rate_warnings(report: TimeReport | None) -> list[str]:
-    """Warnings about a grid that is coarser than the rows, or much finer, and about many rows that were left out."""
+    """Warnings about a grid that is coarser or much finer than the rows, and about many rows left out."""
     if report is None or report.grid_hz is None:
         return []
-    doubts, ratio, own_hz = [], report.grid_hz * report.period_s, 1 / report.period_s
-    if report.off > MANY_OFF * report.rows:
+    warnings, ratio, own_hz = [], report.grid_hz * report.period_s, 1 / report.period_s
+    if report.off > MAX_LEFT_OUT * report.rows:
         share = 100 * report.off / report.rows
-        doubts.append(
-            f"{share:.2g} % of the rows are left out, whose {report.clock} the motion contradicts: take another clock"
+        warnings.append(
+            f"{share:.2g} % of the rows are left out because the motion contradicts their {report.clock}: use another clock"
         )
-    if ratio < COARSER:
-        doubts.append(
+    if ratio < MIN_RATE_RATIO:
+        warnings.append(
             f"resample_hz = {report.grid_hz:g} is below the rows' {own_hz:.4g} Hz: noise above half of it is "
-            "folded into the samples; interpolate to the rows' own rate, a fit decimates by itself"
+            "aliased into the samples; interpolate to the rows' own rate, a fit decimates by itself"
         )
-    if ratio > FINER:
-        doubts.append(
+    if ratio > MAX_RATE_RATIO:
+        warnings.append(
             f"resample_hz = {report.grid_hz:g} is {ratio:.2g} times the rows' {own_hz:.4g} Hz: samples between "
-            "rows are interpolated, they tell nothing new"
+            "rows are interpolated and add no information"
         )
-    return doubts
+    return warnings
 
 
-def even(time_s: Array, parts: Mapping[str, Array], place: Place) -> OnGrid:
-    """Values (N, n) at times (N,) that lie on a uniform grid as they are; refuses times that do not grow or leave the grid."""
+def uniform_grid(time_s: Array, parts: Mapping[str, Array], place: Place) -> GridValues:
+    """Values (N, n) at times (N,) that lie on a uniform grid; refuses times that do not grow or leave the grid."""
     way_out = "time.resample_hz interpolates rows to a uniform grid"
     steps = np.diff(time_s)
     if (steps <= 0).any():
@@ -248,15 +249,15 @@ def even(time_s: Array, parts: Mapping[str, Array], place: Place) -> OnGrid:
         row = int(np.argmax(off))
         found, expected = f"{off[row]:.6g} s off a uniform grid", f"{0.5 * period:.6g} s at most; {way_out}"
         place.refuse(f"row {row + 1}", expected=expected, text=found)
-    # The roundest rate that the scatter of the times cannot tell from the measured one: 1000, not 1000.00000013.
+    # Rounded within the scatter of the times: 1000, not 1000.00000013.
     scatter = min(max(float(off.max()) / duration_s, 1e-12), 1e-4)
     rate_hz = _roundest(1 / period, scatter)
-    return OnGrid(parts=parts, start_s=float(time_s[0]), rate_hz=rate_hz, report=report_of(time_s))
+    return GridValues(parts=parts, start_s=float(time_s[0]), rate_hz=rate_hz, report=time_report(time_s))
 
 
 @dataclass(frozen=True, kw_only=True)
-class Imported:
-    """What was written: sizes, what was recorded besides position, the report of the times, warnings."""
+class ImportSummary:
+    """A written recording: sizes, recorded quantities, the report on the times, warnings."""
 
     out: Path
     robot: str
@@ -269,34 +270,34 @@ class Imported:
     warnings: tuple[str, ...] = ()
 
 
-def write_samples(header: Header, grid: OnGrid, doubts: Sequence[str], place: str, out: Path) -> Imported:
+def write_samples(header: Header, grid: GridValues, warnings: Sequence[str], place: str, out: Path) -> ImportSummary:
     """Check samples and write them as the recording `out`, whole or not at all.
 
     Parameters
     ----------
-    header : the robot, where the samples come from, and what the grid says of their times.
+    header : the robot, the origin of the samples, and the notes of the grid on their times.
     grid : values by the names of a sample's fields.
-    doubts : warnings, which are written into the recording.
+    warnings : written into the recording.
     place : the files, for errors.
 
-    Raises `AcquisitionError` for stamps, positions or speeds that no robot has.
+    Raises `AcquisitionError` for impossible stamps, positions or speeds.
     """
     robot, parts, stamps = header.robot, grid.parts, grid.stamps_ns(place)
     t_s = (stamps - stamps[0]) * np.float64(1e-9)
-    warnings = check_recorded_positions(robot, t_s, parts["position"], place)
-    dead = [joint.name for joint, column in zip(robot.joints, parts["effort"].T, strict=True) if not column.any()]
-    doubts = [*doubts, *grid.doubts, *([f"the effort of {', '.join(dead)} is zero throughout"] if dead else [])]
+    overshoots = check_recorded_positions(robot, t_s, parts["position"], place)
+    zero = [joint.name for joint, column in zip(robot.joints, parts["effort"].T, strict=True) if not column.any()]
+    warnings = [*warnings, *grid.warnings, *([f"the effort of {', '.join(zero)} is zero in all rows"] if zero else [])]
     if "velocity" in parts:
-        doubts += check_recorded_velocities(robot, parts["position"], parts["velocity"], grid.rate_hz, place)
+        warnings += check_recorded_velocities(robot, parts["position"], parts["velocity"], grid.rate_hz, place)
     rows = np.empty(len(t_s), sample_dtype(robot.n, reference="reference" in parts, optional=parts))
     rows["stamp_ns"] = stamps
     for name, part in parts.items():
         rows[name] = part
     with atomic_write(out) as partial, RecordingWriter(partial, header) as writer:
         writer.samples(rows)
-        for text in doubts:
+        for text in warnings:
             writer.event(int(stamps[-1]), "warning", text)
-    return Imported(
+    return ImportSummary(
         out=out,
         robot=robot.name,
         samples=len(rows),
@@ -305,5 +306,5 @@ def write_samples(header: Header, grid: OnGrid, doubts: Sequence[str], place: st
         effort_units=robot.effort_units,
         optional=tuple(name for name in parts if name not in ("position", "effort", "reference")),
         times=grid.notes.get("times", ""),
-        warnings=(*warnings, *doubts),
+        warnings=(*overshoots, *warnings),
     )

@@ -1,4 +1,4 @@
-"""The recording: the MCAP file read, written and recovered; its frames decoded to rows on the grid of SYNC."""
+"""The recording: reads and writes the MCAP file, decodes its frames to rows on the SYNC grid."""
 
 from .decoding import UNCERTAIN, Decoded, decode
 from .reader import NO_SAMPLES, Recording, has_reference, read_recording, rewrite
@@ -6,7 +6,7 @@ from .rows import (
     ERROR,
     EXTENDED,
     FRAME,
-    LARGEST_STAMP_NS,
+    MAX_STAMP_NS,
     OPTIONAL,
     REMOTE_REQUEST,
     SENT,

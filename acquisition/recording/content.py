@@ -1,7 +1,7 @@
-"""The content of an MCAP file, whole or cut, with every checksum checked: the container, not the meaning.
+"""Reads the container of an MCAP file, whole or cut, and checks every checksum; not the meaning of its content.
 
-The records are read here, not by mcap's own readers: these raise the same errors for a cut and for damage, do not check the
-CRCs of attachments, and unpack chunks of any size. Format: https://mcap.dev/spec.
+mcap's own readers are not used: they raise the same errors for a cut and for damage, do not check the CRCs of attachments,
+and unpack chunks of any size. Format: https://mcap.dev/spec.
 """
 
 import hashlib
@@ -24,8 +24,8 @@ from ..files import GrowingBytes
 
 _MAGIC = b"\x89MCAP0\r\n"
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
-_LARGEST_CHUNK = 64 * 2**20  # bytes; chunks are written at about 1 MiB, so more is a hostile or damaged size
-_LARGEST_TOTAL = 4 * 2**30  # bytes of all chunks unpacked
+_MAX_CHUNK_BYTES = 64 * 2**20  # bytes; chunks are written at about 1 MiB, a larger size is hostile or damaged
+_MAX_TOTAL_BYTES = 4 * 2**30  # bytes of all chunks unpacked
 Accept: TypeAlias = Callable[[Mapping[str, str], str], None]
 Wanted: TypeAlias = Callable[[str], object]  # true of topics that are read
 _DAMAGE = (McapError, zstandard.ZstdError, struct.error, ValueError, MemoryError, OverflowError)
@@ -37,7 +37,7 @@ class Messages:
     def __init__(self, layout: str) -> None:
         self.layout = layout
         self.stamps_ns: list[int] = []
-        # All contents, each up to its entry in `ends`: hours of samples are too much to be held in memory.
+        # All contents, each up to its entry in `ends`; hours of samples do not fit in memory.
         self.data, self.ends = GrowingBytes(), list[int]()
 
     def add(self, stamp_ns: int, content: bytes) -> None:
@@ -61,8 +61,8 @@ def read_content(path: Path, name: str, accept: Accept, wanted: Wanted) -> Conte
     """The metadata record `name` (None without it), attachments by name, messages of the `wanted` topics, whether the file is
     cut, and its SHA-256.
 
-    `accept(metadata, place)` raises to refuse the file before its data is read. Of a file without its end, what was written
-    before the cut is returned. Raises `AcquisitionError` when the file cannot be read, is not MCAP, or is damaged.
+    `accept(metadata, place)` raises to refuse the file before its data is read. For a file without its end, returns what was
+    written before the cut. Raises `AcquisitionError` when the file cannot be read, is not MCAP, or is damaged.
     """
     place = str(path)
     try:
@@ -106,7 +106,7 @@ def _read(records: "_Records", place: str, name: str, accept: Accept, wanted: Wa
             what = str(error) or type(error).__name__
             raise AcquisitionError(f"damaged at byte {at}: {what}", place=place) from error
     if records.has_end and not complete:
-        raise AcquisitionError("damaged: its end is there, but the records before do not lead to it", place=place)
+        raise AcquisitionError("damaged: it has an end, but the records before do not lead to it", place=place)
     return metadata, attachments, chunks.messages, not records.has_end, records.sha256()
 
 
@@ -174,10 +174,10 @@ def _stream(content: bytes) -> Any:
     return ReadDataStream(BytesIO(content))
 
 
-def _check_crc(found: int, crc: bytes) -> None:
+def _check_crc(computed: int, crc: bytes) -> None:
     expected = int.from_bytes(crc, "little")
-    if expected not in (0, found):  # 0: no CRC was written
-        raise ValueError(f"CRC is {found:08x}: expected {expected:08x}")
+    if expected not in (0, computed):  # 0: no CRC was written
+        raise ValueError(f"CRC is {computed:08x}: expected {expected:08x}")
 
 
 class _Chunks:
@@ -190,10 +190,10 @@ class _Chunks:
         self.messages: dict[str, Messages] = {}
 
     def add(self, chunk: Any) -> None:
-        content = _unpacked(chunk)
+        content = _unpack(chunk)
         self._size += len(content)
-        if self._size > _LARGEST_TOTAL:
-            raise ValueError(f"more than {_LARGEST_TOTAL} bytes unpacked")
+        if self._size > _MAX_TOTAL_BYTES:
+            raise ValueError(f"more than {_MAX_TOTAL_BYTES} bytes unpacked")
         for opcode, begin, end in _records(content):
             if opcode == Opcode.MESSAGE:
                 number, _, stamp_ns, _ = _MESSAGE.unpack_from(content, begin)
@@ -215,12 +215,12 @@ class _Chunks:
                 self._channels[channel.id] = topic
 
 
-def _unpacked(chunk: Any) -> bytes:
+def _unpack(chunk: Any) -> bytes:
     if chunk.compression != "zstd":
         raise ValueError(f"compression {chunk.compression!r}: expected 'zstd'")
     size = zstandard.get_frame_parameters(chunk.data).content_size
-    if size != chunk.uncompressed_size or size > _LARGEST_CHUNK:
-        raise ValueError(f"a chunk of {size} bytes: expected {min(chunk.uncompressed_size, _LARGEST_CHUNK)}")
+    if size != chunk.uncompressed_size or size > _MAX_CHUNK_BYTES:
+        raise ValueError(f"a chunk of {size} bytes: expected {min(chunk.uncompressed_size, _MAX_CHUNK_BYTES)}")
     content: bytes = zstandard.decompress(chunk.data)
     _check_crc(zlib.crc32(content), chunk.uncompressed_crc.to_bytes(4, "little"))
     return content

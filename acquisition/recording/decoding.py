@@ -1,8 +1,7 @@
 """CAN frames → joint samples on the grid of SYNC, vectorised.
 
-A drive samples at SYNC and sends its PDO afterwards, so the time of a sample is that of its SYNC. `sync_grid` computes the
-times and assigns each PDO to the SYNC that it answers. Samples are made block by block: those of an hour are too many to be
-held in memory.
+A drive samples at SYNC and sends its PDO afterwards, so a sample has the time of its SYNC. `sync_grid` computes the times and
+assigns each PDO to the SYNC that it answers. Samples are made block by block, because those of an hour do not fit in memory.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -19,19 +18,19 @@ from .rows import SENT, Block, Rows, Traffic, sample_dtype
 from .sync_grid import SyncTimes, associate, counted_steps, sync_steps, sync_times, without_repeats
 from .writer import RecordingWriter
 
-LARGEST_PERIOD_ERROR = 0.05  # of the described SYNC period
-FEWEST_SYNCS = 10  # with fewer their period is not checked
-MAX_MISSING = 0.05  # of the PDOs of a drive; with more, rows of different instants may look right
-FEW_MISSING = 2  # PDOs of a drive, which are no share in a short recording
+MAX_PERIOD_ERROR = 0.05  # of the described SYNC period
+MIN_SYNCS = 10  # with fewer, their period is not checked
+MAX_MISSING_SHARE = 0.05  # of the PDOs of a drive; with more, wrong rows may look right
+MAX_MISSING_COUNT = 2  # PDOs of a drive; so few are no share of a short recording
 UNCERTAIN = "uncertain"  # counter of SYNCs without a sample, in `/health`
-LOSSES = ("late", "duplicate", "missing", "short")  # what PDOs are counted by
+LOSSES = ("late", "duplicate", "missing", "short")  # counters of PDOs
 _AT_ONCE = 10_000  # samples
-FEWEST_TARGETS = 0.1  # of the SYNCs; with fewer there is no reference
+MIN_TARGET_SHARE = 0.1  # of the SYNCs; with fewer there is no reference
 
 
 @dataclass(frozen=True, kw_only=True)
 class PdoCount:
-    """Frames of one PDO: received, late, duplicate and too short ones, and SYNCs without one between the first and the last."""
+    """Frames of one PDO: received, late, duplicate, too short, and missing between the first and the last SYNC."""
 
     name: str
     received: int
@@ -43,16 +42,16 @@ class PdoCount:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Decoded:
-    """Joint samples, made when they are asked for, and how complete and how even they are.
+    """Joint samples, made on demand, and their completeness and jitter.
 
     Attributes:
-        rows: of each PDO the (N,) frames that samples are made of. SYNCs that a drive did not answer are left out, and those
-            whose answers are uncertain.
+        rows: for each PDO the (N,) frames that samples are made of. SYNCs without an answer of each drive, or with uncertain
+            answers, are left out.
         stamps: (N,) times of the SYNCs in ns.
-        targets: of each drive the (N,) frames of its targets in force, -1 before the first; None where there is no reference.
+        targets: for each drive the (N,) frames of its current targets, -1 before the first; None without a reference.
         syncs, syncs_lost: SYNC frames recorded; SYNCs that were not recorded.
         period_s: between SYNCs, pauses left out.
-        jitter_s: standard deviation and worst deviation of the recorded times from even ones, between pauses.
+        jitter_s: standard and largest deviation of the recorded times from uniform ones, between pauses.
         warnings: for the user, one line each.
     """
 
@@ -71,15 +70,15 @@ class Decoded:
 
     @cached_property
     def samples(self) -> Block:
-        """All samples at once, rows of `sample_dtype`; `blocks` gives them some thousands at a time."""
+        """All samples at once, rows of `sample_dtype`."""
         return np.concatenate(list(self.blocks()))
 
     def blocks(self) -> Iterator[Block]:
         """Rows of `sample_dtype`, some thousands at a time."""
         n, extras = self.robot.n, [(drive, extra) for drive in self.bus.drives for extra in drive.extras]
         layout = sample_dtype(n, reference=self.targets is not None, extra=len(extras))
-        known = None if self.targets is None else np.maximum.reduce([np.argmax(t >= 0) for t in self.targets])
-        last: list[tuple[int, int]] = []  # of each drive: raw position of the row before, and what it is continued by
+        begin = None if self.targets is None else int(np.maximum.reduce([np.argmax(t >= 0) for t in self.targets]))
+        last: list[tuple[int, int]] = []  # for each drive: raw position of the row before, and the counts added to it
         for first in range(0, len(self.stamps), _AT_ONCE):
             part = slice(first, first + _AT_ONCE)
             samples = np.empty(len(self.stamps[part]), layout)
@@ -88,7 +87,7 @@ class Decoded:
             for i, drive in enumerate(self.bus.drives):
                 raw = self._integers(drive, drive.position, part)
                 before, by = last[i] if first else (int(raw[0]), 0)
-                counts = unwrapped(np.concatenate([[before], raw]), drive.position.bits)[0][1:] + by
+                counts = unwrap(np.concatenate([[before], raw]), drive.position.bits)[0][1:] + by
                 last[i : i + 1] = [(int(raw[-1]), int(counts[-1] - raw[-1]))]
                 motor[0, :, i] = drive.position_codec.si(counts)
                 motor[1, :, i] = drive.effort.si(self._integers(drive, drive.effort.entry, part))
@@ -96,15 +95,15 @@ class Decoded:
                     motor[2, :, i] = self._target(drive, self.targets[i][part], counts)
             samples["position"] = self.robot.joint_position(motor[0])
             samples["effort"] = self.robot.joint_effort(motor[1])
-            if known is not None:
+            if begin is not None:
                 samples["reference"] = self.robot.joint_position(motor[2])
-                samples["reference"][: max(0, int(known) - first)] = samples["position"][: max(0, int(known) - first)]
+                samples["reference"][: max(0, begin - first)] = samples["position"][: max(0, begin - first)]
             for k, (drive, extra) in enumerate(extras):
                 samples["extra"][:, k] = extra.si(self._integers(drive, extra.entry, part))
             yield samples
 
     def _target(self, drive: Drive, rows: Rows, counts: Ints) -> Array:
-        """Motor positions of targets. They wrap as the position does that follows: the nearest one is meant."""
+        """Motor positions of targets. Targets wrap as the position does; the nearest one is taken."""
         pdo = drive.carrier(drive.target, "rpdo")
         assert pdo is not None
         target = self.traffic.integers(np.maximum(rows, 0), pdo, drive.target)
@@ -137,7 +136,7 @@ class Decoded:
         }
 
 
-def decode(frames: Block, robot: Robot, bus: Bus, place: str, *, max_missing: float = MAX_MISSING) -> Decoded:
+def decode(frames: Block, robot: Robot, bus: Bus, place: str, *, max_missing: float = MAX_MISSING_SHARE) -> Decoded:
     """Joint samples from the raw frames of one CAN channel.
 
     Parameters
@@ -150,14 +149,14 @@ def decode(frames: Block, robot: Robot, bus: Bus, place: str, *, max_missing: fl
 
     Returns
     -------
-    One sample for each SYNC whose answers by all drives are known: rad or m, and N m or N (A or V where no drive gain is
-    known), at the joints; with `reference` where all drives were sent targets (607Ah or as described).
+    One sample for each SYNC whose answers by all drives are known: rad or m, and N m or N (A or V if no drive gain is known),
+    at the joints; with `reference` if all drives received targets (607Ah or as described).
 
     Raises
     ------
     AcquisitionError
-        With `place`: there is no SYNC, a drive never answered, more PDOs are missing than may be, fewer than two samples
-        remain, or the SYNC period is not that of the description.
+        With `place`: there is no SYNC, a drive never answered, too many PDOs are missing, fewer than two samples remain, or the
+        SYNC period is not that of the description.
     """
     traffic = Traffic(frames)
     sync_rows = traffic.rows_of(bus.file.sync_can_id)
@@ -181,18 +180,20 @@ def decode(frames: Block, robot: Robot, bus: Bus, place: str, *, max_missing: fl
     index_of = np.concatenate([[0], np.cumsum(steps[:-1])])
     times = traffic.at("time_ns", sync_rows)
     clock = sync_times(times, index_of, int(steps.sum()), ours=ours, nominal_ns=bus.period_ns)
-    if len(sync_rows) >= FEWEST_SYNCS:
+    if len(sync_rows) >= MIN_SYNCS:
         _refuse_period(clock.period_s, bus.file.sync_period_s, place)
     del times
     answered, rows_of_pdos, losses, missing_share = associate(pdos, sync_rows, steps, paused, torn)
-    del pdos, rows  # of a long session these are much memory
+    del pdos, rows  # large in a long session
     counts = tuple(
         replace(pdo, late=lost["late"], duplicate=pdo.duplicate + lost["duplicate"], missing=lost["missing"])
         for pdo, lost in zip(counted, losses, strict=True)
     )
-    if missing_share > max_missing and max(count.missing for count in counts) > FEW_MISSING:
+    if missing_share > max_missing and max(count.missing for count in counts) > MAX_MISSING_COUNT:
         text = f"{missing_share:.1%} of the PDOs of a drive are missing"
-        Place(place).refuse(text=text, expected=f"{max_missing:.0%} at most: it is uncertain what belongs together")
+        Place(place).refuse(
+            text=text, expected=f"{max_missing:.0%} at most: it is uncertain which PDOs belong together"
+        )
     if len(answered) < 2:
         Place(place).refuse(text=f"{len(answered)} SYNC answered by all drives", expected="many")
     rows_of = dict(zip(carriers, rows_of_pdos, strict=True))
@@ -219,19 +220,19 @@ def decode(frames: Block, robot: Robot, bus: Bus, place: str, *, max_missing: fl
 
 def _carriers(bus: Bus) -> dict[Pdo, str]:
     """PDOs that hold positions, efforts and extra objects, each with its name for messages."""
-    found = {}
+    names = {}
     for drive in bus.drives:
         for entry in (drive.position, drive.effort.entry, *(extra.entry for extra in drive.extras)):
             pdo = drive.carrier(entry, "tpdo")
             if pdo is not None:
-                found[pdo] = f"TPDO {pdo.number} of node {drive.node}, {drive.name}"
-    return found
+                names[pdo] = f"TPDO {pdo.number} of node {drive.node}, {drive.name}"
+    return names
 
 
-def unwrapped(counts: Ints, bits: int) -> tuple[Ints, Ints]:
-    """Counts continued where a counter of `bits` wraps from one end to the other, and the rows at which it wraps.
+def unwrap(counts: Ints, bits: int) -> tuple[Ints, Ints]:
+    """Counts without the wraps of a counter of `bits`, and the rows at which it wraps.
 
-    Between two answers no motor moves by half of the range of a counter, so a larger step is a wrap.
+    No motor moves by half of a counter's range between two answers, so a larger step is a wrap.
     """
     steps = np.diff(counts)
     wraps = np.flatnonzero(np.abs(steps) > 1 << (bits - 1))
@@ -248,68 +249,68 @@ def _wraps(traffic: Traffic, bus: Bus, rows_of: Mapping[Pdo, Rows], stamps: Ints
         carrier = drive.carrier(drive.position, "tpdo")
         assert carrier is not None  # `resolve` refuses drives without one
         raw = traffic.integers(rows_of[carrier], carrier, drive.position)
-        wraps = unwrapped(raw, drive.position.bits)[1]
+        wraps = unwrap(raw, drive.position.bits)[1]
         if len(wraps):
             first_s = (stamps[wraps[0]] - stamps[0]) * 1e-9
             yield (
                 f"{drive.name}: its position counter wrapped {len(wraps)} times, first at {first_s:.4g} s: "
-                "positions go on from there"
+                "positions are continued"
             )
 
 
 def _targets(traffic: Traffic, sync_rows: Rows, index_of: Ints, answered: Rows, bus: Bus) -> list[Rows] | None:
-    """Frame of the last target of each drive before the SYNC of each sample, -1 where there is none.
+    """Frame of the last target of each drive before the SYNC of each sample, -1 if there is none.
 
-    None where a drive gets no targets, or only a few: a master that commands the state alone sends them too.
+    None if a drive receives no targets or only a few: a master that only commands the state sends some too.
     """
-    found, following = [], np.append(index_of, index_of[-1] + 1)  # grid index of the SYNC after as many SYNC frames
+    targets, following = [], np.append(index_of, index_of[-1] + 1)  # grid index of the SYNC after as many SYNC frames
     for drive in bus.drives:
         pdo = drive.carrier(drive.target, "rpdo")
         rows = np.zeros(0, np.int32) if pdo is None else traffic.of(pdo)[0]
-        if len(rows) < FEWEST_TARGETS * len(answered):
+        if len(rows) < MIN_TARGET_SHARE * len(answered):
             return None
         row = np.full(following[-1] + 1, -1, np.int32)
         row[following[np.searchsorted(sync_rows, rows)]] = rows
-        found.append(np.maximum.accumulate(row)[answered])
-    return found if all((held >= 0).any() for held in found) else None
+        targets.append(np.maximum.accumulate(row)[answered])
+    return targets if all((frames >= 0).any() for frames in targets) else None
 
 
 def _refuse_period(measured_s: float, stated_s: float, place: str) -> None:
-    """Refuse a SYNC period that is not the described one: rates and filters are computed from the description."""
-    if abs(measured_s / stated_s - 1) > LARGEST_PERIOD_ERROR:
+    """Refuse a SYNC period other than the described one: rates and filters are computed from the description."""
+    if abs(measured_s / stated_s - 1) > MAX_PERIOD_ERROR:
         Place(place).refuse(
             text=f"SYNC came every {measured_s * 1e3:.4g} ms; bus.sync_period_s = {stated_s:g} in robot.toml",
-            expected=f"{measured_s:.3g}; correct robot.toml and import again, or make samples of a recording's frames by "
+            expected=f"{measured_s:.3g}; correct robot.toml and import again, or decode a recording's frames again by "
             "`robot-acquire decode LOG.mcap --robot CORRECTED.toml -o OUT.mcap`",
         )
 
 
 def _warnings(counts: Sequence[PdoCount], lost: int, clock: SyncTimes, bus: Bus, answered: Rows) -> list[str]:
-    found = []
+    texts = []
     nominal_s = bus.file.sync_period_s
     at_s = (clock.stamps - clock.stamps[answered[0]]) * 1e-9
     for k, by_s in clock.set_back:
-        found.append(f"the clock was set back by {by_s:.3g} s at {at_s[k]:.4g} s: times go on as if it had not been")
+        texts.append(f"the clock was set back by {by_s:.3g} s at {at_s[k]:.4g} s: later times are shifted forward")
     if abs(clock.period_s / nominal_s - 1) > 0.01:
         expected = f"expected {nominal_s * 1e3:g} ms as robot.toml says"
-        found.append(f"SYNC came every {clock.period_s * 1e3:.4g} ms: {expected}")
+        texts.append(f"SYNC came every {clock.period_s * 1e3:.4g} ms: {expected}")
     if len(clock.pauses):
         longest = clock.pauses[np.argmax(np.diff(clock.stamps)[clock.pauses])]
-        found.append(
+        texts.append(
             f"SYNC paused {len(clock.pauses)} times for more than 1.5 periods, the longest "
             f"{(at_s[longest + 1] - at_s[longest]) * 1e3:.4g} ms at {at_s[longest]:.4g} s"
         )
     elif clock.jitter_s[1] > 0.5 * nominal_s:
-        found.append(
+        texts.append(
             f"a SYNC came {clock.jitter_s[1] * 1e3:.3g} ms off its time: more than half a period of {nominal_s * 1e3:g} ms"
         )
     if lost:
-        found.append(f"{lost} SYNC were answered but not recorded")
+        texts.append(f"{lost} SYNC were answered but not recorded")
     missing = int(answered[-1] - answered[0] + 1 - len(answered))
     if missing:
-        found.append(f"{missing} samples are missing in {int(np.count_nonzero(np.diff(answered) > 1))} gaps")
+        texts.append(f"{missing} samples are missing in {int(np.count_nonzero(np.diff(answered) > 1))} gaps")
     for count in counts:
         losses = [f"{getattr(count, word)} {word}" for word in LOSSES if getattr(count, word)]
         if losses:
-            found.append(f"{count.name}: {', '.join(losses)} of {count.received}")
-    return found
+            texts.append(f"{count.name}: {', '.join(losses)} of {count.received}")
+    return texts

@@ -1,4 +1,4 @@
-"""Reads a recording, as far as it goes where the file has no proper end, and writes one anew."""
+"""Reads a recording, up to the cut if the file has no end, and writes a changed copy."""
 
 import json
 import math
@@ -22,7 +22,7 @@ from .writer import EFFORT_TIMINGS, FRAMES_TOPIC, SCHEMA_VERSION, Header, Record
 
 FIRST_DATE_NS = 946_684_800 * 10**9  # 2000-01-01; stamps before it count from the start of a computer or a recording
 
-NO_SAMPLES = "no samples: "  # begins the event that says why
+NO_SAMPLES = "no samples: "  # begins the event that gives the reason
 _READ = re.compile(f"/samples|/events|/health|{FRAMES_TOPIC.pattern}")  # all topics but those for viewers
 
 
@@ -53,10 +53,10 @@ class Recording:
     """What a recording holds.
 
     Attributes:
-        samples: rows of `sample_dtype` with strictly increasing stamps, joint side, SI; `None` if there are none.
+        samples: rows of `sample_dtype` with strictly increasing stamps, joint side, SI; None without samples.
         frames: rows of `FRAME` by CAN channel.
         attachments: by name; names are labels, never paths.
-        cut: the file has no proper end: this is what was written before the cut.
+        cut: the file has no end; this is what was written before the cut.
     """
 
     samples: Block | None
@@ -72,9 +72,9 @@ class Recording:
 
     @property
     def began(self) -> datetime | None:
-        """When it began: by its first stamp where stamps are dates, as those of ROS, else when its file was begun.
+        """Start of the recording: its first stamp if stamps are dates, as those of ROS, else when its file was created.
 
-        None where nothing says so.
+        None if neither is known.
         """
         first_ns = 0 if self.samples is None or len(self.samples) == 0 else int(self.samples["stamp_ns"][0])
         if first_ns >= FIRST_DATE_NS:
@@ -87,20 +87,19 @@ class Recording:
 
     @property
     def no_samples(self) -> str:
-        """Why there are no samples, in the words of what recorded or decoded them."""
+        """The reason why there are no samples, as recorded."""
         texts = [event.text for event in self.events if event.text.startswith(NO_SAMPLES)]
         return texts[-1] if texts else "holds no joint samples"
 
     @property
     def effort_timing(self) -> EffortTiming:
-        """What instants efforts belong to, by what the recording says of them."""
-        said = self.metadata.get("effort_timing")
-        return next((timing for timing, text in EFFORT_TIMINGS.items() if text == said), "unknown")
+        """The instants that efforts belong to, as the recording states."""
+        stated = self.metadata.get("effort_timing")
+        return next((timing for timing, text in EFFORT_TIMINGS.items() if text == stated), "unknown")
 
     @property
     def header(self) -> Header:
-        """For another recording of the same session."""
-        own = self.robot.files
+        """Header of another recording of the same session."""
         return Header(
             robot=self.robot,
             source=self.metadata.get("source", ""),
@@ -108,25 +107,25 @@ class Recording:
             effort_provenance=self.metadata.get("effort_provenance", ""),
             effort_timing=self.effort_timing,
             notes=self.metadata,
-            attachments={name: content for name, content in self.attachments.items() if name not in own},
+            attachments={name: content for name, content in self.attachments.items() if name not in self.robot.files},
         )
 
     def __repr__(self) -> str:
         samples, frames = 0 if self.samples is None else len(self.samples), sum(map(len, self.frames.values()))
-        held = f"{samples} samples at {self.sample_rate_hz:g} Hz, {frames} CAN frames"
-        return f"Recording({self.robot.name}: {held}{', cut' if self.cut else ''})"
+        content = f"{samples} samples at {self.sample_rate_hz:g} Hz, {frames} CAN frames"
+        return f"Recording({self.robot.name}: {content}{', cut' if self.cut else ''})"
 
 
 def read_recording(path: str | PathLike[str]) -> Recording:
-    """Read a recording; CRCs are checked.
+    """Read a recording and check its CRCs.
 
-    One of an older schema version is read too, and one without its end as far as it goes, with `cut` set.
+    Older schema versions are read too. A file without its end is read up to the cut, with `cut` set.
 
     Raises
     ------
     AcquisitionError
-        The file cannot be read, is no recording, is damaged, is of a newer schema version, or holds blocks that do not fit
-        their layout.
+        The file cannot be read, is no recording, is damaged, has a newer schema version, or has blocks that do not fit their
+        layout.
     """
     path = Path(path)
     place = Place(str(path))
@@ -151,8 +150,8 @@ def read_recording(path: str | PathLike[str]) -> Recording:
         elif match := FRAMES_TOPIC.fullmatch(topic):
             frames[match[1]] = _rows(blocks, [FRAME], where)
             check_frames(frames[match[1]], str(where))
-    events = _decoded(topics, "/events", _EventText, path)
-    health = _decoded(topics, "/health", dict[str, float | None], path)
+    events = _decode_json(topics, "/events", _EventText, path)
+    health = _decode_json(topics, "/health", dict[str, float | None], path)
     return Recording(
         samples=samples,
         frames=frames,
@@ -171,7 +170,7 @@ def read_recording(path: str | PathLike[str]) -> Recording:
 
 
 def has_reference(path: Path) -> bool:
-    """Whether a recording's samples have a reference, by its summary alone; True of what cannot be read as a whole."""
+    """Whether a recording's samples have a reference, by its summary alone; True for a file that is cut or damaged."""
     from mcap.exceptions import McapError
     from mcap.reader import make_reader
 
@@ -186,7 +185,7 @@ def has_reference(path: Path) -> bool:
 
 
 def _rows(blocks: Messages, known: list[np.dtype[np.void]], place: Place) -> Block:
-    """Concatenated rows. The schema's text is compared with the layouts this version writes, never evaluated."""
+    """Concatenated rows. The schema's text is compared with known layouts, never evaluated."""
     dtype = next((layout for layout in known if repr(layout.descr) == blocks.layout), None)
     if dtype is None:
         place.refuse(text=f"layout {blocks.layout[:200]!r}", expected=str(known[-1].descr))
@@ -197,7 +196,7 @@ def _rows(blocks: Messages, known: list[np.dtype[np.void]], place: Place) -> Blo
     return rows
 
 
-def _decoded(topics: Mapping[str, Messages], topic: str, kind: Any, path: Path) -> list[tuple[int, Any]]:
+def _decode_json(topics: Mapping[str, Messages], topic: str, kind: Any, path: Path) -> list[tuple[int, Any]]:
     try:
         messages = topics[topic].items() if topic in topics else ()
         return [(stamp, msgspec.json.decode(text, type=kind)) for stamp, text in messages]
@@ -230,7 +229,7 @@ def _rate(metadata: Mapping[str, str], place: Place) -> float:
 def rewrite(
     recording: Recording, header: Header, out: Path, add: Callable[[RecordingWriter], None], *, without: str = ""
 ) -> None:
-    """Write the frames, events (but those of the kind `without`) and health of a recording anew; `add` writes the samples."""
+    """Copy frames, health and events (except those of the kind `without`) of a recording; `add` writes the samples."""
     with atomic_write(out) as partial, RecordingWriter(partial, header) as writer:
         for channel, frames in recording.frames.items():
             writer.frames(channel, frames)

@@ -1,4 +1,4 @@
-"""Rows that recordings hold: raw CAN frames and joint samples, as numpy dtypes; what every row must satisfy; frames by PDO."""
+"""Rows of recordings, raw CAN frames and joint samples, as numpy dtypes; their checks; frames by PDO."""
 
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
@@ -15,16 +15,16 @@ from ..protocol import PARAMETERS, REQUEST, ObjectEntry, Pdo, request_of
 # One raw CAN frame; `data` beyond `length` is zero.
 FRAME = np.dtype([("time_ns", "<i8"), ("can_id", "<u4"), ("length", "u1"), ("flags", "u1"), ("data", "u1", (8,))])
 # Bits of FRAME's `flags`.
-SENT = 1  # by us; not set: received
+SENT = 1  # by this master; not set: received
 EXTENDED = 2  # 29-bit identifier
 ERROR = 4  # error frame
 REMOTE_REQUEST = 8  # remote request
 _DATA_AT = FRAME.itemsize - 8  # offset of a frame's bytes in its row
-_NO_ID = 0xFFFF  # of frames that CANopen does not use
-_AT_ONCE = 100_000  # rows: many may lie on disk, and only these are in memory
-_TAKEN = 20_000  # rows: those of one PDO are spread over many more frames
-WHOLE = 0.1  # periods by which a step over missing rows, or SYNCs of another producer, may be off whole ones
-LARGEST_STAMP_NS = 2**31 * 1_000_000_000 - 1  # a ROS time counts seconds in 32 bits
+_NO_ID = 0xFFFF  # stands for frames that CANopen does not use
+_AT_ONCE = 100_000  # rows in memory at once; all others may be on disk
+_TAKEN = 20_000  # rows: those of one PDO are spread over more frames
+MAX_PERIOD_OFFSET = 0.1  # periods: largest deviation of a step over missing rows from whole periods
+MAX_STAMP_NS = 2**31 * 1_000_000_000 - 1  # a ROS time counts seconds in 32 bits
 
 Block = NDArray[np.void]
 Rows = NDArray[np.int32]  # indices of frames or SYNCs: half the memory of Ints
@@ -40,16 +40,16 @@ class Gap:
     late: bool = False
 
 
-# Fields that rows may have besides, in their order: measured joint speeds in rad/s or m/s; torques on the joints that are known
-# and not of the drives, N m or N; what is added to the controller's output, by motor, in the unit of the recorded effort.
+# Optional fields of rows, in their order: measured joint speeds in rad/s or m/s; known torques on the joints that are not of
+# the drives, N m or N; feed-forward added to the controller's output, by motor, in the unit of the recorded effort.
 OPTIONAL = ("velocity", "known_torque", "feedforward")
 
 
 def sample_dtype(n: int, *, reference: bool, extra: int = 0, optional: Collection[str] = ()) -> np.dtype[np.void]:
     """Row of joint samples of `n` joints: `stamp_ns`, `position` (n,) rad or m, `effort` (n,), and `reference` (n,).
 
-    Those of the fields `OPTIONAL` that are in `optional` follow, (n,) each. `extra` further values of drives are in the field
-    `extra` (extra,), named by `robot.extra_columns`.
+    The fields of `OPTIONAL` that are in `optional` follow, (n,) each. `extra` further values of drives are in the field `extra`
+    (extra,), named by `robot.extra_columns`.
     """
     fields: list[Any] = [("stamp_ns", "<i8"), ("position", "<f8", (n,)), ("effort", "<f8", (n,))]
     fields += [("reference", "<f8", (n,))] if reference else []
@@ -58,14 +58,15 @@ def sample_dtype(n: int, *, reference: bool, extra: int = 0, optional: Collectio
 
 
 def gaps(samples: Block, sample_rate_hz: float, sync_ns: Ints | None = None) -> tuple[Gap, ...]:
-    """Where consecutive stamps lie more than 1.5 periods apart.
+    """Gaps: consecutive stamps more than 1.5 periods apart.
 
-    Late is a SYNC that no other one of `sync_ns`, those that we sent, came before; without them, after no whole periods.
+    A gap is `late` if no other SYNC of `sync_ns`, those that this master sent, lies in it; without `sync_ns`, if it is no
+    multiple of the period.
     """
     stamps = samples["stamp_ns"]
     periods = np.diff(stamps) * (sample_rate_hz * 1e-9)
     rows = np.flatnonzero(periods > 1.5)
-    late = np.abs(periods[rows] - np.rint(periods[rows])) > WHOLE
+    late = np.abs(periods[rows] - np.rint(periods[rows])) > MAX_PERIOD_OFFSET
     if sync_ns is not None:
         late = np.searchsorted(sync_ns, stamps[rows + 1]) - np.searchsorted(sync_ns, stamps[rows], "right") == 0
     return tuple(
@@ -75,22 +76,22 @@ def gaps(samples: Block, sample_rate_hz: float, sync_ns: Ints | None = None) -> 
 
 
 def in_parts(rows: Block) -> Iterator[Block]:
-    """Rows some at a time."""
+    """Parts of the rows that fit in memory."""
     for first in range(0, len(rows), _AT_ONCE):
         yield rows[first : first + _AT_ONCE]
         release_pages(rows)
 
 
 def check_samples(samples: Block, after_ns: int, place: str) -> None:
-    """Refuse stamps that do not grow, from `after_ns` on, and values that are not finite; errors name `place`."""
+    """Refuse stamps that do not grow from `after_ns`, and values that are not finite; errors name `place`."""
     first = 0
     for rows in in_parts(samples):
         stamps = rows["stamp_ns"]
-        bad = (stamps <= np.concatenate([[after_ns], stamps[:-1]])) | (stamps > LARGEST_STAMP_NS)
+        bad = (stamps <= np.concatenate([[after_ns], stamps[:-1]])) | (stamps > MAX_STAMP_NS)
         if bad.any():
             row = int(np.argmax(bad))
             where = Place(f"{place}: row {first + row + 1}")
-            where.refuse("stamp_ns", int(stamps[row]), f"growing stamps from 0 to {LARGEST_STAMP_NS}")
+            where.refuse("stamp_ns", int(stamps[row]), f"growing stamps from 0 to {MAX_STAMP_NS}")
         after_ns = int(stamps[-1])
         for field in (samples.dtype.names or ())[1:]:
             finite = np.isfinite(rows[field])
@@ -114,8 +115,9 @@ def check_frames(frames: Block, place: str) -> None:
 
 
 class Traffic:
-    """`frames` of one channel with `ids` (len(frames),): 11-bit identifiers; error and extended frames and remote requests
-    have one that nothing else has.
+    """`frames` of one channel and their 11-bit identifiers `ids` (len(frames),).
+
+    Error frames, extended frames and remote requests have the identifier 0xFFFF.
     """
 
     def __init__(self, frames: Block) -> None:
@@ -138,7 +140,7 @@ class Traffic:
 
     def at(self, field: str, rows: Rows) -> NDArray[Any]:
         """A field of the frames `rows`."""
-        return self._taken(self.frames[field], rows)
+        return self._take(self.frames[field], rows)
 
     def integers(self, rows: Rows, pdo: Pdo, entry: ObjectEntry) -> Ints:
         """The integers of one object in the frames `rows`."""
@@ -147,25 +149,25 @@ class Traffic:
         # One strided field over the rows in place: three times as fast as copying the bytes of each frame.
         kind = f"<{entry.type[0].lower()}{size}"
         only = np.dtype({"names": ["value"], "formats": [kind], "offsets": [_DATA_AT + at], "itemsize": FRAME.itemsize})
-        return self._taken(self.frames.view(only)["value"], rows).astype(np.int64)
+        return self._take(self.frames.view(only)["value"], rows).astype(np.int64)
 
-    def _taken(self, column: NDArray[Any], rows: Rows) -> NDArray[Any]:
-        found = np.empty((len(rows), *column.shape[1:]), column.dtype)
+    def _take(self, column: NDArray[Any], rows: Rows) -> NDArray[Any]:
+        values = np.empty((len(rows), *column.shape[1:]), column.dtype)
         for first in range(0, len(rows), _TAKEN):
             part = slice(first, first + _TAKEN)
-            found[part] = column[rows[part]]
+            values[part] = column[rows[part]]
             release_pages(self.frames)
-        return found
+        return values
 
 
 def written_by_master(frames: Block) -> Mapping[int, dict[tuple[int, int], int]]:
-    """What a master wrote into communication and mapping parameters (1400h to 1BFFh), by node; the last write counts."""
-    found: dict[int, dict[tuple[int, int], int]] = {}
+    """Values that a master wrote to communication and mapping parameters (1400h to 1BFFh), by node; the last write counts."""
+    values: dict[int, dict[tuple[int, int], int]] = {}
     ids = Traffic(frames).ids
     low, high = min(p[0] for p in PARAMETERS.values()), 0x1BFF
     requests = frames[np.flatnonzero((ids > REQUEST) & (ids < REQUEST + 128))]
     for row in requests[requests["length"] == 8]:
         transfer = request_of(row["data"].tobytes())
         if transfer.kind == "write" and low <= transfer.index <= high:
-            found.setdefault(int(row["can_id"]) - REQUEST, {})[transfer.index, transfer.sub] = transfer.number
-    return found
+            values.setdefault(int(row["can_id"]) - REQUEST, {})[transfer.index, transfer.sub] = transfer.number
+    return values

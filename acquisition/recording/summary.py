@@ -1,4 +1,4 @@
-"""What a recording holds, on one page: for people as tables, for programs as JSON."""
+"""Overview of a recording: tables for people, JSON for programs."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -22,10 +22,10 @@ _SHOWN = 20  # gaps and events in the tables; the JSON has all
 def overview(recording: Recording, row_warnings: str = "") -> dict[str, Any]:
     """The content of `robot-acquire info` as plain data; stamps are the recording's, tables count them from `first_ns`.
 
-    `joints`, `extras`: lowest and highest values, an empty unit is that of raw integers. `step_jitter_s`: standard deviation
-    and worst deviation of the steps between samples, gaps left out. `first_ns`: of the first sample, of the first frame where
-    there are no samples, None without either. `row_warnings`: what the frames say of samples that an older version made.
-    `health`: the last counters. `attachments`: sizes in bytes by name.
+    `joints`, `extras`: lowest and highest values; raw integers have an empty unit. `step_jitter_s`: standard and largest
+    deviation of the steps between samples without gaps. `first_ns`: of the first sample, else of the first frame, else None.
+    `row_warnings`: samples of an older version that the frames refuse. `health`: the last counters. `attachments`: sizes in
+    bytes by name.
     """
     samples, robot, metadata = recording.samples, recording.robot, recording.metadata
     joints, extras, first_ns = [], [], None
@@ -84,7 +84,7 @@ def _ranges(rows: Block, field: str) -> list[tuple[float, float]]:
 
 
 def _own_syncs(recording: Recording) -> Ints | None:
-    """Times of the SYNCs that we sent; None where there are none."""
+    """Times of the SYNCs that this master sent; None without any."""
     bus = recording.robot.bus
     found = [
         part["time_ns"][(part["can_id"] == bus.sync_can_id) & ((part["flags"] & SENT) != 0)]
@@ -97,13 +97,13 @@ def _own_syncs(recording: Recording) -> Ints | None:
 
 
 def _step_jitter(stamps: Ints) -> tuple[float, float]:
-    """Standard deviation and worst deviation of the steps between samples from the usual one, gaps left out; s."""
+    """Standard and largest deviation of the steps between samples from the median, without gaps; s."""
     steps = np.diff(stamps).astype(np.float64)
     if not len(steps):
         return 0.0, 0.0
-    off = steps - np.median(steps)
-    off = off[np.abs(off) <= 0.5 * np.median(steps)]
-    return float(np.sqrt(np.mean(off**2))) * 1e-9, float(np.abs(off).max()) * 1e-9
+    deviation = steps - np.median(steps)
+    deviation = deviation[np.abs(deviation) <= 0.5 * np.median(steps)]
+    return float(np.sqrt(np.mean(deviation**2))) * 1e-9, float(np.abs(deviation).max()) * 1e-9
 
 
 def as_tables(found: Mapping[str, Any]) -> Group:
@@ -145,7 +145,7 @@ def _seconds(stamp_ns: int, found: Mapping[str, Any]) -> str:
 
 @dataclass(frozen=True)
 class _Trimmed:
-    """A table whose lines end where their text does: one long line would pad all others to its length."""
+    """A table without trailing blanks: one long line would pad all others to its length."""
 
     table: Table
 
@@ -163,7 +163,7 @@ def _facts(found: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     yield "robot", found["robot"]
     yield "source", found["source"]
     yield "created", f"{found['created']} by {found['software']}"
-    yield "end", "missing: this is what was written before the cut" if found["cut"] else "whole"
+    yield "end", "missing: only what was written before the cut" if found["cut"] else "whole"
     if found["samples"]:
         reference = "with reference" if found["has_reference"] else "without reference"
         yield "samples", f"{found['samples']} at {found['sample_rate_hz']:g} Hz, {found['duration_s']:g} s, {reference}"
@@ -194,7 +194,7 @@ def _table(columns: Sequence[str], rows: Sequence[Sequence[Text | str | float]])
     """Texts without markup and without control characters, numbers in five digits."""
     table = Table(box=None, show_header=any(columns))
     for column in columns:
-        table.add_column(column, overflow="fold")  # a hash or a name is broken before it is cut short
+        table.add_column(column, overflow="fold")  # long hashes and names are wrapped, not shortened
     for row in rows:
         cells = (f"{cell:.5g}" if isinstance(cell, float) else cell for cell in row)
         table.add_row(*(Text(one_line(cell)) if isinstance(cell, str) else cell for cell in cells))

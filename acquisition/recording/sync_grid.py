@@ -1,17 +1,17 @@
 """The grid of SYNC: which PDO answers which SYNC, and the time of each SYNC.
 
-**Times.** Drives sample at SYNC. The time of a SYNC that we send is the time of sending. Another producer sends SYNC by the
-timer of its controller: its receive times are uneven by delays of reception, which are never negative and do not last. So a
-SYNC came no later than each SYNC after it minus the whole periods between them. A pause of the producer lasts, and stays in
-the times as a gap.
+**Times.** Drives sample at SYNC. The time of a SYNC that this master sends is the time of sending. Another producer sends SYNC
+by its own timer: the receive times contain delays of reception, which are never negative and do not last. So a SYNC came no
+later than each later SYNC minus the whole periods between them. A pause of the producer lasts, and remains in the times as a
+gap.
 
 **Answers.** An interval is the time from one SYNC frame to the next. A drive answers every SYNC once and in order, some answers
-after the next SYNC. Order alone assigns answers to SYNCs as long as all of them are there: one that is lost shifts all later
-ones of its drive. So the frames are cut into stretches at places where nothing is pending, and a stretch gives rows only where
-every PDO came as often as SYNC did. Nothing is pending
+after the next SYNC. The order assigns answers to SYNCs as long as none is lost: a lost one shifts all later ones of its drive.
+So the frames are divided into stretches at places where no answer is pending, and a stretch gives rows only if every PDO came
+as often as SYNC. No answer is pending
 
-- between intervals with one PDO of every drive each, three in a row, unless a drive catches up later with what it was behind;
-- as often as the PDOs since such a place are as many as the SYNCs.
+- between three intervals in a row with one PDO of every drive each, unless a drive catches up later with pending answers;
+- wherever the PDOs since such a place are as many as the SYNCs.
 """
 
 from collections.abc import Callable, Sequence
@@ -22,17 +22,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array, Ints
-from .rows import WHOLE, Rows
+from .rows import MAX_PERIOD_OFFSET, Rows
 
 Bools = NDArray[np.bool_]
 Number = TypeVar("Number", np.int32, np.float64)
 
-PAUSE = 1.5  # periods: a longer step between SYNCs is a pause
-LONGEST_RUN = 255  # SYNCs within which late PDOs must end, and SYNCs lost in a row; a longer silence is a pause
-IN_ORDER, LATE_IN_ORDER = 3, 8  # intervals in a row that prove the order; at most so many more where drives are late
-_IN_TIME = 0.75  # periods after SYNC: a later PDO may answer one that was not recorded
-_MUCH_DELAYED = 4.0  # times the usual delay: such SYNCs are not used for the period
-_LOOKED_AHEAD = (15, 127)  # SYNCs by which the delay of one is removed, in the first and the second pass
+MIN_PAUSE_PERIODS = 1.5  # periods: a longer step between SYNCs is a pause
+MAX_RUN_SYNCS = 255  # within which late PDOs must end; lost in a row, a longer silence is a pause
+MIN_IN_ORDER, MAX_LATE_IN_ORDER = (
+    3,
+    8,
+)  # intervals in a row that prove the order; at most so many more where drives are late
+_MAX_ANSWER_PERIODS = 0.75  # after SYNC: a later PDO may answer a SYNC that was not recorded
+_MAX_DELAY_RATIO = 4.0  # times the usual delay; SYNCs with more are not used for the period
+_LOOKAHEAD_SYNCS = (15, 127)  # later SYNCs that bound the delay of one, in the first and second pass
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -42,9 +45,9 @@ class SyncTimes:
     Attributes:
         stamps: (grid,) time of each SYNC in ns, strictly growing; interpolated for SYNCs that were not recorded.
         period_s: between SYNCs, pauses left out.
-        jitter_s: standard deviation and worst deviation of the recorded times from even ones, between pauses.
-        pauses: grid indices after which a pause of more than 1.5 periods follows.
-        set_back: grid index and seconds of each time that the clock was set back; the step there counts as one period.
+        jitter_s: standard and largest deviation of the recorded times from uniform ones, between pauses.
+        pauses: grid indices before a pause of more than 1.5 periods.
+        set_back: grid index and size in s of each step back of the clock; such a step counts as one period.
     """
 
     stamps: Ints
@@ -55,14 +58,14 @@ class SyncTimes:
 
 
 def sync_times(times: Ints, index_of: Ints, grid: int, *, ours: bool, nominal_ns: int) -> SyncTimes:
-    """Times of all `grid` SYNCs from those of the recorded ones, ns, and their index on the grid.
+    """Times of all `grid` SYNCs from the times in ns and grid indices of the recorded ones.
 
-    `ours`: we sent them. Of two estimates of the period the one nearer to the nominal one is used.
+    `ours`: this master sent them. Of two estimates of the period, the one nearer to the nominal one is used.
     """
     index = index_of.astype(np.float64)
-    times, set_back = _without_set_back(times, index_of)
+    times, set_back = _remove_set_back(times, index_of)
     since = (times - times[0]).astype(np.float64)
-    freed, run, within = _even(index, since)
+    freed, run, within = _remove_delays(index, since)
     overall = _slope(index, since, np.zeros_like(run)) if run[-1] else within
     # Pauses lengthen the second estimate, delays may disturb the first; a wrong description changes neither.
     period = min((within, overall), key=lambda p: abs(p - nominal_ns))
@@ -80,13 +83,13 @@ def sync_times(times: Ints, index_of: Ints, grid: int, *, ours: bool, nominal_ns
         stamps=stamps,
         period_s=period * 1e-9,
         jitter_s=(float(deviation.std()) * 1e-9, float(np.abs(deviation).max()) * 1e-9),
-        pauses=np.flatnonzero(np.diff(stamps) > PAUSE * period),
+        pauses=np.flatnonzero(np.diff(stamps) > MIN_PAUSE_PERIODS * period),
         set_back=set_back,
     )
 
 
-def _without_set_back(times: Ints, index_of: Ints) -> tuple[Ints, tuple[tuple[int, float], ...]]:
-    """Times with each step back replaced by one period, and where the steps back are."""
+def _remove_set_back(times: Ints, index_of: Ints) -> tuple[Ints, tuple[tuple[int, float], ...]]:
+    """Times with each step back replaced by one period, and the steps back."""
     steps = np.diff(times)
     back = np.flatnonzero(steps < 0)
     if not len(back):
@@ -94,45 +97,45 @@ def _without_set_back(times: Ints, index_of: Ints) -> tuple[Ints, tuple[tuple[in
     usual = int(np.median(steps[steps >= 0])) if (steps >= 0).any() else 1
     jumps = np.zeros(len(times), np.int64)
     jumps[back + 1] = usual - steps[back]
-    found = tuple((int(index_of[k + 1]), float(usual - steps[k]) * 1e-9) for k in back)
-    return times + np.cumsum(jumps), found
+    set_back = tuple((int(index_of[k + 1]), float(usual - steps[k]) * 1e-9) for k in back)
+    return times + np.cumsum(jumps), set_back
 
 
-def _even(index: Array, since: Array) -> tuple[Array, Ints, float]:
+def _remove_delays(index: Array, since: Array) -> tuple[Array, Ints, float]:
     """Times without delays, the run between pauses that each SYNC belongs to, and the period within runs.
 
-    A delay does not last: a lateness that the next SYNCs keep is a pause.
+    A delay does not last: if the next SYNCs are as late, it is a pause.
     """
     period = float(np.median(np.diff(since) / np.diff(index)))
     ahead, run = 0, np.zeros(len(since), np.int64)
-    for ahead in _LOOKED_AHEAD:  # with a better period, over more SYNCs
-        freed = least_ahead(since - index * period, ahead) + index * period
-        paused = np.diff(freed) - np.diff(index) * period > (PAUSE - 1) * period
+    for ahead in _LOOKAHEAD_SYNCS:  # the second with a better period, over more SYNCs
+        freed = minimum_ahead(since - index * period, ahead) + index * period
+        paused = np.diff(freed) - np.diff(index) * period > (MIN_PAUSE_PERIODS - 1) * period
         run = np.concatenate([[0], np.cumsum(paused)])
         delay = since - freed
-        usual = delay <= _MUCH_DELAYED * np.median(delay)
+        usual = delay <= _MAX_DELAY_RATIO * np.median(delay)
         if np.count_nonzero(usual) >= 2:
             period = _slope(index[usual], since[usual], run[usual])
-    return least_ahead(since - index * period, ahead) + index * period, run, period
+    return minimum_ahead(since - index * period, ahead) + index * period, run, period
 
 
 def _mean_of_run(values: Array, run: Ints) -> Array | float:
-    """For each value the mean of its run."""
+    """The mean of each value's run."""
     if not run[-1]:
         return float(values.mean())
-    found: Array = (np.bincount(run, values) / np.maximum(np.bincount(run), 1))[run]
-    return found
+    means: Array = (np.bincount(run, values) / np.maximum(np.bincount(run), 1))[run]
+    return means
 
 
 def _slope(index: Array, since: Array, run: Ints) -> float:
-    """Least-squares slope over the index, one for all runs, each with an offset of its own."""
+    """Least-squares slope over the index, one for all runs; each run has its own offset."""
     k = index - _mean_of_run(index, run)
     square = float(k @ k)
     return float(k @ (since - _mean_of_run(since, run))) / square if square > 0 else float(np.median(np.diff(since)))
 
 
-def least_ahead(values: NDArray[Number], ahead: int) -> NDArray[Number]:
-    """Least of each value and the next `ahead`, a power of two less one."""
+def minimum_ahead(values: NDArray[Number], ahead: int) -> NDArray[Number]:
+    """Minimum of each value and the next `ahead`, a power of two minus one."""
     least = values.copy()
     step = 1
     while step <= ahead:
@@ -142,14 +145,14 @@ def least_ahead(values: NDArray[Number], ahead: int) -> NDArray[Number]:
 
 
 def _interval(rows: Rows, sync_rows: Rows) -> Rows:
-    """Interval of each frame, -1 before the first; made anew each time, because those of all PDOs are much memory."""
+    """Interval of each frame, -1 before the first; not stored, because those of all PDOs need much memory."""
     return np.searchsorted(sync_rows, rows).astype(np.int32) - 1
 
 
 def without_repeats(rows: Rows, sync_rows: Rows, data: NDArray[np.uint8]) -> tuple[Rows, int]:
-    """Those of a PDO's frames `rows`, with the bytes `data` (len(rows), 8), that come after the first SYNC; repeats left out.
+    """Frames of a PDO after the first SYNC without repeats, and the number of repeats; `data` (len(rows), 8): their bytes.
 
-    A frame with the bytes of the one before in its interval repeats it, if the drive's bytes change before and after.
+    A frame repeats the one before if both are of one interval, have equal bytes, and differ from the frames before and after.
     """
     interval = _interval(rows, sync_rows)
     again = np.flatnonzero((np.diff(interval) == 0) & (interval[1:] >= 0)) + 1
@@ -165,30 +168,30 @@ def without_repeats(rows: Rows, sync_rows: Rows, data: NDArray[np.uint8]) -> tup
 def sync_steps(
     sync_rows: Rows, pdos: Sequence[Rows], times_of: Callable[[Rows], Ints], *, ours: bool
 ) -> tuple[Rows, Bools, Bools]:
-    """Periods from each SYNC frame to the next; whether it was a pause, and one with late PDOs in it; (k,) each.
+    """Periods from each SYNC frame to the next; whether it is a pause; whether a pause contains late PDOs; (k,) each.
 
-    A step of whole periods of another producer is as many SYNCs. We may have sent SYNC late: then SYNCs are lost if most
-    drives have an answer to each of them, as after the last SYNC. `pdos`: frames by PDO; `times_of` gives the times of frames.
+    A step of whole periods of another producer is as many SYNCs. This master may have sent SYNC late (`ours`): then, as after
+    the last SYNC, SYNCs count as lost if most drives answered each of them. `pdos`: frames by PDO; `times_of`: their times.
     """
     times = times_of(sync_rows)
     steps, paused, torn = np.ones(len(times), np.int32), np.zeros(len(times), np.bool_), np.zeros(len(times), np.bool_)
     period = float(np.median(np.diff(times))) or 1.0
     end = max(int(times_of(pdo[-1:])[0]) for pdo in pdos)
-    after_last = 1 + int((end - times[-1]) / period + 1 - _IN_TIME)
+    after_last = 1 + int((end - times[-1]) / period + 1 - _MAX_ANSWER_PERIODS)
     periods = np.append(np.diff(times) / period, after_last)
-    long = np.flatnonzero(periods > PAUSE)
+    long = np.flatnonzero(periods > MIN_PAUSE_PERIODS)
     lost = np.rint(periods[long]).astype(np.int64) - 1
     after = np.empty((len(pdos), len(long)), np.int64)
     for count, pdo in zip(after, pdos, strict=True):
         interval = _interval(pdo, sync_rows)
         here = np.isin(interval, long)
         interval = interval[here]
-        interval = interval[times_of(pdo[here]) - times[interval] > _IN_TIME * period]
+        interval = interval[times_of(pdo[here]) - times[interval] > _MAX_ANSWER_PERIODS * period]
         count[:] = np.bincount(interval, minlength=len(times))[long]
     known = np.sort(after, axis=0)[(len(pdos) - 1) // 2] >= lost
     if not ours:
-        known |= (np.abs(periods[long] - lost - 1) <= WHOLE) & (long < len(times) - 1)
-    known &= lost < LONGEST_RUN
+        known |= (np.abs(periods[long] - lost - 1) <= MAX_PERIOD_OFFSET) & (long < len(times) - 1)
+    known &= lost < MAX_RUN_SYNCS
     steps[long[known]] += lost[known]
     paused[long], torn[long] = ~known, ~known & after.any(axis=0)
     return steps, paused, torn
@@ -205,11 +208,11 @@ def counted_steps(counter: NDArray[np.uint8]) -> Rows:
 def associate(
     pdos: Sequence[Rows], sync_rows: Rows, steps: Rows, paused: Bools, torn: Bools
 ) -> tuple[Rows, list[Rows], list[dict[str, int]], float]:
-    """Assign PDOs, frames each, to SYNCs where the order is proven; `steps`, `paused`, `torn` as of `sync_steps`.
+    """Assign the frames of `pdos` to SYNCs where the order is proven; `steps`, `paused`, `torn` as of `sync_steps`.
 
-    Returns grid indices (N,) of the SYNCs whose answers are all known, those included that were not recorded; of each PDO the
-    (N,) frames that answer them, and how many of it are late, duplicate and missing (these in the span in which all drives
-    answer); the share of missing ones, in that span, of the PDO of which most are missing.
+    Returns grid indices (N,) of the SYNCs whose answers are all known, also of SYNCs that were not recorded; for each PDO the
+    (N,) frames that answer them, and the numbers of late, duplicate and missing ones (missing: in the span in which all drives
+    answer); the largest share of missing ones of a PDO in that span.
     """
     edges = _sums(steps)
     alone, caught_up = (steps == 1) & ~torn, np.zeros(len(edges), np.bool_)
@@ -219,7 +222,7 @@ def associate(
         alone &= count == 1
         behind.append(edges - _sums(count))
         del count
-        later, before = (least_ahead(x, LONGEST_RUN) for x in (behind[-1], behind[-1][::-1]))
+        later, before = (minimum_ahead(x, MAX_RUN_SYNCS) for x in (behind[-1], behind[-1][::-1]))
         # A drive that is less behind both before and later is late here.
         caught_up |= (behind[-1] > later) & (behind[-1] > before[::-1])
     if all(x[-1] == 0 for x in behind) and any(x.max() > 0 for x in behind):
@@ -227,22 +230,22 @@ def associate(
     # In a pause drives catch up: one that has not done so answers a SYNC that was not recorded.
     torn = torn | paused & caught_up[1:]
     # Late drives, too, have one PDO in each of some intervals, and a lost one may hide that they catch up.
-    hidden = min(_longest_run(alone & caught_up[1:] & caught_up[:-1]) + 1, LATE_IN_ORDER) if caught_up.any() else 0
+    hidden = min(_longest_run(alone & caught_up[1:] & caught_up[:-1]) + 1, MAX_LATE_IN_ORDER) if caught_up.any() else 0
     in_order, sums = np.zeros(len(edges), np.bool_), _sums(alone)
-    runs = np.flatnonzero(sums[IN_ORDER + hidden :] - sums[: -IN_ORDER - hidden] == IN_ORDER + hidden)
-    for k in range(hidden, IN_ORDER + hidden + 1):
+    runs = np.flatnonzero(sums[MIN_IN_ORDER + hidden :] - sums[: -MIN_IN_ORDER - hidden] == MIN_IN_ORDER + hidden)
+    for k in range(hidden, MIN_IN_ORDER + hidden + 1):
         in_order[runs + k] = True
     proven = in_order & ~caught_up
-    # The recording may have begun while answers were pending: then there are more of them than SYNCs.
+    # The recording may begin while answers are pending: then there are more answers than SYNCs.
     begin = int(np.argmax(proven)) if proven.any() else len(edges) - 1
     unknown = np.zeros(len(edges), np.int32)
     unknown[0] = any(x[: begin + 1].min() < 0 for x in behind)
     proven[[0, -1]] = True
     starts = np.flatnonzero(proven).astype(np.int32)
-    balances = [*behind, unknown, _sums(torn)]  # an interval that is torn is in no stretch
+    balances = [*behind, unknown, _sums(torn)]  # a torn interval is in no stretch
     unchanged = np.ones(len(edges), np.bool_)
     for balance in balances:
-        lowest = np.minimum.reduceat(balance, starts)  # below the start: a SYNC was lost, or a PDO doubled, unnoticed
+        lowest = np.minimum.reduceat(balance, starts)  # below the start: an unnoticed loss of a SYNC or repeat of a PDO
         lowest[:-1] = np.minimum(lowest[:-1], balance[starts[1:]])
         level = np.where(lowest < balance[starts], np.iinfo(np.int32).max, balance[starts])
         unchanged &= balance == np.repeat(level, np.diff(starts, append=len(edges)))
@@ -258,7 +261,7 @@ def associate(
         counts.append({"duplicate": -int(grown[grown < 0].sum()), "missing": int(grown[grown > 0].sum())})
     share = max(losses["missing"] for losses in counts) / max(1, int(edges[span[-1]] - edges[span[0]]))
     keep = np.repeat(whole, np.diff(cuts))
-    del behind, balances, balance, edges, sums, span  # of a long session these are much memory
+    del behind, balances, balance, edges, sums, span  # large in a long session
     asked = np.repeat(np.flatnonzero(keep).astype(np.int32), steps[keep])  # the interval of each of the SYNCs
     rows = []
     for pdo, losses in zip(pdos, counts, strict=True):
@@ -271,10 +274,10 @@ def associate(
 
 
 def _sums(values: NDArray[Any]) -> Rows:
-    """Sum of all values before each, and of all."""
-    found = np.zeros(len(values) + 1, np.int32)
-    np.cumsum(values, out=found[1:])
-    return found
+    """Sum of all values before each, then the sum of all."""
+    sums = np.zeros(len(values) + 1, np.int32)
+    np.cumsum(values, out=sums[1:])
+    return sums
 
 
 def _longest_run(true: Bools) -> int:

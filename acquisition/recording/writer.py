@@ -1,7 +1,7 @@
-"""Writes a recording: one MCAP file that holds everything a fit needs; and what writer and reader agree on.
+"""Writes a recording, one MCAP file with everything a fit needs; defines what writer and reader share.
 
 The README has a table of the channels. The metadata record `recording` and the attachments (`robot.toml`, the URDF) are
-written before the data, so that a file without its end can still be read. Blocks are numpy rows, which cost far less than a
+written before the data, so that a file without its end can be read. Blocks are numpy rows, which need far less space than a
 message per row; the text of their schema is the numpy dtype's `descr`.
 """
 
@@ -28,7 +28,7 @@ from ..errors import Place
 from ..robot import EffortTiming, Robot, extra_columns
 from .rows import FRAME, OPTIONAL, Block, check_frames, check_samples, sample_dtype
 
-# Texts of the metadata's key `effort_timing`; without the key it is not known.
+# Texts of the metadata's key `effort_timing`; a missing key means "unknown".
 EFFORT_TIMINGS: Mapping[EffortTiming, str] = {
     "command": "command of the instant, held after it",
     "mean": "mean over the control period",
@@ -47,12 +47,12 @@ _TEXT_SCHEMA = {"type": "object", "properties": {"kind": {"type": "string"}, "te
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Header:
-    """What a recording holds before its data.
+    """The part of a recording before its data.
 
     Attributes:
-        source: where the data come from, in words.
-        effort_provenance: object, reference or actual, raw unit, rated value and rule of each effort, in words.
-        notes: further metadata by key (bus, bitrate); keys that the header writes itself are written anew.
+        source: origin of the data, as text.
+        effort_provenance: object, reference or actual, raw unit, rated value and rule of each effort, as text.
+        notes: further metadata by key (bus, bitrate); keys of the header itself are overwritten.
         attachments: files by name, in addition to the robot's own.
     """
 
@@ -86,12 +86,12 @@ class Header:
 
     @property
     def files(self) -> Mapping[str, bytes]:
-        """All attachments by name; of two with one name the robot's own."""
+        """All attachments by name; the robot's own replace others of the same name."""
         return {**self.attachments, **self.robot.files}
 
 
 def sample_layouts(robot: Robot) -> list[np.dtype[np.void]]:
-    """Rows that samples of a robot may have."""
+    """All row layouts that samples of a robot may have."""
     counts = dict.fromkeys((len(extra_columns(robot)), 0))
     columns = [some for k in range(len(OPTIONAL) + 1) for some in combinations(OPTIONAL, k)]
     return [
@@ -103,7 +103,7 @@ def sample_layouts(robot: Robot) -> list[np.dtype[np.void]]:
 
 
 def metadata_crc(metadata: Mapping[str, str]) -> str:
-    """Of all entries but itself. MCAP guards its metadata only by the CRC at the end, which a cut file has lost."""
+    """CRC of all entries but itself. The CRC of MCAP for its metadata is at the end, which a cut file has lost."""
     entries = sorted((key, value) for key, value in metadata.items() if key != "crc32")
     return f"{zlib.crc32(json.dumps(entries).encode()):08x}"
 
@@ -119,10 +119,10 @@ def _software() -> str:
 
 
 class RosMessages:
-    """CDR of ROS 2 messages, by the package rosbags."""
+    """Serializes ROS 2 messages to CDR by the package rosbags."""
 
     def __init__(self) -> None:
-        from rosbags.typesys import Stores, get_typestore  # slow to import: needed for writing only
+        from rosbags.typesys import Stores, get_typestore  # slow to import, only needed for writing
 
         self.store = get_typestore(Stores.ROS2_JAZZY)
         types = self.store.types
@@ -130,7 +130,7 @@ class RosMessages:
         self._header, self._text = types["std_msgs/msg/Header"], types[TEXT]
 
     def definition(self, kind: str) -> str:
-        """The text that defines a type of message."""
+        """The definition of a message type, as text."""
         text: str = self.store.generate_msgdef(kind, ros_version=2)[0]
         return text
 
@@ -148,12 +148,12 @@ class RosMessages:
 class RecordingWriter:
     """Writes a recording; a context manager. `flush` makes what was written so far survive a kill or a power cut.
 
-    Metadata and attachments are on the disk when the constructor returns. Raises `OSError` as files do (use it within
-    `atomic_write` where the file must be whole or not there), and `AcquisitionError` for blocks that do not fit.
+    Metadata and attachments are on the disk when the constructor returns. Raises `OSError` as files do (use `atomic_write` if
+    the file must be written whole or not at all), and `AcquisitionError` for blocks that do not fit.
     """
 
     def __init__(self, path: Path, header: Header) -> None:
-        self._messages = RosMessages()  # slow to make: not while frames come in
+        self._messages = RosMessages()  # slow to make, so not while frames arrive
         self._robot, self._place = header.robot, str(path)
         self._layout: np.dtype[np.void] | None = None
         self._last_stamp_ns = -1
@@ -207,21 +207,21 @@ class RecordingWriter:
                 self._block(topic, "robot_idim/frames", part, int(part["time_ns"][0]))
 
     def event(self, stamp_ns: int, kind: str, text: str) -> None:
-        """Note what happened at `stamp_ns`."""
+        """Add an event."""
         self._json("/events", "robot_idim/event", _TEXT_SCHEMA, stamp_ns, {"kind": kind, "text": text})
 
     def health(self, stamp_ns: int, counters: Mapping[str, float]) -> None:
-        """Note the recorder's counters at `stamp_ns`; one that is not finite is stored as unknown and read as NaN."""
+        """Add the recorder's counters; one that is not finite is stored as null and read as NaN."""
         self._json("/health", "robot_idim/health", {"type": "object"}, stamp_ns, dict(counters))
 
     def flush(self) -> None:
-        """Bring everything written so far to the disk."""
+        """Write everything so far to the disk."""
         self._writer.flush()
         self._file.flush()
         os.fsync(self._file.fileno())
 
     def close(self) -> None:
-        """End the file properly. Harmless when it is closed already."""
+        """Write the end of the file; does nothing if it is closed."""
         if self._file.closed:
             return
         with self._file:
@@ -250,7 +250,7 @@ class RecordingWriter:
         names, nothing = [j.name for j in self._robot.joints], np.zeros(0)
         for row in rows:
             stamp_ns = int(row["stamp_ns"])
-            # A JointState's effort is in N m or N by definition: amperes and volts have no place there.
+            # The effort of a JointState is in N m or N by definition, never in A or V.
             content = self._messages.joint_state(
                 stamp_ns, names, row[field], nothing, row["effort"] if effort else nothing
             )
@@ -258,5 +258,5 @@ class RecordingWriter:
 
 
 def _parts(block: Block) -> Iterator[Block]:
-    """Pieces small enough for a chunk of about a mebibyte."""
+    """Parts small enough for a chunk of about 1 MiB."""
     return (block[k : k + 2000] for k in range(0, len(block), 2000))

@@ -1,9 +1,9 @@
-"""The robot's description: joints, motors, limits, bus and drives, resolved; the references that it may follow."""
+"""The robot's description: joints, motors, limits, bus and drives; the references that it may follow."""
 
 from .bus import BusFile, DriveFile, EffortTiming, demand_ripple_warnings, parse_homed
 from .description import Capsule, Controller, Edges, FrictionTerm, Joint, LowSpeed, RobotFile, low_speed_by_method
 from .drives import (
-    LARGEST_LOAD,
+    MAX_LOAD,
     Bus,
     Drive,
     ExtraColumn,

@@ -1,4 +1,4 @@
-"""`[bus]` of robot.toml: the CAN interface, SYNC, and what stands in each drive, as written in the file.
+"""`[bus]` of robot.toml: the CAN interface, SYNC and the drives, as written in the file.
 
 `drives` resolves it with the object dictionaries. acquisition/README.md explains every key.
 """
@@ -21,7 +21,7 @@ HomedName = Annotated[str, msgspec.Meta(pattern=r"\A[0-9A-Fa-f]{4}(:[0-9]{1,3})?
 Counts = Annotated[float, msgspec.Meta(gt=0, le=1e12)]  # per turn or metre
 Word = Annotated[str, msgspec.Meta(min_length=1, max_length=64, pattern=r"\A[A-Za-z0-9_.:/\-]+\Z")]
 
-EffortTiming = Literal["command", "mean", "measured", "unknown"]  # what instants recorded efforts belong to
+EffortTiming = Literal["command", "mean", "measured", "unknown"]  # the instants that recorded efforts belong to
 
 MAX_DEMAND_RIPPLE = 0.002  # of the inertia
 TORQUE_DEMAND = 0x6074
@@ -33,7 +33,7 @@ BITRATES = (10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000,
 
 
 class PdoFile(TomlTable, frozen=True):
-    """A PDO: the objects in it, in order; `can_id` and `number` (from 1) where they are not the usual ones."""
+    """A PDO: its objects in order; `can_id` and `number` (from 1) if they are not the usual ones."""
 
     objects: Annotated[tuple[ObjectName, ...], msgspec.Meta(min_length=1, max_length=8)]
     can_id: CanId | None = None
@@ -41,7 +41,7 @@ class PdoFile(TomlTable, frozen=True):
 
 
 class ExtraFile(TomlTable, frozen=True):
-    """A further object in the samples; `scale` (per raw unit) and `unit` where the standard's are not meant."""
+    """A further object in the samples; `scale` (per raw unit) and `unit` if they are not those of the standard."""
 
     object: ObjectName
     name: Word | None = None
@@ -52,24 +52,24 @@ class ExtraFile(TomlTable, frozen=True):
         if self.scale == 0:
             self.refuse("scale", self.scale, "a number other than 0")
         if self.unit is not None and self.scale is None:
-            self.refuse("unit", self.unit, "a scale beside it")
+            self.refuse("unit", self.unit, "a scale with it")
 
 
 class DriveFile(TomlTable, frozen=True):
     """One `[[bus.drive]]`, in the order of the motors.
 
     Attributes:
-        dictionary: EDS or DCF beside robot.toml.
-        objects: types of objects written out, `"30D0:0" = "I32"`, in place of a dictionary, or in addition to one.
+        dictionary: EDS or DCF in the folder of robot.toml.
+        objects: types of objects, `"30D0:0" = "I32"`, instead of a dictionary or in addition to one.
         reference, actual: objects of the current or torque reference and of the actual value; one may be missing.
-        reference_rule, actual_rule: how the raw integer becomes SI; CiA 402's rule where left out.
-        rated_current_a, rated_torque_nm, rated_force_n: what the drive's 6075h or 6076h must say.
+        reference_rule, actual_rule: conversion of the raw integer to SI; default: CiA 402's rule.
+        rated_current_a, rated_torque_nm, rated_force_n: required value of the drive's 6075h or 6076h.
         rated_current_unit, rated_torque_unit: units of those objects in this drive (an EPOS4 has uN m).
         counts_per_turn, counts_per_m: position counts per motor revolution, or per metre of a motor that slides.
-        sign, effort_sign: -1 where the drive counts against the motor of the description; the second follows the first.
+        sign, effort_sign: -1 if the drive counts against the motor of the description; default of the second: the first.
         homed: object that is not 0, `2000:1`, or bit that is set, `6041.8`, when the drive is homed.
-        mapping: where the PDOs stand: this `table`, the `dictionary` (a DCF), or the master's SDO `traffic`.
-        tpdo, rpdo: PDOs from and to the drive; status, position, effort and control, target where left out.
+        mapping: source of the PDOs: this `table`, the `dictionary` (a DCF), or the master's SDO `traffic`.
+        tpdo, rpdo: PDOs from and to the drive; default: status, position, effort and control, target.
         extra: further objects in the samples, such as `606C`.
     """
 
@@ -118,7 +118,7 @@ class DriveFile(TomlTable, frozen=True):
         if (self.counts_per_turn is None) == (self.counts_per_m is None):
             self.refuse("counts_per_turn", self.counts_per_turn, "counts_per_turn or counts_per_m, one of the two")
         if self.dictionary is not None and not re.fullmatch(r"[^/\\\x00-\x1f]+", self.dictionary):
-            self.refuse("dictionary", self.dictionary, "the name of a file beside robot.toml")
+            self.refuse("dictionary", self.dictionary, "the name of a file in the folder of robot.toml")
         if self.mapping == "dictionary" and self.dictionary is None:
             self.refuse("mapping", self.mapping, "a dictionary (EDS or DCF) that holds the mapping")
 
@@ -137,15 +137,15 @@ class BusFile(TomlTable, frozen=True):
     """`[bus]`: python-can's interface and channel, SYNC, the drives.
 
     Attributes:
-        sync_producer: `recorder` (we send it) or `other`.
+        sync_producer: `recorder` (this program) or `other`.
         loopback: whether network interfaces (udp_multicast) stay on this machine.
-        heartbeat_s: time between heartbeats, of drives and of this master; whoever is silent for three times as long is lost.
+        heartbeat_s: time between heartbeats of drives and this master; silence of three times as long is a loss.
         master_node: node id under which this master sends its heartbeat while it moves drives.
-        other_nodes: node ids of further devices, such as grippers and I/O: their heartbeats are no sign of another master.
-        late_sync_s: how late SYNC may be in motion; where left out three periods, at least 20 ms.
-        enable_motion_deg, enable_motion_m: how far a joint may move while drives are enabled, and `enable_watch_s` longer.
-        effort_timing: what the drives' effort objects mean: the `command` of an instant, held after it; the `mean` over the
-            period about it; `measured` at the instant.
+        other_nodes: node ids of further devices, such as grippers and I/O, whose heartbeats are no sign of another master.
+        late_sync_s: how late SYNC may be in motion; default: three periods, at least 20 ms.
+        enable_motion_deg, enable_motion_m: how far a joint may move while drives are enabled, and for `enable_watch_s` after.
+        effort_timing: meaning of the drives' effort objects: the `command` of an instant, held after it; the `mean` over the
+            period around it; `measured` at the instant.
     """
 
     interface: Word
@@ -182,20 +182,20 @@ class BusFile(TomlTable, frozen=True):
 
 
 def demand_ripple(bandwidth_hz: float, sync_period_s: float) -> float:
-    """(w T)²/3: how far a torque demand at SYNC is from its mean, as a share of the inertia; w: the position loop."""
-    # A drive that interpolates its targets by lines deviates from them between two SYNCs, in proportion to the acceleration,
-    # and its loops (the velocity loop four times as fast) demand a torque for it. At SYNC the deviation is always the same.
+    """(w T)²/3: difference of a torque demand at SYNC from its mean, as a share of the inertia; w: of the position loop."""
+    # A drive that interpolates its targets linearly deviates from them between two SYNCs, in proportion to the acceleration,
+    # and its loops (the velocity loop four times as fast) demand a torque for it. At SYNC this deviation is always the same.
     return (2 * math.pi * bandwidth_hz * sync_period_s) ** 2 / 3
 
 
 def demand_ripple_warnings(bus: BusFile | None, bandwidth_hz: float | None) -> tuple[str, ...]:
-    """A warning where that may be large and the effort of a drive is a torque demand."""
+    """A warning if the ripple may be large and the effort of a drive is a torque demand."""
     if bus is None or bandwidth_hz is None or not any(drive.reports_demand for drive in bus.drive):
         return ()
     ripple = demand_ripple(bandwidth_hz, bus.sync_period_s)
     text = (
         f"effort (6074) is sampled at one phase of the SYNC period: up to {100 * ripple:.1f} % of the inertia, (w T)²/3, if "
-        "drives interpolate by lines: shorten sync_period_s, or record an averaged object"
+        "drives interpolate linearly: shorten sync_period_s, or record an averaged object"
     )
     return (text,) if ripple > MAX_DEMAND_RIPPLE else ()
 
@@ -207,11 +207,11 @@ def parse_object(name: str) -> tuple[int, int]:
 
 
 def parse_homed(name: str) -> tuple[int, int, int | None]:
-    """Index, sub-index and bit of `6041.8`; no bit where the whole object counts."""
+    """Index, sub-index and bit of `6041.8`; None if the whole object counts."""
     entry, _, bit = name.partition(".")
     return *parse_object(entry), int(bit) if bit else None
 
 
 def dictionary_label(name: str) -> str:
-    """Name under which a recording carries the dictionary `name`; a label, never a path."""
+    """Name of a dictionary's attachment in a recording; a label, never a path."""
     return f"dictionary:{name}"

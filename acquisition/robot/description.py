@@ -53,7 +53,7 @@ def _key(quantity: str, kind: str) -> str:
 
 
 class Joint(TomlTable, frozen=True):
-    """One `[[joint]]`: its kind, place, friction terms and limits. `None` means no limit is stated."""
+    """One `[[joint]]`: type, geometry, friction terms and limits; None: not stated."""
 
     name: Name
     type: Literal["revolute", "prismatic"]
@@ -82,10 +82,10 @@ class Joint(TomlTable, frozen=True):
     def __post_init__(self) -> None:
         other, unit = ("prismatic", "deg") if self.type == "revolute" else ("revolute", "m")
         for quantity in QUANTITIES:
-            key, own = _key(quantity, other), self.key(quantity)
+            key, own_key = _key(quantity, other), self.key(quantity)
             if getattr(self, key) is not None:
-                what = own if quantity == "effort" else f"a key in {unit}"
-                self.refuse(key, getattr(self, key), f"{what} for a {self.type} joint")
+                replacement = own_key if quantity == "effort" else f"a key in {unit}"
+                self.refuse(key, getattr(self, key), f"{replacement} for a {self.type} joint")
         limits = self.si("position")
         if limits is not None and not limits[0] < limits[1]:
             self.refuse(self.key("position"), getattr(self, self.key("position")), "[lowest, highest]")
@@ -95,7 +95,7 @@ class Joint(TomlTable, frozen=True):
                     self.refuse("friction", term, "each term once")
             for name in ("viscous", "coulomb", "offset"):
                 if getattr(self, name) is not None:
-                    self.refuse(name, getattr(self, name), "no such key beside a list of terms in friction")
+                    self.refuse(name, getattr(self, name), "no such key with a list of terms in friction")
 
     @cached_property
     def position_unit(self) -> str:
@@ -104,12 +104,12 @@ class Joint(TomlTable, frozen=True):
 
     @cached_property
     def one_sided(self) -> bool:
-        """Whether viscous and Coulomb friction are two for the two directions: the word `friction = "asymmetric"`."""
+        """Whether viscous and Coulomb friction differ by direction: `friction = "asymmetric"`."""
         return self.friction == "asymmetric"
 
     @cached_property
     def terms(self) -> tuple[FrictionTerm, ...]:
-        """Friction terms: those of the list `friction`, or else by the keys `viscous`, `coulomb`, `offset`."""
+        """Friction terms: the list `friction`, else by the keys `viscous`, `coulomb`, `offset`."""
         if isinstance(self.friction, tuple):
             return self.friction
         stated: tuple[tuple[FrictionTerm, bool | None], ...]
@@ -117,13 +117,13 @@ class Joint(TomlTable, frozen=True):
         return tuple(term for term, has in stated if has is not False)
 
     def key(self, quantity: str) -> str:
-        """The key of a quantity (of those of `si`) in the file: `speed_deg_s`, `effort_n`."""
+        """The key of a quantity of `si` in the file: `speed_deg_s`, `effort_n`."""
         return _key(quantity, self.type)
 
     def si(self, quantity: str) -> Any:
         """`zero`, `position`, `speed`, `acceleration`, `following_error`, `stribeck_speed` in rad or m (per s, s²).
 
-        `effort` in N m or N. `None` where it is not stated.
+        `effort` in N m or N. None if not stated.
         """
         value = getattr(self, self.key(quantity))
         if self.type == "prismatic" or quantity == "effort":
@@ -160,15 +160,12 @@ class Motor(TomlTable, frozen=True):
 
     @cached_property
     def gain(self) -> float | None:
-        """Motor torque or force per unit of recorded effort; 1 when it is recorded as torque; `None` when unknown."""
+        """Motor torque or force per unit of recorded effort; 1 if recorded as torque or force; None if unknown."""
         return 1.0 if self.drive_gain_unit is None and self.effort_unit in ("N m", "N") else self.drive_gain
 
 
 class Controller(TomlTable, frozen=True):
-    """`[controller]`: how the drives follow their reference. Only `bandwidth_hz` is needed for least squares.
-
-    `Robot.bandwidth_hz` reads it, and refuses a description that does not state it.
-    """
+    """`[controller]`: how the drives follow their reference. Least squares needs only `bandwidth_hz`."""
 
     bandwidth_hz: Positive | None = None
     structure: Structure | None = None
@@ -186,7 +183,7 @@ class Controller(TomlTable, frozen=True):
 
 
 class LowSpeed(TomlTable, frozen=True):
-    """Rows slower than this share of the peak speed, in percent, are left out: of least squares, of iv. None: the default."""
+    """Percentage of the peak speed below which rows are left out of least squares and of iv; None: the default."""
 
     ls: Share | None = None
     iv: Share | None = None
@@ -207,12 +204,12 @@ class Identification(TomlTable, frozen=True):
 
     @property
     def low_speed(self) -> LowSpeed:
-        """`low_speed_percent` by method; a single number holds for both."""
+        """`low_speed_percent` by method."""
         return low_speed_by_method(self.low_speed_percent)
 
 
 def low_speed_by_method(percent: float | LowSpeed | None) -> LowSpeed:
-    """A low-speed threshold by method, from one number for both or from one for each."""
+    """A low-speed threshold by method, from one number for both or one for each."""
     return percent if isinstance(percent, LowSpeed) else LowSpeed(ls=percent, iv=percent)
 
 
@@ -240,7 +237,7 @@ class RobotFile(TomlTable, frozen=True):
         if self.bus is not None and len(self.bus.drive) != n:
             self.refuse("bus.drive", f"{len(self.bus.drive)} tables", f"one per motor: {n}")
         if self.urdf_meshes and self.urdf is None:
-            self.refuse("urdf_meshes", True, "a urdf that names them")
+            self.refuse("urdf_meshes", True, "a urdf that refers to them")
         for kind, names in (("joint", [j.name for j in self.joint]), ("motor", [m.name for m in self.motor])):
             for i, name in enumerate(names):
                 if name in names[:i]:
@@ -249,10 +246,10 @@ class RobotFile(TomlTable, frozen=True):
             if (joint.dh is None) == (self.urdf is None):
                 expected = "a dh row for every joint, or else a urdf for the whole robot (one of the two)"
                 self.refuse(f"joint[{i}].dh", joint.dh, expected)
-            # Not in the joint: one whose terms are chosen for a fit keeps the speed.
+            # Not checked in the joint: one whose terms are chosen for a fit may still state the speed.
             key, speed = f"joint[{i}].{joint.key('stribeck_speed')}", joint.si("stribeck_speed")
             if "stribeck" in joint.terms and speed is None:
-                self.refuse(key, None, "the speed at which Stribeck friction has fallen to 37 %")
+                self.refuse(key, None, "the speed at which Stribeck friction has decreased to 37 %")
             if "stribeck" not in joint.terms and speed is not None:
                 self.refuse(key, speed, 'the term "stribeck" in friction with it')
         for i, motor in enumerate(self.motor):
@@ -277,7 +274,7 @@ class RobotFile(TomlTable, frozen=True):
         if np.linalg.matrix_rank(np.array(matrix)) < n:
             self.refuse("motor_matrix", matrix, "an invertible matrix")
         for i, row in enumerate(matrix):
-            if row[i] == 0:  # names such as Ia2 and gains go by joint: each motor has one of its own
+            if row[i] == 0:  # names such as Ia2 and gains are by joint, so each joint needs its own motor
                 self.refuse(
                     f"motor_matrix[{i}]", list(row), f"motor {i + 1} to turn joint {i + 1}: order the motors so"
                 )

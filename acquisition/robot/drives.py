@@ -1,8 +1,8 @@
-"""The drives of a robot as resolved from the description, their extra objects, and the checks of what they can carry.
+"""The drives of a robot, resolved from the description, their extra objects and checks.
 
-Further objects of drives in `/samples` are what `extra` in `[[bus.drive]]` asks for, by name, unit and scale: velocities and
-following errors are scaled as the position is, currents and torques by the rule of their object, anything else as the
-description says, or not at all. Values are those of the motor.
+`extra` in `[[bus.drive]]` states further objects in `/samples`. Velocities and following errors are scaled as the position,
+currents and torques by the rule of their object, all others by the `scale` of the description, if any. Values are those of the
+motor.
 """
 
 from collections.abc import Mapping
@@ -34,9 +34,9 @@ from .bus import AXIS, USUAL_SYNC, BusFile, DriveFile, ExtraFile, parse_object
 from .description import Motor
 from .robot import Robot
 
-LARGEST_LOAD = 0.95  # of the bus, with the worst case of bit stuffing
+MAX_LOAD = 0.95  # of the bus, with the worst case of bit stuffing
 FREE_CAN_IDS = range(0x680, 0x6E0)  # that CiA 301 gives to no service; PDOs have others
-POSITION_TYPE = "I32"  # of the position and of its target: codecs, and what is unwound of counters, go by it
+POSITION_TYPE = "I32"  # of the position and of its target; codecs and the unwrapping of counters depend on it
 # Objects in position units, also a second (CiA 402-2), by their index on the first axis: name, unit of time.
 POSITION_OBJECTS = {0x60F4: ("following error", ""), 0x606B: ("velocity demand", "/s"), 0x606C: ("velocity", "/s")}
 EFFORT_NAMES = {0x6074: "torque demand", 0x6077: "torque", 0x6078: "current"}
@@ -46,7 +46,7 @@ Values = Mapping[tuple[int, int], int]
 
 @dataclass(frozen=True, kw_only=True)
 class ExtraColumn:
-    """A column of `extra` in `/samples`: `motor`, what it is called there, its unit, empty for a raw integer."""
+    """A column of `extra` in `/samples`: motor, name, and unit, empty for a raw integer."""
 
     motor: str
     name: str
@@ -55,7 +55,7 @@ class ExtraColumn:
 
 @dataclass(frozen=True, kw_only=True)
 class ExtraObject:
-    """An object that a PDO carries in addition to position and effort; value = raw · scale, in the unit of its column."""
+    """An object in a PDO in addition to position and effort; value = raw · scale, in the unit of its column."""
 
     entry: ObjectEntry
     column: ExtraColumn
@@ -68,16 +68,16 @@ class ExtraObject:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Drive:
-    """A drive, ready to talk to.
+    """A drive with its objects, PDOs and codecs.
 
     Attributes:
-        effort: codec of what samples hold: the reference, or the actual value where no reference is described.
-        rated: raw values that objects of the drive must have, by index.
+        effort: codec of the effort in samples: the reference, or the actual value if no reference is described.
+        rated: required raw values of objects of the drive, by index.
         tpdos, rpdos: from the drive, to the drive.
         extras: further objects in the samples.
-        dictionary: None where objects are written out.
+        dictionary: None if the description states the objects.
         speed_limit, acceleration_limit: of the motor, counts/s and counts/s², by the limits of the joints that it moves;
-            None where one of them states none.
+            None if one of them states none.
         counts_per_joint: counts of the motor per degree or metre of the joints that it moves, and that unit.
     """
 
@@ -113,12 +113,12 @@ class Bus:
 
     @property
     def period_ns(self) -> int:
-        """From SYNC to SYNC."""
+        """SYNC period."""
         return round(self.file.sync_period_s * 1e9)
 
     @property
     def load(self) -> float:
-        """Share of the bus that SYNC and all PDOs take, with the worst case of bit stuffing."""
+        """Share of the bus that SYNC and all PDOs need, with the worst case of bit stuffing."""
         pdos = [pdo for drive in self.drives for pdo in (*drive.tpdos, *drive.rpdos)]
         return bus_load(pdos, bitrate=self.file.bitrate, sync_period_s=self.file.sync_period_s)
 
@@ -130,7 +130,7 @@ class Bus:
 
     @property
     def provenance(self) -> str:
-        """Where efforts come from, drive by drive; drives alike are named together."""
+        """Origin of the efforts by drive; equal drives are listed together."""
         names_by_text: dict[str, list[str]] = {}
         for drive in self.drives:
             names_by_text.setdefault(drive.effort.provenance, []).append(drive.name)
@@ -138,22 +138,22 @@ class Bus:
 
 
 def refuse_load(bus: Bus, place: str) -> None:
-    """Refuse PDOs in both directions that do not fit between two SYNCs; for sessions that send, not for listeners."""
-    if bus.load > LARGEST_LOAD:
+    """Refuse PDOs that do not fit between two SYNCs; for sessions that send, not for listeners."""
+    if bus.load > MAX_LOAD:
         period_s = bus.file.sync_period_s
-        expected = f"{LARGEST_LOAD:.0%} at most: {bus.load * period_s / LARGEST_LOAD:.2g} s or longer, or fewer PDOs"
+        expected = f"{MAX_LOAD:.0%} at most: {bus.load * period_s / MAX_LOAD:.2g} s or longer, or fewer PDOs"
         problem = f"{bus.load:.0%} of {bus.file.bitrate} bit/s"
         Place(place, "bus").refuse("sync_period_s", period_s, expected, text=problem, shown=f"{period_s:g}")
 
 
 def refuse_out_of_range(path: Array, robot: Robot, bus: Bus, place: str) -> None:
-    """Refuse joint positions (N, n), one row each SYNC, whose counts are more than a drive's target object can hold.
+    """Refuse joint positions (N, n), one row each SYNC, whose counts exceed the range of a drive's target object.
 
-    A drive held at the end of its counts would stand still while the others go on. Raises `AcquisitionError` naming
-    `place`, the time, the motor, its counts and the range; also where a position is not finite.
+    A drive at the end of its range would stop while the others move on. Raises `AcquisitionError` with `place`, the time, the
+    motor, its counts and the range; also if a position is not finite.
     """
     low, high = range_of(POSITION_TYPE)
-    with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused below
+    with np.errstate(over="ignore", invalid="ignore"):  # values that are not finite are refused below
         motors = robot.motor_position(path)
         for i, drive in enumerate(bus.drives):
             counts = drive.position_codec.exact(motors[:, i])
@@ -168,7 +168,7 @@ def refuse_out_of_range(path: Array, robot: Robot, bus: Bus, place: str) -> None
 
 
 def refuse_pdos(bus: Bus, place: str) -> None:
-    """Refuse what a drive or another node would misunderstand, whichever source the PDOs have."""
+    """Refuse PDOs that a drive or another node would misunderstand."""
     # A controlword on the identifier of another service would be a command of that service, to every node.
     sync = bus.file.sync_can_id
     free = f"0x{FREE_CAN_IDS[0]:X} to 0x{FREE_CAN_IDS[-1]:X}"
@@ -181,7 +181,7 @@ def refuse_pdos(bus: Bus, place: str) -> None:
             for pdo in pdos:
                 at = Place(f"{place}: bus.drive[{i}]: {way} {pdo.number} (mapping = {file.mapping!r})")
                 if pdo.number in numbers:
-                    at.refuse(text=f"number = {pdo.number} is there twice", expected="one of its own")
+                    at.refuse(text=f"number = {pdo.number} is used twice", expected="one of its own")
                 numbers.add(pdo.number)
                 if pdo.bits > MAX_PDO_BITS:
                     at.refuse(text=f"{pdo.length} bytes", expected="8 at most")
@@ -195,7 +195,7 @@ def refuse_pdos(bus: Bus, place: str) -> None:
 
 def refuse_counts(robot: Robot, i: int, file: DriveFile, at: Place) -> None:
     """Refuse counts per metre of a motor that turns, and per turn of one that slides."""
-    # A torque or a force shows which; where efforts are amperes or volts alone, the joints that the motor moves do.
+    # The effort, a torque or a force, shows which; for amperes or volts, the joints that the motor moves.
     motor = robot.motors[i]
     unit = (motor.drive_gain_unit or motor.recorded_unit).partition("/")[0]
     slides = any(r and joint.type == "prismatic" for r, joint in zip(robot.R[i], robot.joints, strict=True))
@@ -209,9 +209,9 @@ def refuse_counts(robot: Robot, i: int, file: DriveFile, at: Place) -> None:
 
 
 def axis_of(drive: Drive) -> int:
-    """What a drive's control and status objects are beyond 6040h and 6041h: a multiple of 800h (CiA 402-2), 0 for one axis.
+    """Offset of a drive's control and status objects from 6040h and 6041h: a multiple of 800h (CiA 402-2), 0 for one axis.
 
-    Raises `AcquisitionError` where they are not of one axis.
+    Raises `AcquisitionError` if they are not of one axis.
     """
     axis = drive.control.index - CONTROLWORD
     if axis % AXIS or drive.status.index - STATUSWORD != axis or drive.control.sub or drive.status.sub:
@@ -221,14 +221,14 @@ def axis_of(drive: Drive) -> int:
 
 
 def axis_index(drive: Drive, index: int) -> int:
-    """Index of an object of CiA 402 for the axis of a drive, also where its control object is none of the standard's."""
+    """Index of an object of CiA 402 for the axis of a drive, also if its control object is not the standard's."""
     return (index + drive.control.index - CONTROLWORD) & 0xFFFF
 
 
 def check_carriers(bus: Bus) -> None:
-    """PDOs to the drives carry what tracking commands, and nothing else: what we do not know would be set to 0.
+    """Refuse PDOs to the drives without the objects that tracking needs, or with others: these would be set to 0.
 
-    Raises `AcquisitionError` naming the node and the object.
+    Raises `AcquisitionError` with the node and the object.
     """
     for drive in bus.drives:
         at = Place(f"node {drive.node}")
@@ -245,19 +245,19 @@ def check_carriers(bus: Bus) -> None:
 
 
 def extra_columns(robot: Robot) -> tuple[ExtraColumn, ...]:
-    """Columns of `extra` in the samples of a robot's drives, drive by drive."""
+    """Columns of `extra` in the samples of a robot's drives, in their order."""
     if robot.bus is None:
         return ()
     return tuple(
         _column(extra, file, motor)
         for file, motor in zip(robot.bus.drive, robot.motors, strict=True)
-        for extra in map(_written_out, file.extra)
+        for extra in map(_as_table, file.extra)
     )
 
 
 def extra_object(written: str | ExtraFile, entry: ObjectEntry, file: DriveFile, motor: Motor, at: Place) -> ExtraObject:
-    """One `extra` of a drive, resolved to `entry`; refused where its rule lacks a rated value."""
-    extra = _written_out(written)
+    """One `extra` of a drive with its `entry`; refused if a rated value for its rule is missing."""
+    extra = _as_table(written)
     scale, index = extra.scale, _on_first_axis(entry.index)
     if scale is None and index in POSITION_OBJECTS:
         scale = file.sign / file.counts_per_unit
@@ -270,14 +270,14 @@ def extra_object(written: str | ExtraFile, entry: ObjectEntry, file: DriveFile, 
 
 
 def effort_scale(rule: Rule, file: DriveFile, at: Place, expected: str) -> float:
-    """SI per raw unit, sign included; refused where the rated value that the rule multiplies is not stated."""
+    """SI per raw unit, with the sign; refused if the rated value that the rule multiplies is not stated."""
     rated = getattr(file, rule.rated) if rule.rated else 1.0
     if rated is None:
         at.refuse(rule.rated, None, expected)
     return float((file.effort_sign or file.sign) * rule.factor * rated)
 
 
-def _written_out(extra: str | ExtraFile) -> ExtraFile:
+def _as_table(extra: str | ExtraFile) -> ExtraFile:
     return ExtraFile(object=extra) if isinstance(extra, str) else extra
 
 

@@ -1,7 +1,7 @@
 """Limits of the description: efforts of joints and drives; recorded positions and speeds checked.
 
-Impossible positions mean a wrong reading: degrees read as radians, a wrong ratio, a counter that wraps, a foreign sample. A
-fit shows none of them. A small overshoot of a stated limit gives a warning only.
+Impossible positions have causes that a fit does not show: degrees read as radians, a wrong ratio, a counter that wraps, a
+foreign sample. A small overshoot of a stated limit only gives a warning.
 """
 
 import math
@@ -16,16 +16,16 @@ from .description import Joint
 from .resolving import resolve
 from .robot import Robot
 
-FAR_OUT = 0.5  # of a joint's range: positions further beyond the limits are refused
-FAR_FASTER = 3.0  # times the speed limit
-UNSTATED_SPEED = {"revolute": 100.0, "prismatic": 30.0}  # rad/s, m/s: no robot's joint is faster, stated or not
-OVERSHOOT = 0.01  # of the range, and of the speed limit: below it there is no warning
-NOISE_DEVIATIONS = 8.0  # of a sample's noise: its difference over one sample is not taken for speed
-SPEED_WINDOW_S = 0.05  # over which positions and speeds are compared: noise of single samples matters less
-MIN_TRAVEL_STEPS, MIN_TRAVEL_RATIO = 50.0, 25.0  # typical steps, or squares of noise: a joint that moves less stands
-SPEED_OFF = 0.1  # of the change of position: speeds further off are told
-WRONG_SPEED = 2.0  # a factor that only a wrong unit, sign or column explains
-_JUMP = 3.0  # times the steps before and after it: a step that stands alone
+MAX_RANGE_EXCESS = 0.5  # of a joint's range; positions further beyond the limits are refused
+MAX_SPEED_RATIO = 3.0  # times the speed limit
+MAX_UNSTATED_SPEED = {"revolute": 100.0, "prismatic": 30.0}  # rad/s, m/s; no joint of a robot is faster
+MIN_OVERSHOOT = 0.01  # of the range, and of the speed limit; below there is no warning
+NOISE_DEVIATIONS = 8.0  # of a sample's noise: smaller differences over one sample are no speed
+SPEED_WINDOW_S = 0.05  # over which positions and speeds are compared, to reduce noise of single samples
+MIN_TRAVEL_STEPS, MIN_TRAVEL_RATIO = 50.0, 25.0  # typical steps, squares of noise: a joint that moves less is at rest
+MAX_SPEED_DEVIATION = 0.1  # of the change of position; above it there is a warning
+MAX_SPEED_GAIN = 2.0  # a factor that only a wrong unit, sign or column explains
+_MIN_JUMP_RATIO = 3.0  # times the steps before and after: a single jump
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -33,9 +33,9 @@ class EffortLimits:
     """Largest efforts: |directions tau| <= limits, tau (n,) the joint efforts.
 
     Attributes:
-        names: (m,) of joints, and of motors whose effort several joints share.
+        names: (m,) of joints, and of motors that act on several joints.
         directions: (m, n) of the joint efforts.
-        limits: (m,) N m or N; A or V where the drive gain is not known.
+        limits: (m,) N m or N; A or V if the drive gain is not known.
         units: (m,) of the limits.
     """
 
@@ -46,11 +46,11 @@ class EffortLimits:
 
 
 def effort_limits(robot: Robot, place: str) -> EffortLimits:
-    """The limits of a robot's efforts: at each joint the smaller of what it states and what its drive can give.
+    """Limits of a robot's efforts: at each joint the smaller of the stated limit and that of its drive.
 
-    A drive gives no more than `saturation`, nor than its effort object can hold. Where joints are coupled, the effort of a
-    motor is a sum over joints, and its limit one on that sum. Stated efforts, in N m or N, do not count where the drive gain
-    is not known. `place` names the description in errors.
+    A drive is limited by `saturation` and by the range of its effort object. For coupled joints, the effort of a motor is a sum
+    over joints, and its limit applies to that sum. Stated efforts, in N m or N, are not used if the drive gain is not known.
+    `place` names the description in errors.
     """
     ranges = np.array([math.inf if m.saturation is None else m.saturation for m in robot.motors])
     if robot.bus is not None:
@@ -60,17 +60,17 @@ def effort_limits(robot: Robot, place: str) -> EffortLimits:
     rows: list[tuple[str, Array, float, str]] = []
     # Recorded efforts of the motors = to_motor · joint efforts.
     to_motor = np.linalg.inv(robot.R.T) / robot.gain[:, None]
-    alone = np.count_nonzero(to_motor, axis=1) == 1
-    own = np.eye(robot.n)
+    uncoupled = np.count_nonzero(to_motor, axis=1) == 1
+    axes = np.eye(robot.n)
     for j, joint in enumerate(robot.joints):
         stated = joint.si("effort") if robot.gain_known else None
         limit = math.inf if stated is None else stated
-        for m in np.flatnonzero(alone & (to_motor[:, j] != 0)):
+        for m in np.flatnonzero(uncoupled & (to_motor[:, j] != 0)):
             limit = min(limit, float(ranges[m] / abs(to_motor[m, j])))
-        rows.append((f"joint {joint.name}", own[j], limit, robot.effort_units[j]))
+        rows.append((f"joint {joint.name}", axes[j], limit, robot.effort_units[j]))
     rows += [
         (f"motor {motor.name}", row, float(limit), motor.recorded_unit)
-        for motor, row, limit, single in zip(robot.motors, to_motor, ranges, alone, strict=True)
+        for motor, row, limit, single in zip(robot.motors, to_motor, ranges, uncoupled, strict=True)
         if not single
     ]
     rows = [row for row in rows if math.isfinite(row[2])]
@@ -85,8 +85,8 @@ def effort_limits(robot: Robot, place: str) -> EffortLimits:
 def check_recorded_positions(robot: Robot, stamp_s: Array, q: Array, place: str) -> tuple[str, ...]:
     """Warnings about joint positions q (N, n) in rad or m at the times stamp_s (N,): small overshoots of limits.
 
-    Raises `AcquisitionError`, one line with `place`, joint, time, value, limit and the way out, where a position is beyond its
-    limits by over half the joint's range, or a joint is over three times as fast as it can be, noise of its samples aside.
+    Raises `AcquisitionError` with `place`, joint, time, value, limit and the remedy, if a position exceeds its limits by over
+    half the joint's range, or a joint is over three times as fast as its limit; noise of samples is subtracted.
     """
     overshoots, at = [], Place(place)
     for joint, x in zip(robot.joints, q.T, strict=True):
@@ -96,40 +96,40 @@ def check_recorded_positions(robot: Robot, stamp_s: Array, q: Array, place: str)
 
 
 def check_recorded_velocities(robot: Robot, q: Array, v: Array, rate_hz: float, place: str) -> tuple[str, ...]:
-    """Warnings about recorded speeds v (N, n) that are off the derivative of positions q (N, n), rad or m, at `rate_hz`.
+    """Warnings about recorded speeds v (N, n) that differ from the derivative of positions q (N, n), rad or m, at `rate_hz`.
 
-    Raises `AcquisitionError` where they are those of another unit or sign.
+    Raises `AcquisitionError` if their unit or sign is wrong.
     """
     h = 1 / rate_hz
     travelled = np.concatenate([np.zeros((1, q.shape[1])), np.cumsum(0.5 * h * (v[1:] + v[:-1]), axis=0)])
     step = max(1, round(SPEED_WINDOW_S / h))
     by_position, by_speed = np.diff(q[::step], axis=0), np.diff(travelled[::step], axis=0)
-    doubts = []
+    warnings = []
     for j, joint in enumerate(robot.joints):
         moved = float(by_position[:, j] @ by_position[:, j])
         if not _travels(q[:, j], moved):
             continue
         gain = float(by_position[:, j] @ by_speed[:, j]) / moved
-        off = float(np.linalg.norm(by_speed[:, j] - by_position[:, j])) / np.sqrt(moved)
-        text = f"velocity of joint {joint.name} = {gain:.3g} x the derivative of its position, {100 * off:.2g} % off it"
-        if off > SPEED_OFF and not 1 / WRONG_SPEED < gain < WRONG_SPEED:
+        deviation = float(np.linalg.norm(by_speed[:, j] - by_position[:, j])) / np.sqrt(moved)
+        text = f"velocity of joint {joint.name} = {gain:.3g} x the derivative of its position, off by {100 * deviation:.2g} %"
+        if deviation > MAX_SPEED_DEVIATION and not 1 / MAX_SPEED_GAIN < gain < MAX_SPEED_GAIN:
             Place(place).refuse(text=text, expected="the joint's own speed: check its unit, side, sign and column")
-        if off > SPEED_OFF:
-            doubts.append(text)
-    return tuple(doubts)
+        if deviation > MAX_SPEED_DEVIATION:
+            warnings.append(text)
+    return tuple(warnings)
 
 
 def _travels(q: Array, moved: float) -> bool:
-    """Whether positions q (N,) move, and are not only rounded or noisy; `moved`: squared changes over the window, summed up."""
+    """Whether positions q (N,) move more than by rounding and noise; `moved`: sum of squared changes over the window."""
     steps = np.abs(np.diff(q))
-    noise = float(np.sum(np.diff(q, n=3) ** 2)) / 20  # noise of 1 gives third differences of sqrt(20)
+    noise = float(np.sum(np.diff(q, n=3) ** 2)) / 20  # unit noise has third differences of sqrt(20)
     if moved == 0.0 or moved > MIN_TRAVEL_RATIO * noise:
         return moved > 0.0
     return bool(np.ptp(q) > MIN_TRAVEL_STEPS * np.median(steps[steps > 0]))
 
 
 def _shown(joint: Joint, value: float) -> str:
-    """A position as the description has it, in deg or m."""
+    """A position in the unit of the description, deg or m."""
     return f"{math.degrees(value):.4g} deg" if joint.type == "revolute" else f"{value:.4g} m"
 
 
@@ -140,13 +140,13 @@ def _position(joint: Joint, stamp_s: Array, x: Array, place: Place) -> list[str]
     low, high = limits
     beyond = np.maximum(low - x, x - high)
     k = int(np.argmax(beyond))
-    if beyond[k] <= OVERSHOOT * (high - low):
+    if beyond[k] <= MIN_OVERSHOOT * (high - low):
         return []
     text = (
         f"joint {joint.name} at {_shown(joint, x[k])}, {stamp_s[k] - stamp_s[0]:.3f} s: "
         f"limits {_shown(joint, low)} and {_shown(joint, high)}"
     )
-    if beyond[k] <= FAR_OUT * (high - low):
+    if beyond[k] <= MAX_RANGE_EXCESS * (high - low):
         return [text]
     causes = "a wrong unit (degrees read as radians), ratio, zero or sign, a counter that wrapped"
     place.refuse(text=text, expected=f"a position within them: {causes}, or {joint.key('position')} of robot.toml")
@@ -154,14 +154,14 @@ def _position(joint: Joint, stamp_s: Array, x: Array, place: Place) -> list[str]
 
 def _speed(joint: Joint, stamp_s: Array, x: Array, place: Place) -> list[str]:
     stated = joint.si("speed")
-    most = FAR_FASTER * stated if stated is not None else UNSTATED_SPEED[joint.type]
+    most = MAX_SPEED_RATIO * stated if stated is not None else MAX_UNSTATED_SPEED[joint.type]
     step = np.abs(np.diff(x))
     if len(step) < 4:
         return []
     step_s = np.diff(stamp_s)
     step_s = np.maximum(step_s, np.median(step_s))
-    # White noise of deviation d has fourth differences of deviation sqrt(70) d, and their median is 0.67 of that; of motion
-    # next to nothing is left in them.
+    # White noise of deviation d has fourth differences of deviation sqrt(70) d, and their median is 0.67 of that; motion hardly
+    # contributes to them.
     noise = float(np.median(np.abs(np.diff(x, n=4)))) / (0.6745 * math.sqrt(70))
     beyond = np.maximum(step - NOISE_DEVIATIONS * noise, 0.0) / step_s
     k = int(np.argmax(beyond))
@@ -169,11 +169,11 @@ def _speed(joint: Joint, stamp_s: Array, x: Array, place: Place) -> list[str]:
     limit = f"limit {_shown(joint, stated)}/s" if stated is not None else f"expected below {_shown(joint, most)}/s"
     when = f"{stamp_s[k + 1] - stamp_s[0]:.3f} s"
     if beyond[k] <= most:
-        if stated is None or beyond[k] <= (1 + OVERSHOOT) * stated:
+        if stated is None or beyond[k] <= (1 + MIN_OVERSHOOT) * stated:
             return []
         return [f"joint {joint.name} at {speed}, {when}: {limit}"]
     neighbour = max(step[k - 1] if k else 0.0, step[k + 1] if k + 1 < len(step) else 0.0)
-    if step[k] > _JUMP * neighbour:
+    if step[k] > _MIN_JUMP_RATIO * neighbour:
         problem = f"joint {joint.name} jumps by {_shown(joint, step[k])} in one sample, {when} ({speed}; {limit})"
         expected = "motion: a counter that wrapped, lost or foreign samples, or two recordings glued together"
         place.refuse(text=problem, expected=expected)

@@ -1,4 +1,4 @@
-"""Reference trajectories: periodic Fourier series that excite a robot, tables, moves to a point; limits, checked before.
+"""Reference trajectories: periodic Fourier series, tables, moves to a point; checks of limits.
 
 All begin and end at rest.
 """
@@ -47,8 +47,8 @@ def fourier_reference(
 ) -> FourierReference:
     """A random Fourier series for each joint, from rest to rest, within `share` of its range, speed and acceleration; rad or m.
 
-    It repeats after `period_s`; the same `seed` gives the same series; `harmonics` are two at least. Raises `AcquisitionError`
-    where the period is not positive, or a joint states no range.
+    The same `seed` gives the same series; at least two `harmonics`. Raises `AcquisitionError` if the period is not positive or
+    a joint states no range.
     """
     if not period_s > 0:
         Place("").refuse(text=f"period {period_s:g} s", expected="more than 0")
@@ -59,7 +59,7 @@ def fourier_reference(
     rng = np.random.default_rng(seed)
     k = np.arange(1, harmonics + 1)
     sine, cosine = rng.standard_normal((2, robot.n, harmonics)) / k
-    # At t = 0 speed is sum k sine, acceleration sum k² cosine: take those parts out.
+    # At t = 0 the speed is sum k sine, the acceleration sum k² cosine: subtract these parts.
     sine -= (sine @ k)[:, None] * k / (k @ k)
     cosine -= (cosine @ k**2)[:, None] * k**2 / (k**2 @ k**2)
     raw = FourierReference(period_s=period_s, center=np.zeros(robot.n), sine=sine, cosine=cosine)
@@ -80,29 +80,29 @@ def fourier_reference(
 
 
 APPROACH_SHARE = 0.1  # of each joint's speed and acceleration limit
-LARGEST_ROUNDING = 1e-9  # by which a reference may leave a limit
-LONGEST_S = 24 * 3600.0  # of a table
-LARGEST_PATH = 10**8  # numbers in it, a position of each joint at each SYNC: 0.8 GB
+MAX_ROUNDING = 1e-9  # by which a reference may leave a limit
+MAX_TABLE_S = 24 * 3600.0  # of a table
+MAX_PATH_VALUES = 10**8  # numbers in it, a position of each joint at each SYNC: 0.8 GB
 
 
 def table_reference(path: Path, robot: Robot, period_s: float, speed: float = 1.0) -> Array:
     """Joint positions (N, n) along a table, with cubic splines between its rows, one row each `period_s`; rad or m.
 
-    The table is a CSV file with `time_s`, then each joint by name. `speed` in (0, 1] is the same path slower: speeds are
-    multiplied by it, accelerations by its square. Raises `AcquisitionError` where the table cannot be read, its time does not
-    grow, it is longer than a day or than memory may hold, or no spline can be laid through its numbers.
+    The table is a CSV file with `time_s`, then each joint by name. `speed` in (0, 1] slows the path down: speeds are multiplied
+    by it, accelerations by its square. Raises `AcquisitionError` if the table cannot be read, its time does not grow, it is
+    longer than a day or than memory allows, or has no spline through its numbers.
     """
     from scipy.interpolate import CubicSpline
 
     table = read_columns(path, ["time_s", *(joint.name for joint in robot.joints)], 1 + robot.n)
     time_s, at = table[:, 0], Place(f"{path}: time_s")
-    with np.errstate(all="ignore"):  # what overflows is refused below
+    with np.errstate(all="ignore"):  # overflows are refused below
         if len(table) < 2 or not (np.diff(time_s) > 0).all():
             at.refuse(expected="two rows or more, with growing times")
         length_s = float(time_s[-1] - time_s[0]) / speed
-        longest_s = min(LONGEST_S, LARGEST_PATH / robot.n * period_s)
+        longest_s = min(MAX_TABLE_S, MAX_PATH_VALUES / robot.n * period_s)
         if length_s > longest_s:
-            slower = f" at {speed:g} of its speed" if speed != 1 else ""
+            slower = f" at {speed:g} times its speed" if speed != 1 else ""
             expected = f"{longest_s:.6g} s at most, with SYNC every {period_s:g} s"
             at.refuse(text=f"{length_s:.6g} s from first to last{slower}", expected=expected)
         times = time_s[0] + np.arange(int(length_s / period_s + 1e-6) + 1) * (period_s * speed)
@@ -112,14 +112,14 @@ def table_reference(path: Path, robot: Robot, period_s: float, speed: float = 1.
             q = np.array([np.nan])
     if not np.isfinite(q).all():
         found = f"rows {np.diff(time_s).min():.3g} s apart or more, positions up to {np.abs(table[:, 1:]).max():.3g}"
-        Place(str(path)).refuse(text=found, expected="positions in rad or m at times that a smooth path leads through")
+        Place(str(path)).refuse(text=found, expected="positions in rad or m with a smooth path through them")
     return q
 
 
 def check_limits(q: Array, robot: Robot, period_s: float, place: str) -> None:
     """Refuse a path (N, n) from rest to rest, rad or m, that leaves the position, speed or acceleration limits of a joint.
 
-    Raises `AcquisitionError` that names `place`, time, joint, value and limit; also where a joint states no limit.
+    Raises `AcquisitionError` with `place`, time, joint, value and limit; also if a joint states no limit.
     """
     for i, joint in enumerate(robot.joints):
         for quantity in ("position", "speed", "acceleration", "following_error"):
@@ -127,7 +127,7 @@ def check_limits(q: Array, robot: Robot, period_s: float, place: str) -> None:
                 problem = f"joint[{i}] ({joint.name}): no limit of {quantity.replace('_', ' ')}"
                 Place(place).refuse(text=problem, expected="one in robot.toml before anything moves")
     at_rest = np.concatenate([q[:1], q, q[-1:]])
-    with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused below
+    with np.errstate(over="ignore", invalid="ignore"):  # values that are not finite are refused below
         dq = np.diff(at_rest, axis=0) / period_s
         ddq = np.diff(dq, axis=0) / period_s
     for i, joint in enumerate(robot.joints):
@@ -139,7 +139,7 @@ def check_limits(q: Array, robot: Robot, period_s: float, place: str) -> None:
             ("speed", dq[:, i], -speed, speed, "/s"),
             ("acceleration", ddq[:, i], -acceleration, acceleration, "/s²"),
         ):
-            slack = LARGEST_ROUNDING * max(abs(bottom), abs(top))
+            slack = MAX_ROUNDING * max(abs(bottom), abs(top))
             inside = (values >= bottom - slack) & (values <= top + slack)  # NaN is neither
             if not inside.all():
                 k = int(np.argmin(inside))
@@ -165,7 +165,7 @@ def approach(start: Array, end: Array, robot: Robot, period_s: float) -> Array:
 
 
 def follow(path: Array, robot: Robot, period_s: float, stopping: Callable[[], bool]) -> Iterator[Array]:
-    """Joint positions (n,) along a path (N, n), one for each SYNC; once `stopping()` is true, the motion slows down to rest.
+    """Joint positions (n,) along a path (N, n), one for each SYNC; if `stopping()` is true, the motion slows down to rest.
 
     It slows down along the path, by at most half of the joints' acceleration limits in addition to the path's own acceleration.
     """

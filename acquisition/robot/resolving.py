@@ -1,4 +1,4 @@
-"""`[bus]` and the object dictionaries into PDOs and codecs of every drive, or one line why not."""
+"""Resolves `[bus]` and the object dictionaries to PDOs and codecs of every drive."""
 
 from collections.abc import Callable, Mapping
 
@@ -26,14 +26,14 @@ from .description import Motor
 from .drives import POSITION_TYPE, Bus, Drive, Values, effort_scale, extra_object, refuse_counts, refuse_pdos
 from .robot import Robot
 
-Entry = Callable[[str, str], ObjectEntry]  # key of the description and name of an object to what the drive has there
+Entry = Callable[[str, str], ObjectEntry]  # from a key of the description and an object's name
 
 
 def resolve(robot: Robot, place: str, traffic: Mapping[int, Values] | None = None) -> Bus:
     """The drives of `robot` with their PDOs and codecs.
 
     `traffic` are values that another master wrote, by node and (index, sub), for drives with `mapping = "traffic"`. Raises
-    `AcquisitionError` that names `place`, the key, the value and what was expected.
+    `AcquisitionError` with `place`, key, value and what was expected.
     """
     if robot.bus is None:
         Place(place).refuse("bus", None, "a [bus] section with one drive per motor")
@@ -45,7 +45,7 @@ def resolve(robot: Robot, place: str, traffic: Mapping[int, Values] | None = Non
 
 
 def _limit(robot: Robot, i: int, quantity: str) -> float | None:
-    """The limit of a motor: those of the joints that it moves add up at worst; None where one of them states none."""
+    """The limit of a motor: the sum over the joints that it moves; None if one of them states none."""
     moved = [(abs(r), joint.si(quantity)) for r, joint in zip(robot.R[i], robot.joints, strict=True) if r]
     if any(value is None for _, value in moved):
         return None
@@ -107,7 +107,7 @@ def _drive(robot: Robot, i: int, place: str, traffic: Mapping[int, Values] | Non
             counts_per_unit=file.counts_per_unit, sign=file.sign, zero_counts=file.zero_counts
         ),
         effort=effort,
-        rated=_rated(file),
+        rated=_rated_values(file),
         tpdos=tpdos,
         rpdos=rpdos,
         extras=extras,
@@ -124,25 +124,25 @@ def _drive(robot: Robot, i: int, place: str, traffic: Mapping[int, Values] | Non
 
 
 def _pdos(way: str, file: DriveFile, default: tuple[ObjectEntry, ...], entry: Entry, at: Place) -> tuple[Pdo, ...]:
-    """The PDOs of one direction, as described, or those of the `default` objects in as few as their order allows."""
-    found = []
-    files: tuple[PdoFile, ...] = getattr(file, way) or _packed(default)
+    """The PDOs of one direction, as described, else as few as possible with the `default` objects in order."""
+    pdos = []
+    files: tuple[PdoFile, ...] = getattr(file, way) or _pack(default)
     for k, written in enumerate(files):
         entries = tuple(entry(f"{way}[{k}].objects", name) for name in written.objects)
         number = written.number or k + 1
         can_id = written.can_id or usual_can_id(way, number, file.node)
         if can_id is None:
-            at.refuse(f"{way}[{k}].can_id", None, "one: only the first four PDOs have a usual one")
+            at.refuse(f"{way}[{k}].can_id", None, "an identifier: only the first four PDOs have a usual one")
         pdo = Pdo(number=number, can_id=can_id, entries=entries)
         if pdo.bits > MAX_PDO_BITS:
             sizes = " + ".join(str(e.bits // 8) for e in entries)
             problem = f"{sizes} = {pdo.length} bytes"
             at.refuse(f"{way}[{k}].objects", text=problem, expected="8 at most; use a second PDO")
-        found.append(pdo)
-    return tuple(found)
+        pdos.append(pdo)
+    return tuple(pdos)
 
 
-def _packed(entries: tuple[ObjectEntry, ...]) -> tuple[PdoFile, ...]:
+def _pack(entries: tuple[ObjectEntry, ...]) -> tuple[PdoFile, ...]:
     parts: list[tuple[ObjectEntry, ...]] = [()]
     for entry in entries:
         if sum(e.bits for e in parts[-1]) + entry.bits > MAX_PDO_BITS:
@@ -163,17 +163,17 @@ def _effort(file: DriveFile, word: str, entry: ObjectEntry, motor: Motor, at: Pl
         expected = f"{motor.recorded_unit} as motor {motor.name!r} says"
         at.refuse(f"{word}_rule", name, expected, text=f"gives {rule.unit}")
     parts = [f"object {entry} ({meaning if known else 'as described'})"]
-    parts += [] if word == "reference" else ["the actual value standing in for the reference"]
+    parts += [] if word == "reference" else ["the actual value instead of the reference"]
     times = f" x {getattr(file, rule.rated):g} ({rule.rated})" if rule.rated else ""
     parts += [f"raw {entry.type} in {name}{times}", f"sign {file.effort_sign or file.sign:+d}"]
     return EffortCodec(entry=entry, scale=scale, provenance=", ".join(parts))
 
 
-def _rated(file: DriveFile) -> dict[int, int]:
-    found = {}
+def _rated_values(file: DriveFile) -> dict[int, int]:
+    rated = {}
     if file.rated_current_a is not None:
-        found[RATED_CURRENT] = round(file.rated_current_a / RATED_UNITS[file.rated_current_unit])
+        rated[RATED_CURRENT] = round(file.rated_current_a / RATED_UNITS[file.rated_current_unit])
     torque = file.rated_torque_nm if file.rated_torque_nm is not None else file.rated_force_n
     if torque is not None:
-        found[RATED_TORQUE] = round(torque / RATED_UNITS[file.rated_torque_unit])
-    return found
+        rated[RATED_TORQUE] = round(torque / RATED_UNITS[file.rated_torque_unit])
+    return rated

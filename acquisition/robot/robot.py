@@ -1,4 +1,4 @@
-"""The robot that a description means: joints, motors, the matrix between them, gains, limits. SI, angles in radians."""
+"""The robot of a description: joints, motors, the matrix between them, gains, limits. SI, angles in radians."""
 
 import math
 import xml.etree.ElementTree as ET
@@ -18,8 +18,8 @@ from .bus import BusFile, dictionary_label
 from .description import Capsule, Controller, Identification, Joint, Motor, RobotFile
 from .toml import RefusedError, parse_toml
 
-SIMULATED_CONTROLLER = "simulated_controller.toml"  # of the drives of a dry run, in place of [controller]
-# Guards of [bus] and [[joint]] that are wider would stop nothing.
+SIMULATED_CONTROLLER = "simulated_controller.toml"  # of the drives of a dry run, replaces [controller]
+# Guards of [bus] and [[joint]] above these would stop nothing.
 MAX_BUS_GUARDS = {"heartbeat_s": 1.0, "late_sync_s": 1.0, "enable_motion_deg": 10.0, "enable_motion_m": 0.1}
 MAX_JOINT_GUARDS = {"following_error_deg": 30.0, "following_error_m": 0.3, "speed_deg_s": 3000.0, "speed_m_s": 20.0}
 _MESH = "mesh:"  # before a mesh's name in the URDF: the name of its attachment, a label, never a path
@@ -35,9 +35,8 @@ class Robot:
         gravity: (3,) m/s², in the base frame.
         parameters: a-priori standard parameters by name, SI; may be empty.
         base_capsule, ground_m: a shape about the base; the height of the ground, against gravity.
-        bus: the drives and how they are reached, as the file has it; `drives` resolves it. None where it has no `[bus]`.
-        files: the description itself, by name (`robot.toml`, the URDF and its meshes, object dictionaries), as recordings
-            carry it.
+        bus: `[bus]` of the file, None without it; `resolve` makes the drives.
+        files: the files of the description by name (`robot.toml`, the URDF and its meshes, object dictionaries).
     """
 
     name: str
@@ -59,7 +58,7 @@ class Robot:
         return f"Robot({self.name}: {self.n} joints{'' if self.bus is None else f', {len(self.bus.drive)} drives'})"
 
     def mesh(self, name: str) -> bytes | None:
-        """Content of the mesh that the URDF names so; None where the robot does not carry it."""
+        """Content of a mesh by its name in the URDF; None if the robot does not include it."""
         return self.files.get(f"{_MESH}{name}")
 
     @cached_property
@@ -69,7 +68,7 @@ class Robot:
 
     @cached_property
     def bandwidth_hz(self) -> float:
-        """Bandwidth of the position loop; `AcquisitionError` where the description does not state it."""
+        """Bandwidth of the position loop; `AcquisitionError` if the description does not state it."""
         if self.controller.bandwidth_hz is None:
             expected = "the bandwidth of the position loop, Hz"
             Place(f"robot {self.name}").refuse("controller.bandwidth_hz", None, expected)
@@ -77,19 +76,19 @@ class Robot:
 
     @cached_property
     def gain_known(self) -> bool:
-        """Whether efforts are torques and forces; if not they stay in A or V."""
+        """Whether efforts are torques and forces; otherwise they are in A or V."""
         return all(m.gain is not None for m in self.motors)
 
     @cached_property
     def gain(self) -> Array:
-        """Drive gains (n,), motor torque per unit of recorded effort; ones when they are not known."""
+        """Drive gains (n,), motor torque per unit of recorded effort; ones if not known."""
         gain = np.array([m.gain if m.gain is not None else 1.0 for m in self.motors])
         gain.flags.writeable = False
         return gain
 
     @cached_property
     def effort_units(self) -> tuple[str, ...]:
-        """Unit of each joint's effort: N m or N when the drive gains are known, else A or V."""
+        """Unit of each joint's effort: N m or N if the drive gains are known, else A or V."""
         if self.gain_known:
             return tuple("N m" if j.type == "revolute" else "N" for j in self.joints)
         return tuple(m.recorded_unit for m in self.motors)
@@ -111,7 +110,7 @@ class Robot:
         return (q - self.zero) @ self.R.T
 
     def joint_effort(self, effort_motor: Array) -> Array:
-        """Joint efforts (N, n) from recorded motor efforts (N, n): Rᵀ G v. In A or V where the gain is not known."""
+        """Joint efforts (N, n) from recorded motor efforts (N, n): Rᵀ G v. In A or V if the gain is not known."""
         return (effort_motor * self.gain) @ self.R
 
     def motor_effort(self, effort: Array) -> Array:
@@ -120,11 +119,11 @@ class Robot:
 
 
 def load_robot(path: str | PathLike[str]) -> Robot:
-    """Read a robot description, and the URDF (with its meshes where `urdf_meshes` asks for them) and dictionaries it names.
+    """Read a robot description, its URDF (with meshes if `urdf_meshes`) and its dictionaries.
 
     Parameters
     ----------
-    path : of robot.toml; the files it names are looked for in the same folder.
+    path : of robot.toml; the other files are in the same folder.
 
     Returns
     -------
@@ -159,7 +158,7 @@ def load_robot(path: str | PathLike[str]) -> Robot:
     return robot_from_files(files, str(path))
 
 
-# No key of a new description may do nothing, nor any guard be too wide to stop anything; recordings made with one still open.
+# A new description may have no key without effect and no guard without effect; recordings that have one can still be read.
 def _refuse_idle_keys(c: Controller, place: Place) -> None:
     law = ("sample_rate_hz", "position_gain", "velocity_gain", "integral_gain", "velocity_estimate")
     idle = law if c.structure is None else () if c.structure in ("cascade_p_pi", "pid") else ("integral_gain",)
@@ -187,9 +186,9 @@ def _companion(path: Path, name: str, key: str) -> bytes:
 
 
 def robot_from_files(files: Mapping[str, bytes], place: str) -> Robot:
-    """Build a robot from the files that a recording carries, by name; `place` names the description in errors.
+    """Build a robot from its files by name, as in a recording; `place` names the description in errors.
 
-    They are `robot.toml`, and where it names them `robot.urdf`, `mesh:<name>` and `dictionary:<name>`; of a dry run
+    They are `robot.toml`, and if it refers to them `robot.urdf`, `mesh:<name>` and `dictionary:<name>`; of a dry run
     `simulated_controller.toml`.
     """
     at = Place(place)
@@ -235,10 +234,10 @@ def robot_from_files(files: Mapping[str, bytes], place: str) -> Robot:
 
 
 def _with_urdf_efforts(joints: tuple[Joint, ...], urdf: str, place: Place) -> tuple[Joint, ...]:
-    """Joints that state no effort have that of the URDF; 0 there, or none, states none."""
+    """Joints without an effort limit get that of the URDF, unless it is 0 or missing."""
     try:
         limits = {j.get("name"): j.find("limit") for j in ET.fromstring(urdf).findall("joint")}  # not of transmissions
-    except (ET.ParseError, ValueError, LookupError):  # whoever needs the URDF's model reports it
+    except (ET.ParseError, ValueError, LookupError):  # reported by the code that needs the URDF's model
         return joints
     out = []
     for joint in joints:

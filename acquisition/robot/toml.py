@@ -1,4 +1,4 @@
-"""Descriptions in TOML: text into typed, frozen structures, every error carries place, key, value and what was expected."""
+"""Decodes TOML descriptions into typed, frozen structures; errors have place, key, value and what was expected."""
 
 import math
 import re
@@ -12,9 +12,9 @@ from ..errors import Place
 
 T = TypeVar("T")
 
-# The parser's memory grows with the square of a dotted key's length, and recordings carry descriptions from elsewhere.
-LARGEST_TOML = 256 * 1024  # bytes
-LONGEST_LINE = 2000
+# The parser's memory grows with the square of a dotted key's length, and recordings may come from anyone.
+MAX_TOML_BYTES = 256 * 1024
+MAX_LINE_BYTES = 2000
 
 Positive = Annotated[float, msgspec.Meta(gt=0)]
 Name = Annotated[str, msgspec.Meta(min_length=1, max_length=64, pattern=r"\A[A-Za-z0-9_.\- ]+\Z")]
@@ -24,26 +24,26 @@ class TomlTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     """A table of a description: unknown keys are refused; `__post_init__` refuses what the types cannot express."""
 
     def refuse(self, key: str, value: object, expected: str) -> NoReturn:
-        """Refuse the value of a key of this table; `parse_toml` says where the table stands."""
+        """Refuse the value of a key of this table; `parse_toml` adds the place of the table."""
         raise RefusedError(key, value, expected)
 
 
 class RefusedError(ValueError):
-    """A key of a table, its value and what was expected: a `ValueError`, to which msgspec adds where the table is."""
+    """A key of a table, its value and what was expected: a `ValueError`, to which msgspec adds the place of the table."""
 
 
 def parse_toml(text: bytes, kind: type[T], place: str) -> T:
-    """Decode TOML `text` into `kind`; every error carries `place`, key, value and what was expected."""
+    """Decode TOML `text` into `kind`; errors have `place`, key, value and what was expected."""
     file = Place(place)
     longest = max(map(len, text.splitlines()), default=0)
-    if len(text) > LARGEST_TOML or longest > LONGEST_LINE:
+    if len(text) > MAX_TOML_BYTES or longest > MAX_LINE_BYTES:
         file.refuse(
-            text=f"{len(text)} bytes, a line of {longest}", expected=f"{LARGEST_TOML} and {LONGEST_LINE} at most"
+            text=f"{len(text)} bytes, a line of {longest}", expected=f"{MAX_TOML_BYTES} and {MAX_LINE_BYTES} at most"
         )
     try:
         data = tomllib.loads(text.decode("utf-8"))
         _refuse_nonfinite(data, "", file)
-    except (ValueError, RecursionError) as error:  # the first is also what bad UTF-8 and endless digits raise
+    except (ValueError, RecursionError) as error:  # bad UTF-8 and endless digits raise the first
         file.refuse(text=f"not valid TOML: {error}")
     try:
         return msgspec.convert(data, kind)
@@ -66,7 +66,7 @@ def _choices(kind: Any, path: str) -> tuple[Any, ...]:
     """The words that `kind` allows at `path`."""
     at = msgspec.inspect.type_info(kind)
     for step in re.findall(r"\w+|\[[^]]*\]", path):
-        if isinstance(at, msgspec.inspect.UnionType):  # a list, if an item of it is meant; else the first
+        if isinstance(at, msgspec.inspect.UnionType):  # the list for an item of it, else the first type
             lists = [t for t in at.types if isinstance(t, msgspec.inspect.VarTupleType) and step.startswith("[")]
             at = lists[0] if lists else next(t for t in at.types if not isinstance(t, msgspec.inspect.NoneType))
         if isinstance(at, msgspec.inspect.VarTupleType):

@@ -15,7 +15,7 @@ from ..bus import Frame, block_of
 from ..errors import AcquisitionError
 from ..robot import Robot
 from .process import BLOCK_S, STOPPING, Role, WatchdogPipe, run
-from .recorder import Recorded, Recorder, Status
+from .recorder import RecordedSummary, Recorder, Status
 
 START_S = 20.0  # for the process to come up
 FINISH_S = 600.0  # to decode a long session
@@ -58,7 +58,7 @@ class InlineLog:
     def ended(self) -> None:
         """As `alive`."""
 
-    def finish(self, stamp_ns: int) -> Recorded:
+    def finish(self, stamp_ns: int) -> RecordedSummary:
         """End the recording."""
         self._write()
         self._recorder.tick(stamp_ns, 0, now=True)
@@ -160,7 +160,7 @@ class ProcessLog:
             self.on_status(status, stamp_ns)
         return status
 
-    def finish(self, stamp_ns: int) -> Recorded:
+    def finish(self, stamp_ns: int) -> RecordedSummary:
         """End the recording. Raises `AcquisitionError` when the recorder has ended before."""
         self.ended()
         if self._frames:
@@ -168,7 +168,7 @@ class ProcessLog:
         self._send(("stop", stamp_ns))
         found = self._expect("done", HUNG_FINISH_S if self._hangs else FINISH_S)
         self._process.join(5)
-        assert isinstance(found, Recorded)
+        assert isinstance(found, RecordedSummary)
         return found
 
     def close(self) -> None:

@@ -25,7 +25,7 @@ from ..errors import AcquisitionError
 from ..protocol import HEARTBEAT
 from ..recording import FRAME, SENT
 from ..robot import Bus, BusFile, Robot, resolve, robot_from_files
-from .recorder import Recorded, Recorder
+from .recorder import RecordedSummary, Recorder
 
 BLOCK_S = 0.1
 STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)  # handled by the session's process
@@ -179,7 +179,7 @@ def _master_ids(robot: Robot, place: str) -> Ints:
 
 def _record(
     connection: Connection, recorder: Recorder, receiver: Receiver | None, ours: Ints, dead_man: DeadMan | None
-) -> Recorded | None:
+) -> RecordedSummary | None:
     """Record until the session asks to stop, or has died and its drives are stopped."""
     thread = threading.Thread(target=receiver.run, daemon=True) if receiver is not None else None
     if thread is not None:

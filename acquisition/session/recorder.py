@@ -32,7 +32,7 @@ class Status:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Recorded:
+class RecordedSummary:
     """What a session left: samples, or why there are none, and what a user should look at."""
 
     frames: int
@@ -126,7 +126,7 @@ class Recorder:
             **{word: getattr(was, word) + count for word, count in counted.items()},
         )
 
-    def finish(self, stamp_ns: int) -> Recorded:
+    def finish(self, stamp_ns: int) -> RecordedSummary:
         """Decode what was recorded, write the samples after the frames, and end the file."""
         self._writer.flush()
         frames = read_recording(self._path).frames.get(self.channel, np.zeros(0, FRAME))
@@ -139,16 +139,16 @@ class Recorder:
         self._writer.close()
 
 
-def write_decoded(writer: RecordingWriter, frames: Block, robot: Robot, stamp_ns: int, place: str) -> Recorded:
+def write_decoded(writer: RecordingWriter, frames: Block, robot: Robot, stamp_ns: int, place: str) -> RecordedSummary:
     """Decode frames and write samples, counters and warnings, or the reason why there are no samples."""
     try:
         bus = resolve(robot, place, written_by_master(frames))
         decoded = decode(frames, robot, bus, place)
     except AcquisitionError as error:
         writer.event(stamp_ns, "warning", f"{NO_SAMPLES}{error}")
-        return Recorded(frames=len(frames), samples=0, warnings=(), no_samples=str(error))
+        return RecordedSummary(frames=len(frames), samples=0, warnings=(), no_samples=str(error))
     decoded.write(writer, stamp_ns)
-    return Recorded(frames=len(frames), samples=len(decoded.stamps), warnings=decoded.warnings)
+    return RecordedSummary(frames=len(frames), samples=len(decoded.stamps), warnings=decoded.warnings)
 
 
 def _table(bus: Bus) -> dict[str, str]:

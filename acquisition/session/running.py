@@ -31,7 +31,7 @@ from ..robot import Bus, BusFile, Robot, check_limits, refuse_load, resolve, tab
 from ..simulated import LockStepLink, SimulatedDrives, describe_loops, driven_plant
 from .logs import InlineLog, ProcessLog
 from .process import STOPPING, Role
-from .recorder import Recorded, Recorder, Status
+from .recorder import RecordedSummary, Recorder, Status
 from .session import Outcome, Stop, Task, run_active
 from .timing import refuse_jitter, steady
 
@@ -54,7 +54,7 @@ class UserInterface:
 
 def record(
     robot: Robot, place: str, out: Path, options: RecordOptions, operator: UserInterface
-) -> tuple[Outcome, Recorded]:
+) -> tuple[Outcome, RecordedSummary]:
     """Record until the task is done or the operator's `stop` has a reason. The robot moves only with `options.track`.
 
     `robot` has a `[bus]` section; `place` names it in errors. `out` is the recording to write; an existing file is never
@@ -153,7 +153,9 @@ def _before_motion(robot: Robot, master: Master, options: RecordOptions, confirm
     return marks
 
 
-def _listen(robot: Robot, place: str, out: Path, task: Task, operator: UserInterface) -> tuple[Outcome, Recorded]:
+def _listen(
+    robot: Robot, place: str, out: Path, task: Task, operator: UserInterface
+) -> tuple[Outcome, RecordedSummary]:
     """Record the frames of the bus. No link is opened here: that of the recorder's process cannot send."""
     stop, clock = operator.stop, WallClock()
     log = ProcessLog(out, robot, place, Role.LISTENER, clock.now_ns() - time.monotonic_ns())
