@@ -131,7 +131,7 @@ def test_what_failed_is_a_row_with_its_reason(written):
     assert len(rows) == COUNT + 3
     assert rows["damaged.mcap"]["status"] == rows["notes.mcap"]["status"] == "failed"
     assert "is cut" in rows["damaged.mcap"]["reason"]
-    assert "expected an MCAP file" in rows["notes.mcap"]["reason"]
+    assert "is not an MCAP file" in rows["notes.mcap"]["reason"]
     assert rows["damaged.mcap"]["Fv1"] is None
     copies = [rows["2.mcap"], rows["2 again.mcap"]]
     assert sorted(row["status"] for row in copies) == ["converged", "copy"]

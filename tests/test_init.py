@@ -114,9 +114,7 @@ def test_without_an_output_the_file_is_printed(here, capsys):
 
 def test_an_existing_file_is_not_replaced_and_the_urdf_is_found_from_it(here, capsys):
     (here / "robot.toml").write_text("mine")
-    assert "robot.toml: is there already: expected a new name" in refused(
-        capsys, "init", "arm.urdf", "-o", "robot.toml"
-    )
+    assert "robot.toml: already exists: expected a new name" in refused(capsys, "init", "arm.urdf", "-o", "robot.toml")
     assert (here / "robot.toml").read_text() == "mine"
     assert "is an input too" in refused(capsys, "init", "arm.urdf", "-o", "arm.urdf")
     (here / "cell").mkdir()

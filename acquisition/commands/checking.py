@@ -28,7 +28,7 @@ from ..robot import LARGEST_LOAD, Bus, Drive, Robot, demand_ripple_warnings
 from ..session import DEVIATIONS, steady, sync_jitter
 
 SCALES = {0x608F: "encoder increments per turns", 0x6091: "gear", 0x6092: "feed", 0x60A8: "position unit"}
-LARGEST_OFF = 0.01  # largest share of SYNC intervals that deviate by more than half a period
+MAX_OFF_SHARE = 0.01  # largest share of SYNC intervals that deviate by more than half a period
 STRANGER = "other nodes"
 NOBODY = "no drive answers at all: interface? try --dry-run of `robot-acquire record`"
 
@@ -196,7 +196,7 @@ def _jitter(master: Master) -> Finding:
     text = f"jitter sd {sd_ms:.3f} ms, worst {worst_ms:.3f} ms of a period of {period_ms:g} ms"
     if not found.fit_for_motion:
         text += f"; {DEVIATIONS} sd are more than {found.largest_s * 1e3:g} ms: --track refuses"
-    even = found.off <= LARGEST_OFF
+    even = found.off <= MAX_OFF_SHARE
     text += f"; {found.off:.1%} off by more than half a period"
     return Finding("SYNC", text, ok=even and found.fit_for_motion, track=even)
 

@@ -28,7 +28,7 @@ def run(options: argparse.Namespace) -> None:
     refuse_outputs([options.robot], out)
     if out is not None and out.exists():
         expected = "a new name; descriptions are not replaced"
-        raise IdentificationError("is there already", place=str(out), expected=expected)
+        raise IdentificationError("already exists", place=str(out), expected=expected)
     chain = chain_of(options)
     folder = Path.cwd() if out is None else out.absolute().parent
     text = describe(chain, os.path.relpath(options.robot.absolute(), folder))
