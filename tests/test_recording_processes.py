@@ -284,7 +284,7 @@ def test_drives_whose_session_and_recorder_are_killed_stop_by_themselves(folder)
         os.kill(recorder_of(session.pid), signal.SIGKILL)
         session.kill()
         session.communicate(timeout=30)
-        assert "1, 2  fault: expected it to be cleared" in checked(folder)
+        assert "1, 2  fault: remove its cause" in checked(folder)
     assert read_recording(out).cut
 
 
@@ -416,7 +416,7 @@ def test_known_errors_are_one_line(folder):
         (["record", robot, "-o", str(folder / "b.mcap"), "--duration", "1"], "node 1: object 6041:0: no answer"),
         (["check", str(folder / "check.toml")], "no go: no drive answers at all: interface?"),
         (["import", str(folder / "x.log"), "--robot", robot, "-o", str(folder / "o.mcap")], "x.log: cannot be read"),
-        (["import", str(folder / "x.csv"), "--robot", robot, "-o", str(folder / "o.mcap")], "--map is not there"),
+        (["import", str(folder / "x.csv"), "--robot", robot, "-o", str(folder / "o.mcap")], "needs --map"),
         (["export", str(folder / "there.mcap"), "-o", str(folder / "o.csv")], "is not an MCAP file"),
         (["replay", str(folder / "there.mcap"), "--interface", "virtual", "--channel", "x"], "is not an MCAP file"),
         (["replay", str(folder / "there.mcap"), "--interface", "slcan", "--channel", "x"], "expected --onto-bus"),
