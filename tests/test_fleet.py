@@ -411,7 +411,7 @@ def test_bad_input_is_one_line(tmp_path, capsys):
     assert "no recordings: expected files *.mcap" in error
     status, error = refused(tmp_path / "empty", "-o", tmp_path / "none" / "f.parquet")
     assert status == 1
-    assert "expected a folder that exists" in error
+    assert "expected an existing folder" in error
     assert list(tmp_path.iterdir()) == [tmp_path / "empty"], "nothing is made"
 
 

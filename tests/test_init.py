@@ -230,7 +230,7 @@ def test_options_that_do_not_fit_the_robot(here, capsys, given, message):
 def test_options_of_a_urdf_are_refused_with_a_description(here, capsys):
     run(capsys, "init", "arm.urdf", *NAMES, "-o", "robot.toml")
     error = refused(capsys, "base", "robot.toml", "--bandwidth-hz", "5")
-    assert error.startswith("robot.toml: --bandwidth-hz does nothing here: expected a URDF with it")
+    assert error.startswith("robot.toml: --bandwidth-hz has no effect: expected a URDF")
     error = refused(capsys, "study", "robot.toml")
     assert error.startswith("robot made up: controller.bandwidth_hz is missing: expected the bandwidth")
 

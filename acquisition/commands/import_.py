@@ -21,7 +21,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     bag = parser.add_argument_group("ROS 2 bag")
     bag.add_argument("--topic", metavar="NAME", help="topic of sensor_msgs/msg/JointState, such as /joint_states")
     text = (
-        "unit of the effort: 'N m' at the joints (prismatic joints: force in N), or A, V, ... at the motors; one for all joints, "
+        "unit of the effort: 'N m' at the joints (prismatic: force in N), or A, V, ... at the motors; one for all joints, "
         "or one per joint separated by commas"
     )
     bag.add_argument("--effort-unit", metavar="UNIT", help=text)
