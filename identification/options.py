@@ -40,7 +40,7 @@ def _values(name: str, read: Callable[[str], Any]) -> Callable[[str], Any]:
 finite = _value("finite", float, lambda x: -INF < x < INF)
 above_zero = _value("above_zero", float, lambda x: 0 < x < INF)
 not_negative = _value("not_negative", lambda text: float(text) + 0.0, lambda x: 0 <= x < INF)  # -0 is 0
-share = _value("share", float, lambda x: 0 <= x < 100)  # percent
+percent_below_100 = _value("percent_below_100", float, lambda x: 0 <= x < 100)
 percent = _value("percent", float, lambda x: 0 < x <= 100)
 whole = _value("whole", int, lambda x: x >= 0)
 positive = _value("positive", int, lambda x: x >= 1)
@@ -83,7 +83,7 @@ class Overrides:
             "leave out samples at which a joint moves slower than P %% of its peak speed (default: 4, or 4 standard "
             "deviations of the speed noise)",
             "P",
-            share,
+            percent_below_100,
         ),
     ] = None
     torque_lag_s: Annotated[
@@ -148,7 +148,7 @@ class CellOptions:
     lag_samples: Annotated[int, option("delay of the recorded torque in samples", "K", whole)] = 0
     stribeck_percent: Annotated[float, option("additional Coulomb friction at rest, %%", "P", not_negative)] = 0.0
     asymmetry_percent: Annotated[
-        float, option("friction larger forwards and smaller backwards by P %%", "P", share)
+        float, option("friction larger forwards and smaller backwards by P %%", "P", percent_below_100)
     ] = 0.0
     integral_hz: Annotated[float, option("integral rate of the controller in Hz, 0 for none", "F", not_negative)] = 0.0
 
@@ -194,7 +194,7 @@ class StudyOptions:
         option("approximate period of the reference in s; the length is a whole number of periods", "S", above_zero),
     ] = 10.0
     sample_rate_hz: Annotated[float, option("sample rate in Hz", "F", above_zero, "--rate-hz")] = 1000.0
-    low_speed_percent: Annotated[float | None, option("as for fit", "P", share)] = None
+    low_speed_percent: Annotated[float | None, option("see `robot-identify fit`", "P", percent_below_100)] = None
     seed: Annotated[int, option("seed of reference and noise", "K", whole)] = 0
 
 
