@@ -1,18 +1,18 @@
 """Records joint positions and current references of industrial drives into MCAP files.
 
-The rooms, ground floor first. Each is entered by its face, what its `__init__` shows; imports only run down::
+The rooms, lowest first. Other rooms use only what a room's `__init__` exports; imports only run down::
 
-    files        files written whole or not at all, columns of tables, meshes of a URDF
+    files        atomic writing, columns of tables, meshes of a URDF, large arrays on disk
     protocol     CANopen (CiA 301) and CiA 402 without I/O: states, objects, SDO, PDO, object dictionaries
-    robot        the description (robot.toml): joints, motors, limits, bus and drives; references, checked against the limits
-    recording    the MCAP format, frames decoded to rows on the grid of SYNC, ROS messages
-    bus          frames and times of a bus; the CANopen master: listening, requests, heartbeat, the one stop of all drives
+    robot        the description (robot.toml): joints, motors, limits, bus and drives; references and their limits
+    recording    the MCAP format, frames decoded to samples at SYNC, ROS messages
+    bus          frames and times of a bus; the CANopen master: listening, requests, heartbeat, stop of all drives
     simulated    simulated drives, the plants they move, dry runs
-    session      the one loop that sends: record, enable, track, stop; its guards; the recorder's process, the second stop
-    importing    recordings out of tables, ROS 2 bags and CAN logs; export
+    session      the loop that sends: record, enable, track, stop; guards; the recorder's process with the second stop
+    importing    recordings from tables, ROS 2 bags and CAN logs; export
     commands     the command line
 
-From Python, what is used most is here under one name, imported when it is first used::
+The most used names are imported here on first use::
 
     import acquisition
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 __all__ = ["AcquisitionError", "Recording", "Robot", "load_robot", "read_recording"]
 
-if not TYPE_CHECKING:  # a type checker would take any name
+if not TYPE_CHECKING:  # a type checker would accept any name
     __getattr__, __dir__ = lazy_names(
         __name__,
         {

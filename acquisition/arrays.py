@@ -1,7 +1,7 @@
-"""The types of arrays, once for the package."""
+"""Array types of the package."""
 
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]  # of any shape; the docstring that uses it says which
+Array = NDArray[np.float64]  # of any shape; docstrings give it
 Ints = NDArray[np.int64]

@@ -1,6 +1,6 @@
-"""Fields of records that are options of commands: default, unit and help of an option stand at its field, once.
+"""Dataclass fields that are command options, each with its default, unit and help.
 
-Nothing heavy is imported here: `--help` reads these records without the rooms that use them.
+No heavy imports: `--help` reads these records without the rooms that use them.
 """
 
 from collections.abc import Callable
@@ -12,23 +12,26 @@ from typing import Annotated, Any
 def option(
     help: str, metavar: str | None = None, type: Callable[[str], Any] | None = None, flag: str = "", **others: Any
 ) -> dict[str, Any]:
-    """What `Annotated` says of a field that is an option: arguments of `ArgumentParser.add_argument`, those not None.
+    """The annotation of a field that is an option: arguments of `ArgumentParser.add_argument`; None is left out.
 
-    `flag` is `--` and the field's name where it is not given. `commands.add_options` adds the default to the help.
+    `flag` defaults to `--` and the field's name. `commands.add_options` adds the default to the help.
     """
     return {"help": help, "metavar": metavar, "type": type, "flag": flag, **others}
 
 
 @dataclass(frozen=True, kw_only=True)
 class RecordOptions:
-    """What a session is to do: the options of `robot-acquire record`."""
+    """The options of `robot-acquire record`."""
 
     track: Annotated[
-        Path | None, option("MOVES THE ROBOT along time_s and each joint's rad or m", "REFERENCE.csv", Path)
+        Path | None,
+        option("MOVES THE ROBOT along this table of time_s and joint positions (rad, m)", "REFERENCE.csv", Path),
     ] = None
-    passive: Annotated[bool, option("another master owns the bus: send nothing, ever")] = False
-    dry_run: Annotated[bool, option("all of it on simulated drives, without any bus")] = False
-    duration_s: Annotated[float | None, option("seconds; without it until Ctrl-C", "S", float, "--duration")] = None
-    speed: Annotated[float, option("--track slower: more than 0 to 1, the default", "X", float)] = 1.0
-    reset_faults: Annotated[bool, option("--track without asking whether to reset faults")] = False
-    unsupervised_drives: Annotated[bool, option("--track with drives that do not supervise themselves")] = False
+    passive: Annotated[bool, option("never send anything, because another master owns the bus")] = False
+    dry_run: Annotated[bool, option("use simulated drives, without a bus")] = False
+    duration_s: Annotated[
+        float | None, option("seconds to record (default: until Ctrl-C)", "S", float, "--duration")
+    ] = None
+    speed: Annotated[float, option("speed factor of --track, above 0 to 1 (default 1)", "X", float)] = 1.0
+    reset_faults: Annotated[bool, option("with --track, reset drive faults without asking")] = False
+    unsupervised_drives: Annotated[bool, option("allow --track with drives that do not supervise themselves")] = False

@@ -1,23 +1,23 @@
 """Identifies the base dynamic parameters of a robot from a recording.
 
-The rooms, ground floor first. Each is entered by its face, what its `__init__` shows; imports only run down::
+The rooms, lowest first. Other rooms use only what a room's `__init__` exports; imports only run down::
 
     report       documents, their renderers, the JSON file of a fit, comparisons
     estimation   least squares, instrumental variables and their tests, on arrays
     data         a recording as signals on a uniform grid; where tasks run
-    model        inverse and direct dynamics, friction and rotors, base parameters, what is physical (pinocchio)
-    regression   settings, filters, the over-determined system W, Y, and the rows that count; load friction
+    model        inverse and direct dynamics, friction and rotors, base parameters, physical consistency (pinocchio)
+    regression   settings, filters, the over-determined system W, Y, row selection; load friction
     simulation   the robot in closed loop; the recorded experiment simulated, instruments
-    trust        when to believe a fit
-    methods      the method on one screen (`idim`), several recordings, what a fit is worth, its documents
-    study        robots whose parameters are known: simulated recordings, the demo, studies; fleets
+    trust        tests of a fit
+    methods      the method on one screen (`idim`), several recordings, the verdict, documents of a fit
+    study        robots with known parameters: simulated recordings, the demo, studies; fleets
     export       a fit as URDF, MJCF and robot.toml; a description from a URDF
     design       exciting references, the choice of friction terms
-    view         pictures for Rerun
+    view         Rerun files
     commands     the command line
-    notebook     the names below, and how a notebook shows a fit
+    notebook     the names below, and a fit shown in a notebook
 
-From Python, what the rooms show is here under one name, imported when it is first used::
+The main names are imported here on first use::
 
     import identification
 
@@ -62,7 +62,7 @@ __all__ = [
     "validate",
 ]
 
-if not TYPE_CHECKING:  # a type checker would take any name
+if not TYPE_CHECKING:  # a type checker would accept any name
     __getattr__, __dir__ = lazy_names(
         __name__,
         {

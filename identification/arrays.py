@@ -1,4 +1,4 @@
-"""The one name for arrays of numbers."""
+"""The array type of the package."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -4,4 +4,4 @@ from acquisition.errors import RobotIdimError
 
 
 class IdentificationError(RobotIdimError):
-    """Bad input, or a fit that cannot be made; its data are those of `AcquisitionError`: `place, key, value, expected`."""
+    """Bad input or an impossible fit; data as of `AcquisitionError`: `place, key, value, expected`."""

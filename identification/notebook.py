@@ -1,4 +1,4 @@
-"""What `import identification` gives: a fit of arrays, the main names of the rooms, and a fit shown as its report."""
+"""The Python interface of `import identification`: a fit of arrays, the main names, and the report in a notebook."""
 
 import os
 from typing import Literal, Unpack, cast
@@ -14,7 +14,7 @@ from .regression import Overrides
 
 
 class FitChoices(OptionalColumns, total=False):
-    """What may be said of a fit of arrays: the method, and columns beside position and effort."""
+    """Optional arguments of a fit of arrays: the method, and further columns."""
 
     method: Literal["iv", "wls", "ols"]
 
@@ -34,18 +34,18 @@ def fit(
     Parameters
     ----------
     q : (N, n) measured joint positions, rad or m, time first.
-    tau : (N, n) torques at the joint in N m, forces in N; in A or V where the description has no drive gain. What instants
-        they belong to is not known: `torque_lag_s` of `[identification]` states their lag.
-    sample_rate_hz : rate of the samples.
+    tau : (N, n) torques at the joint in N m, forces in N; in A or V where the description has no drive gain. Their
+        timing is unknown: `torque_lag_s` of `[identification]` states the lag.
+    sample_rate_hz : sample rate.
     robot : the description, or the path of a robot.toml.
-    q_ref : (N, n) reference positions; without them `iv` takes the measured positions in their place, which leaves the
-        instruments not strictly exogenous (a warning of the fit).
+    q_ref : (N, n) reference positions; without them `iv` uses the measured positions, and the instruments are not
+        strictly exogenous (a warning of the fit).
     choices : `method`: `iv`, instrumental variables (default with `q_ref`); `wls` (default without) or `ols`, least squares
         weighted joint by joint or not.
-        Of (N, n) each, as an import takes them: `known_torque` on the joints that is not of the drives, N m or N, positive
-        where it acts like theirs, which the model explains together with `tau`; `feedforward`, what was added to the
-        controller's output, by motor in the unit of its recorded effort (which has it in it), added to that of the simulated
-        controller; `velocity` of the joints, rad/s or m/s, compared with the derivative of q, which is what is fitted.
+        Columns (N, n), as for an import: `known_torque` on the joints from other sources than the drives, N m or N, same
+        sign as `tau`; the model explains the sum. `feedforward` added to the controller's output, per motor in the unit of
+        the recorded effort (which includes it); the simulated controller adds it too. `velocity` of the joints, rad/s or
+        m/s, only compared with the derivative of q, which is fitted.
 
     Returns
     -------
@@ -53,8 +53,8 @@ def fit(
 
     Raises
     ------
-    IdentificationError : where arrays do not belong together, or hold too little motion.
-    AcquisitionError : where the description cannot be read, or a velocity has another unit or sign.
+    IdentificationError : arrays that do not fit together, or too little motion.
+    AcquisitionError : the description cannot be read, or a velocity has a wrong unit or sign.
     """
     method = choices.get("method")
     columns = cast(OptionalColumns, {name: x for name, x in choices.items() if name != "method"})
@@ -66,7 +66,7 @@ def fit(
 
 
 def _fit_html(fit: Fit) -> str:
-    """The report of a fit as HTML; the report is imported when a notebook first shows a fit."""
+    """The report of a fit as HTML."""
     from .methods import fit_document
     from .report import to_html
 

@@ -1,6 +1,6 @@
-"""What users choose, each with its default, unit and help at its field; and their values: text in, a number in its range out.
+"""Options of users, each with its default, unit and help; and the functions that read and check their values.
 
-The rooms use these records, the commands make options of them (`acquisition.options`). Nothing heavy is imported here.
+Rooms use these records, commands make options from them (`acquisition.options`). No heavy imports.
 """
 
 from collections.abc import Callable
@@ -18,9 +18,9 @@ Controllers = Literal["described", "none"]
 
 
 def _value(
-    name: str, read: Callable[[str], Any], accepts: Callable[[Any], bool] = lambda found: True
+    name: str, read: Callable[[str], Any], accepts: Callable[[Any], bool] = lambda x: True
 ) -> Callable[[str], Any]:
-    """A function that reads a value, `ValueError` where it is not accepted; argparse shows `name` in its error."""
+    """A function that reads a value, `ValueError` if it is not accepted; argparse shows `name` in its error."""
 
     def value(text: str) -> Any:
         found = read(text)
@@ -33,14 +33,14 @@ def _value(
 
 
 def _values(name: str, read: Callable[[str], Any]) -> Callable[[str], Any]:
-    """The same for values separated by commas."""
+    """A function that reads values separated by commas."""
     return _value(name, lambda text: tuple(read(part.strip()) for part in text.split(",")))
 
 
 finite = _value("finite", float, lambda x: -INF < x < INF)
 above_zero = _value("above_zero", float, lambda x: 0 < x < INF)
 not_negative = _value("not_negative", lambda text: float(text) + 0.0, lambda x: 0 <= x < INF)  # -0 is 0
-share = _value("share", float, lambda x: 0 <= x < 100)  # percent
+percent_below_100 = _value("percent_below_100", float, lambda x: 0 <= x < 100)
 percent = _value("percent", float, lambda x: 0 < x <= 100)
 whole = _value("whole", int, lambda x: x >= 0)
 positive = _value("positive", int, lambda x: x >= 1)
@@ -56,14 +56,15 @@ list_of_names = _values("names", _value("name", str, bool))
 
 @dataclass(frozen=True, kw_only=True)
 class Overrides:
-    """Options of a fit that take the place of the rules; None leaves the rule (or robot.toml) in force.
+    """Options of a fit that replace the rules; None keeps the rule, or the key of robot.toml.
 
-    `cutoff_hz` 0 means no filter; one number for `low_speed_percent` holds for least squares and for iv; `torque_lag_s` "none"
-    corrects nothing.
+    `cutoff_hz` 0 means no filter; `low_speed_percent` as one number is for least squares and iv; `torque_lag_s` "none" means no
+    correction.
     """
 
     cutoff_hz: Annotated[
-        float | None, option("low-pass of the position, Hz, or none (default: 5 times the bandwidth)", "F", cutoff)
+        float | None,
+        option("low-pass cut-off of the position in Hz, or none (default: 5 times the bandwidth)", "F", cutoff),
     ] = None
     decimation: Annotated[int | None, option("samples per decimated row", "N", positive, "--decimate")] = None
     span: Annotated[
@@ -79,113 +80,130 @@ class Overrides:
     low_speed_percent: Annotated[
         "float | LowSpeed | None",
         option(
-            "leave out rows slower than P %% of the peak speed (default: 4, or 4 deviations of the speed's noise)",
+            "leave out samples at which a joint moves slower than P %% of its peak speed (default: 4, or 4 standard "
+            "deviations of the speed noise)",
             "P",
-            share,
+            percent_below_100,
         ),
     ] = None
     torque_lag_s: Annotated[
         float | Literal["none"] | None,
         option(
-            "known lag of the recorded torque, s, positive where it is late: corrected (default: half a period early for a "
-            "held command), or none",
+            "known delay of the recorded torque in s (positive: late), which the fit compensates, or none (default: half a "
+            "period early for a held command)",
             "S",
             seconds_or_none,
         ),
     ] = None
 
     def over(self, others: "Overrides") -> "Overrides":
-        """These, and those of the others where these are silent."""
+        """These options; those that are None come from `others`."""
         return replace(others, **{name: value for name, value in vars(self).items() if value is not None})
 
 
 @dataclass(frozen=True, kw_only=True)
 class IterationOptions:
-    """Where the instrumental variable method starts, and where it ends."""
+    """Start and end of the instrumental variable method."""
 
     start: Annotated[
         str,
         option(
-            "first parameters: unit inertias (default), least squares, or those of a fit's JSON file",
+            "initial parameters: unit inertias (default), least squares, or a fit's JSON file",
             "regular|ls|FIT.json",
         ),
     ] = "regular"
-    tolerance_percent: Annotated[float, option("passes end when changes are smaller", "P", above_zero)] = 2.5
-    max_iterations: Annotated[int, option("most passes", "N", positive)] = 10
+    tolerance_percent: Annotated[float, option("stop when all changes are smaller", "P", above_zero)] = 2.5
+    max_iterations: Annotated[int, option("maximum number of passes", "N", positive)] = 10
 
 
 @dataclass(frozen=True, kw_only=True)
 class CellOptions:
-    """Imperfections of a simulated cell, none by default. Percent are of each joint's rms torque, where not said otherwise."""
+    """Imperfections of a simulated cell, none by default; in percent of each joint's rms torque unless stated."""
 
-    encoder_step: Annotated[float, option("step of the encoder, rad or m", "Q", not_negative)] = 0.0
-    position: Annotated[float, option("noise of the encoder, rad or m rms", "Q", not_negative, "--position-noise")] = (
-        0.0
-    )
+    encoder_step: Annotated[float, option("encoder step, rad or m", "Q", not_negative)] = 0.0
+    position: Annotated[float, option("encoder noise, rad or m rms", "Q", not_negative, "--position-noise")] = 0.0
     effort_percent: Annotated[
-        float, option("white noise of the torque, %% of its rms", "P", not_negative, "--effort-noise-percent")
+        float,
+        option("white noise of the recorded torque, %% of the rms torque", "P", not_negative, "--effort-noise-percent"),
     ] = 0.0
     coloured_percent: Annotated[
-        float, option("AR(0.98) noise of the torque, %% of its rms", "P", not_negative, "--effort-coloured-percent")
+        float,
+        option(
+            "AR(0.98) noise of the recorded torque, %% of the rms torque",
+            "P",
+            not_negative,
+            "--effort-coloured-percent",
+        ),
     ] = 0.0
-    disturbance_percent: Annotated[float, option("AR(0.98) torque that acts, %% of the rms", "P", not_negative)] = 0.0
+    disturbance_percent: Annotated[
+        float, option("AR(0.98) disturbance torque on the joints, %% of the rms torque", "P", not_negative)
+    ] = 0.0
     recorded: Annotated[
         Literal["mean", "tick"],
         option(
-            "torque as the mean of the periods before and after, or the command of its tick", flag="--effort-recorded"
+            "recorded torque: mean of the control periods before and after, or command of the tick",
+            flag="--effort-recorded",
         ),
     ] = "mean"
-    lag_samples: Annotated[int, option("samples by which the recorded torque is late", "K", whole)] = 0
-    stribeck_percent: Annotated[float, option("more Coulomb friction at rest, %% of itself", "P", not_negative)] = 0.0
+    lag_samples: Annotated[int, option("delay of the recorded torque in samples", "K", whole)] = 0
+    stribeck_percent: Annotated[float, option("additional Coulomb friction at rest, %%", "P", not_negative)] = 0.0
     asymmetry_percent: Annotated[
-        float, option("friction larger forwards, smaller backwards, %% of itself", "P", share)
+        float, option("friction larger forwards and smaller backwards by P %%", "P", percent_below_100)
     ] = 0.0
-    integral_hz: Annotated[float, option("rate of an integral of the controller, 0 for none", "F", not_negative)] = 0.0
+    integral_hz: Annotated[float, option("integral rate of the controller in Hz, 0 for none", "F", not_negative)] = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class StudyOptions:
-    """What a study varies: each run draws one of each list, seeded by its number; and the recordings that it simulates."""
+    """Variations of a study (each run draws one value of each list, seeded by its number), and its simulated recordings."""
 
     runs: Annotated[int, option("number of runs", "N", positive)] = 100
-    cutoffs: Annotated[tuple[float, ...], option("cut-offs, times the bandwidth", "A,B,none", list_of_cutoffs)] = (
+    cutoffs: Annotated[
+        tuple[float, ...], option("cut-offs, as multiples of the bandwidth", "A,B,none", list_of_cutoffs)
+    ] = (
         5.0,
         10.0,
         0.0,
     )
-    starts: Annotated[tuple[float, ...], option("first inertias, times the true ones", "A,B", list_of_factors)] = (
+    starts: Annotated[
+        tuple[float, ...], option("initial inertias, as multiples of the true ones", "A,B", list_of_factors)
+    ] = (
         0.05,
         1.0,
         20.0,
     )
-    gain_errors: Annotated[tuple[float, ...], option("gains, times the true ones", "A,B", list_of_factors)] = (
+    gain_errors: Annotated[
+        tuple[float, ...],
+        option("controller gains given to the fit, as multiples of the true ones", "A,B", list_of_factors),
+    ] = (
         0.7,
         1.0,
         1.3,
     )
     controllers: Annotated[
         tuple[Controllers, ...],
-        option("described, or none: the fit is not given the control law", "A,B", list_of_controllers),
+        option("described, or none (the fit does not get the control law)", "A,B", list_of_controllers),
     ] = ("described",)
     vary: Annotated[
         Literal["listed", "everything"],
-        option("everything: each run draws imperfections of the cell and a controller as well"),
+        option("everything: also draw imperfections of the cell and a controller for each run"),
     ] = "listed"
-    duration_s: Annotated[float, option("length", "S", above_zero)] = 10.0
+    duration_s: Annotated[float, option("length in s", "S", above_zero)] = 10.0
     period_s: Annotated[
-        float, option("about the period of the reference; whole periods make up the length", "S", above_zero)
+        float,
+        option("approximate period of the reference in s; the length is a whole number of periods", "S", above_zero),
     ] = 10.0
-    sample_rate_hz: Annotated[float, option("sample rate", "F", above_zero, "--rate-hz")] = 1000.0
-    low_speed_percent: Annotated[float | None, option("as for fit", "P", share)] = None
+    sample_rate_hz: Annotated[float, option("sample rate in Hz", "F", above_zero, "--rate-hz")] = 1000.0
+    low_speed_percent: Annotated[float | None, option("see `robot-identify fit`", "P", percent_below_100)] = None
     seed: Annotated[int, option("seed of reference and noise", "K", whole)] = 0
 
 
 @dataclass(frozen=True, kw_only=True)
 class ReferenceOptions:
-    """What an exciting reference is to be: a Fourier series that is repeated."""
+    """An exciting reference: a Fourier series that is repeated."""
 
-    period_s: Annotated[float, option("of the Fourier series, s", "S", above_zero, "--period")] = 10.0
-    harmonics: Annotated[int, option("of the series", "H", at_least_two)] = 10
-    periods: Annotated[int, option("how often it is repeated", "N", positive)] = 3
-    seed: Annotated[int, option("of the searches' starts", "K", whole)] = 1
-    limits_percent: Annotated[float, option("share of all limits that it may use", "P", percent)] = 80.0
+    period_s: Annotated[float, option("period of the Fourier series in s", "S", above_zero, "--period")] = 10.0
+    harmonics: Annotated[int, option("number of harmonics", "H", at_least_two)] = 10
+    periods: Annotated[int, option("number of repetitions", "N", positive)] = 3
+    seed: Annotated[int, option("seed of the search", "K", whole)] = 1
+    limits_percent: Annotated[float, option("percentage of each limit that may be used", "P", percent)] = 80.0

@@ -145,9 +145,9 @@ def test_known_errors_are_one_line_and_leave_nothing(folder: Path, capsys: pytes
     assert "not valid TOML" in refused(capsys, [*command[:3], str(folder / "a.csv"), *command[4:]])
     assert "No such file" in refused(capsys, import_command(folder, folder / "none" / "log.mcap"))
     assert "found a folder or a device" in refused(capsys, import_command(folder, folder))
-    assert "expected an MCAP file" in refused(capsys, ["info", str(folder / "a.csv")])
+    assert "is not an MCAP file" in refused(capsys, ["info", str(folder / "a.csv")])
     assert "a b.mcap: cannot be read" in refused(capsys, ["info", str(folder / "a\nb.mcap")])
-    assert "expected an MCAP file" in refused(capsys, ["recover", str(folder / "a.csv"), "-o", str(folder / "out")])
+    assert "is not an MCAP file" in refused(capsys, ["recover", str(folder / "a.csv"), "-o", str(folder / "out")])
     assert sorted(folder.iterdir()) == before
 
 
@@ -194,11 +194,11 @@ def test_a_recording_is_not_replaced(folder: Path, capsys: pytest.CaptureFixture
     log.write_bytes(content)
     of_robot = ["--robot", str(SCARA)] if command.startswith("import") else []
     told = refused(capsys, [*command.split(), "missing", *of_robot, "-o", str(log)])
-    assert told.startswith(f"robot-acquire: {log}: exists already")
+    assert told.startswith(f"robot-acquire: {log}: already exists")
     assert ("--overwrite" in told) == (command != "export")
     assert log.read_bytes() == content
     if command != "export":
-        assert "exists already" not in refused(
+        assert "already exists" not in refused(
             capsys, [*command.split(), "no", *of_robot, "-o", str(log), "--overwrite"]
         )
     assert log.read_bytes() == content

@@ -174,7 +174,7 @@ def test_without_a_terminal_and_without_yes_nothing_begins(tmp_path, capsys, mon
     command = ["record", str(tmp_path / "robot.toml"), "-o", str(tmp_path / "a.mcap"), "--track", str(reference)]
     monkeypatch.setattr("sys.stdin", open(os.devnull))  # noqa: SIM115
     assert main(command) == 1
-    assert "nobody is here to confirm the joint positions: expected a terminal, or --yes" in capsys.readouterr().err
+    assert "nobody can confirm the joint positions: expected a terminal, or --yes" in capsys.readouterr().err
     assert main([*command, "--yes"]) == 1  # it gets as far as the bus
     assert "none0: cannot be opened" in capsys.readouterr().err
     assert not (tmp_path / "a.mcap").exists()

@@ -80,7 +80,7 @@ def test_import_of_a_trace_asks_for_no_map(tmp_path, capsys):
     assert main(["import", str(tmp_path / "a.trc"), *command]) == 1
     assert "a.trc: 1 SYNC (0x80) in 3 frames" in capsys.readouterr().err
     for tables, told in (
-        (["a.trc", "b.csv"], "b.csv: a table, and --map is not there"),
+        (["a.trc", "b.csv"], "b.csv: a table needs --map MAP.toml"),
         (["a.trc"] * 2, "a second CAN log"),
     ):
         assert main(["import", *(str(tmp_path / name) for name in tables), *command]) == 1

@@ -131,7 +131,7 @@ def test_what_failed_is_a_row_with_its_reason(written):
     assert len(rows) == COUNT + 3
     assert rows["damaged.mcap"]["status"] == rows["notes.mcap"]["status"] == "failed"
     assert "is cut" in rows["damaged.mcap"]["reason"]
-    assert "expected an MCAP file" in rows["notes.mcap"]["reason"]
+    assert "is not an MCAP file" in rows["notes.mcap"]["reason"]
     assert rows["damaged.mcap"]["Fv1"] is None
     copies = [rows["2.mcap"], rows["2 again.mcap"]]
     assert sorted(row["status"] for row in copies) == ["converged", "copy"]
@@ -411,7 +411,7 @@ def test_bad_input_is_one_line(tmp_path, capsys):
     assert "no recordings: expected files *.mcap" in error
     status, error = refused(tmp_path / "empty", "-o", tmp_path / "none" / "f.parquet")
     assert status == 1
-    assert "expected a folder that exists" in error
+    assert "expected an existing folder" in error
     assert list(tmp_path.iterdir()) == [tmp_path / "empty"], "nothing is made"
 
 

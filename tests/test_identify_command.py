@@ -123,7 +123,7 @@ def test_a_recording_is_replaced_only_where_that_is_asked_for(capsys, tmp_path):
     log.write_bytes(b"old")
     simulate = ["simulate", scara, "--duration-s", 1, "-o", log]
     told = refused(capsys, *simulate)
-    assert told.startswith(f"robot-identify: {log}: exists already")
+    assert told.startswith(f"robot-identify: {log}: already exists")
     assert told.rstrip().endswith("-o, or --overwrite")
     told = refused(capsys, "demo", "--out", tmp_path)
     assert str(log) in told
@@ -154,7 +154,7 @@ def test_bad_recordings_are_refused_in_one_line(capsys, tmp_path):
     assert "cannot be read: No such file" in refused(capsys, "fit", missing, "--json", out)
     text = tmp_path / "text.mcap"
     text.write_text("time,q\n0,1\n")
-    assert "expected an MCAP file" in refused(capsys, "fit", text, "--json", out)
+    assert "is not an MCAP file" in refused(capsys, "fit", text, "--json", out)
     whole = SESSION.read_bytes()
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(whole[: len(whole) // 2])

@@ -219,11 +219,11 @@ def test_times_that_are_no_grid(tmp_path: Path, two: Robot, time_s: np.ndarray, 
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ("", "holds no lines: expected a table"),
-        ("p1,p2,c1,c2\n", "holds no rows: expected numbers below the header"),
+        ("", "has no lines: expected a table"),
+        ("p1,p2,c1,c2\n", "has no rows: expected numbers below the header"),
         ("p1,p2,c1,c2\n1,2,3,4\n", "map.toml: position: 1 row: expected 2 at least"),
-        ("p1,p2,c1\n1,2,3\n", "column 'c2' is not there: expected one of p1, p2, c1"),
-        ("p1,p2,c1,c2,c2\n1,2,3,4,5\n", "column 'c2' is there 2 times: expected one of p1, p2, c1, c2, c2"),
+        ("p1,p2,c1\n1,2,3\n", "column 'c2' does not exist: expected one of p1, p2, c1"),
+        ("p1,p2,c1,c2,c2\n1,2,3,4,5\n", "column 'c2' exists 2 times: expected one of p1, p2, c1, c2, c2"),
         ("p1,p2,c1,c2\n1,2,3,4\n1,2,x,4\n", "line 3: c1 = 'x': expected a number"),
         ("p1,p2,c1,c2\n\n# remark\n1,2,3,4\n1,2,,4\n", "line 5: c1 = '': expected a number"),
         ("p1,p2,c1,c2\n1,2,3,4\n1,2,1_0,4\n", "line 3: c1 = '1_0': expected a number"),
@@ -233,7 +233,7 @@ def test_times_that_are_no_grid(tmp_path: Path, two: Robot, time_s: np.ndarray, 
         ("p1,p2,c1,c2\n1,2,3,4\n1,2,3,nan\n", "row 2: c2 = nan: expected a finite number"),
         ("p1,p2,c1,c2\n1,2,3,4\n1,-inf,3,4\n", "row 2: p2 = -inf: expected a finite number"),
         ("p1,p2,c1,c2\n1,2,3,4\n1,1e999,3,4\n", "row 2: p2 = inf: expected a finite number"),
-        ("1,2,3,4\n1,2,3,4\n", "column 'p1': no header line names it; expected numbers from 1 to 4"),
+        ("1,2,3,4\n1,2,3,4\n", "column 'p1': the file has no header line: expected numbers from 1 to 4"),
     ],
 )
 def test_csv_mistakes(tmp_path: Path, two: Robot, content: str, message: str) -> None:
@@ -326,7 +326,7 @@ def test_tables_of_different_length(tmp_path: Path, two: Robot) -> None:
 def test_mat_mistakes(tmp_path: Path, two: Robot) -> None:
     good = {"p1": Q[:, 0], "p2": Q[:, 1], "c1": CURRENT[:, 0]}
     for extra, message in (
-        ({}, "variable 'c2' is not there: expected one of p1, p2, c1"),
+        ({}, "variable 'c2' does not exist: expected one of p1, p2, c1"),
         ({"c2": CURRENT[:2, 1]}, "c1 1 x 3, c2 1 x 2: expected variables of one length, 2 columns in all"),
         ({"c2": "text"}, "variable 'c2' is <U4 of shape (1,): expected a vector or matrix of real numbers"),
         ({"c2": np.array([1, 2, 3j])}, "variable 'c2' is complex128"),
@@ -337,7 +337,7 @@ def test_mat_mistakes(tmp_path: Path, two: Robot) -> None:
         scipy.io.savemat(tmp_path / "a.mat", good | extra)
         assert message in refusal(tmp_path, two, MAP, tmp_path / "a.mat")
     numbers = MAP.replace('["c1", "c2"]', "[3, 4]")
-    assert "variable 3 is not there: expected one of p1, p2, c1, c2" in refusal(
+    assert "variable 3 does not exist: expected one of p1, p2, c1, c2" in refusal(
         tmp_path, two, numbers, tmp_path / "a.mat"
     )
     whole = (tmp_path / "a.mat").read_bytes()

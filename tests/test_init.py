@@ -114,9 +114,7 @@ def test_without_an_output_the_file_is_printed(here, capsys):
 
 def test_an_existing_file_is_not_replaced_and_the_urdf_is_found_from_it(here, capsys):
     (here / "robot.toml").write_text("mine")
-    assert "robot.toml: is there already: expected a new name" in refused(
-        capsys, "init", "arm.urdf", "-o", "robot.toml"
-    )
+    assert "robot.toml: already exists: expected a new name" in refused(capsys, "init", "arm.urdf", "-o", "robot.toml")
     assert (here / "robot.toml").read_text() == "mine"
     assert "is an input too" in refused(capsys, "init", "arm.urdf", "-o", "arm.urdf")
     (here / "cell").mkdir()
@@ -233,7 +231,7 @@ def test_options_that_do_not_fit_the_robot(here, capsys, given, message):
 def test_options_of_a_urdf_are_refused_with_a_description(here, capsys):
     run(capsys, "init", "arm.urdf", *NAMES, "-o", "robot.toml")
     error = refused(capsys, "base", "robot.toml", "--bandwidth-hz", "5")
-    assert error.startswith("robot.toml: --bandwidth-hz does nothing here: expected a URDF with it")
+    assert error.startswith("robot.toml: --bandwidth-hz has no effect: expected a URDF")
     error = refused(capsys, "study", "robot.toml")
     assert error.startswith("robot made up: controller.bandwidth_hz is missing: expected the bandwidth")
 

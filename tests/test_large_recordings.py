@@ -14,8 +14,8 @@ from identification.regression.motion import later
 
 @pytest.fixture
 def everything_on_disk(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(on_disk, "HELD", 1000)
-    monkeypatch.setattr(on_disk, "_ROWS", 999)
+    monkeypatch.setattr(on_disk, "MAX_BYTES_IN_MEMORY", 1000)
+    monkeypatch.setattr(on_disk, "_BLOCK_ROWS", 999)
     monkeypatch.setattr("acquisition.recording.rows._AT_ONCE", 700)
 
 
@@ -27,7 +27,7 @@ def is_on_disk(x: np.ndarray) -> bool:
 
 @pytest.mark.parametrize("held", [0, 5, 10, 10**6])
 def test_bytes_are_those_appended_wherever_they_are(monkeypatch, held):
-    monkeypatch.setattr(on_disk, "HELD", held)
+    monkeypatch.setattr(on_disk, "MAX_BYTES_IN_MEMORY", held)
     grown = GrowingBytes()
     for part in (b"ab", b"", b"cdefgh", b"ij"):
         grown.extend(part)

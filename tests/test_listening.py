@@ -382,5 +382,5 @@ def test_a_check_beside_another_master_sends_nothing_and_says_what_it_leaves_out
     (found,) = check_drives(Neighbour(link=run, can_id=0x602), BUS)
     assert (found.subject, found.ok) == ("other nodes", False)
     assert found.found.startswith("bus: SDO request to node 2: another master is active")
-    assert "so nothing is known of states" in found.found
+    assert "SYNC are not checked" in found.found
     assert sent == []

@@ -63,7 +63,7 @@ def test_objects_beside_the_wanted_variables_are_passed_over(tmp_path, compresse
         scipy.io.whosmat(path)  # this file is one of those that cannot be listed
     assert np.array_equal(read_columns(path, ["q"], 3), Q)
     assert np.array_equal(read_columns(path, ["data.t"], 1), T[:, None])
-    assert refused(path, ["log"], 1) == "variable 'log' is not there: expected one of q, data.t"
+    assert refused(path, ["log"], 1) == "variable 'log' does not exist: expected one of q, data.t"
 
 
 def test_fields_by_dotted_name(tmp_path):
@@ -73,7 +73,7 @@ def test_fields_by_dotted_name(tmp_path):
     assert np.array_equal(read_columns(path, ["x", "data.motor.t"], 2), np.column_stack([T, T]))
     there = "expected one of data.q, data.motor.tau, data.motor.t, data.note, x"
     for name in ("data.v", "data.q.x", "motor", "x.y"):
-        assert refused(path, [name], 3) == f"variable {name!r} is not there: {there}"
+        assert refused(path, [name], 3) == f"variable {name!r} does not exist: {there}"
     kind = "variable 'data.motor' is a struct or object with the fields tau, t: expected a vector or matrix of real numbers"
     assert refused(path, ["data.motor"], 1) == kind
     many = np.array([(1.0,), (2.0,)], dtype=[("q", "O")])
@@ -103,15 +103,14 @@ def test_parts_of_a_matrix_as_matlab_writes_them(tmp_path):
     assert refused(path, ["q(0,:)"], 1) == "variable 'q(0,:)': the matrix is 7 x 3: expected 1 to 7"
     for name in ("q(:,:)", "q(1,2)"):
         assert refused(path, [name], 1) == f"variable {name!r}: expected (:,k) for columns or (k,:) for rows"
-    assert "is not there" in refused(path, ["q(1)"], 1)
+    assert "does not exist" in refused(path, ["q(1)"], 1)
 
 
-def test_what_cannot_be_told_apart_is_refused(tmp_path):
+def test_an_ambiguous_shape_is_refused(tmp_path):
     square = Q[:3]
     path = mat(tmp_path, {"q": square, "wide": Q[:, :2], "short": T[:5]})
     assert refused(path, ["q"], 3) == (
-        "q 3 x 3: rows and columns cannot be told apart: expected "
-        "'q(:,1:3)' where rows are samples, 'q(1:3,:)' where columns are"
+        "q 3 x 3: samples may be rows or columns: expected 'q(:,1:3)' if rows are samples, 'q(1:3,:)' if columns are"
     )
     assert np.array_equal(read_columns(path, ["q(:,1:3)"], 3), square)
     assert np.array_equal(read_columns(path, ["q(1:3,:)"], 3), square.T)

@@ -88,15 +88,15 @@ def test_a_mesh_of_a_kind_that_is_not_known_is_not_written(tmp_path):
 def test_a_mesh_that_is_not_found_is_refused(name, tmp_path):
     path = described(tmp_path, name)
     (tmp_path / "meshes" / "l.txt").write_text("text")
-    with pytest.raises(AcquisitionError, match="is not found: expected a file beside the URDF") as caught:
+    with pytest.raises(AcquisitionError, match="does not exist") as caught:
         load_robot(path)
     assert (caught.value.place, caught.value.key, caught.value.value) == (str(path), "urdf: mesh", name)
 
 
 def test_what_cannot_be_attached_is_refused(tmp_path, monkeypatch):
     path = described(tmp_path)
-    monkeypatch.setattr(meshes, "LARGEST_MESHES", 133)
-    with pytest.raises(AcquisitionError, match="134 bytes with those before it: expected 133 at most"):
+    monkeypatch.setattr(meshes, "MAX_MESH_BYTES", 133)
+    with pytest.raises(AcquisitionError, match="134 bytes of meshes so far: expected at most 133"):
         load_robot(path)
     (tmp_path / "arm.urdf").write_text("<robot>")
     with pytest.raises(AcquisitionError, match="urdf: not valid XML: no element found"):

@@ -284,7 +284,7 @@ def test_drives_whose_session_and_recorder_are_killed_stop_by_themselves(folder)
         os.kill(recorder_of(session.pid), signal.SIGKILL)
         session.kill()
         session.communicate(timeout=30)
-        assert "1, 2  fault: expected it to be cleared" in checked(folder)
+        assert "1, 2  fault: remove its cause" in checked(folder)
     assert read_recording(out).cut
 
 
@@ -408,7 +408,7 @@ def test_known_errors_are_one_line(folder):
     robot = str(folder / "robot.toml")
     (folder / "there.mcap").write_bytes(b"x")
     for arguments, expected in (
-        (["record", robot, "-o", str(folder / "there.mcap"), "--dry-run", "--duration", "1"], "is there already"),
+        (["record", robot, "-o", str(folder / "there.mcap"), "--dry-run", "--duration", "1"], "already exists"),
         (["record", robot, "-o", str(folder / "a.mcap"), "--passive", "--dry-run"], "--passive: sends nothing"),
         (["record", robot, "-o", str(folder / "a.mcap"), "--duration", "0"], "--duration = 0.0: expected more than 0"),
         (["record", str(ROOT / "replay_data/emps/robot.toml"), "-o", str(folder / "a.mcap")], "bus is missing"),
@@ -416,9 +416,9 @@ def test_known_errors_are_one_line(folder):
         (["record", robot, "-o", str(folder / "b.mcap"), "--duration", "1"], "node 1: object 6041:0: no answer"),
         (["check", str(folder / "check.toml")], "no go: no drive answers at all: interface?"),
         (["import", str(folder / "x.log"), "--robot", robot, "-o", str(folder / "o.mcap")], "x.log: cannot be read"),
-        (["import", str(folder / "x.csv"), "--robot", robot, "-o", str(folder / "o.mcap")], "--map is not there"),
-        (["export", str(folder / "there.mcap"), "-o", str(folder / "o.csv")], "expected an MCAP file"),
-        (["replay", str(folder / "there.mcap"), "--interface", "virtual", "--channel", "x"], "expected an MCAP file"),
+        (["import", str(folder / "x.csv"), "--robot", robot, "-o", str(folder / "o.mcap")], "needs --map"),
+        (["export", str(folder / "there.mcap"), "-o", str(folder / "o.csv")], "is not an MCAP file"),
+        (["replay", str(folder / "there.mcap"), "--interface", "virtual", "--channel", "x"], "is not an MCAP file"),
         (["replay", str(folder / "there.mcap"), "--interface", "slcan", "--channel", "x"], "expected --onto-bus"),
     ):
         process = acquire(folder, *arguments)

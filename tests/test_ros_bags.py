@@ -353,16 +353,16 @@ def test_options_that_do_not_go_together(tmp_path, whole, capsys):
         assert main(["import", str(whole), "--robot", str(TOML), "-o", str(tmp_path / "out.mcap"), *options]) == 1
         return capsys.readouterr().err
 
-    assert "a ROS 2 bag, and --topic is not there: expected the topic" in told()
+    assert "a ROS 2 bag needs --topic: expected the topic" in told()
     topic = ("--topic", "/joint_states")
-    assert "--effort-unit is missing: a bag does not say: expected what the driver publishes" in told(*topic)
+    assert "--effort-unit is missing: a bag does not contain it: expected the unit" in told(*topic)
     assert "--effort-unit = 'Nm': expected one of A, mA" in told(*topic, "--effort-unit", "Nm")
     assert "--effort-unit: 3 units: expected one, or 2" in told(*topic, "--effort-unit", "A,A,A")
     assert "--map = " in told(*topic, "--map", "x.toml")
     assert "--resample-hz = -1.0: expected a number above 0" in told(
         *topic, "--effort-unit", "N m", "--resample-hz", "-1"
     )
-    assert "--effort-unit = 'A': is of ROS 2 bags: expected --topic with it" in told("--effort-unit", "A")
+    assert "--effort-unit = 'A': is only for ROS 2 bags: expected --topic" in told("--effort-unit", "A")
 
 
 def test_files_that_are_no_bags(tmp_path, robot, capsys):

@@ -45,7 +45,7 @@ def test_programs_and_demo_are_in_it(installed, tmp_path):
     done = subprocess.run(
         [sys.executable, "-S", "-c", code], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
     )
-    assert done.stderr == 2 * "robot-identify: /dev/null: cannot be made: File exists: expected a folder\n"
+    assert done.stderr == 2 * "robot-identify: /dev/null: cannot be created: File exists: expected a folder\n"
     assert done.stdout.startswith(f"{installed}/acquisition/__main__.py {installed}/identification/__main__.py\n")
     assert "usage: robot-acquire" in done.stdout
 

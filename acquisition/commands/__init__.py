@@ -1,4 +1,4 @@
-"""The command line: one file per command, and the program that both packages share."""
+"""The command line: one file per command, and the parts that both packages share."""
 
 from .command_line import (
     STATUSES,

@@ -1,4 +1,4 @@
-"""`robot-acquire check`: who answers on the bus, and whether it is as described; go or no go."""
+"""`robot-acquire check`: which drives answer, and whether they match the description; go or no go."""
 
 import argparse
 

@@ -1,6 +1,6 @@
-"""`robot-acquire check`: who answers, whether it is what the description says, and whether the bus carries it.
+"""`robot-acquire check`: which drives answer, whether they match the description, and whether the bus carries the load.
 
-Nothing moves and no PDO is configured: objects are read, and SYNC is measured.
+Nothing moves and no PDO is configured; objects are read and SYNC is measured.
 """
 
 import math
@@ -28,25 +28,25 @@ from ..robot import MAX_LOAD, Bus, Drive, Robot, demand_ripple_warnings
 from ..session import DEVIATIONS, steady, sync_jitter
 
 SCALES = {0x608F: "encoder increments per turns", 0x6091: "gear", 0x6092: "feed", 0x60A8: "position unit"}
-LARGEST_OFF = 0.01  # largest share of SYNC intervals that deviate by more than half a period
-STRANGER = "other nodes"
-NOBODY = "no drive answers at all: interface? try --dry-run of `robot-acquire record`"
+MAX_OFF_SHARE = 0.01  # of SYNC intervals that deviate by more than half a period
+OTHER_NODES = "other nodes"
+NO_ANSWER = "no drive answers at all: interface? try --dry-run of `robot-acquire record`"
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One property of the bus, or of a drive: its name, what was found, and whether a session may start with it."""
+    """One property of the bus or of a drive, its value, and whether a session may start with it."""
 
     subject: str
     found: str
     _: KW_ONLY
     ok: bool = True
     node: int | None = None  # None for the bus
-    track: bool = False  # only `--track` is refused by it
+    track: bool = False  # refuses only `--track`
 
 
 def check(robot: Robot, bus: Bus) -> list[Finding]:
-    """Check the bus, the drives and the computer; nothing moves, objects are only read. All `ok`: a session may start."""
+    """Check the bus, the drives and the computer, without motion. A session may start if all findings are `ok`."""
     handle = open_bus(bus.file, passive=False)
     link = Link(handle, passive=False)
     try:
@@ -63,7 +63,7 @@ def check(robot: Robot, bus: Bus) -> list[Finding]:
         with steady() as scheduling:
             findings.append(Finding("scheduling", scheduling.words))
             found = check_drives(link, bus)
-        if all(finding.ok for finding in found if finding.subject in (STRANGER, "state")):
+        if all(finding.ok for finding in found if finding.subject in (OTHER_NODES, "state")):
             found += _positions(robot, Master(link, bus))
         return findings + found
     finally:
@@ -71,37 +71,37 @@ def check(robot: Robot, bus: Bus) -> list[Finding]:
 
 
 def table(findings: list[Finding]) -> list[str]:
-    """One line for each property of the bus, and of the drives that are alike in it: mark, property, nodes, what was found."""
+    """One line per finding, shared by drives with the same one: mark, property, nodes, value."""
     nodes: dict[tuple[str, str, bool], list[str]] = {}
     for finding in findings:
-        alike = nodes.setdefault((finding.subject, one_line(finding.found), finding.ok), [])
-        alike += [] if finding.node is None else [str(finding.node)]
-    order = list(dict.fromkeys(subject for subject, _, _ in nodes))  # drives that differ are below each other
-    rows = sorted(((*key, ", ".join(alike)) for key, alike in nodes.items()), key=lambda row: order.index(row[0]))
+        same = nodes.setdefault((finding.subject, one_line(finding.found), finding.ok), [])
+        same += [] if finding.node is None else [str(finding.node)]
+    order = list(dict.fromkeys(subject for subject, _, _ in nodes))  # different drives stand below each other
+    rows = sorted(((*key, ", ".join(same)) for key, same in nodes.items()), key=lambda row: order.index(row[0]))
     names, of_nodes = (max((len(cell) for cell in cells), default=0) for cells in (order, [row[3] for row in rows]))
     return [f"{'ok' if ok else 'NO'}  {name:{names}}  {of:{of_nodes}}  {found}" for name, found, ok, of in rows]
 
 
 def refusal(findings: list[Finding]) -> str:
-    """What forbids a session, or only `--track`, in one line; empty where nothing does."""
+    """The findings that forbid a session, or only `--track`, in one line; empty if none does."""
     failed = [finding for finding in findings if not finding.ok]
     names = dict.fromkeys(f.subject if f.node is None else f"{f.subject} of node {f.node}" for f in failed)
-    if any(f.found == NOBODY for f in failed):
-        return f"no go: {NOBODY}"
+    if any(f.found == NO_ANSWER for f in failed):
+        return f"no go: {NO_ANSWER}"
     return f"no go{' for --track' if all(f.track for f in failed) else ''}: {', '.join(names)}" if failed else ""
 
 
 def check_drives(link: Link, bus: Bus) -> list[Finding]:
-    """Findings of the drives and of SYNC over an open link; nothing is sent if another node is heard first."""
+    """Findings about the drives and SYNC over an open link; nothing is sent if another node is heard first."""
     master = Master(link, bus)
     if (other := listen_for_others(master)) is not None:
-        text = f"{other}, so nothing is known of states, PDOs, supervision, scales, identity, rated values and SYNC"
-        return [Finding(STRANGER, text, ok=False)]
+        text = f"{other}; states, PDOs, supervision, scales, identity, rated values and SYNC are not checked"
+        return [Finding(OTHER_NODES, text, ok=False)]
     by_drive = [_of_drive(master, drive) for drive in bus.drives]
     findings = [finding for of_drive in by_drive for finding in of_drive]
     answered = [len(of_drive) > 1 for of_drive in by_drive]
     if not any(answered):
-        return [*findings, Finding("drives", NOBODY, ok=False)]
+        return [*findings, Finding("drives", NO_ANSWER, ok=False)]
     if all(answered):
         try:
             differences = master.differences()
@@ -113,14 +113,14 @@ def check_drives(link: Link, bus: Bus) -> list[Finding]:
 
 
 def _of_drive(master: Master, drive: Drive) -> list[Finding]:
-    """Findings of a drive; only that of its state where it does not answer."""
+    """Findings about a drive; only its state if it does not answer."""
     try:
         state = master.state(drive)
     except AcquisitionError as error:
-        text = str(error).removeprefix(f"{error.place}: ")  # the same of all drives
+        text = str(error).removeprefix(f"{error.place}: ")  # the same for all drives
         return [Finding("state", text, ok=False, node=drive.node)]
     fault = state is State.FAULT
-    text = "fault: expected it to be cleared, and its cause" if fault else state.words
+    text = "fault: remove its cause and reset it" if fault else state.words
     findings = [Finding("state", text, ok=not fault, node=drive.node)]
     properties = [("PDOs", _mapped(master, drive.node)), *supervision_of(master, drive)]
     properties += [("dictionary", text) for text in (drive.dictionary.warnings if drive.dictionary else ())]
@@ -130,14 +130,14 @@ def _of_drive(master: Master, drive: Drive) -> list[Finding]:
     ramp, faster = stop_ramp(master, drive)
     text = f"{ramp}: expected {faster}" if faster else ramp
     findings.append(Finding("quick stop", text, ok=not faster, node=drive.node, track=True))
-    if lack := supervision_refusal(master, drive):
-        text = f"{lack}: --track refuses without --unsupervised-drives"
+    if reason := supervision_refusal(master, drive):
+        text = f"{reason}: --track refuses without --unsupervised-drives"
         findings.append(Finding("supervision", text, ok=False, node=drive.node, track=True))
     return findings
 
 
 def _scale(master: Master, drive: Drive) -> str:
-    """The drive's objects of position units, and the units of the description: manufacturers combine them differently."""
+    """The drive's objects of position units, and the units of the description; manufacturers combine them differently."""
     entries = drive.dictionary.entries if drive.dictionary is not None else {}
     values = []
     for index, name in SCALES.items():
@@ -150,23 +150,23 @@ def _scale(master: Master, drive: Drive) -> str:
         except AcquisitionError:
             values.append(f"{name} {index:04X} not answered")
     counts = drive.position_codec.counts_per_unit
-    text = f"robot.toml: {counts * 2 * math.pi:g} counts per turn or {counts:g} per m; see that they agree"
+    text = f"robot.toml: {counts * 2 * math.pi:g} counts per turn or {counts:g} per m; check that they agree"
     return ", ".join([*values, text]) if values else ""
 
 
 def _agreement(bus: Bus) -> str:
-    """Which values were compared: only these are checked."""
+    """The values that were compared."""
     identity = [d.name for d in bus.drives if d.dictionary is not None and d.dictionary.identity]
     rated = [d.name for d in bus.drives if d.rated]
     if not identity and not rated:
-        return "nothing to compare: no dictionary with an identity, no rated value"
+        return "nothing to compare: no dictionary with an identity and no rated value"
     compared = (("identity", identity), ("rated values", rated))
     return "agrees with " + " and ".join(f"{what} of {', '.join(names)}" for what, names in compared if names)
 
 
 def _mapped(master: Master, node: int) -> str:
-    """PDOs that are enabled now; an active session maps its own."""
-    on = []
+    """The enabled PDOs; an active session maps its own."""
+    enabled = []
     for way, (communication, _) in PARAMETERS.items():
         for k in range(4):
             try:
@@ -174,8 +174,8 @@ def _mapped(master: Master, node: int) -> str:
             except AcquisitionError:
                 break
             if not can_id & NOT_VALID:
-                on.append(f"{way} {k + 1} 0x{can_id & 0x7FF:03X}")
-    return ", ".join(on) or "all switched off"
+                enabled.append(f"{way} {k + 1} 0x{can_id & 0x7FF:03X}")
+    return ", ".join(enabled) or "all disabled"
 
 
 def _load(bus: Bus) -> Finding:
@@ -187,33 +187,33 @@ def _load(bus: Bus) -> Finding:
 
 
 def _jitter(master: Master) -> Finding:
-    """The jitter of SYNC, as sent from here or as received from its producer."""
+    """The jitter of SYNC, as sent by this program or as received."""
     try:
-        found = sync_jitter(master)
+        jitter = sync_jitter(master)
     except AcquisitionError as error:
         return Finding("SYNC", str(error), ok=False)
-    period_ms, sd_ms, worst_ms = master.bus.file.sync_period_s * 1e3, found.sd_s * 1e3, found.worst_s * 1e3
+    period_ms, sd_ms, worst_ms = master.bus.file.sync_period_s * 1e3, jitter.sd_s * 1e3, jitter.worst_s * 1e3
     text = f"jitter sd {sd_ms:.3f} ms, worst {worst_ms:.3f} ms of a period of {period_ms:g} ms"
-    if not found.fit_for_motion:
-        text += f"; {DEVIATIONS} sd are more than {found.largest_s * 1e3:g} ms: --track refuses"
-    even = found.off <= LARGEST_OFF
-    text += f"; {found.off:.1%} off by more than half a period"
-    return Finding("SYNC", text, ok=even and found.fit_for_motion, track=even)
+    if not jitter.fit_for_motion:
+        text += f"; {DEVIATIONS} sd are more than {jitter.largest_s * 1e3:g} ms: --track refuses"
+    even = jitter.off <= MAX_OFF_SHARE
+    text += f"; {jitter.off:.1%} off by more than half a period"
+    return Finding("SYNC", text, ok=even and jitter.fit_for_motion, track=even)
 
 
 def _positions(robot: Robot, master: Master) -> list[Finding]:
-    """Joint positions as the drives report them, and whether the drives are homed."""
+    """Reported joint positions, and whether the drives are homed."""
     findings = []
     try:
         words = position_words(robot, joint_positions(robot, master))
-        text = f"{', '.join(words)}: see that the robot stands like that"
+        text = f"{', '.join(words)}: check that the robot stands there"
         findings.append(Finding("joint positions", text))
         for drive, file in zip(master.bus.drives, master.bus.file.drive, strict=True):
-            found = is_homed(master, drive, file)
-            text = "not described: the drive's zero may be where it was switched on"
-            if found is not None:
-                text = f"{'yes' if found else 'NO'} ({file.homed})"
-            findings.append(Finding("homed", text, ok=found is not False, node=drive.node, track=True))
+            homed = is_homed(master, drive, file)
+            text = "not described: the drive's zero may be its position at power-on"
+            if homed is not None:
+                text = f"{'yes' if homed else 'NO'} ({file.homed})"
+            findings.append(Finding("homed", text, ok=homed is not False, node=drive.node, track=True))
     except AcquisitionError as error:
         findings.append(Finding("joint positions", str(error), ok=False))
     return findings

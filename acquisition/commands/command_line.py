@@ -1,8 +1,7 @@
-"""The command line of both packages: parser of all commands, standard streams, errors in one line, exit statuses.
+"""The command line of both packages: parser, standard streams, errors in one line, exit statuses.
 
-Each command is a module with `add(parser)`, which declares its options, and `run(options)`, which carries it out: parse, one
-library call, print. A command's module is imported when the command is chosen, and libraries are imported by `run`, so that
-`--help` loads nothing heavy.
+Each command is a module with `add(parser)`, which declares its options, and `run(options)`: parse, one library call, print.
+A command's module is imported when the command is chosen, and `run` imports the libraries, so that `--help` is fast.
 """
 
 import argparse
@@ -37,8 +36,8 @@ PACKAGES = ("numpy", "scipy", "pin", "rerun-sdk", "mcap", "rosbags", "python-can
 class Program:
     """A command line: its name, one line about it, and the errors that it prints in one line.
 
-    `commands` are their help by name, in the order of the help. Each is the module of its name in `package`, with an
-    underscore where Python has the name for itself.
+    `commands` gives the help of each command, in order. Its module in `package` has the same name, with an underscore if the
+    name is a Python keyword.
     """
 
     name: str
@@ -48,13 +47,13 @@ class Program:
     errors: tuple[type[Exception], ...]
 
     def parser(self, *chosen: str) -> argparse.ArgumentParser:
-        """The parser of all commands, with the options of those `chosen`; the options that it returns have `run`."""
+        """The parser of all commands; only those `chosen` have their options, and `run`."""
         parser = argparse.ArgumentParser(prog=self.name, description=self.description, epilog=STATUSES)
         versions = "versions of this program and its dependencies"
         parser.add_argument("--version", action=_Versions, nargs=0, help=versions)
         commands = parser.add_subparsers(required=True, metavar="COMMAND")
         for name, help_text in self.commands.items():
-            command = commands.add_parser(name, help=help_text)
+            command = commands.add_parser(name, help=help_text, description=help_text)
             if name in chosen:
                 module = import_module(f"{self.package}.{name}{'_' * iskeyword(name)}")
                 module.add(command)
@@ -62,11 +61,11 @@ class Program:
         return parser
 
     def main(self, arguments: Sequence[str] | None = None) -> int:
-        """Run the command that `arguments` name (default: those of the process); the exit status is one of `STATUSES`."""
+        """Run the command in `arguments` (default: those of the process); return one of `STATUSES`."""
         given = sys.argv[1:] if arguments is None else arguments
 
         def command() -> int | None:
-            # Before its command a program takes no option with a value.
+            # No option before the command takes a value.
             chosen = next((argument for argument in given if argument in self.commands), "")
             options = self.parser(chosen).parse_args(given)
             return cast(int | None, options.run(options))
@@ -94,43 +93,40 @@ class _Versions(argparse.Action):
 def add_options(
     parser: "argparse._ActionsContainer", record: type["DataclassInstance"], *names: str, **defaults: Any
 ) -> None:
-    """Declare the fields of `record` that are options (of `acquisition.options`): all, or those of `names`.
+    """Declare options for the fields of `record` that have an `option`: all, or those in `names`.
 
-    An option that is not given is None, so that `from_options` leaves the field's default, or the one of `defaults`.
+    An option that is not given is None, for which `from_options` uses the field's default, or has the value in `defaults`.
     """
     for field in fields(record):
         if get_origin(field.type) is not Annotated or (names and field.name not in names):
             continue
-        kind, said = get_args(field.type)
-        how = {key: value for key, value in said.items() if value is not None}
+        kind, arguments = get_args(field.type)
+        how = {key: value for key, value in arguments.items() if value is not None}
         default = defaults.get(field.name, field.default)
         if kind is bool:
             how["action"] = "store_true"
         elif get_origin(kind) is Literal:
             how["choices"] = get_args(kind)
         if default is not None and kind is not bool and "default" not in how["help"]:
-            how["help"] += f" (default {_shown(default)})"
+            how["help"] += f" (default {_default_text(default)})"
         flag = how.pop("flag") or f"--{field.name.replace('_', '-')}"
         parser.add_argument(flag, dest=field.name, default=defaults.get(field.name), **how)
 
 
-def _shown(default: Any) -> str:
+def _default_text(default: Any) -> str:
     if isinstance(default, tuple):
-        return ",".join("none" if part == 0 else _shown(part) for part in default)
+        return ",".join("none" if part == 0 else _default_text(part) for part in default)
     return default if isinstance(default, str) else f"{default:g}"
 
 
 def from_options(kind: type[T], options: argparse.Namespace, **others: Any) -> T:
-    """A dataclass made of the options that have the names of its fields, and of `others`.
-
-    An option that was not given (None) leaves the field's default.
-    """
+    """A dataclass from the options named like its fields, and `others`; None leaves the field's default."""
     given = {field.name: getattr(options, field.name, None) for field in fields(kind)}
     return kind(**{**{name: value for name, value in given.items() if value is not None}, **others})
 
 
 def add_path(parser: "argparse._ActionsContainer", names: str, metavar: str, help: str = "", **how: Any) -> None:
-    """Declare a file or a folder; `names` are those of an option with blanks between, or that of a positional argument."""
+    """Declare a file or a folder; `names` of an option are separated by blanks."""
     parser.add_argument(*names.split(), type=Path, metavar=metavar, help=help or None, **how)
 
 
@@ -140,12 +136,12 @@ def add_flag(parser: "argparse._ActionsContainer", name: str, help: str) -> None
 
 
 def add_overwrite(parser: "argparse._ActionsContainer") -> None:
-    """Declare the option of commands that write recordings."""
-    add_flag(parser, "--overwrite", "replace an existing recording when the new one is whole")
+    """Declare `--overwrite` of commands that write recordings."""
+    add_flag(parser, "--overwrite", "replace an existing recording once the new one is complete")
 
 
 class Progress:
-    """A line on standard error that shows progress; only on a terminal (`shown`)."""
+    """A progress line on standard error; only on a terminal (`shown`)."""
 
     def __init__(self, text: str) -> None:
         self.shown = sys.stderr.isatty()
@@ -155,7 +151,7 @@ class Progress:
             self._status = Console(stderr=True).status(text)
 
     def say(self, text: Any) -> None:
-        """Replace the text, by another or by a `rich.text.Text`."""
+        """Replace the text; a `rich.text.Text` is also accepted."""
         if self.shown:
             self._status.update(text)
 
@@ -170,7 +166,7 @@ class Progress:
 
 
 class _Stream:
-    """A text stream that drops what cannot be written and stores the first error, so that no `print` ends a command."""
+    """A text stream that stores its first error and drops later text, so that a failed `print` does not end a command."""
 
     def __init__(self, stream: TextIO) -> None:
         self.stream = stream
@@ -195,7 +191,7 @@ class _Stream:
             call()
         except OSError as error:
             self.error = error
-            # Python flushes again at exit and would report the error: the rest is written to /dev/null.
+            # Python flushes again at exit and would report the error, so the rest goes to /dev/null.
             with suppress(OSError):  # the stream of a test has no descriptor
                 null = os.open(os.devnull, os.O_WRONLY)
                 os.dup2(null, self.stream.fileno())
@@ -203,10 +199,10 @@ class _Stream:
 
 
 def run_command(program: str, errors: Sequence[type[Exception]], command: Callable[[], int | None]) -> int:
-    """Run `command` and return the exit status: its own (None is 0), 1 after one of `errors` in one line, 130 on Ctrl-C.
+    """Run `command` and return the exit status: that of `command` (None is 0), 1 after one of `errors`, 130 on Ctrl-C.
 
-    A pipe of standard output that is closed early (`| head -1`) is no error. Standard output that cannot be written for
-    another reason (a full disk) is status 1 and one line, after the command has done everything else.
+    A pipe of standard output that is closed early (`| head -1`) is no error. If standard output cannot be written for
+    another reason (a full disk), the command finishes, then the status is 1.
     """
     with _standard_streams() as (out, err):
         try:
@@ -237,7 +233,7 @@ def _standard_streams() -> Iterator[tuple[_Stream, _Stream]]:
         try:
             os.fstat(descriptor)
         except OSError:
-            os.open(os.devnull, os.O_RDWR)  # takes this number, which the next file to be written would get otherwise
+            os.open(os.devnull, os.O_RDWR)  # reserves this number, which the next opened file would get otherwise
     before = sys.stdout, sys.stderr
     with suppress(OSError):
         null = open(os.devnull, "w")  # noqa: SIM115

@@ -1,4 +1,4 @@
-"""`robot-acquire decode`: a recording's CAN frames into joint samples again, by a corrected description."""
+"""`robot-acquire decode`: decode CAN frames into joint samples again, with a corrected description."""
 
 import argparse
 import sys
@@ -14,13 +14,13 @@ if TYPE_CHECKING:
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_path(parser, "recording", "LOG.mcap")
-    add_path(parser, "--robot", "CORRECTED.toml", "in place of the description inside")
+    add_path(parser, "--robot", "CORRECTED.toml", "use this description instead of the recording's own")
     add_path(parser, "-o --output", "OUT.mcap", "the recording to write", required=True)
     add_overwrite(parser)
 
 
 def run(options: argparse.Namespace) -> None:
-    """Decode, and print what was decoded."""
+    """Decode, and print a summary."""
     with Progress("decoding"):
         from ..files import refuse_clash
         from ..importing import decode_recording
@@ -34,7 +34,7 @@ def run(options: argparse.Namespace) -> None:
 
 
 def print_imported(found: "ImportSummary", warnings: TextIO) -> None:
-    """Print what was written, and its warnings to the stream `warnings`."""
+    """Print a summary of the recording written, and its warnings to the stream `warnings`."""
     parts = [f"{found.out}: {found.robot}", f"{found.samples} samples at {found.sample_rate_hz:g} Hz"]
     parts += [f"effort in {', '.join(dict.fromkeys(found.effort_units))}"] if found.effort_units else []
     parts += ["with reference"] if found.has_reference else []

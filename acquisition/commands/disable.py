@@ -1,4 +1,4 @@
-"""`robot-acquire disable`: stop and disable every drive of a description, whoever enabled it."""
+"""`robot-acquire disable`: stop and disable every drive of a description."""
 
 import argparse
 import sys
@@ -13,7 +13,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Disable the drives. If some do not confirm it, the first line says which ones, and the status is 1."""
+    """Disable the drives. If some do not confirm, the first line names them and the status is 1."""
     from ..bus import not_disabled, stop_drives
     from ..robot import load_robot, resolve
 

@@ -1,4 +1,4 @@
-"""`robot-acquire import`: a recording from tables (CSV, MAT), from a ROS 2 bag, or from a CAN log."""
+"""`robot-acquire import`: a recording from tables (CSV, MAT), a ROS 2 bag or a CAN log."""
 
 import argparse
 import math
@@ -14,18 +14,18 @@ from .decode import print_imported
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     inputs = parser.add_argument_group("inputs")
-    text = "CSV or MAT files, as the map counts them; or one ROS 2 bag (folder, .mcap, .db3); or one CAN log"
+    text = "CSV or MAT files in the order that the map numbers them; or one ROS 2 bag (folder, .mcap, .db3); or one CAN log"
     add_path(inputs, "tables", "FILE", text, nargs="+")
     add_path(inputs, "--robot", "ROBOT.toml", "the robot's description", required=True)
-    add_path(inputs, "--map", "MAP.toml", "which column is what: for tables alone")
+    add_path(inputs, "--map", "MAP.toml", "meaning of the columns; only for tables")
     bag = parser.add_argument_group("ROS 2 bag")
     bag.add_argument("--topic", metavar="NAME", help="topic of sensor_msgs/msg/JointState, such as /joint_states")
     text = (
-        "what effort is in the bag: 'N m' at the joints (a force in N where they slide), or A, V, ... of the motors; one "
-        "for all, or one for each joint with commas between"
+        "unit of the effort: 'N m' at the joints (prismatic: force in N), or A, V, ... at the motors; one for all joints, "
+        "or one per joint separated by commas"
     )
     bag.add_argument("--effort-unit", metavar="UNIT", help=text)
-    text = "rate to interpolate to (default: the roundest that stamps have)"
+    text = "sample rate after interpolation (default: the roundest rate of the stamps)"
     bag.add_argument("--resample-hz", type=float, metavar="HZ", help=text)
     outputs = parser.add_argument_group("outputs")
     add_path(outputs, "-o --output", "LOG.mcap", "the recording to write", required=True)
@@ -33,7 +33,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Import a bag where a topic is given, tables where a map is, else a CAN log, and print what was imported."""
+    """Import a bag (with a topic), tables (with a map) or a CAN log, and print a summary."""
     from ..files import refuse_clash
 
     refuse_clash([options.robot, options.map, *options.tables], options.output, overwrite=options.overwrite)
@@ -60,18 +60,20 @@ def run(options: argparse.Namespace) -> None:
 def _refuse_bag_options(options: argparse.Namespace) -> None:
     for name, value in (("--effort-unit", options.effort_unit), ("--resample-hz", options.resample_hz)):
         if value is not None:
-            expected = "--topic with it; tables have time.resample_hz and effort.unit in MAP.toml"
-            raise AcquisitionError("is of ROS 2 bags", key=name, value=value, expected=expected)
+            expected = "--topic; for tables, time.resample_hz and effort.unit in MAP.toml"
+            raise AcquisitionError("is only for ROS 2 bags", key=name, value=value, expected=expected)
 
 
 def _refuse_as_bag(options: argparse.Namespace) -> None:
     if options.map is not None:
-        raise AcquisitionError("is for tables", key="--map", value=str(options.map), expected="none with --topic")
+        raise AcquisitionError(
+            "is only for tables", key="--map", value=str(options.map), expected="no --map with --topic"
+        )
     if len(options.tables) > 1:
-        raise AcquisitionError("a second bag", place=str(options.tables[1]), expected="one")
+        raise AcquisitionError("is a second bag", place=str(options.tables[1]), expected="one")
     if options.effort_unit is None:
-        expected = "what the driver publishes, as its manual says: 'N m', A, ..."
-        raise AcquisitionError("a bag does not say", key="--effort-unit", value=None, expected=expected)
+        expected = "the unit that the driver's manual states: 'N m', A, ..."
+        raise AcquisitionError("a bag does not contain it", key="--effort-unit", value=None, expected=expected)
     if options.resample_hz is not None and not 0 < options.resample_hz < math.inf:
         raise AcquisitionError(key="--resample-hz", value=options.resample_hz, expected="a number above 0")
 
@@ -82,9 +84,9 @@ def _refuse_as_log(paths: Sequence[Path]) -> None:
     tables = [path for path in paths if not is_log(path)]
     if tables and is_bag(tables[0]):
         expected = "the topic of its joint states, such as --topic /joint_states"
-        raise AcquisitionError("a ROS 2 bag, and --topic is not there", place=str(tables[0]), expected=expected)
+        raise AcquisitionError("a ROS 2 bag needs --topic", place=str(tables[0]), expected=expected)
     if tables:
-        expected = "MAP.toml, which says what its columns are; CAN logs end in .log, .asc, .blf or .trc"
-        raise AcquisitionError("a table, and --map is not there", place=str(tables[0]), expected=expected)
+        expected = "the meaning of its columns in MAP.toml, or a CAN log (.log, .asc, .blf, .trc)"
+        raise AcquisitionError("a table needs --map MAP.toml", place=str(tables[0]), expected=expected)
     if len(paths) > 1:
-        raise AcquisitionError("a second CAN log", place=str(paths[1]), expected="one")
+        raise AcquisitionError("is a second CAN log", place=str(paths[1]), expected="one")

@@ -1,4 +1,4 @@
-"""`robot-acquire info`: what a recording holds."""
+"""`robot-acquire info`: the contents of a recording."""
 
 import argparse
 import sys
@@ -9,7 +9,7 @@ from .command_line import Progress, add_flag, add_path
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_path(parser, "recording", "LOG.mcap")
-    add_flag(parser, "--json", "as JSON, for programs")
+    add_flag(parser, "--json", "print JSON, for programs")
 
 
 def run(options: argparse.Namespace) -> None:
@@ -27,5 +27,5 @@ def run(options: argparse.Namespace) -> None:
     else:
         from rich.console import Console
 
-        # A pipe has no width of its own: lines are not to be broken there.
+        # Do not break lines in a pipe, which has no width.
         Console(width=None if sys.stdout.isatty() else 500).print(as_tables(found))

@@ -1,23 +1,23 @@
-"""`robot-acquire`: its commands, each in a file of its own, in the order of the help. A new command is a line here."""
+"""`robot-acquire`: one file per command, listed here in the order of the help."""
 
 from ..errors import AcquisitionError
 from .command_line import Program
 
 PROGRAM = Program(
     name="robot-acquire",
-    description="Recordings of robots and their drives.",
+    description="Record robots and their drives.",
     package=__package__,
     commands={
-        "check": "who answers on the bus, and whether it is as described",
+        "check": "check which drives answer, and whether they match the description",
         "record": "record drives; nothing moves without --track",
-        "disable": "stop and disable all drives, whoever enabled them; never refused",
-        "simulate": "simulated drives on the bus of a description, for anyone's master",
-        "import": "tables (CSV, MAT), ROS 2 bags or CAN logs (candump, ASC, BLF, TRC) into a recording",
-        "info": "what a recording holds",
-        "decode": "a recording's CAN frames into joint samples again",
-        "export": "joint samples as CSV, or as a ROS 2 bag",
-        "replay": "what a recording's drives sent, and SYNC, on a silent bus",
-        "recover": "a whole recording from one that was cut",
+        "disable": "stop and disable all drives, even if another program enabled them; never refused",
+        "simulate": "simulated drives that any CANopen master can use",
+        "import": "make a recording from tables (CSV, MAT), a ROS 2 bag or a CAN log (candump, ASC, BLF, TRC)",
+        "info": "show what a recording contains",
+        "decode": "decode a recording's CAN frames into joint samples again",
+        "export": "export joint samples as CSV or as a ROS 2 bag",
+        "replay": "play the drives' frames and SYNC of a recording onto an idle bus",
+        "recover": "repair a recording that was cut off",
     },
     errors=(AcquisitionError,),
 )

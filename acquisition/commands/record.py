@@ -23,7 +23,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     add_options(inputs, RecordOptions, "track")
     session = parser.add_argument_group("session")
     add_options(session, RecordOptions, "passive", "dry_run", "duration_s", "speed")
-    add_flag(session, "--yes", "--track without asking whether the joint positions are right")
+    add_flag(session, "--yes", "start --track without asking whether the joint positions are right")
     add_options(session, RecordOptions, "reset_faults", "unsupervised_drives")
     outputs = parser.add_argument_group("outputs")
     add_path(outputs, "-o --output", "LOG.mcap", "the recording to write", required=True)
@@ -39,17 +39,17 @@ def run(options: argparse.Namespace) -> int:
     robot = load_robot(options.robot)
     moves = options.track is not None and not options.dry_run
     if moves and not options.yes and not sys.stdin.isatty():
-        text = "nobody is here to confirm the joint positions"
+        text = "nobody can confirm the joint positions"
         raise AcquisitionError(text, place="--track", expected="a terminal, or --yes")
     stop, line = Stop(), StatusLine()
 
     def confirm(words: list[str], faults: list[str]) -> bool:
         if options.yes and not faults:
             return True
-        return sys.stdin.isatty() and _agreed(words + faults, stop, line)
+        return sys.stdin.isatty() and _ask(words + faults, stop, line)
 
     def announce(outcome: "Outcome") -> None:
-        """At once, before the recording is closed: which drives may still be enabled."""
+        """Name the drives that may still be enabled, before the recording is closed."""
         line.show()
         if outcome.alarm:
             print(one_line(outcome.alarm), file=sys.stderr, flush=True)
@@ -58,11 +58,11 @@ def run(options: argparse.Namespace) -> int:
         line.show(*live_line(robot, status, left_s))
 
     line.show(("starting", False))
-    operator = UserInterface(stop=stop, confirm=confirm, show=show, announce=announce)
+    interface = UserInterface(stop=stop, confirm=confirm, show=show, announce=announce)
     try:
         with stop_on_signals(stop):
-            asked = from_options(RecordOptions, options)
-            outcome, recorded = record(robot, str(options.robot), options.output, asked, operator)
+            chosen = from_options(RecordOptions, options)
+            outcome, recorded = record(robot, str(options.robot), options.output, chosen, interface)
     finally:
         line.show()
     return _report(options.output, robot, outcome, recorded)
@@ -74,8 +74,8 @@ def _report(out: Path, robot: "Robot", outcome: "Outcome", recorded: "RecordedSu
         print(one_line(f"robot-acquire: {out}: ended by a fault: {reason}"), file=sys.stderr, flush=True)
     for text in () if outcome.fault else recorded.warnings:
         print(one_line(f"warning: {text}"), file=sys.stderr)
-    held = f"{recorded.samples} samples, {recorded.frames} CAN frames"
-    print(one_line(f"{out}: {robot.name}, {held}; {outcome.reason}"))
+    counts = f"{recorded.samples} samples, {recorded.frames} CAN frames"
+    print(one_line(f"{out}: {robot.name}, {counts}; {outcome.reason}"))
     if outcome.fault:
         return 1
     if outcome.alarm:
@@ -85,14 +85,14 @@ def _report(out: Path, robot: "Robot", outcome: "Outcome", recorded: "RecordedSu
     return 0
 
 
-def _agreed(words: list[str], stop: "Stop", line: "StatusLine") -> bool:
-    """Show joint positions and drives in fault, and ask for confirmation; a stop in the meantime means no."""
+def _ask(words: list[str], stop: "Stop", line: "StatusLine") -> bool:
+    """Show joint positions and drives in fault, and ask for confirmation; a stop means no."""
     import select
 
     line.show()
     for text in words:
         print(one_line(text), file=sys.stderr)
-    print("Does the robot stand like that, and may it move? yes or no: ", end="", file=sys.stderr, flush=True)
+    print("Are these joint positions right, and may the robot move? yes or no: ", end="", file=sys.stderr, flush=True)
     while not stop.reason:
         if select.select([sys.stdin], [], [], 0.1)[0]:
             return sys.stdin.readline().strip().lower() in ("yes", "y")
@@ -101,19 +101,19 @@ def _agreed(words: list[str], stop: "Stop", line: "StatusLine") -> bool:
 
 
 class StatusLine:
-    """The status of a session on the terminal, if there is one; the SYNC loop writes it after the drives' answers to SYNC.
+    """The status line of a session on the terminal, if there is one; the SYNC loop writes it after the drives have answered.
 
-    A thread that draws would hold Python's lock when SYNC is due. A terminal that takes no text (Ctrl-S) is not waited for.
+    A drawing thread would hold Python's lock when SYNC is due. The loop does not wait for a stopped terminal (Ctrl-S).
     """
 
     def __init__(self) -> None:
         self._rows, self._terminal = 0, -1
         if sys.stderr.isatty():
-            with suppress(OSError):  # opened again: standard error itself stays blocking for all who share it
+            with suppress(OSError):  # opened again, because other processes share standard error and expect it to block
                 self._terminal = os.open(os.ttyname(sys.stderr.fileno()), os.O_WRONLY | os.O_NONBLOCK | os.O_NOCTTY)
 
     def show(self, *parts: tuple[str, bool]) -> None:
-        """Replace the line by `parts`; those of true are bold and red. Without parts: remove it, for other lines."""
+        """Replace the line by `parts`, bold and red where the flag is true; without parts, remove it."""
         if self._terminal >= 0 and (parts or self._rows):
             text = "".join(f"\x1b[1;31m{part}\x1b[0m" if bad else part for part, bad in parts)
             above = f"\x1b[{self._rows - 1}A" if self._rows > 1 else ""
@@ -124,7 +124,7 @@ class StatusLine:
 
 
 def live_line(robot: "Robot", status: "Status", left_s: float | None) -> list[tuple[str, bool]]:
-    """Rate, losses (marked true where there are any), range of each joint so far, time left."""
+    """Rate, losses (true if there are any), range of each joint so far, time left."""
     parts = [(f"{status.rate_hz:.0f} frames/s", False)]
     for count, name in ((status.drops, "dropped"), (status.missing, "missing"), (status.late, "late")):
         parts.append((f", {count} {name}", bool(count)))

@@ -1,4 +1,4 @@
-"""`robot-acquire recover`: a whole recording from one that was cut."""
+"""`robot-acquire recover`: repair a recording that was cut off."""
 
 import argparse
 import sys
@@ -15,7 +15,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Write the undamaged part of the recording, and print what it holds."""
+    """Write the undamaged part of the recording, and print a summary."""
     with Progress("recovering"):
         from ..files import refuse_clash
         from ..importing import recover_recording
@@ -25,5 +25,5 @@ def run(options: argparse.Namespace) -> None:
     for text in decoded.warnings or [f"no samples: {decoded.no_samples}"] * bool(decoded.no_samples):
         print(one_line(f"warning: {text}"), file=sys.stderr)
     frames = sum(len(block) for block in found.frames.values())
-    held = f"{decoded.samples} samples, {frames} CAN frames, {len(found.events)} events"
-    print(one_line(f"{options.output}: {found.robot.name}, {held}"))
+    counts = f"{decoded.samples} samples, {frames} CAN frames, {len(found.events)} events"
+    print(one_line(f"{options.output}: {found.robot.name}, {counts}"))

@@ -1,4 +1,4 @@
-"""`robot-acquire replay`: what a recording's drives sent, and SYNC, on a silent bus."""
+"""`robot-acquire replay`: play the drives' frames and SYNC of a recording onto an idle bus."""
 
 import argparse
 
@@ -9,10 +9,12 @@ from .command_line import add_flag, add_path
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_path(parser, "recording", "LOG.mcap")
-    parser.add_argument("--interface", required=True, help="python-can's name: socketcan, udp_multicast, ...")
-    parser.add_argument("--channel", required=True, help="can0, or a multicast group")
-    parser.add_argument("--speed", type=float, default=1.0, metavar="X", help="times as fast; default 1")
-    add_flag(parser, "--onto-bus", "also where hardware may be on the bus")
+    parser.add_argument(
+        "--interface", required=True, help="interface name of python-can: socketcan, udp_multicast, ..."
+    )
+    parser.add_argument("--channel", required=True, help="channel, such as can0 or a multicast group")
+    parser.add_argument("--speed", type=float, default=1.0, metavar="X", help="speed factor (default 1)")
+    add_flag(parser, "--onto-bus", "allow an interface that may lead to hardware")
 
 
 def run(options: argparse.Namespace) -> None:

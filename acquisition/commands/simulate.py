@@ -1,4 +1,4 @@
-"""`robot-acquire simulate`: simulated drives on the bus of a description, for anyone's master."""
+"""`robot-acquire simulate`: simulated drives that any CANopen master can use."""
 
 import argparse
 import sys
@@ -10,13 +10,13 @@ from .command_line import add_flag, add_path
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_path(parser, "robot", "ROBOT.toml")
-    add_path(parser, "--replay", "LOG.mcap", "drives that replay a recording's samples")
-    add_flag(parser, "--unsupervised", "drives that notice neither a lost SYNC nor a lost master")
-    parser.add_argument("--duration", type=float, metavar="S", help="seconds; without it until Ctrl-C")
+    add_path(parser, "--replay", "LOG.mcap", "replay the samples of this recording")
+    add_flag(parser, "--unsupervised", "drives do not detect a lost SYNC or a lost master")
+    parser.add_argument("--duration", type=float, metavar="S", help="seconds (default: until Ctrl-C)")
 
 
 def run(options: argparse.Namespace) -> None:
-    """Simulate the drives until the duration is over, or until a signal."""
+    """Simulate the drives until the duration is over or a signal arrives."""
     import time
 
     import numpy as np
@@ -35,7 +35,7 @@ def run(options: argparse.Namespace) -> None:
         if recording.samples is None:
             raise AcquisitionError(recording.no_samples, place=str(options.replay), expected="some to replay")
         plant = TablePlant(recording.samples, recording.sample_rate_hz)
-        mechanism = DrivenPlant(plant=plant, loops=cascaded_loops(robot, np.ones(robot.n)))  # which have no effect
+        mechanism = DrivenPlant(plant=plant, loops=cascaded_loops(robot, np.ones(robot.n)))  # the loops have no effect
     stop, end_s = Stop(), time.monotonic() + (options.duration if options.duration is not None else float("inf"))
     nodes = ", ".join(str(drive.node) for drive in bus.drives)
     text = f"simulated drives, nodes {nodes}, on {bus.file.interface} {bus.file.channel}"

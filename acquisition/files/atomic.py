@@ -12,10 +12,10 @@ MAGIC = b"\x89MCAP"  # first bytes of a recording
 
 @contextmanager
 def atomic_write(path: Path) -> Iterator[Path]:
-    """Yield a temporary path in the folder of `path` to write to; rename it to `path` when the block ends without an exception.
+    """Yield a temporary path in the folder of `path` to write to; rename it to `path` if the block ends without an exception.
 
-    On an exception the partial file is removed and whatever stood at `path` before stays as it was.
-    Raises `AcquisitionError` when `path` is a folder or a device, its folder is missing or not writable, or the disk is
+    On an exception the partial file is removed, and an earlier file at `path` is left as it was.
+    Raises `AcquisitionError` if `path` is a folder or a device, its folder is missing or not writable, or the disk is
     full.
     """
     place = Place(str(path))
@@ -40,24 +40,23 @@ def atomic_write(path: Path) -> Iterator[Path]:
 def refuse_clash(
     inputs: Sequence[Path | None], *outputs: Path | None, overwrite: bool | None = None, option: str = "-o"
 ) -> None:
-    """Raise `AcquisitionError` when writing one of `outputs` would replace one of `inputs`, another output, or a recording.
+    """Raise `AcquisitionError` if writing one of `outputs` would replace one of `inputs`, another output, or a recording.
 
-    None stands for a file that was not asked for. Files are the same by whatever link they are reached. `overwrite`: whether
-    recordings may be replaced, by the option of that name; None where a command does not have it. `option` names the output.
+    None stands for a file that was not asked for. Links to one file count as that file. `overwrite`: whether recordings may be
+    replaced, by the option of that name; None if a command does not have it. `option` names the output.
     """
-    given = [path for path in inputs if path is not None]
     earlier: list[Path] = []
     for output in (path for path in outputs if path is not None):
         place = Place(str(output))
-        for path in given:
-            if _same(output, path):
+        for path in inputs:
+            if path is not None and _same(output, path):
                 place.refuse(text=f"is an input too ({path})", expected="another name for the output")
         if any(_same(output, path) for path in earlier):
-            place.refuse(text="named twice; expected a file of its own for each output")
+            place.refuse(text="named twice; expected a different file for each output")
         earlier.append(output)
         if not overwrite and _is_recording(output):
             expected = "another name" if overwrite is None else f"another {option}, or --overwrite"
-            place.refuse(text="exists already, and is a recording", expected=expected)
+            place.refuse(text="already exists and is a recording", expected=expected)
 
 
 def _is_recording(path: Path) -> bool:
@@ -70,7 +69,7 @@ def _is_recording(path: Path) -> bool:
 
 
 def _same(a: Path, b: Path) -> bool:
-    if os.path.realpath(a) == os.path.realpath(b):  # of a loop of links too
+    if os.path.realpath(a) == os.path.realpath(b):  # also for a loop of links
         return True
     try:
         return a.samefile(b)

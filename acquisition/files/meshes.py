@@ -1,4 +1,4 @@
-"""Meshes that a URDF names: their names, and the files that the names mean."""
+"""Mesh files that a URDF names."""
 
 import os
 import xml.etree.ElementTree as ET
@@ -6,19 +6,19 @@ from pathlib import Path
 
 from ..errors import Place
 
-MESHES = (".stl", ".obj", ".dae", ".glb", ".gltf")  # that viewers read
-LARGEST_MESHES = 64 * 2**20  # bytes of all meshes of a robot
+MESHES = (".stl", ".obj", ".dae", ".glb", ".gltf")  # formats that viewers read
+MAX_MESH_BYTES = 64 * 2**20  # bytes of all meshes of a robot
 
 
 def read_meshes(urdf: bytes, folder: Path, place: str) -> dict[str, bytes]:
-    """The meshes of a URDF's visual shapes: content by name. `find_mesh` looks for them from the `folder` of the URDF.
+    """Content of the meshes of a URDF's visual shapes, by name; `folder` is that of the URDF.
 
-    Raises `AcquisitionError`, with the mesh's name as `value`: not XML, not found, not read, or too large.
+    Raises `AcquisitionError`, with the mesh's name as `value`: not XML, not found, not readable, or too large.
     """
     at = Place(place)
     try:
         visuals = ET.fromstring(urdf).iter("visual")
-    except (ET.ParseError, ValueError, LookupError) as error:  # the last two of an encoding that is not known
+    except (ET.ParseError, ValueError, LookupError) as error:  # the last two: unknown encoding
         at.refuse("urdf", text=f"not valid XML: {error}")
     names = dict.fromkeys(mesh.get("filename", "") for visual in visuals for mesh in visual.iter("mesh"))
     meshes, size = dict[str, bytes](), 0
@@ -26,12 +26,12 @@ def read_meshes(urdf: bytes, folder: Path, place: str) -> dict[str, bytes]:
         file = find_mesh(name, folder)
         if file is None:
             expected = f"a file beside the URDF or in a ROS package, {', '.join(MESHES)}"
-            at.refuse("urdf: mesh", name, expected, text="is not found")
+            at.refuse("urdf: mesh", name, expected, text="does not exist")
         try:
             size += file.stat().st_size
-            if size > LARGEST_MESHES:
-                expected = f"{LARGEST_MESHES} at most; leave out urdf_meshes"
-                at.refuse("urdf: mesh", name, expected, text=f"{size} bytes with those before it")
+            if size > MAX_MESH_BYTES:
+                expected = f"at most {MAX_MESH_BYTES} bytes, or no urdf_meshes"
+                at.refuse("urdf: mesh", name, expected, text=f"{size} bytes of meshes so far")
             meshes[name] = file.read_bytes()
         except OSError as error:
             at.refuse("urdf: mesh", name, text=f"cannot be read: {error.strerror}")
@@ -39,10 +39,10 @@ def read_meshes(urdf: bytes, folder: Path, place: str) -> dict[str, bytes]:
 
 
 def find_mesh(name: str, folder: Path | None = None) -> Path | None:
-    """The mesh file that a URDF names, None where there is none of a known format.
+    """The mesh file that a URDF names; None if it does not exist or has an unknown format.
 
-    A name is a path, absolute or relative to the `folder` of the URDF, or `package://PACKAGE/REST`: of a package beside the
-    URDF, in a folder that the URDF is in, or in `ROS_PACKAGE_PATH` or `AMENT_PREFIX_PATH`.
+    A name is a path, absolute or relative to the `folder` of the URDF, or `package://PACKAGE/REST`. Packages are searched
+    in the folder of the URDF, in those above it, and in `ROS_PACKAGE_PATH` and `AMENT_PREFIX_PATH`.
     """
     if name.startswith("package://"):
         package, _, rest = name.removeprefix("package://").partition("/")

@@ -1,4 +1,4 @@
-"""What is too large to be held in memory, in a temporary file: memory has of it what is looked at."""
+"""Memory-mapped temporary arrays and bytes, for data that are too large for memory."""
 
 import mmap
 import tempfile
@@ -7,17 +7,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-HELD = 2**28  # bytes that are held in memory
-_ROWS = 100_000  # gone through at a time
+MAX_BYTES_IN_MEMORY = 2**28  # of one array
+_BLOCK_ROWS = 100_000
 
 
 class GrowingBytes:
-    """Bytes that grow, in memory or, beyond an eighth of `HELD`, in a temporary file without a name."""
+    """Bytes that grow, in memory or, if they exceed an eighth of `MAX_BYTES_IN_MEMORY`, in an unnamed temporary file."""
 
     def __init__(self) -> None:
-        """None yet."""
-        self._most = HELD // 8
-        self._file = tempfile.SpooledTemporaryFile(max_size=self._most)  # noqa: SIM115 (it lives as long as the bytes)
+        """Start without bytes."""
+        self._max_bytes = MAX_BYTES_IN_MEMORY // 8
+        self._file = tempfile.SpooledTemporaryFile(max_size=self._max_bytes)  # noqa: SIM115 (open as long as the bytes are used)
 
     def __len__(self) -> int:
         return self._file.tell()
@@ -27,18 +27,18 @@ class GrowingBytes:
         self._file.write(content)
 
     def whole(self) -> bytes | mmap.mmap:
-        """All of them; nothing is appended afterwards."""
-        if len(self) <= self._most:
+        """All bytes; nothing may be appended afterwards."""
+        if len(self) <= self._max_bytes:
             self._file.seek(0)
             return self._file.read()
         self._file.flush()
         return mmap.mmap(self._file.fileno(), len(self), access=mmap.ACCESS_READ)
 
 
-def allocate(shape: tuple[int, ...], held: int | None = None) -> NDArray[np.float64]:
-    """An array to be filled; one larger than `held`, or `HELD`, lies in a temporary file without a name."""
+def allocate(shape: tuple[int, ...], max_bytes: int | None = None) -> NDArray[np.float64]:
+    """An uninitialised array, in an unnamed temporary file if it is larger than `max_bytes` (default `MAX_BYTES_IN_MEMORY`)."""
     size = 8 * int(np.prod(shape))
-    if size <= (HELD if held is None else held):
+    if size <= (MAX_BYTES_IN_MEMORY if max_bytes is None else max_bytes):
         return np.empty(shape)
     with tempfile.TemporaryFile() as file:
         file.truncate(size)
@@ -46,20 +46,20 @@ def allocate(shape: tuple[int, ...], held: int | None = None) -> NDArray[np.floa
 
 
 def field_of(rows: NDArray[np.void], name: str) -> NDArray[Any]:
-    """A field of rows. Where these are more than `HELD` it lies on disk by itself: rows are read once, and let go."""
+    """A field of rows; a copy on disk if the rows are larger than `MAX_BYTES_IN_MEMORY`, made in one pass."""
     x = rows[name]
-    if rows.nbytes <= HELD:
+    if rows.nbytes <= MAX_BYTES_IN_MEMORY:
         return x
-    own = allocate(x.shape).view(x.dtype)
-    for first in range(0, len(x), _ROWS):
-        own[first : first + _ROWS] = x[first : first + _ROWS]
+    field = allocate(x.shape).view(x.dtype)
+    for first in range(0, len(x), _BLOCK_ROWS):
+        field[first : first + _BLOCK_ROWS] = x[first : first + _BLOCK_ROWS]
         release_pages(rows)
-    release_pages(own)
-    return own
+    release_pages(field)
+    return field
 
 
 def release_pages(x: NDArray[np.generic]) -> None:
-    """Take what lies in a temporary file out of memory: it is read again where it is looked at."""
+    """Release the memory of an array in a temporary file; its pages are read again on the next access."""
     base: object = x
     while isinstance(base, np.ndarray):
         base = base.base

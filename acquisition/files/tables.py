@@ -1,4 +1,4 @@
-"""Columns of numbers from CSV and MAT files (of version 7 or older), without units or meaning; numbers as text."""
+"""Columns of numbers from CSV and MAT files (version 7 or older), in the units of the file; numbers as text."""
 
 import io
 import re
@@ -13,27 +13,27 @@ from ..arrays import Array
 from ..errors import Place, listed
 from .atomic import atomic_write
 
-ROUNDING = 1e-18  # SI: no mass, length or inertia of a robot is so small
-# `data.q`, `q(:,2)`, `data.q(1:6,:)`: a variable or a field, and perhaps some of its columns or rows as MATLAB writes it.
+MAX_ROUNDING = 1e-18  # SI: masses, lengths and inertias of robots are larger
+# `data.q`, `q(:,2)`, `data.q(1:6,:)`: a variable or a field, with optional columns or rows in MATLAB's notation.
 _NAME = re.compile(r"(?P<path>[^()\s]+)(?:\(\s*(?P<rows>:|\d+(?::\d+)?)\s*,\s*(?P<columns>:|\d+(?::\d+)?)\s*\))?")
 
 
-def text_of(*values: float) -> str:
-    """Numbers with all their digits, separated by blanks; rounding of a zero is written as zero."""
-    return " ".join(repr(float(x) if abs(x) > ROUNDING else 0.0) for x in values)
+def format_numbers(*values: float) -> str:
+    """Numbers with all digits, separated by blanks; rounding errors of zero become zero."""
+    return " ".join(repr(float(x) if abs(x) > MAX_ROUNDING else 0.0) for x in values)
 
 
 def read_columns(path: Path, columns: Sequence[str | int], count: int) -> Array:
-    """Columns of a table, side by side.
+    """Columns of a table.
 
     Parameters
     ----------
     path : CSV or MAT file (version 7 or older). CSV cells are separated by comma, semicolon, tab or blanks, as in the first
-        line; lines that begin with # are skipped, except a header: the last such line above numbers.
-    columns : names in the header line of a CSV file, or its columns by number from 1; or variables of a MAT file,
-        or fields of structs by dotted name; `(:,k)`, `(:,k:l)`, `(k,:)` or `(k:l,:)` behind a name takes some of its columns
-        or rows, and one name may give several columns.
-    count : columns expected in all.
+        line. Lines that begin with # are skipped, but the last one above the numbers may be the header.
+    columns : of a CSV file, names in the header line or numbers from 1. Of a MAT file, variables, or fields of structs by
+        dotted name; `(:,k)`, `(:,k:l)`, `(k,:)` or `(k:l,:)` after a name selects columns or rows,
+        and one name may give several columns.
+    count : expected number of columns.
 
     Returns
     -------
@@ -64,12 +64,12 @@ def read_columns(path: Path, columns: Sequence[str | int], count: int) -> Array:
 
 
 def write_columns(path: Path, names: Sequence[str], parts: Iterable[Array]) -> None:
-    """Write a CSV file of named columns, whole or not at all; `read_columns` reads the same numbers back, bit by bit.
+    """Write a CSV file of named columns atomically; `read_columns` reads back the same bits.
 
     Parameters
     ----------
-    path : of the file.
-    names : (columns,) for its header.
+    path : the file.
+    names : (columns,) for the header.
     parts : rows, (k, columns) each.
 
     Raises
@@ -87,7 +87,7 @@ def _csv(data: bytes, columns: Sequence[str | int], place: Place) -> tuple[Array
     text = data.decode("utf-8-sig", errors="replace").replace('"', "")
     lines = [(k, line) for k, line in enumerate(text.splitlines(), 1) if line.strip()]
     if not lines:
-        place.refuse(text="holds no lines", expected="a table")
+        place.refuse(text="has no lines", expected="a table")
     while len(lines) > 1 and lines[0][1].startswith("#") and not _has_numbers(lines[1][1]):
         del lines[0]  # a remark above the header
     first = lines[0][1].lstrip("# \t")
@@ -103,12 +103,12 @@ def _csv(data: bytes, columns: Sequence[str | int], place: Place) -> tuple[Array
         if found != len(names):
             Place(f"{place}: line {k}").refuse(text=f"{found} cells", expected=str(len(names)))
     if not rows:
-        place.refuse(text="holds no rows", expected="numbers below the header")
+        place.refuse(text="has no rows", expected="numbers below the header")
     labels = [names[k] for k in chosen]
     try:
         values = np.loadtxt([line for _, line in rows], delimiter=separator, usecols=chosen, ndmin=2, comments=None)
     except (ValueError, OverflowError, IndexError) as error:
-        for k, line in rows:  # slow, but only on the way to an error that names the cell
+        for k, line in rows:  # slow, but only for an error that names the cell
             cells = line.split(separator)
             for column, label in zip(chosen, labels, strict=True):
                 if _number(cells[column]) is None:
@@ -135,27 +135,27 @@ def _index(column: str | int, names: Sequence[str], has_header: bool, place: Pla
         return column - 1
     if not has_header:
         expected = f"numbers from 1 to {len(names)}"
-        place.refuse(text=f"column {column!r}: no header line names it; expected {expected}")
+        place.refuse(text=f"column {column!r}: the file has no header line", expected=expected)
     if names.count(column) != 1:
-        found = "is not there" if column not in names else f"is there {names.count(column)} times"
+        found = "does not exist" if column not in names else f"exists {names.count(column)} times"
         place.refuse(text=f"column {column!r} {found}", expected=f"one of {listed(names)}")
     return names.index(column)
 
 
 def _mat(data: bytes, names: Sequence[str | int], count: int, place: Place) -> tuple[Array, list[str]]:
-    """The named parts of a MAT file, side by side (N, count), and a label of each column."""
-    # Matrices may be samples by joints or joints by samples: the number of samples is the one with which all parts have the
-    # same length and `count` columns in all.
-    asked = [_NAME.fullmatch(str(name)) for name in names]
+    """The named parts of a MAT file as columns (N, count), and a label for each column."""
+    # Matrices may be samples by joints or joints by samples: the number of samples is the one that gives all parts the same
+    # length and `count` columns in all.
+    matches = [_NAME.fullmatch(str(name)) for name in names]
     try:
-        variables = _load(data, [match["path"].split(".")[0] for match in asked if match])
-    except Exception as error:  # on a damaged file scipy's reader raises errors of any kind
+        variables = _load(data, [match["path"].split(".")[0] for match in matches if match])
+    except Exception as error:  # scipy raises errors of any kind on a damaged file
         place.refuse(text=f"not a MAT file that can be read: {error or type(error).__name__}")
     parts = []
-    for name, match in zip(names, asked, strict=True):
+    for name, match in zip(names, matches, strict=True):
         found = None if isinstance(name, int) or match is None else _walk(variables, match["path"], place)
         if found is None or match is None:
-            place.refuse(text=f"variable {name!r} is not there", expected=f"one of {_present(data)}")
+            place.refuse(text=f"variable {name!r} does not exist", expected=f"one of {_present(data)}")
         parts.append(_part(found, match, place))
     size = sum(part.size for part, _ in parts)
     rows = size // count
@@ -166,8 +166,8 @@ def _mat(data: bytes, names: Sequence[str | int], count: int, place: Place) -> t
     turned, labels = [], []
     for name, (part, upright), shown in zip(names, parts, sizes, strict=True):
         if part.shape == (rows, rows) and not upright:
-            expected = f"'{name}(:,1:{rows})' where rows are samples, '{name}(1:{rows},:)' where columns are"
-            Place(f"{place}: {shown}").refuse(text="rows and columns cannot be told apart", expected=expected)
+            expected = f"'{name}(:,1:{rows})' if rows are samples, '{name}(1:{rows},:)' if columns are"
+            Place(f"{place}: {shown}").refuse(text="samples may be rows or columns", expected=expected)
         turned.append(part if len(part) == rows else part.T)
         wide = turned[-1].shape[1]
         labels += [str(name)] if wide == 1 else [f"{name}(:,{k + 1})" for k in range(wide)]
@@ -175,16 +175,16 @@ def _mat(data: bytes, names: Sequence[str | int], count: int, place: Place) -> t
 
 
 def _load(data: bytes, names: Sequence[str] | None = None) -> dict[str, Any]:
-    """The variables with these names (default: all). No others are read: objects of MATLAB's classes cannot be."""
+    """The variables with these names (default: all). Others are not read, since objects of MATLAB's classes cannot be."""
     import scipy.io
 
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # about variables that are not read
+        warnings.simplefilter("ignore")  # warnings about variables that are not read
         return dict(scipy.io.loadmat(io.BytesIO(data), variable_names=names and list(dict.fromkeys(names))))
 
 
 def _walk(variables: dict[str, Any], path: str, place: Place) -> Any:
-    """The value of a dotted name; None where it does not exist."""
+    """The value of a dotted name; None if it does not exist."""
     top, *fields = path.split(".")
     value, at = variables.get(top), top
     for field in fields:
@@ -197,14 +197,14 @@ def _walk(variables: dict[str, Any], path: str, place: Place) -> Any:
 
 
 def _part(value: Any, match: re.Match[str], place: Place) -> tuple[Array, bool]:
-    """The matrix that a name means, and whether the name itself says that samples are its rows."""
+    """The matrix that a name selects, and whether the name states that its rows are samples."""
     name = match.string
     if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiu" or np.squeeze(value).ndim > 2:
         kind = f"{value.dtype} of shape {value.shape}" if isinstance(value, np.ndarray) else type(value).__name__
         if isinstance(value, np.ndarray) and value.dtype.names:
             kind = f"a struct or object with the fields {listed(value.dtype.names)}"
         place.refuse(text=f"variable {name!r} is {kind}", expected="a vector or matrix of real numbers")
-    # Dimensions of one, as of a signal of 6 x 1 x N, are left out.
+    # Dimensions of size one are removed, such as the second of 6 x 1 x N.
     matrix = (value if value.ndim == 2 else np.squeeze(value)).astype(np.float64)
     matrix = matrix if matrix.ndim == 2 else matrix.reshape(-1, 1)
     if match["rows"] is None:
@@ -213,9 +213,9 @@ def _part(value: Any, match: re.Match[str], place: Place) -> tuple[Array, bool]:
     if by_column == (match["columns"] == ":"):
         place.refuse(text=f"variable {name!r}", expected="(:,k) for columns or (k,:) for rows")
     first, _, last = match["columns" if by_column else "rows"].partition(":")
-    low, high, most = int(first), int(last or first), matrix.shape[1 if by_column else 0]
-    if not 1 <= low <= high <= most:
-        place.refuse(text=f"variable {name!r}: the matrix is {_size(matrix)}", expected=f"1 to {most}")
+    low, high, size = int(first), int(last or first), matrix.shape[1 if by_column else 0]
+    if not 1 <= low <= high <= size:
+        place.refuse(text=f"variable {name!r}: the matrix is {_size(matrix)}", expected=f"1 to {size}")
     return matrix[:, low - 1 : high] if by_column else matrix[low - 1 : high].T, True
 
 
@@ -224,10 +224,10 @@ def _size(part: Array) -> str:
 
 
 def _present(data: bytes) -> str:
-    """Names of a file's variables of numbers and of structs' fields, for an error."""
+    """Names of a file's variables and of the fields of its structs, for an error."""
     try:
         variables = _load(data)
-    except Exception:  # scipy cannot skip objects of MATLAB classes
+    except Exception:  # scipy cannot skip objects of MATLAB's classes
         return "the file's variables (they cannot be listed, because one of them is an object)"
     names: list[str] = []
     waiting = [(k, v) for k, v in variables.items() if not k.startswith("__") and k != "None"]  # objects have no name

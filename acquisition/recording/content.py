@@ -74,7 +74,8 @@ def read_content(path: Path, name: str, accept: Accept, wanted: Wanted) -> Conte
 
 def _read(records: "_Records", place: str, name: str, accept: Accept, wanted: Wanted) -> Content:
     if records.first != _MAGIC:
-        raise AcquisitionError(f"begins with {records.first!r}", place=place, expected="an MCAP file")
+        expected = "a recording; first `robot-acquire import`"
+        raise AcquisitionError(f"is not an MCAP file (begins with {records.first!r})", place=place, expected=expected)
     metadata: dict[str, str] | None = None
     attachments: dict[str, bytes] = {}
     chunks = _Chunks(wanted)

@@ -52,7 +52,7 @@ class Recorder:
         file = robot.bus
         if path.exists():
             expected = "a new name; recordings are not replaced"
-            raise AcquisitionError("is there already", place=str(path), expected=expected)
+            raise AcquisitionError("already exists", place=str(path), expected=expected)
         header = Header(
             robot=robot,
             source=source,

@@ -1,3 +1,3 @@
-"""The command line: one file per command, and the options that commands share."""
+"""The command line: one file per command, and shared options."""
 
 from .program import main

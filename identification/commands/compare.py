@@ -1,4 +1,4 @@
-"""`robot-identify compare`: parameters of two fits side by side."""
+"""`robot-identify compare`: the parameters of two fits."""
 
 import argparse
 
@@ -16,7 +16,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Print the differences, and what must be known of either fit."""
+    """Print the differences, and the warnings of both fits."""
     from ..report import ParameterSet, comparison_document, comparison_file, frame_lines, read_fit, write_json
 
     refuse_outputs([options.a, options.b], options.json, options.rrd)

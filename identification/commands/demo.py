@@ -1,4 +1,4 @@
-"""`robot-identify demo`: simulated drives, a recording, a fit against the truth."""
+"""`robot-identify demo`: record simulated drives, fit, and compare with the true parameters."""
 
 import argparse
 from pathlib import Path
@@ -20,7 +20,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Record, fit by both methods, draw, and print both fits against the truth."""
+    """Record, fit by both methods, draw, and print both fits beside the true values."""
     with Progress("starting") as progress:
         from acquisition.files import atomic_write, refuse_clash
         from acquisition.robot import load_robot

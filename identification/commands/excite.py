@@ -1,4 +1,4 @@
-"""`robot-identify excite`: a reference that tells most of a robot's parameters, within its limits."""
+"""`robot-identify excite`: an exciting trajectory within the limits of the robot."""
 
 import argparse
 
@@ -11,11 +11,12 @@ from .arguments import add_robot, print_results, refuse_outputs, robot_of
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     inputs = add_robot(parser, "with limits of all joints")
-    add_path(inputs, "--fit", "FIT.json", "parameters and noise of this fit (default: [parameters])")
-    text = "earlier recordings of the robot: their information adds to that of the reference"
+    add_path(inputs, "--fit", "FIT.json", "take parameters and noise from this fit (default: [parameters])")
+    text = "earlier recordings of the robot, whose information is added to that of the trajectory"
     add_path(inputs, "--after", "LOG.mcap", text, nargs="+", default=[])
     text = (
-        "deviation of the torque in a row of the fit, one or one per joint (default: of FIT.json, else 2 %% of the rms)"
+        "standard deviation of the torque noise per row of the fit, one value or one per joint (default: of FIT.json, "
+        "else 2 %% of the rms torque)"
     )
     inputs.add_argument("--noise", type=list_of_factors, metavar="A,B", help=text)
     add_options(parser.add_argument_group("reference"), ReferenceOptions)
@@ -25,7 +26,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Search the reference, write it, print what is expected of it."""
+    """Search the reference, write it, and print the expected intervals."""
     refuse_outputs([options.robot, options.fit, *options.after], options.out, options.rrd)
     with Progress("excitation") as progress:
         import numpy as np
@@ -36,10 +37,10 @@ def run(options: argparse.Namespace) -> None:
 
         robot = robot_of(options, moves=True)
         settings = from_options(ExcitationSettings, options)
-        knowledge = prior_information(
+        prior = prior_information(
             robot, options.robot.parent, fit=options.fit, noise=options.noise, after=options.after
         )
-        found = excite(robot, settings, knowledge, str(options.robot), progress.say)
+        found = excite(robot, settings, prior, str(options.robot), progress.say)
     document = excitation_document(found)
     try:
         time_s, q = found.table()

@@ -12,15 +12,15 @@ def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     inputs = parser.add_argument_group("inputs")
     add_path(inputs, "fit", "FIT.json", "the fit, as `fit --json` writes it")
-    add_flag(inputs, "--allow-untrusted", "export a fit with the verdict `do not use` all the same")
+    add_flag(inputs, "--allow-untrusted", "also export a fit with the verdict `do not use`")
     outputs = parser.add_argument_group("outputs")
     add_path(outputs, "--urdf", "OUT.urdf", "the description's own URDF with new values, or a new one")
     add_path(outputs, "--mjcf", "OUT.xml", "a MuJoCo model")
-    add_path(outputs, "--toml", "OUT.toml", "the description with the values in [parameters]")
+    add_path(outputs, "--toml", "OUT.toml", "the description with the fitted values in [parameters]")
 
 
 def run(options: argparse.Namespace) -> None:
-    """Write the files asked for, and print what each format cannot say."""
+    """Write the requested files, and print what each format cannot represent."""
     if options.urdf is None and options.mjcf is None and options.toml is None:
         raise IdentificationError("nothing to write", place="export", expected="--urdf, --mjcf or --toml with a file")
     refuse_outputs([options.fit], options.urdf, options.mjcf, options.toml)

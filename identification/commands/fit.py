@@ -1,4 +1,4 @@
-"""`robot-identify fit`: base parameters from a recording, or from several of one robot."""
+"""`robot-identify fit`: base parameters from one or more recordings of one robot."""
 
 import argparse
 from collections.abc import Callable
@@ -31,30 +31,30 @@ def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_recordings(parser.add_argument_group("inputs"))
     settings = add_settings(parser, method=True)
-    add_flag(settings, "--essential", "keep only the parameters the recording determines well")
+    add_flag(settings, "--essential", "fit only the essential (well-determined) parameters")
     consistent = parser.add_argument_group("physically consistent parameters")
-    add_flag(consistent, "--consistent", "also give all standard parameters, as a physical robot can have them")
-    text = "links expected: those of its [parameters] or its URDF (default: those of the recording's description)"
+    add_flag(consistent, "--consistent", "also compute physically possible standard parameters of all links")
+    text = "a-priori link parameters, from [parameters] or a URDF (default: the recording's description)"
     add_path(consistent, "--prior", "ROBOT.toml|URDF", text)
     add_options(parser.add_argument_group("settings of instrumental variables"), IterationOptions)
     add_work(parser)
     outputs = parser.add_argument_group("outputs")
-    outputs.add_argument("--require", choices=["trust"], help="exit status 3 where the verdict is less, for scripts")
+    outputs.add_argument("--require", choices=["trust"], help="exit status 3 if the verdict is worse, for scripts")
     add_flag(outputs, "--all", "print all parameters, not only the essential ones")
     add_path(outputs, "--json", "FILE", "write the fit as JSON")
-    add_path(outputs, "--report", "FILE", "write the printed report; its ending names the format: .md, .html")
+    add_path(outputs, "--report", "FILE", "write the printed report, as .md or .html")
     add_path(outputs, "--rrd", "FILE", "write trajectories and fit as a Rerun file")
 
 
 def run(options: argparse.Namespace) -> int:
-    """Fit, write what is asked for, print the tables; 3 when the fit is not to be trusted."""
-    for name in _given_of_iteration(options):
+    """Fit, write the requested files, print the tables; 3 if the fit is not to be trusted."""
+    for name in _iteration_options(options):
         if options.method in ("ols", "wls"):
-            text, key = f"does nothing with --method {options.method}", f"--{name.replace('_', '-')}"
-            raise IdentificationError(text, key=key, value=getattr(options, name), expected="--method iv with it")
+            text, key = f"has no effect with --method {options.method}", f"--{name.replace('_', '-')}"
+            raise IdentificationError(text, key=key, value=getattr(options, name), expected="--method iv")
     if options.prior is not None and not options.consistent:
         expected = "--consistent with it"
-        raise IdentificationError("does nothing alone", key="--prior", value=str(options.prior), expected=expected)
+        raise IdentificationError("has no effect alone", key="--prior", value=str(options.prior), expected=expected)
     inputs = [*options.recordings, options.robot, options.prior, Path(options.start or "regular")]
     refuse_outputs(inputs, options.json, options.report, picture=options.rrd)
     from acquisition.files import refuse_clash
@@ -99,7 +99,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _prior(options: argparse.Namespace) -> "Prior":
-    """What `--prior` expects of the links; before any fit, so that a recording in A or V is refused at once."""
+    """The prior of the links; read before any fit, so that a recording in A or V is refused at once."""
     from acquisition.robot import load_robot
 
     from ..methods import Prior, refuse_unknown_gain, urdf_prior
@@ -126,12 +126,12 @@ def _identify(options: argparse.Namespace, recordings: "Recordings", say: Callab
     values = None
     if options.start not in (None, "regular", "ls"):
         values = partial(stored_beta, read_fit(Path(options.start)), place=options.start)
-    iteration = from_options(Iteration, options, values=values) if _given_of_iteration(options) else None
+    iteration = from_options(Iteration, options, values=values) if _iteration_options(options) else None
     return identify(
         recordings, overrides, method=options.method, iteration=iteration, essential=options.essential, say=say
     )
 
 
-def _given_of_iteration(options: argparse.Namespace) -> list[str]:
-    """Those of `IterationOptions` that the user gave."""
+def _iteration_options(options: argparse.Namespace) -> list[str]:
+    """The fields of `IterationOptions` that the user gave."""
     return [field.name for field in fields(IterationOptions) if getattr(options, field.name) is not None]

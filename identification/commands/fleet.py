@@ -1,4 +1,4 @@
-"""`robot-identify fleet`: one fit per recording of many, a table of them, and their drift."""
+"""`robot-identify fleet`: one fit per recording, a table of the fits, and their drift."""
 
 import argparse
 
@@ -11,20 +11,20 @@ from .arguments import add_settings, add_work, make_folder, print_results, refus
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     inputs = parser.add_argument_group("inputs")
-    text = "every *.mcap in it and below; control limits are those of a folder"
+    text = "folder with recordings (*.mcap), subfolders included; each folder has its control limits"
     add_path(inputs, "folders", "FOLDER", text, nargs="+")
-    add_flag(inputs, "--by-folder", "fit recordings that lie in one folder together: a row per folder")
+    add_flag(inputs, "--by-folder", "fit the recordings of each folder together: one row per folder")
     add_path(inputs, "--robot", "ROBOT.toml", "use this description instead of the recordings' own")
     add_settings(parser, method=True)
     add_work(parser)
     outputs = parser.add_argument_group("outputs")
-    text = "the table to write; rows are kept in the folder FLEET.parquet.rows, and are not fitted again"
+    text = "the table to write; finished rows are stored in the folder FLEET.parquet.rows and not fitted again"
     add_path(outputs, "-o --out", "FLEET.parquet", text, required=True)
     add_path(outputs, "--rrd", "FILE", "draw the drift with control limits as a Rerun file")
 
 
 def run(options: argparse.Namespace) -> int:
-    """Fit every recording that is not kept, write the table, print it; 3 where none could be fitted."""
+    """Fit every recording without a stored row, write and print the table; 3 if none could be fitted."""
     refuse_outputs([options.robot], options.out, picture=options.rrd)
     with Progress("reading") as progress:
         from acquisition.robot import load_robot

@@ -1,4 +1,4 @@
-"""`robot-identify friction`: which friction terms predict a recording."""
+"""`robot-identify friction`: choose friction terms by cross-validation."""
 
 import argparse
 
@@ -16,7 +16,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     outputs = parser.add_argument_group("outputs")
     add_path(outputs, "--json", "FILE", "write all sets and the recommended terms as JSON")
     add_path(outputs, "--rrd", "FILE", "draw friction over speed, with the usual and the recommended terms")
-    add_flag(outputs, "--write", "put the recommended terms into the file of --robot")
+    add_flag(outputs, "--write", "write the recommended terms into the file of --robot")
 
 
 def run(options: argparse.Namespace) -> None:

@@ -1,4 +1,4 @@
-"""`robot-identify init`: a robot.toml from a URDF, with what a URDF does not say marked."""
+"""`robot-identify init`: a robot.toml from a URDF; missing values are marked."""
 
 import argparse
 import os
@@ -19,7 +19,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Write the description, and say which joints it has and what is locked."""
+    """Write the description, and print its joints and the locked ones."""
     from acquisition.files import atomic_write
 
     from ..export import FILL_IN, describe
@@ -28,7 +28,7 @@ def run(options: argparse.Namespace) -> None:
     refuse_outputs([options.robot], out)
     if out is not None and out.exists():
         expected = "a new name; descriptions are not replaced"
-        raise IdentificationError("is there already", place=str(out), expected=expected)
+        raise IdentificationError("already exists", place=str(out), expected=expected)
     chain = chain_of(options)
     folder = Path.cwd() if out is None else out.absolute().parent
     text = describe(chain, os.path.relpath(options.robot.absolute(), folder))
@@ -41,6 +41,6 @@ def run(options: argparse.Namespace) -> None:
     lines += [f"joint {j + 1}: {joint.name}, {joint.type}" for j, joint in enumerate(chain.joints)]
     lines += [f"locked at zero: {locked}" for locked in chain.locked]
     lines += [f"note: {note}" for note in chain.notes]
-    wanting = sum(FILL_IN in line for line in text.splitlines()[1:])
-    for line in [*lines, f"to be filled in: {wanting} lines with {FILL_IN}"]:
+    missing = sum(FILL_IN in line for line in text.splitlines()[1:])
+    for line in [*lines, f"to be filled in: {missing} lines with {FILL_IN}"]:
         print(one_line(line))

@@ -1,4 +1,4 @@
-"""`robot-identify schema`: JSON Schemas of the files that people and programs write and read, for editors and checks."""
+"""`robot-identify schema`: JSON Schemas for editors and checks."""
 
 import argparse
 import json
@@ -7,7 +7,7 @@ from typing import Any
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("file", choices=["robot", "fit"], help="robot: the description; fit: as fit --json writes it")
+    parser.add_argument("file", choices=["robot", "fit"], help="robot: robot.toml; fit: the file of `fit --json`")
 
 
 def run(options: argparse.Namespace) -> None:
@@ -16,19 +16,19 @@ def run(options: argparse.Namespace) -> None:
 
 
 def schema(file: str) -> dict[str, Any]:
-    """The JSON Schema (draft 2020-12) of `robot` or `fit`, from the types by which these files are read and written."""
+    """The JSON Schema (draft 2020-12) of `robot` or `fit`, from the types that read and write these files."""
     import msgspec
 
     from acquisition.robot import RobotFile
 
     from ..report import FitFile
 
-    made = msgspec.json.schema(RobotFile if file == "robot" else FitFile)
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **_with_common_anchors(made)}
+    found = msgspec.json.schema(RobotFile if file == "robot" else FitFile)
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **_with_common_anchors(found)}
 
 
 def _with_common_anchors(part: Any) -> Any:
-    r"""Patterns with ^ and $, which in a schema are the ends of the text, for Python's \A and \Z, which it does not have."""
+    r"""Patterns with ^ and $, since a schema has no \A and \Z."""
     if isinstance(part, list):
         return [_with_common_anchors(x) for x in part]
     if not isinstance(part, dict):

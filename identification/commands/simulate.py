@@ -9,7 +9,7 @@ from .arguments import add_robot, add_simulation, print_results, refuse_outputs,
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    add_robot(parser, "with values to simulate with")
+    add_robot(parser, "with [parameters]")
     add_simulation(parser)
     outputs = parser.add_argument_group("outputs")
     add_path(outputs, "-o --out", "LOG.mcap", "the recording to write", required=True)
@@ -17,7 +17,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Simulate, write the recording, and say what it holds."""
+    """Simulate, write the recording, and print a summary."""
     refuse_outputs([options.robot], options.out, overwrite=options.overwrite)
     with Progress("simulating"):
         from ..study import Noise, Study, closed_loop, random_reference, write_signals

@@ -1,4 +1,4 @@
-"""`robot-identify study`: Monte-Carlo on a simulated robot, how far to trust least squares and iv."""
+"""`robot-identify study`: Monte-Carlo study of least squares and iv on a simulated robot."""
 
 import argparse
 
@@ -11,7 +11,7 @@ from .arguments import add_robot, add_simulation, add_work, print_results, refus
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    add_robot(parser, "with values to simulate with")
+    add_robot(parser, "with [parameters]")
     varied = parser.add_argument_group("what is varied")
     names = ("runs", "cutoffs", "starts", "gain_errors", "controllers", "vary", "low_speed_percent")
     add_options(varied, StudyOptions, *names)
@@ -23,7 +23,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Run the study, write what is asked for, print the table."""
+    """Run the study, write the requested files, print the table."""
     from rich.console import Console
     from rich.progress import track
 
@@ -36,8 +36,8 @@ def run(options: argparse.Namespace) -> None:
     base, true = study_truth(robot)
     err = Console(stderr=True)
     with work_of(options, study.runs) as work:
-        each = run_study(robot, study, work)
-        runs = list(track(each, "runs", study.runs, console=err, transient=True, disable=not err.is_terminal))
+        results = run_study(robot, study, work)
+        runs = list(track(results, "runs", study.runs, console=err, transient=True, disable=not err.is_terminal))
     if not any(run.ls for run in runs):
         raise IdentificationError(f"no run can be fitted: {runs[0].reason}", place=str(options.robot))
     document = study_document(robot.name, study, runs, true)

@@ -1,4 +1,4 @@
-"""`robot-identify validate`: apply a fit to other recordings."""
+"""`robot-identify validate`: torque error of a fit on other recordings."""
 
 import argparse
 from pathlib import Path
@@ -22,13 +22,13 @@ def add(parser: argparse.ArgumentParser) -> None:
     add_settings(parser)
     outputs = parser.add_argument_group("outputs")
     add_path(outputs, "--json", "FILE", "write the errors as JSON")
-    text = "exit status 3 if the torque error of all rows is larger, with --consistent that of the consistent set"
+    text = "exit status 3 if the torque error of all rows is larger (with --consistent: of the consistent set)"
     outputs.add_argument("--max-error-percent", type=above_zero, metavar="P", help=text)
-    add_flag(parser, "--consistent", "the physically consistent set of the fit too, beside the fit itself")
+    add_flag(parser, "--consistent", "also validate the physically consistent set of the fit")
 
 
 def run(options: argparse.Namespace) -> int:
-    """Print the torque errors of the fit on the recording; 3 when they are larger than allowed."""
+    """Print the torque errors of the fit; 3 if they are larger than allowed."""
     refuse_outputs([options.fit, *options.recordings, options.robot], options.json)
     with Progress("reading") as progress:
         from .. import methods
@@ -53,20 +53,20 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         write_json(options.json, methods.validation_file(validated, name, errors, warnings, of_set))
     print_results(document)
-    error, most = (of_set or errors)[-1].relative_error_percent, options.max_error_percent
-    if most is None or (error is not None and error <= most):
+    error, limit = (of_set or errors)[-1].relative_error_percent, options.max_error_percent
+    if limit is None or (error is not None and error <= limit):
         return 0
     found = "no torque to compare with" if error is None else f"relative torque error {error:.4g} %"
     on = ", ".join(map(str, options.recordings))
-    return trust_status([f"{options.fit} on {on}: {found}: expected at most {most:g} %"])
+    return trust_status([f"{options.fit} on {on}: {found}: expected at most {limit:g} %"])
 
 
 def signals_as_fitted(
     signals: "Signals", recording: Path, stored: "FitFile", place: str, *, chosen: bool
 ) -> tuple["Signals", list[str]]:
-    """The signals of a recording, by the fit's own description where the parameters are not those of the recording's.
+    """The signals of a recording, and warnings; with the fit's description if the recording's has other parameters.
 
-    `chosen`: the user gave the description. The lines say what a reader must know; `place` names the fit in them.
+    `chosen`: the user gave the description. `place` names the fit in the warnings.
     """
     from ..data import load_signals
     from ..methods import other_meaning, stored_robot

@@ -1,4 +1,4 @@
-"""`robot-identify view`: look at a recording that has not been fitted, in Rerun."""
+"""`robot-identify view`: draw a recording in Rerun, before a fit."""
 
 import argparse
 from pathlib import Path
@@ -18,7 +18,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Write the Rerun file, and say how to open it."""
+    """Write the Rerun file, and print how to open it."""
     if options.out and len(options.recordings) > 1:
         text = f"one file for {len(options.recordings)} recordings"
         raise IdentificationError(text, key="--out", value=str(options.out), expected="no --out: LOG.rrd each")

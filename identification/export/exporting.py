@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from acquisition.errors import one_line
-from acquisition.files import atomic_write, text_of
+from acquisition.files import atomic_write, format_numbers
 
 from ..errors import IdentificationError
 from ..report import Cell, Document, Number, Section, Table, columns
@@ -101,7 +101,7 @@ def replace_parameters(text: str, values: Mapping[str, float], remark: str, urdf
     The remark, on the origin of the values, replaces the remarks directly above the table; the name `urdf` replaces the URDF's.
     Raises `IdentificationError`: the table cannot be replaced line by line.
     """
-    was, written = tomllib.loads(text), {name: text_of(value) for name, value in values.items()}
+    was, written = tomllib.loads(text), {name: format_numbers(value) for name, value in values.items()}
     lines = text.splitlines()
     start = next((i for i, line in enumerate(lines) if _TABLE_HEADER.fullmatch(line)), None)
     if start is None:

@@ -15,7 +15,7 @@ from xml.dom.minidom import Element
 import numpy as np
 
 from acquisition.errors import listed
-from acquisition.files import text_of
+from acquisition.files import format_numbers
 from acquisition.robot import Robot, effort_limits
 
 from ..arrays import Array
@@ -43,23 +43,27 @@ def link_names(robot: Robot, *, made: bool = False) -> tuple[str, ...]:
 def mjcf_text(m: ExportedModel) -> str:
     """The MJCF of a model, without offsets, and without friction that is neither viscous nor dry."""
     robot, axes_values = m.model.robot, ("armature", "damping", "frictionloss")
-    values = [{key: text_of(getattr(m, key)[k]) for key in axes_values} for k in range(len(m.names))]
+    values = [{key: format_numbers(getattr(m, key)[k]) for key in axes_values} for k in range(len(m.names))]
     root = ET.Element("mujoco", model=robot.name)
     ET.SubElement(root, "compiler", angle="radian")
-    ET.SubElement(root, "option", gravity=text_of(*robot.gravity))
+    ET.SubElement(root, "option", gravity=format_numbers(*robot.gravity))
     carriers = [ET.SubElement(root, "worldbody")]
     origins, rotations, axes = m.model.joint_frames
     for j, (joint, name) in enumerate(zip(robot.joints, link_names(robot), strict=True)):
-        place = {"name": name, "pos": text_of(*origins[j]), "quat": text_of(*quaternion(rotations[j]))}
+        place = {"name": name, "pos": format_numbers(*origins[j]), "quat": format_numbers(*quaternion(rotations[j]))}
         body = ET.SubElement(carriers[m.model.parents[j]], "body", place)
         carriers.append(body)
         mass, com, inertia = about_com(m.links[j])
-        inertial = {"pos": text_of(*com), "mass": text_of(mass), "fullinertia": text_of(*inertia[_MUJOCO])}
+        inertial = {
+            "pos": format_numbers(*com),
+            "mass": format_numbers(mass),
+            "fullinertia": format_numbers(*inertia[_MUJOCO]),
+        }
         ET.SubElement(body, "inertial", inertial)
         kind = "slide" if joint.type == "prismatic" else "hinge"
-        moved = {"name": joint.name, "type": kind, "axis": text_of(*axes[j])}
+        moved = {"name": joint.name, "type": kind, "axis": format_numbers(*axes[j])}
         if (limits := joint.si("position")) is not None:
-            moved["range"] = text_of(*limits)
+            moved["range"] = format_numbers(*limits)
         ET.SubElement(body, "joint", moved | values[j])
     if len(m.names) > robot.n:
         tendons = ET.SubElement(root, "tendon")
@@ -67,7 +71,7 @@ def mjcf_text(m: ExportedModel) -> str:
             fixed = ET.SubElement(tendons, "fixed", {"name": m.names[k]} | values[k])
             for joint, coefficient in zip(robot.joints, m.rows[k], strict=True):
                 if coefficient:
-                    ET.SubElement(fixed, "joint", joint=joint.name, coef=text_of(coefficient))
+                    ET.SubElement(fixed, "joint", joint=joint.name, coef=format_numbers(coefficient))
     actuators = ET.SubElement(root, "actuator")
     for joint in robot.joints:
         ET.SubElement(actuators, "motor", name=joint.name, joint=joint.name)
@@ -112,10 +116,10 @@ def urdf_text(m: ExportedModel) -> tuple[str, tuple[str, ...]]:
         mass, com, about = about_com(rest)
         inertial = _set(links[name], "inertial", {})
         inertial.childNodes.clear()
-        _set(inertial, "origin", {"xyz": text_of(*com), "rpy": "0 0 0"})
-        _set(inertial, "mass", {"value": text_of(mass)})
-        _set(inertial, "inertia", {key: text_of(x) for key, x in zip(INERTIA, about, strict=True)})
-        dynamics = {"damping": text_of(m.damping[j]), "friction": text_of(m.frictionloss[j])}
+        _set(inertial, "origin", {"xyz": format_numbers(*com), "rpy": "0 0 0"})
+        _set(inertial, "mass", {"value": format_numbers(mass)})
+        _set(inertial, "inertia", {key: format_numbers(x) for key, x in zip(INERTIA, about, strict=True)})
+        dynamics = {"damping": format_numbers(m.damping[j]), "friction": format_numbers(m.frictionloss[j])}
         _set(joints[joint.name], "dynamics", dynamics)
     lines = [node.toxml() for node in document.childNodes]  # comments may precede and follow the root
     return "\n".join(['<?xml version="1.0" encoding="utf-8"?>', *lines, ""]), tuple(notes)
@@ -150,7 +154,7 @@ def _note_unlimited(joints: dict[str, Element]) -> list[str]:
     """Lines on limits of a new URDF that are unknown."""
     notes = []
     for key, keys in (("effort", "effort_nm, effort_n or saturation"), ("velocity", "speed_deg_s or speed_m_s")):
-        names = [name for name, joint in joints.items() if _attribute(joint, "limit", key) == text_of(UNLIMITED)]
+        names = [name for name, joint in joints.items() if _attribute(joint, "limit", key) == format_numbers(UNLIMITED)]
         if names:
             notes.append(f"unknown {key} of {listed(names)}: written as {UNLIMITED:g}; state {keys}")
     return notes
@@ -210,12 +214,14 @@ def make_urdf(model: InverseModel) -> str:
         element = ET.SubElement(root, "joint", name=joint.name, type=kind)
         ET.SubElement(element, "parent", link=names[model.parents[j]])
         ET.SubElement(element, "child", link=names[j + 1])
-        ET.SubElement(element, "origin", xyz=text_of(*origins[j]), rpy=text_of(*roll_pitch_yaw(rotations[j])))
-        ET.SubElement(element, "axis", xyz=text_of(*axes[j]))
+        ET.SubElement(
+            element, "origin", xyz=format_numbers(*origins[j]), rpy=format_numbers(*roll_pitch_yaw(rotations[j]))
+        )
+        ET.SubElement(element, "axis", xyz=format_numbers(*axes[j]))
         low, high = limits or (-UNLIMITED, UNLIMITED)
         stated = {} if kind == "continuous" else {"lower": low, "upper": high}
         stated |= {"effort": effort, "velocity": joint.si("speed") or UNLIMITED}
-        ET.SubElement(element, "limit", {name: text_of(value) for name, value in stated.items()})
+        ET.SubElement(element, "limit", {name: format_numbers(value) for name, value in stated.items()})
     ET.indent(root)
     return f'<?xml version="1.0"?>\n{ET.tostring(root, encoding="unicode")}\n'
 
@@ -240,7 +246,7 @@ def _draw(link: ET.Element, end: Array) -> None:
     visual, length = ET.SubElement(link, "visual"), float(np.linalg.norm(end))
     if length > 1e-6:
         yaw, pitch = math.atan2(end[1], end[0]), math.atan2(math.hypot(end[0], end[1]), end[2])
-        ET.SubElement(visual, "origin", xyz=text_of(*end / 2), rpy=text_of(0.0, pitch, yaw))
+        ET.SubElement(visual, "origin", xyz=format_numbers(*end / 2), rpy=format_numbers(0.0, pitch, yaw))
     shape = ET.SubElement(visual, "geometry")
     if length > 1e-6:
         ET.SubElement(shape, "cylinder", radius=f"{_THICKNESS:g}", length=f"{length:.9g}")
