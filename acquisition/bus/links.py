@@ -9,7 +9,7 @@ import struct
 import time
 from collections import deque
 from contextlib import suppress
-from typing import Any
+from typing import Any, Protocol
 
 from ..errors import AcquisitionError
 from ..recording import SENT
@@ -43,7 +43,7 @@ def socket_of(bus: Any) -> socket.socket | None:
     return found if isinstance(found, socket.socket) else None
 
 
-def enlarge_queue(sock: socket.socket) -> None:
+def request_queue_size(sock: socket.socket) -> None:
     """Ask for a receive queue of `QUEUE_BYTES`; a smaller one stays where the kernel refuses."""
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, QUEUE_BYTES)
     if queue_bytes(sock) < QUEUE_BYTES:
@@ -116,11 +116,24 @@ def open_bus(file: BusFile, *, passive: bool) -> Any:
             setattr(bus, name, refuse_to_send)
     sock = socket_of(bus)
     if sock is not None:
-        enlarge_queue(sock)
+        request_queue_size(sock)
     return bus
 
 
 ECHOING = ("gs_usb", "cantact")  # modules of python-can whose buses return every frame sent, as not received
+
+
+class MasterLink(Protocol):
+    """What a master needs of a link: its time, sending and receiving."""
+
+    def now_ns(self) -> int:
+        """Time of this link, of events and deadlines."""
+
+    def send(self, can_id: int, data: bytes) -> None:
+        """Send a frame. Raises `AcquisitionError` where that fails."""
+
+    def receive(self, until_ns: int) -> Frame | None:
+        """The next frame, None when there is none until `until_ns`. Raises `AcquisitionError` when the bus fails."""
 
 
 class Link:
@@ -153,11 +166,11 @@ class Link:
             self._tap(Frame(self.now_ns(), can_id, data, SENT))
 
     def receive(self, until_ns: int) -> Frame | None:
-        """The next frame, None when there is none until `until_ns`. Raises `AcquisitionError` when the bus fails."""
+        """The next frame, None when there is none until `until_ns`."""
         return self.take(max(0.0, (until_ns - self.now_ns()) * 1e-9))
 
     def take(self, timeout_s: float) -> Frame | None:
-        """The next frame, None when there is none within `timeout_s`."""
+        """The next frame, None when there is none within `timeout_s`. Raises `AcquisitionError` when the bus fails."""
         import can
 
         until_s = time.monotonic() + timeout_s

@@ -27,7 +27,7 @@ from ..protocol import (
 from ..recording import ERROR, EXTENDED, REMOTE_REQUEST
 from ..robot import Bus, Drive, axis_of
 from .frames import Frame, command_ids, sign_of_master
-from .links import Link
+from .links import MasterLink
 
 SDO_TIMEOUT_NS, _SLICE_NS = 300_000_000, 50_000_000
 START, PRE_OPERATIONAL = 1, 128
@@ -64,7 +64,7 @@ class NodeWatch:
 class Master:
     """Sends requests and holds the last values received. Every frame received passes `dispatch`, whatever is awaited."""
 
-    def __init__(self, link: Link, bus: Bus) -> None:
+    def __init__(self, link: MasterLink, bus: Bus) -> None:
         self.link, self.bus = link, bus
         self.nodes = [NodeWatch(drive=drive) for drive in bus.drives]
         self.bus_error: str | None = None

@@ -4,4 +4,4 @@ from .logs import InlineLog
 from .recorder import Recorded, Recorder, Status, write_decoded
 from .running import RecordOptions, UserInterface, record, replay, stop_on_signals
 from .session import Outcome, Stop, Task, run_active
-from .timing import DEVIATIONS, steady, sync_jitter
+from .timing import DEVIATIONS, real_time_scheduling, sync_jitter

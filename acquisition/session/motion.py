@@ -104,8 +104,10 @@ class MotionState:
     measured: list[Array] = field(default_factory=list)  # joint positions of the last SYNCs, latest last
     target: Array | None = None  # target position (n,) of the drives, None where they have none
     enabled: set[int] = field(default_factory=set)  # nodes that have been enabled
-    seen: dict[int, int] = field(default_factory=dict)  # bits of the statusword set by each node while it was enabled
-    clear: dict[tuple[int, int], int] = field(default_factory=dict)  # SYNCs in a row in which a (node, bit) was 0
+    bits_seen: dict[int, int] = field(
+        default_factory=dict
+    )  # bits of the statusword set by each node while it was enabled
+    clear_syncs: dict[tuple[int, int], int] = field(default_factory=dict)  # SYNCs in a row in which a (node, bit) was 0
 
 
 def node_fault(master: Master, now_ns: int) -> AcquisitionError | None:
@@ -143,10 +145,10 @@ def state_fault(master: Master, motion: MotionState) -> AcquisitionError | None:
                 return AcquisitionError(f"{state} in motion", place=name, expected="operation enabled")
             continue
         motion.enabled.add(node)
-        motion.seen[node] = motion.seen.get(node, 0) | word
+        motion.bits_seen[node] = motion.bits_seen.get(node, 0) | word
         for bit, text in _OPERATING.items():
-            clear = motion.clear.get((node, bit), 0) + 1 if motion.seen[node] & ~word & bit else 0
-            motion.clear[node, bit] = clear
+            clear = motion.clear_syncs.get((node, bit), 0) + 1 if motion.bits_seen[node] & ~word & bit else 0
+            motion.clear_syncs[node, bit] = clear
             if clear >= CLEAR_SYNCS:
                 return AcquisitionError(f"{text} for {clear} SYNC", place=name)
     return None

@@ -67,7 +67,7 @@ class WatchdogPipe:
         self._connection.close()
 
 
-class DeadMan:
+class Watchdog:
     """The recorder's end: a thread that waits for signs of life, and acts when they stop."""
 
     def __init__(self, connection: Connection, bus: Bus) -> None:
@@ -139,22 +139,22 @@ def run(
     connection: Connection, path: Path, files: Mapping[str, bytes], place: str, role: Role, watched: Connection | None
 ) -> None:
     """The recorder's process. Signals such as Ctrl-C are ignored here; the session ends it, or its death does."""
-    for number in (*STOPPING, signal.SIGTSTP):  # Ctrl-Z halts the session: its dead man must go on
+    for number in (*STOPPING, signal.SIGTSTP):  # Ctrl-Z halts the session: its watchdog must go on
         signal.signal(number, signal.SIG_IGN)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, STOPPING)
     bus = None
     try:
         robot = robot_from_files(files, place)
         assert robot.bus is not None
-        # What records never sends; a dead man opens the bus once more, when it has to.
+        # What records never sends; a watchdog opens the bus once more, when it has to.
         bus = None if role is Role.FED else open_bus(robot.bus, passive=True)
         source = "CAN, passive" if role is Role.LISTENER else "CAN, active"
         recorder = Recorder(path, robot, source=source, place=place)
         receiver = None if bus is None else Receiver(bus)
         try:
             ours = np.zeros(0, np.int64) if role is Role.LISTENER else _master_ids(robot, place)
-            dead_man = None if watched is None else DeadMan(watched, resolve(robot, place))
-            done = _record(connection, recorder, receiver, ours, dead_man)
+            watchdog = None if watched is None else Watchdog(watched, resolve(robot, place))
+            done = _record(connection, recorder, receiver, ours, watchdog)
         finally:
             recorder.close()
         if done is not None:
@@ -178,7 +178,7 @@ def _master_ids(robot: Robot, place: str) -> Ints:
 
 
 def _record(
-    connection: Connection, recorder: Recorder, receiver: Receiver | None, ours: Ints, dead_man: DeadMan | None
+    connection: Connection, recorder: Recorder, receiver: Receiver | None, ours: Ints, watchdog: Watchdog | None
 ) -> Recorded | None:
     """Record until the session asks to stop, or has died and its drives are stopped."""
     thread = threading.Thread(target=receiver.run, daemon=True) if receiver is not None else None
@@ -209,13 +209,13 @@ def _record(
             if not gone:
                 recorder.event(clock.now_ns(), "fault", "the session's process is gone")
             gone = True
-            if dead_man is None or not dead_man.waiting:
+            if watchdog is None or not watchdog.waiting:
                 stop_ns = clock.now_ns()
             else:
                 time.sleep(BLOCK_S / 5)  # the pipe of a session that is gone is always ready
-        if dead_man is not None:
-            while dead_man.events:
-                stamp_ns, kind, text = dead_man.events.popleft()
+        if watchdog is not None:
+            while watchdog.events:
+                stamp_ns, kind, text = watchdog.events.popleft()
                 recorder.event(stamp_ns - clock.shift_ns, kind, text)
         if receiver is not None:
             if stop_ns is not None:

@@ -33,7 +33,7 @@ from .logs import InlineLog, ProcessLog
 from .process import STOPPING, Role
 from .recorder import Recorded, Recorder, Status
 from .session import Outcome, Stop, Task, run_active
-from .timing import refuse_jitter, steady
+from .timing import real_time_scheduling, refuse_jitter
 
 STOPPED = "stopped by"
 ShowStatus = Callable[[Status, float | None], None]  # status of the recorder, seconds left
@@ -85,7 +85,9 @@ def record(
             operator.show(status, left_s)
 
         log.on_status = show
-        with steady() if isinstance(log, ProcessLog) else nullcontext() as granted:  # after the recorder has started
+        with (
+            real_time_scheduling() if isinstance(log, ProcessLog) else nullcontext() as granted
+        ):  # after the recorder has started
             if granted is not None and isinstance(log, ProcessLog):
                 log.event(link.now_ns(), "mark", f"SYNC loop: {granted.words}")
                 log.granted(granted.counters)
@@ -115,7 +117,7 @@ def _task_of(robot: Robot, period_s: float, options: RecordOptions, operator: Us
 
 
 @contextmanager
-def _simulated(bus: Bus, robot: Robot, out: Path, place: str) -> Iterator[tuple[Link, InlineLog]]:
+def _simulated(bus: Bus, robot: Robot, out: Path, place: str) -> Iterator[tuple[LockStepLink, InlineLog]]:
     """Link to simulated drives in simulated time, and the log of its frames."""
     mechanism = driven_plant(robot, bus)
     described = describe_loops(robot, mechanism.loops)

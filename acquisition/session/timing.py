@@ -98,7 +98,7 @@ class Scheduling:
 
 
 @contextmanager
-def steady() -> Iterator[Scheduling]:
+def real_time_scheduling() -> Iterator[Scheduling]:
     """Real-time scheduling, locked memory, no garbage collection inside the block where permitted; yields what was granted."""
     policy, parameter = os.sched_getscheduler(0), os.sched_getparam(0)
     collected = gc.isenabled()

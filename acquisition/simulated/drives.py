@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..bus import Frame, Link, Tap, open_link
+from ..bus import Frame, Tap, open_link
 from ..errors import AcquisitionError
 from ..protocol import (
     HEARTBEAT,
@@ -52,7 +52,7 @@ class SimulatedDrives:
         self.nodes = [simulated_node(drive) for drive in bus.drives]
         for node, file in zip(self.nodes, bus.file.drive, strict=True):
             if file.homed is not None:
-                node.home(file.homed)
+                node.set_homed(file.homed)
         following = np.abs(robot.R) @ [joint.si("following_error") or np.inf for joint in robot.joints]
         self._supervisions = [
             Supervision(node, WINDOW * limit * node.drive.position_codec.counts_per_unit, supervised=supervised)
@@ -239,8 +239,8 @@ def _ramp(node: SimulatedNode, values: Mapping[tuple[int, int], int]) -> float:
 IDLE_HEARTBEAT_MS = 200  # until a master sets another: a master that listens first must hear them
 
 
-class LockStepLink(Link):
-    """The link of a session to simulated drives, which it boots; every run with the same drives gives the same frames.
+class LockStepLink:
+    """The `MasterLink` of a session to simulated drives, which it boots; every run with the same drives gives the same frames.
 
     Time is simulated: it advances only when the link waits. `tap` is called with every frame that the link sends or receives.
     """
@@ -260,7 +260,7 @@ class LockStepLink(Link):
             self._tap(Frame(self._time_ns, can_id, data, SENT))
 
     def receive(self, until_ns: int) -> Frame | None:
-        """As `Link.receive`."""
+        """The next frame, None when there is none until `until_ns`."""
         while not self._from_drives:
             due_ns = self.drives.due_ns()
             if self._to_drives:

@@ -137,7 +137,7 @@ class SimulatedNode:
         follows = 0x1000 if self.state is State.OPERATION_ENABLED else 0
         return self.state.value[1] | 0x0210 | follows | self.more_status
 
-    def home(self, name: str) -> None:
+    def set_homed(self, name: str) -> None:
         """Set the object or bit that reports the drive as homed."""
         index, sub, bit = parse_homed(name)
         mask = 1 if bit is None else 1 << bit
