@@ -201,7 +201,7 @@ def test_speeds_that_are_none(tmp_path, speed):
     robot = robot_of(bus_text(1))
     path = tmp_path / "ref.csv"
     path.write_text("time_s,joint_1\n0,0\n1,0\n")
-    for track, expected in ((path, "expected more than 0, and 1 at most"), (None, "expected it with --track")):
+    for track, expected in ((path, "expected more than 0, and 1 at most"), (None, "expected --track with it")):
         with pytest.raises(AcquisitionError, match=expected):
             record(
                 robot, "robot.toml", tmp_path / "a.mcap", RecordOptions(track=track, speed=speed, dry_run=True),
@@ -251,7 +251,7 @@ def test_jitter_that_would_be_a_fault_in_motion_is_refused(monkeypatch, bound_s,
     master = Master(Late(link=run, late_ns=4_000_000), bus_of(robot))
     monkeypatch.setattr(timing, "largest_delay_s", lambda _: bound_s)
     if refused:
-        with pytest.raises(AcquisitionError, match=r"SYNC jitter sd = 4.000 ms: 3 of it are more than 11.9 ms"):
+        with pytest.raises(AcquisitionError, match=r"SYNC jitter sd = 4.000 ms: 3 sd exceed 11.9 ms"):
             refuse_jitter(master)
     else:
         found = refuse_jitter(master)

@@ -408,7 +408,7 @@ def test_known_errors_are_one_line(folder):
     robot = str(folder / "robot.toml")
     (folder / "there.mcap").write_bytes(b"x")
     for arguments, expected in (
-        (["record", robot, "-o", str(folder / "there.mcap"), "--dry-run", "--duration", "1"], "is there already"),
+        (["record", robot, "-o", str(folder / "there.mcap"), "--dry-run", "--duration", "1"], "already exists"),
         (["record", robot, "-o", str(folder / "a.mcap"), "--passive", "--dry-run"], "--passive: sends nothing"),
         (["record", robot, "-o", str(folder / "a.mcap"), "--duration", "0"], "--duration = 0.0: expected more than 0"),
         (["record", str(ROOT / "replay_data/emps/robot.toml"), "-o", str(folder / "a.mcap")], "bus is missing"),

@@ -1,4 +1,4 @@
-"""The one loop that sends: record, enable, track, stop; its guards; the recorder, and the second stop, in another process."""
+"""The session: record, enable, track, stop; its guards; the recorder and the second stop in another process."""
 
 from .logs import InlineLog
 from .recorder import Recorded, Recorder, Status, write_decoded
