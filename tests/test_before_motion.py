@@ -18,7 +18,7 @@ from acquisition.commands.checking import check_drives, refusal
 from acquisition.errors import AcquisitionError
 from acquisition.recording import SENT
 from acquisition.robot import table_reference
-from acquisition.session import RecordOptions, Task, UserInterface, record, steady, timing
+from acquisition.session import RecordOptions, Task, UserInterface, real_time_scheduling, record, timing
 from acquisition.session.running import _before_motion as before_motion
 from acquisition.session.timing import largest_delay_s, refuse_jitter
 from acquisition.simulated import LockStepLink, SimulatedDrives
@@ -201,7 +201,7 @@ def test_speeds_that_are_none(tmp_path, speed):
     robot = robot_of(bus_text(1))
     path = tmp_path / "ref.csv"
     path.write_text("time_s,joint_1\n0,0\n1,0\n")
-    for track, expected in ((path, "expected more than 0, and 1 at most"), (None, "expected it with --track")):
+    for track, expected in ((path, "expected more than 0, and 1 at most"), (None, "expected --track with it")):
         with pytest.raises(AcquisitionError, match=expected):
             record(
                 robot, "robot.toml", tmp_path / "a.mcap", RecordOptions(track=track, speed=speed, dry_run=True),
@@ -215,7 +215,7 @@ def test_what_is_granted_is_given_back(monkeypatch):
     monkeypatch.setattr(os, "sched_setscheduler", lambda *arguments: calls.append(arguments))
     monkeypatch.setattr(resource, "getrlimit", lambda _: (65536, resource.RLIM_INFINITY))
     before = os.sched_getscheduler(0)
-    with steady() as granted:
+    with real_time_scheduling() as granted:
         assert not gc.isenabled()
         assert (granted.fifo, granted.locked) == (True, False)  # memory is locked only where the limit is unlimited
         assert calls[0][1] == os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
@@ -226,7 +226,7 @@ def test_what_is_granted_is_given_back(monkeypatch):
         raise PermissionError
 
     monkeypatch.setattr(os, "sched_setscheduler", denied)
-    with steady() as granted:
+    with real_time_scheduling() as granted:
         assert granted.counters == {"sched_fifo": 0.0, "memory_locked": 0.0}
         assert "SCHED_FIFO is not permitted" in granted.words
 
@@ -251,7 +251,7 @@ def test_jitter_that_would_be_a_fault_in_motion_is_refused(monkeypatch, bound_s,
     master = Master(Late(link=run, late_ns=4_000_000), bus_of(robot))
     monkeypatch.setattr(timing, "largest_delay_s", lambda _: bound_s)
     if refused:
-        with pytest.raises(AcquisitionError, match=r"SYNC jitter sd = 4.000 ms: 3 of it are more than 11.9 ms"):
+        with pytest.raises(AcquisitionError, match=r"SYNC jitter sd = 4.000 ms: 3 sd exceed 11.9 ms"):
             refuse_jitter(master)
     else:
         found = refuse_jitter(master)

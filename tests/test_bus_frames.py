@@ -356,11 +356,11 @@ def test_a_queue_is_enlarged_past_the_limit_where_we_may():
         asked.append((level, option, value))
 
     sock = SimpleNamespace(setsockopt=setsockopt, getsockopt=lambda *_: granted[0])
-    links.enlarge_queue(sock)
+    links.request_queue_size(sock)
     assert asked == [(1, 8, 4 * 2**20), (1, 33, 4 * 2**20)]  # SO_RCVBUF, SO_RCVBUFFORCE
     asked.clear()
     granted[0] = 8 * 2**20
-    links.enlarge_queue(sock)
+    links.request_queue_size(sock)
     assert asked == [(1, 8, 4 * 2**20)]
     assert links.queue_bytes(sock) == 8 * 2**20
 

@@ -164,7 +164,7 @@ def test_what_is_commanded_on_the_way_up_and_down(state, goal, table):
 
 def test_no_command_leads_into_a_fault():
     for goal in (State.FAULT, State.FAULT_REACTION_ACTIVE, State.NOT_READY_TO_SWITCH_ON):
-        with pytest.raises(AcquisitionError, match=f"from switched on no command leads to {goal.words}"):
+        with pytest.raises(AcquisitionError, match=f"no command leads from switched on to {goal.words}"):
             toward(State.SWITCHED_ON, goal)
     assert toward(State.FAULT_REACTION_ACTIVE, State.FAULT) is None
 

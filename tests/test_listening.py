@@ -1,4 +1,4 @@
-"""Listening before sending: replay on a silent bus only, sessions and checks while another master is active, NMT by node."""
+"""Listening before sending: replay on a idle bus only, sessions and checks while another master is active, NMT by node."""
 
 import threading
 import time
@@ -104,7 +104,7 @@ def test_replay_onto_drives_is_refused_and_nothing_is_sent(tracked):
     drives = threading.Thread(target=serve, args=(SimulatedDrives(robot, bus_of(robot)), stop.is_set), daemon=True)
     drives.start()
     try:
-        with pytest.raises(AcquisitionError, match=r"node [12] is heard: expected a silent bus; nothing was sent"):
+        with pytest.raises(AcquisitionError, match=r"node [12] received: expected an idle bus; nothing was sent"):
             replay(tracked, bus_file("replay_onto_drives"), Stop())
     finally:
         stop.set()
@@ -184,7 +184,7 @@ def test_replay_stops_at_the_first_stranger(tracked, can_id):
     at = ids.index((can_id, b"met"))
     assert at >= 20
     assert len(ids) - at <= 10
-    assert caught.value.expected.startswith("a silent bus; ")
+    assert caught.value.expected.startswith("an idle bus; ")
     assert caught.value.expected.split()[3:] == [str(len(ids) - 1), "frames", "were", "sent"]
 
 

@@ -60,7 +60,7 @@ def test_without_parameters_or_dynamics_a_stand_in_with_weight_moves(monkeypatch
     robot = robot_of(bus_text(2))
     made = driven_plant(robot, bus_of(robot))
     assert isinstance(made.plant, JointwisePlant)
-    assert made.warning.startswith("a stand-in of independent joints with a gravity-like load moves")
+    assert made.warning.startswith("simulated as independent joints with a gravity-like load")
     assert "robot.toml has no [parameters]" in made.warning
     free = np.zeros(2, bool)
     for _ in range(50):

@@ -263,7 +263,7 @@ def test_after_it_no_session_can_enable_by_pdo():
 def test_disable_and_the_second_stop_leave_every_node_in_pre_operational(monkeypatch):
     run, master, _ = moving(lambda t: 0.0)
     monkeypatch.setattr(stopping, "open_link", lambda *_, **__: run)
-    monkeypatch.setattr(run, "close", lambda: None)
+    monkeypatch.setattr(run, "close", lambda: None, raising=False)
     assert stop_drives(master.bus) == []
     master.wait(run.now_ns() + 1_000_000)
     assert [node.nmt for node in run.drives.nodes] == [127, 127]

@@ -146,7 +146,7 @@ def test_a_path_beyond_the_counter_is_refused_before_anything_is_sent(tmp_path):
 )
 def test_the_interpolation_period_is_exact_or_refused(period_s, said):
     if said is None:
-        with pytest.raises(AcquisitionError, match=r"interpolation period of drives \(60C2\) cannot say it"):
+        with pytest.raises(AcquisitionError, match=r"not representable as the drives' interpolation period \(60C2\)"):
             interpolation_period(period_s)
     else:
         count, unit = interpolation_period(period_s)
@@ -427,7 +427,7 @@ def test_a_hangup_that_is_ignored_stays_so():
 
 @pytest.mark.slow
 def test_a_recorder_that_hangs_is_noticed(tmp_path, monkeypatch):
-    monkeypatch.setattr(recorder_logs, "SILENT_S", 1.0)
+    monkeypatch.setattr(recorder_logs, "MAX_SILENT_S", 1.0)
     log = recorder_logs.ProcessLog(tmp_path / "a.mcap", robot_of(bus_text(1)), "robot.toml", recorder_logs.Role.FED)
     until_s = time.monotonic() + 10
     while log.poll(time.time_ns()) is None:  # it lives
@@ -443,7 +443,7 @@ def test_a_recorder_that_hangs_is_noticed(tmp_path, monkeypatch):
             except AcquisitionError as error:
                 text = str(error)
         assert text.startswith("no status from the recorder for")
-        monkeypatch.setattr(recorder_logs, "HUNG_FINISH_S", 0.5)
+        monkeypatch.setattr(recorder_logs, "MAX_HUNG_FINISH_S", 0.5)
         with pytest.raises(AcquisitionError, match=r"the recorder did not answer in 0.5 s"):
             log.finish(time.time_ns())
     finally:

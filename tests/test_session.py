@@ -198,7 +198,7 @@ def test_a_node_that_does_not_start_or_leaves_is_a_fault(tmp_path):
 def test_an_error_frame_stops_motion(tmp_path):
     session = dry_session(tmp_path / "a.mcap", TRACK, through=ErrorFrames)
     assert session.outcome is not None
-    text = "protocol: in acknowledgement; no acknowledgement: no other node hears, or the cable is open"
+    text = "protocol: in acknowledgement; no acknowledgement: no other node receives, or the cable is open"
     assert session.outcome.reason == f"bus: error frame: {text}"
     assert DISABLED.issuperset(session.drives.states)
 

@@ -13,7 +13,7 @@ from .before_motion import (
     refuse_enabled,
 )
 from .frames import SUFFIXES, Frame, Tap, block_of, command_ids, read_log, service_of
-from .links import QUEUE_BYTES, SHARED, Link, kernel_drops, open_bus, open_link, queue_bytes, socket_of
+from .links import QUEUE_BYTES, SHARED, Link, MasterLink, kernel_drops, open_bus, open_link, queue_bytes, socket_of
 from .master import OPERATIONAL, Master, Orders, send_orders
 from .receiving import Receiver, WallClock, describe_step
 from .stopping import leave_operational, not_disabled, safe_stop, stop_drives

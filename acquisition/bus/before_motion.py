@@ -1,4 +1,4 @@
-"""Checks before anything is sent, and before motion: no other master, no enabled drive, all homed, joint positions confirmed.
+"""Checks before sending and before motion: no other master, no enabled drive, all drives homed, joint positions confirmed.
 
 Before homing, the zero of an incremental encoder is the position at which it was switched on: position limits do not hold yet.
 """
@@ -19,7 +19,7 @@ LISTEN_S = 0.5
 
 
 def listen_for_others(master: Master) -> AcquisitionError | None:
-    """Listen for half a second; the refusal of another master, else of a device that is not described. Nothing is sent."""
+    """Listen for half a second; the error for another master, else for a device that is not described. Nothing is sent."""
     device, until_ns = None, master.link.now_ns() + round(LISTEN_S * 1e9)
     while master.link.now_ns() < until_ns:
         frame = master.link.receive(until_ns)
@@ -38,12 +38,12 @@ def listen_for_others(master: Master) -> AcquisitionError | None:
 
 
 def refuse_enabled(master: Master) -> list[int]:
-    """Nodes in fault; nothing is written. Raises `AcquisitionError` where a drive gives torque, though no master was heard."""
+    """Nodes in fault, found by reading only. Raises `AcquisitionError` where a drive is enabled."""
     in_fault = []
     for drive in master.bus.drives:
         state = master.state(drive)
         if state not in DISABLED:
-            problem = f"{state.words} before the session began, and no other master is heard"
+            problem = f"{state.words} before the session began, but no other master was heard"
             expected = "switch on disabled; `robot-acquire disable` with this robot.toml disables it"
             raise AcquisitionError(problem, place=f"node {drive.node}", expected=expected)
         if state is State.FAULT:
@@ -57,7 +57,7 @@ Confirm = Callable[[list[str], list[str]], bool]
 
 
 def joint_positions(robot: Robot, master: Master) -> Array:
-    """Joint positions (n,), rad or m, from position objects read by SDO. Raises `AcquisitionError` where a drive is silent."""
+    """Joint positions (n,) in rad or m, read by SDO. Raises `AcquisitionError` where a drive does not answer."""
     counts = []
     for drive in master.bus.drives:
         raw = master.read(drive.node, drive.position.index, drive.position.sub)
@@ -81,7 +81,7 @@ def position_words(robot: Robot, q: Array) -> list[str]:
 
 
 def is_homed(master: Master, drive: Drive, file: DriveFile) -> bool | None:
-    """Whether the object or bit of the description's `is_homed` is set, read from the drive; None where none is described."""
+    """Whether the drive's object or bit named by `is_homed` is set; None where the description names none."""
     if file.homed is None:
         return None
     index, sub, bit = parse_homed(file.homed)
@@ -92,8 +92,8 @@ def is_homed(master: Master, drive: Drive, file: DriveFile) -> bool | None:
 def confirm_motion(robot: Robot, master: Master, confirm: Confirm, *, reset_faults: bool = False) -> list[str]:
     """Refuse drives that are not homed, then ask the operator about the measured joint positions and drives in fault.
 
-    With `reset_faults` the reset of drives in fault is not asked. Returns a text for each joint and drive in fault, as
-    confirmed: `joint_1 = 12.34 deg`. Raises `AcquisitionError`: not homed, no answer, or not confirmed.
+    With `reset_faults` drives in fault are reset without asking. Returns the confirmed texts, one for each joint and drive in
+    fault: `joint_1 = 12.34 deg`. Raises `AcquisitionError`: not homed, no answer, or not confirmed.
     """
     for drive, file in zip(master.bus.drives, master.bus.file.drive, strict=True):
         if is_homed(master, drive, file) is False:

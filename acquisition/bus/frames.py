@@ -1,4 +1,4 @@
-"""A CAN frame, blocks of frames, the service of a frame in words (CiA 301's connection set), and CAN logs of other tools."""
+"""CAN frames, blocks of frames, the service of a frame in words (CiA 301's connection set), and CAN logs of other tools."""
 
 import logging
 import re
@@ -15,7 +15,7 @@ from ..robot import Bus
 
 
 class Frame(NamedTuple):
-    """A CAN frame; `flags` as in `blocks`."""
+    """A CAN frame; `flags` as in a `Block`."""
 
     time_ns: int
     can_id: int
@@ -81,7 +81,7 @@ def command_ids(bus: Bus) -> set[int]:
 
 
 def sign_of_master(frame: Frame, bus: Bus) -> str | None:
-    """The service in words where a frame shows that another master is on the bus, None where it does not.
+    """The service in words if a frame shows another master on the bus, else None.
 
     Only a master sends NMT commands, SDO requests, PDOs to drives, remote requests, the heartbeat of `master_node` and,
     unless the description says that another device does, SYNC.
@@ -105,19 +105,19 @@ def _is_boot_up(frame: Frame) -> bool:
 
 
 def other_node(frame: Frame, bus: Bus) -> int | None:
-    """Node id of a heartbeat, not of a boot-up, that neither a drive nor one of `other_nodes` has, else None."""
+    """Node id of a heartbeat (not a boot-up) of a node that is neither a drive nor in `other_nodes`, else None."""
     node, known = frame.can_id & 0x7F, {0, *bus.file.other_nodes, *(drive.node for drive in bus.drives)}
-    beats = frame.can_id & 0x780 == HEARTBEAT and not frame.flags & EXTENDED and not _is_boot_up(frame)
-    return node if beats and node not in known else None
+    is_heartbeat = frame.can_id & 0x780 == HEARTBEAT and not frame.flags & EXTENDED and not _is_boot_up(frame)
+    return node if is_heartbeat and node not in known else None
 
 
 SUFFIXES = (".log", ".asc", ".blf", ".trc")
-LARGEST_PAYLOAD = 8  # bytes, of classic CAN
-_TRC_VERSIONS = ("1.0", "1.1", "1.3", "2.0", "2.1")  # that python-can reads; it reads any other as 1.0
+MAX_PAYLOAD = 8  # bytes, of classic CAN
+_TRC_VERSIONS = ("1.0", "1.1", "1.3", "2.0", "2.1")  # python-can reads any other version as 1.0
 
 
 class _FirstWarning(logging.Handler):
-    """Keeps the first warning of python-can's TRC reader, which skips lines that it cannot read."""
+    """Stores the first warning of python-can's TRC reader, which skips lines that it cannot read."""
 
     def __init__(self) -> None:
         super().__init__(logging.WARNING)
@@ -125,55 +125,55 @@ class _FirstWarning(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         line = str(record.args[0]) if isinstance(record.args, tuple) and record.args else ""
-        if line.strip() and not line.startswith(";"):  # it reads the last line of a header as a frame
+        if line.strip() and not line.startswith(";"):  # the reader takes the last header line for a frame
             self.first = self.first or record.getMessage()
 
 
 def read_log(path: Path) -> Iterator[tuple[str | None, Frame | None]]:
-    """Interface and frame, one by one, of a log of another tool: candump (.log), Vector ASC or BLF, PCAN TRC, by the suffix.
+    """Yield interface and frame from a log: candump (.log), Vector ASC or BLF, PCAN TRC, by the suffix.
 
-    The interface of an error frame in a candump log is None, because python-can does not give it. The frame is None for CAN FD,
-    which CANopen does not use. An `AcquisitionError` names the file and the frame (from 1): the log cannot be read or is
-    damaged, a time does not fit into a recording, or a frame has more than 8 bytes.
+    The interface is None for error frames of a candump log, where python-can does not give it. The frame is None for CAN FD,
+    which CANopen does not use. Raises `AcquisitionError` with file and frame (from 1): the log cannot be read or is damaged, a
+    time does not fit into a recording, or a frame has more than 8 bytes.
     """
     import can
 
     if path.suffix.lower() not in SUFFIXES:
         expected = ".log (candump), .asc, .blf or .trc"
         raise AcquisitionError(f"suffix {path.suffix!r}", place=str(path), expected=expected)
-    count, latest_s, doubts = 0, MAX_STAMP_NS * 1e-9, _FirstWarning()
+    count, max_time_s, warnings = 0, MAX_STAMP_NS * 1e-9, _FirstWarning()
     logger = logging.getLogger("can.io.trc")
-    logger.addHandler(doubts)
+    logger.addHandler(warnings)
     try:
         if path.suffix.lower() == ".trc":
             _refuse_version(path)
         with can.LogReader(path) as reader:
             for message in reader:
                 count += 1
-                if not 0 <= message.timestamp <= latest_s:  # nor is NaN
+                if not 0 <= message.timestamp <= max_time_s:  # nor is NaN
                     problem = f"time {message.timestamp:.10g} s"
-                    raise AcquisitionError(problem, place=f"{path}: frame {count}", expected=f"0 to {latest_s:.10g}")
+                    raise AcquisitionError(problem, place=f"{path}: frame {count}", expected=f"0 to {max_time_s:.10g}")
                 interface = None if message.channel is None else str(message.channel)
                 if getattr(message, "is_fd", False):
                     yield interface, None
                     continue
-                if len(message.data) > LARGEST_PAYLOAD:
+                if len(message.data) > MAX_PAYLOAD:
                     where = f"{path}: frame {count} (0x{message.arbitration_id:03X})"
                     problem = f"{len(message.data)} bytes"
-                    expected = f"{LARGEST_PAYLOAD} at most, as of classic CAN"
+                    expected = f"{MAX_PAYLOAD} at most, as of classic CAN"
                     raise AcquisitionError(problem, place=where, expected=expected)
                 yield interface, frame_of(message)
-        if doubts.first is not None:
-            raise AcquisitionError(f"damaged: {doubts.first[:200]}", place=str(path))
+        if warnings.first is not None:
+            raise AcquisitionError(f"damaged: {warnings.first[:200]}", place=str(path))
     except AcquisitionError:
         raise
     except OSError as error:
         raise AcquisitionError(f"cannot be read: {error.strerror or error}", place=str(path)) from error
-    except Exception as error:  # the readers meet damage with whatever their parts raise
+    except Exception as error:  # on damaged files the readers raise errors of any kind
         problem = str(error) or type(error).__name__
         raise AcquisitionError(f"damaged after {count} frames: {problem[:200]}", place=str(path)) from error
     finally:
-        logger.removeHandler(doubts)
+        logger.removeHandler(warnings)
 
 
 def _refuse_version(path: Path) -> None:

@@ -9,21 +9,21 @@ import struct
 import time
 from collections import deque
 from contextlib import suppress
-from typing import Any
+from typing import Any, Protocol
 
 from ..errors import AcquisitionError
 from ..recording import SENT
 from ..robot import BusFile
 from .frames import Frame, Tap, frame_of
 
-QUEUE_BYTES = 4 * 2**20  # of the kernel's receive queue; the usual 212992 hold 31 ms of a full bus
+QUEUE_BYTES = 4 * 2**20  # of the kernel's receive queue; the default of 212992 holds 31 ms of a full bus
 
-# Of Linux; of the nine counters of SO_MEMINFO the last one counts frames dropped before the socket.
+# Constants of Linux. The last of SO_MEMINFO's nine counters counts the dropped frames.
 _SO_RCVBUFFORCE, _SO_MEMINFO, _DROPS = 33, 55, 8
 
 
 def stay_on_loopback(bus: Any, file: BusFile) -> None:
-    """Multicast by the loopback interface only: neither sent to nor taken from the network."""
+    """Send and receive multicast by the loopback interface only."""
     sock, group = socket_of(bus), file.channel.partition(":")[0]
     if sock is None or sock.family != socket.AF_INET:
         return  # an IPv6 group: the hop limit alone keeps frames here
@@ -33,7 +33,7 @@ def stay_on_loopback(bus: Any, file: BusFile) -> None:
         sock.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, socket.inet_aton(group) + here)
     except OSError:
         return  # loopback is the group's interface already
-    with suppress(OSError):  # it never was joined elsewhere
+    with suppress(OSError):  # the group was not joined on another interface
         sock.setsockopt(socket.IPPROTO_IP, socket.IP_DROP_MEMBERSHIP, socket.inet_aton(group) + bytes(4))
 
 
@@ -43,21 +43,21 @@ def socket_of(bus: Any) -> socket.socket | None:
     return found if isinstance(found, socket.socket) else None
 
 
-def enlarge_queue(sock: socket.socket) -> None:
-    """Ask for a receive queue of `QUEUE_BYTES`; a smaller one stays where the kernel refuses."""
+def request_queue_size(sock: socket.socket) -> None:
+    """Request a receive queue of `QUEUE_BYTES`; the kernel may grant less."""
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, QUEUE_BYTES)
     if queue_bytes(sock) < QUEUE_BYTES:
-        with suppress(OSError):  # past net.core.rmem_max, where we may
+        with suppress(OSError):  # above net.core.rmem_max, if permitted
             sock.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, QUEUE_BYTES)
 
 
 def queue_bytes(sock: socket.socket) -> int:
-    """Size of the kernel's receive queue as granted."""
+    """Granted size of the kernel's receive queue."""
     return sock.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
 
 
 def kernel_drops(sock: socket.socket | None) -> int:
-    """Frames that the kernel dropped because the queue was full; 0 where there is no socket to ask."""
+    """Frames that the kernel dropped because the queue was full; 0 without a socket."""
     if sock is None:
         return 0
     try:
@@ -73,7 +73,7 @@ logging.getLogger("can").addHandler(logging.NullHandler())
 
 
 def refuse_to_send(*_: object, **__: object) -> None:
-    """Raise `AcquisitionError`: takes the place of a passive bus's functions that send."""
+    """Raise `AcquisitionError`: replaces the sending functions of a passive bus."""
     raise AcquisitionError("passive: nothing is ever sent", place="bus", expected="an active session for that")
 
 
@@ -83,7 +83,7 @@ def is_group(bus: Any) -> bool:
 
 
 def is_no_frame(bus: Any, error: Exception) -> bool:
-    """Whether an error of reading is about a datagram that is no frame, which any program may send to a group."""
+    """Whether a read error is due to a datagram that is no frame, which any program may send to a group."""
     import can
 
     failed = isinstance(error.__cause__, OSError)  # of the socket itself
@@ -91,7 +91,7 @@ def is_no_frame(bus: Any, error: Exception) -> bool:
 
 
 def open_bus(file: BusFile, *, passive: bool) -> Any:
-    """python-can's bus of a description. A `passive` one cannot send, and an slcan adapter does not even acknowledge."""
+    """The python-can bus of a description. A `passive` bus cannot send, and an slcan adapter does not even acknowledge."""
     import can
 
     options: dict[str, Any] = {"interface": file.interface, "channel": file.channel, "ignore_config": True}
@@ -116,25 +116,38 @@ def open_bus(file: BusFile, *, passive: bool) -> Any:
             setattr(bus, name, refuse_to_send)
     sock = socket_of(bus)
     if sock is not None:
-        enlarge_queue(sock)
+        request_queue_size(sock)
     return bus
 
 
-ECHOING = ("gs_usb", "cantact")  # modules of python-can whose buses return every frame sent, as not received
+ECHOING = ("gs_usb", "cantact")  # modules of python-can whose buses return every frame sent, marked as not received
+
+
+class MasterLink(Protocol):
+    """What a master needs of a link: its time, sending and receiving."""
+
+    def now_ns(self) -> int:
+        """Time of this link, of events and deadlines."""
+
+    def send(self, can_id: int, data: bytes) -> None:
+        """Send a frame. Raises `AcquisitionError` where that fails."""
+
+    def receive(self, until_ns: int) -> Frame | None:
+        """The next frame, None when there is none until `until_ns`. Raises `AcquisitionError` when the bus fails."""
 
 
 class Link:
-    """A bus in real time; a `passive` one raises where it should send. `tap` is called with every frame sent and received."""
+    """A bus in real time. A `passive` link raises on sending. `tap` is called with every frame sent and received."""
 
     def __init__(self, bus: Any, *, passive: bool, tap: Tap | None = None) -> None:
         self._bus, self._passive, self._tap = bus, passive, tap
         self._epoch_ns = time.time_ns() - time.monotonic_ns()
-        # A multicast group and some adapters give back what was sent: frames on their way back to us.
+        # Sent frames that a multicast group or an adapter will return to us.
         echoes = is_group(bus) or type(bus).__module__.split(".")[-1] in ECHOING
         self._own: deque[tuple[int, bytes]] | None = deque(maxlen=1000) if echoes else None
 
     def now_ns(self) -> int:
-        """Time of this link, of events and deadlines: the clock's at its opening, and never set back or forth since."""
+        """Time of this link, of events and deadlines: the wall clock's at opening, continued by the monotonic clock."""
         return self._epoch_ns + time.monotonic_ns()
 
     def send(self, can_id: int, data: bytes) -> None:
@@ -153,11 +166,11 @@ class Link:
             self._tap(Frame(self.now_ns(), can_id, data, SENT))
 
     def receive(self, until_ns: int) -> Frame | None:
-        """The next frame, None when there is none until `until_ns`. Raises `AcquisitionError` when the bus fails."""
+        """The next frame, None when there is none until `until_ns`."""
         return self.take(max(0.0, (until_ns - self.now_ns()) * 1e-9))
 
     def take(self, timeout_s: float) -> Frame | None:
-        """The next frame, None when there is none within `timeout_s`."""
+        """The next frame, None when there is none within `timeout_s`. Raises `AcquisitionError` when the bus fails."""
         import can
 
         until_s = time.monotonic() + timeout_s
@@ -184,7 +197,7 @@ class Link:
         return frame
 
     def close(self) -> None:
-        """Leave the bus, also one that has failed."""
+        """Close the bus, even if it has failed."""
         import can
 
         with suppress(can.CanError, OSError):

@@ -1,4 +1,4 @@
-"""A CANopen master over a link: NMT, SDO, PDO configuration, orders, and the last values of every node. It decides nothing."""
+"""A CANopen master over a link: NMT, SDO, PDO configuration, orders, and the last values of every node."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -27,7 +27,7 @@ from ..protocol import (
 from ..recording import ERROR, EXTENDED, REMOTE_REQUEST
 from ..robot import Bus, Drive, axis_of
 from .frames import Frame, command_ids, sign_of_master
-from .links import Link
+from .links import MasterLink
 
 SDO_TIMEOUT_NS, _SLICE_NS = 300_000_000, 50_000_000
 START, PRE_OPERATIONAL = 1, 128
@@ -62,9 +62,9 @@ class NodeWatch:
 
 
 class Master:
-    """Sends requests and holds the last values received. Every frame received passes `dispatch`, whatever is awaited."""
+    """Sends requests and stores the last values received. Every frame received goes through `dispatch`."""
 
-    def __init__(self, link: Link, bus: Bus) -> None:
+    def __init__(self, link: MasterLink, bus: Bus) -> None:
         self.link, self.bus = link, bus
         self.nodes = [NodeWatch(drive=drive) for drive in bus.drives]
         self.bus_error: str | None = None
@@ -128,7 +128,7 @@ class Master:
             self._note_sign(frame)
 
     def _note_sign(self, frame: Frame) -> None:
-        """Our own frames never come here: a link leaves out what its interface gives back."""
+        # Our own frames never come here: a link leaves out those that its interface returns.
         sign = sign_of_master(frame, self.bus)
         if sign is not None:
             self.signs[sign] = frame.can_id in self._commands and not frame.flags & REMOTE_REQUEST
@@ -226,7 +226,7 @@ class Master:
                         self.write(drive.node, *write)
 
     def _set_heartbeat(self, node: int, every_ms: int) -> None:
-        """Written only where it differs, in the size that the drive answers with: not all have the U16 of CiA 301."""
+        """Write the heartbeat time where it differs, in the size of the drive's answer: not all have the U16 of CiA 301."""
         place = f"node {node}: object {HEARTBEAT_TIME:04X}:0"
         answer = answer_of(self._exchange(node, read_request(HEARTBEAT_TIME, 0), place))
         if check_answer(answer, "value", place) != every_ms:
@@ -275,13 +275,13 @@ Orders = list[tuple[int, int]]  # controlword and target counts of each drive, i
 
 
 def send_orders(master: Master, orders: Orders) -> None:
-    """Send the orders to all drives by PDO. Raises `AcquisitionError` when the bus takes no frame."""
+    """Send the orders to all drives by PDO. Raises `AcquisitionError` when the bus accepts no frame."""
     for watch, (control, target) in zip(master.nodes, orders, strict=True):
         send_order(master, watch, control, target)
 
 
 def send_order(master: Master, watch: NodeWatch, control: int, target: int) -> None:
-    """Send the RPDOs of one drive that carry a command and nothing else."""
+    """Send the RPDOs of one drive that carry only its command, target and mode."""
     drive = watch.drive
     values = {
         (drive.control.index, drive.control.sub): control,

@@ -1,4 +1,4 @@
-"""Frames taken off a bus in a thread, with stamps that go on where the clock of the machine is set."""
+"""Receives frames in a thread; their stamps continue where the computer's clock is set."""
 
 import socket
 import struct
@@ -20,26 +20,26 @@ _TIMESPEC_BYTES = 16
 
 
 class Receiver:
-    """Takes frames off a bus and only appends them: `run` in a thread, `take` what came since in another."""
+    """Receives frames by `run` in one thread; `take` returns them in another."""
 
-    DRAIN_S = 2.0  # at most, to take what the kernel still holds when a recording ends
+    DRAIN_S = 2.0  # at most, to read the kernel's queue when a recording ends
 
     def __init__(self, bus: Any) -> None:
         self._bus, self._items = bus, deque[Any]()
         self.sock = socket_of(bus)
-        # A socket of the kernel's CAN is read directly, which costs a third of python-can's messages.
+        # A SocketCAN socket is read directly, at a third of the cost of python-can's messages.
         self._raw = self.sock if getattr(bus, "socket", None) is self.sock else None
         self.stopped = False
         self.error: str | None = None
 
     def run(self) -> None:
-        """Until `stopped` and what had arrived is taken; an error of the bus ends it and is stored in `error`."""
+        """Receive until `stopped` and the queue is empty; an error of the bus ends it and is stored in `error`."""
         try:
             if self._raw is None:
                 self._run_messages()
             else:
                 self._run_raw(self._raw)
-        except Exception as error:  # of any kind: the reader of `error` must see it
+        except Exception as error:  # of any kind: whoever reads `error` must see it
             self.error = str(error) or type(error).__name__
 
     def _run_raw(self, sock: socket.socket) -> None:
@@ -105,49 +105,49 @@ def _block_of_raw(items: list[Any]) -> Block:
     return block
 
 
-SMALLEST_STEP_NS = 50_000_000  # a clock that NTP only slews drifts less than this in half a second
-_SLOWEST_READ_NS = 5_000_000  # of the two clocks, one after the other; slower readings are repeated
+MIN_STEP_NS = 50_000_000  # a clock that NTP only slews drifts less than this in half a second
+_MAX_READ_NS = 5_000_000  # of both clocks; slower readings are repeated
 _READINGS = 5
-_BLOCKS_WAITED = 2  # for the stamps to jump
+_MAX_BLOCKS_WAITED = 2  # for the stamps to jump
 
 
 class WallClock:
-    """Compares the clock that can be set with the one that cannot, and continues its times as if it had not been set."""
+    """Detects steps of the wall clock by the monotonic clock, and continues stamps without them."""
 
     def __init__(
         self,
         wall_ns: Callable[[], int] = time.time_ns,
         monotonic_ns: Callable[[], int] = time.monotonic_ns,
-        offset_ns: int | None = None,  # of the two clocks when a session began; None: the present one
+        offset_ns: int | None = None,  # between the clocks when a session began; None: now
     ) -> None:
         self._wall_ns, self._monotonic_ns = wall_ns, monotonic_ns
         self._begin_ns = wall_ns() - monotonic_ns() if offset_ns is None else offset_ns
         self._offset_ns = self._begin_ns
-        self._last_ns: int | None = None  # latest stamp, as it was given
-        self._pending_ns, self._waited = 0, 0  # a step that no stamp has had yet, and for how many blocks
-        self.shift_ns = 0  # sum of the steps that stamps have had
+        self._last_ns: int | None = None  # latest stamp, uncorrected
+        self._pending_ns, self._waited = 0, 0  # a step not yet seen in the stamps, and for how many blocks
+        self.shift_ns = 0  # sum of the steps removed from stamps
 
     def now_ns(self) -> int:
-        """Time as if the clock had never been set."""
+        """Time without the steps of the wall clock."""
         return self._begin_ns + self._monotonic_ns()
 
     def step_ns(self) -> int:
-        """By how much the clock was set since the last call, forward or back; 0 where it was not."""
+        """Step of the wall clock since the last call, positive forward; 0 where it was not set."""
         for _ in range(_READINGS):
             before = self._monotonic_ns()
             offset = self._wall_ns() - before
-            if self._monotonic_ns() - before <= _SLOWEST_READ_NS:
+            if self._monotonic_ns() - before <= _MAX_READ_NS:
                 break
         else:
             return 0
         step, self._offset_ns = offset - self._offset_ns, offset
-        if abs(step) < SMALLEST_STEP_NS:
+        if abs(step) < MIN_STEP_NS:
             return 0
         self._pending_ns, self._waited = self._pending_ns + step, 0
         return step
 
     def continued(self, stamps: Ints) -> Ints:
-        """Stamps of frames, block by block, without the steps that `step_ns` found: each begins where stamps jump by it."""
+        """Stamps of the next block of frames without the steps that `step_ns` found: each begins where the stamps jump."""
         if not len(stamps):
             return stamps
         shifts: Ints = np.full(len(stamps), self.shift_ns)
@@ -159,7 +159,7 @@ class WallClock:
                 shifts[k:] += self._pending_ns
                 self.shift_ns, self._pending_ns = self.shift_ns + self._pending_ns, 0
             self._waited += 1
-            if self._waited > _BLOCKS_WAITED:  # an adapter with a clock of its own
+            if self._waited > _MAX_BLOCKS_WAITED:  # an adapter with a clock of its own
                 self._pending_ns = 0
         self._last_ns = int(stamps[-1])
         continued: Ints = stamps - shifts

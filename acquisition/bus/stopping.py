@@ -1,7 +1,7 @@
-"""Stops all drives: quick stop, voltage off at standstill, then every drive is asked whether it is disabled.
+"""Stops all drives: quick stop, voltage off at standstill, then the state of every drive is read back.
 
-The session, the recorder's process (after the session has died) and the command `disable` all use it; it needs only a master.
-It never raises `AcquisitionError`: when one step fails, the next is tried all the same.
+The session, the recorder's process (after the session has died) and the command `disable` use it.
+It never raises `AcquisitionError`: if one step fails, the next is tried.
 """
 
 import itertools
@@ -15,9 +15,9 @@ from ..robot import Bus, axis_index
 from .links import open_link
 from .master import PRE_OPERATIONAL, SDO_TIMEOUT_NS, Master, NodeWatch, send_order
 
-FALL_S = 0.05  # over which the speed must show that a quick stop works
-FALL_SLOPE = -0.2  # of the acceleration limit: with a lower slope the speed falls
-FALL_SHARE = 0.95  # of the speed at the start: where the ramp is unknown, the speed has fallen when it is below this
+FALL_S = 0.05  # over which the speed must fall in a quick stop
+FALL_SLOPE = -0.2  # of the acceleration limit: below this slope the speed counts as falling
+FALL_SHARE = 0.95  # of the speed at the start: with an unknown ramp, the speed has fallen when below this
 RAMP_SHARE = 1.2  # of the time that the ramp takes from the speed at the start
 CAP_S = 0.5  # after the time to stop, voltage is switched off even in motion
 CONFIRM_S = 1.0  # in which drives must confirm, after voltage is off
@@ -55,9 +55,9 @@ class _Stopping:
                 self.speed_then = _speed(self.seen)
 
     def must_go_off(self, now_ns: int) -> bool:
-        """Whether voltage goes off now: at standstill, or where the speed rises or holds, or when its time is over."""
+        """Whether to switch voltage off: standstill, the speed does not fall, or the time to stop is over."""
         elapsed_s, then, drive = (now_ns - self.since_ns) * 1e-9, self.speed_then, self.watch.drive
-        # Nothing but the time is known of a drive that sends no positions any more.
+        # A drive that sends no positions any more is switched off by time alone.
         if then is None or now_ns - self.seen[-1][0] > (self.window + 1) * self.period_ns:
             return elapsed_s >= self.longest_s
         first, last = self.seen[: self.window + 1], self.seen[-self.window - 1 :]

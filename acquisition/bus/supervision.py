@@ -28,7 +28,7 @@ HEARTBEATS_PER_TIMEOUT = 3
 
 
 def timeout_ms(file: BusFile) -> int:
-    """Time without a heartbeat of the master after which a drive reacts: three times its interval, a SYNC period at least."""
+    """Time without a heartbeat after which a drive reacts: three heartbeat intervals or SYNC periods, whichever is longer."""
     return math.ceil(round(HEARTBEATS_PER_TIMEOUT * max(file.heartbeat_s, file.sync_period_s) * 1000, 6))
 
 
@@ -37,7 +37,7 @@ def entry_of(file: BusFile) -> int:
     return file.master_node << 16 | timeout_ms(file)
 
 
-def consumers(master: Master, node: int) -> list[int]:
+def heartbeat_consumers(master: Master, node: int) -> list[int]:
     """Entries of a drive's 1016h, from sub-index 1. Raises `AcquisitionError` where it has none."""
     return [master.read(node, CONSUMER_HEARTBEAT, k + 1) for k in range(master.read(node, CONSUMER_HEARTBEAT, 0))]
 
@@ -63,12 +63,12 @@ class MasterHeartbeat:
         self._sent_ns: int | None = None
 
     def request(self) -> list[str]:
-        """Write this master to 1016h of every drive, and beat at SYNC; a line for each drive that does not supervise it."""
+        """Write this master to 1016h of every drive, and start the heartbeat; a line for each drive without supervision."""
         refused = []
         for drive in self._master.bus.drives:
             node, entry = drive.node, entry_of(self._file)
             try:
-                entries = consumers(self._master, node)
+                entries = heartbeat_consumers(self._master, node)
                 sub = free_entry(entries, self._file.master_node)
                 if sub is None:
                     raise AcquisitionError("no free sub-index", place=f"node {node}: object 1016", expected="one")
@@ -78,7 +78,7 @@ class MasterHeartbeat:
                 self._master.write(node, CONSUMER_HEARTBEAT, sub, entry, 4)
             except AcquisitionError as error:
                 self._before.pop(node, None)
-                refused.append(f"{error}: the drive does not notice when this master dies")
+                refused.append(f"{error}: the drive does not detect the loss of this master")
         self._master.at_sync = self._at_sync
         return refused
 
@@ -131,11 +131,11 @@ OPTIONS = {
 }
 _STOPS = dict(zip(STOP_OPTIONS, ("quick stop", "shutdown", "disable operation", "fault reaction"), strict=True))
 NOT_THERE = "not there"
-Property = tuple[str, str]  # of a drive: its name, and what was found
+Property = tuple[str, str]  # of a drive: name, value in words
 
 
 def supervision_of(master: Master, drive: Drive) -> list[Property]:
-    """Each object of a drive's supervision in words: loss of the master, stops, following error.
+    """Each supervision object of a drive in words: loss of the master, stops, following error.
 
     Read by SDO: 1016h, 6007h, 1029h, 1400h:5, 605Ah, 605Bh, 605Ch, 605Eh, 6065h, 6066h. An object that the drive does not
     have is reported as not there; nothing is raised.
@@ -149,32 +149,30 @@ def supervision_of(master: Master, drive: Drive) -> list[Property]:
         _consumers(master, drive),
         _option(master, drive, ABORT_CONNECTION, "reaction"),
         (f"communication error {ERROR_BEHAVIOUR:04X}:1", behaves),
-        (
-            f"missing targets {RPDO_PARAMETERS:04X}:5",
-            f"{timer}: an error after {timer} ms without the PDO" if timer else missed,
-        ),
+        (f"missing targets {RPDO_PARAMETERS:04X}:5", missed),
         *(_option(master, drive, index, name) for index, name in _STOPS.items()),
         _following_error(master, drive),
     ]
 
 
 def stop_ramp(master: Master, drive: Drive) -> tuple[str, str]:
-    """The ramp of the quick stop in words, and what `--track` expects where it is too slow, else nothing."""
+    """The quick-stop ramp in words, and the ramp that `--track` requires where it is too slow, else an empty text."""
     watch = master.by_node[drive.node]
     for index in RAMP_OBJECTS:
         watch.ramp_objects[index] = _read(master, drive, index + axis_of(drive))
-    ramp, (scale, unit) = quick_stop_ramp(watch.ramp_objects, drive.position_codec), drive.counts_per_joint
+    ramp = quick_stop_ramp(watch.ramp_objects, drive.position_codec)
+    scale, unit = drive.counts_per_joint
     if ramp is None:
         return "quick stop ramp unknown: voltage is switched off where the speed does not fall by 5 % in 0.05 s", ""
-    fastest, least = drive.speed_limit, MIN_RAMP_SHARE * (drive.acceleration_limit or 0.0)
-    rest = f", {fastest / ramp:.3g} s from the speed limit to rest" if fastest else ""
+    speed, min_ramp = drive.speed_limit, MIN_RAMP_SHARE * (drive.acceleration_limit or 0.0)
+    rest = f", {speed / ramp:.3g} s from the speed limit to rest" if speed else ""
     text = f"quick stop ramp {ramp / scale:.4g} {unit}/s²{rest}"
-    fast = ramp >= least - 1  # drives state whole counts
-    return text, "" if fast else f"{least / scale:.4g} at least for --track, half the acceleration limit"
+    fast_enough = ramp >= min_ramp - 1  # drives state whole counts
+    return text, "" if fast_enough else f"{min_ramp / scale:.4g} at least for --track, half the acceleration limit"
 
 
 def refuse_slow_ramps(master: Master) -> list[str]:
-    """Read the ramps for a later stop; a line for each unknown one. Raises `AcquisitionError` for one that is too slow."""
+    """Read the ramps for a later stop; a line for each unknown ramp. Raises `AcquisitionError` if one is too slow."""
     unknown = []
     for watch in master.nodes:
         place = f"node {watch.drive.node} ({watch.drive.name})"
@@ -186,18 +184,18 @@ def refuse_slow_ramps(master: Master) -> list[str]:
 
 
 def supervision_refusal(master: Master, drive: Drive) -> str:
-    """Why a drive is not fit for motion: after a power cut of this computer nothing would stop it; empty where it is."""
+    """The supervision that a drive lacks, empty where none: after a power cut of this computer nothing would stop it."""
     axis = axis_of(drive)
     try:
-        sub = free_entry(consumers(master, drive.node), master.bus.file.master_node)
+        sub = free_entry(heartbeat_consumers(master, drive.node), master.bus.file.master_node)
     except AcquisitionError:
         sub = None
     missing = []
     if sub is None and not _read(master, drive, ABORT_CONNECTION + axis):
-        missing.append(f"of the master: no free 1016, {ABORT_CONNECTION + axis:04X} is 0 or not there")
+        missing.append(f"of the master (no free 1016, {ABORT_CONNECTION + axis:04X} is 0 or not there)")
     if _read(master, drive, FOLLOWING_ERROR_WINDOW + axis) in (None, NO_WINDOW):
-        missing.append(f"of the following error: {FOLLOWING_ERROR_WINDOW + axis:04X} is off or not there")
-    return f"none {', none '.join(missing)}" if missing else ""
+        missing.append(f"of the following error ({FOLLOWING_ERROR_WINDOW + axis:04X} is off or not there)")
+    return f"none {' and none '.join(missing)}" if missing else ""
 
 
 def refuse_unsupervised(master: Master) -> None:
@@ -218,25 +216,25 @@ def second_stop(file: BusFile) -> str:
 def _consumers(master: Master, drive: Drive) -> Property:
     file, name = master.bus.file, f"consumer heartbeat {CONSUMER_HEARTBEAT:04X}"
     try:
-        entries = consumers(master, drive.node)
+        entries = heartbeat_consumers(master, drive.node)
     except AcquisitionError:
-        return name, f"{NOT_THERE}: the drive does not notice when the master dies"
+        return name, f"{NOT_THERE}: the drive does not detect the loss of the master"
     used = [f"node {e >> 16 & 0x7F} {e & 0xFFFF} ms" for e in entries if e >> 16 and e & 0xFFFF]
     text, sub = ", ".join(used) or "none in use", free_entry(entries, file.master_node)
     if sub is None:
-        return name, f"{text}: no free sub-index: the drive does not notice when the master dies"
+        return name, f"{text}: no free sub-index: the drive does not detect the loss of the master"
     writes = f"--track writes 0x{entry_of(file):08X} (node {file.master_node}, {timeout_ms(file)} ms)"
     return name, f"{text}; {writes} to sub-index {sub}"
 
 
 def _option(master: Master, drive: Drive, index: int, name: str) -> Property:
-    """An option code in words; the objects of CiA 402 of each further axis are 800h higher."""
+    """An option code in words; the CiA 402 objects of each further axis are 800h higher."""
     raw, name = _read(master, drive, index + axis_of(drive)), f"{name} {index + axis_of(drive):04X}"
     return name, NOT_THERE if raw is None else _in_words(index, raw - 0x10000 if raw >= 0x8000 else raw)
 
 
 def _in_words(index: int, value: int) -> str:
-    return f"{value}: {OPTIONS[index].get(value, 'of the manufacturer')}"
+    return f"{value}: {OPTIONS[index].get(value, 'manufacturer-specific')}"
 
 
 def _following_error(master: Master, drive: Drive) -> Property:
@@ -247,7 +245,7 @@ def _following_error(master: Master, drive: Drive) -> Property:
     if window is None or window == NO_WINDOW:
         return name, NOT_THERE if window is None else f"0x{window:X}: off"
     after = f", after {time_ms} ms ({FOLLOWING_ERROR_TIME + axis:04X})" if time_ms is not None else ""
-    return name, f"{window}: an error beyond {window} of the drive's position units{after}"
+    return name, f"{window}: an error above {window} of the drive's position units{after}"
 
 
 def _read(master: Master, drive: Drive, index: int, sub: int = 0) -> int | None:

@@ -10,6 +10,7 @@ from ..bus import (
     QUEUE_BYTES,
     Link,
     Master,
+    MasterLink,
     is_homed,
     joint_positions,
     listen_for_others,
@@ -25,7 +26,7 @@ from ..bus import (
 from ..errors import AcquisitionError, one_line
 from ..protocol import NOT_VALID, PARAMETERS, State, frame_bits
 from ..robot import MAX_LOAD, Bus, Drive, Robot, demand_ripple_warnings
-from ..session import DEVIATIONS, steady, sync_jitter
+from ..session import DEVIATIONS, real_time_scheduling, sync_jitter
 
 SCALES = {0x608F: "encoder increments per turns", 0x6091: "gear", 0x6092: "feed", 0x60A8: "position unit"}
 MAX_OFF_SHARE = 0.01  # of SYNC intervals that deviate by more than half a period
@@ -60,7 +61,7 @@ def check(robot: Robot, bus: Bus) -> list[Finding]:
             text = "" if granted >= QUEUE_BYTES else f": expected {QUEUE_BYTES}; raise net.core.rmem_max"
             ok = granted >= QUEUE_BYTES // 10
             findings.append(Finding("kernel queue", f"{granted} bytes{text}", ok=ok))
-        with steady() as scheduling:
+        with real_time_scheduling() as scheduling:
             findings.append(Finding("scheduling", scheduling.words))
             found = check_drives(link, bus)
         if all(finding.ok for finding in found if finding.subject in (OTHER_NODES, "state")):
@@ -91,7 +92,7 @@ def refusal(findings: list[Finding]) -> str:
     return f"no go{' for --track' if all(f.track for f in failed) else ''}: {', '.join(names)}" if failed else ""
 
 
-def check_drives(link: Link, bus: Bus) -> list[Finding]:
+def check_drives(link: MasterLink, bus: Bus) -> list[Finding]:
     """Findings about the drives and SYNC over an open link; nothing is sent if another node is heard first."""
     master = Master(link, bus)
     if (other := listen_for_others(master)) is not None:

@@ -39,7 +39,7 @@ class ObjectEntry:
 
     @property
     def mapping(self) -> int:
-        """The entry as a PDO mapping parameter names it: index, sub-index, bits."""
+        """The entry in a PDO mapping parameter: index, sub-index, bits."""
         return self.index << 16 | self.sub << 8 | self.bits
 
     def __str__(self) -> str:
@@ -54,10 +54,10 @@ ABORT_CONNECTION = 0x6007  # when a drive loses the master: 0 nothing, 1 fault, 
 STOP_OPTIONS = QUICK_STOP_OPTION, SHUTDOWN_OPTION, DISABLE_OPTION, FAULT_OPTION = 0x605A, 0x605B, 0x605C, 0x605E
 FOLLOWING_ERROR_WINDOW, FOLLOWING_ERROR_TIME = 0x6065, 0x6066
 PROFILE_DECELERATION, QUICK_STOP_DECELERATION = 0x6084, 0x6085
-# 605Ah: with these values a quick stop follows a ramp that an object states; with 5 and more it then stays active.
+# Values of 605Ah with which a quick stop follows the ramp in an object; from 5 on it then stays active.
 _RAMPS = {1: PROFILE_DECELERATION, 2: QUICK_STOP_DECELERATION, 5: PROFILE_DECELERATION, 6: QUICK_STOP_DECELERATION}
 _VELOCITY_UNIT, _ACCELERATION_UNIT = 0x60A9, 0x60AA
-_RPM, _RPM_PER_S = 0x00B44700, 0x00C00300  # units as they code them, of maxon's and Nanotec's drives
+_RPM, _RPM_PER_S = 0x00B44700, 0x00C00300  # as coded by drives of maxon and Nanotec
 RAMP_OBJECTS = (QUICK_STOP_OPTION, QUICK_STOP_DECELERATION, PROFILE_DECELERATION, _ACCELERATION_UNIT, _VELOCITY_UNIT)
 POSITION_ACTUAL, TARGET_POSITION = 0x6064, 0x607A
 RATED_CURRENT, RATED_TORQUE = 0x6075, 0x6076
@@ -78,7 +78,7 @@ STANDARD = {
 
 @dataclass(frozen=True, kw_only=True)
 class Rule:
-    """How a raw integer becomes A, V, N m or N: raw · factor · what the key `rated` of the drive says, where there is one."""
+    """Raw integer to A, V, N m or N: raw · factor · the drive's value of the key `rated`, if any."""
 
     unit: str
     factor: float
@@ -97,7 +97,7 @@ RULES = {
     "mN": Rule(unit="N", factor=1e-3),
 }
 
-# Objects that hold a current or a torque: type, the rule that its vendor documents, meaning.
+# Objects that hold a current or a torque: type, rule of the vendor's documentation, meaning.
 EFFORT_OBJECTS = {
     (0x6074, 0): ("I16", "per mille of rated torque", "torque demand, the reference of the current loop (CiA 402)"),
     (0x6077, 0): ("I16", "per mille of rated torque", "torque actual value (CiA 402)"),
@@ -107,13 +107,13 @@ EFFORT_OBJECTS = {
     (0x221E, 0): ("I16", "0.01 A", "commanded current (Copley)"),
 }
 
-# Units in which drives state their rated values; 6076h is mN m by CiA 402, and uN m in an EPOS4.
+# Units of the rated values in drives; 6076h is mN m by CiA 402, and uN m in an EPOS4.
 RATED_UNITS = {"mA": 1e-3, "mN m": 1e-3, "uN m": 1e-6, "mN": 1e-3}
 
 
 @dataclass(frozen=True, kw_only=True)
 class EffortCodec:
-    """Between the raw integers of `entry` and SI at the motor, `scale` per unit; `provenance`: where the value comes from."""
+    """Converts raw integers of `entry` to SI at the motor, `scale` per unit; `provenance`: source of the value."""
 
     entry: ObjectEntry
     scale: float
@@ -124,13 +124,13 @@ class EffortCodec:
         return np.asarray(raw * self.scale, dtype=np.float64)
 
     def raw(self, value: Array) -> Ints:
-        """Nearest raw integers, held at the ends of the object's type as a drive does."""
+        """Nearest raw integers, limited to the range of the object's type as in a drive."""
         return saturated(value / self.scale, self.entry.type)
 
 
 @dataclass(frozen=True, kw_only=True)
 class PositionCodec:
-    """Between counts and rad (or m) of a motor, or of n: counts = zero_counts + sign · counts_per_unit · position."""
+    """Converts counts of one or n motors to rad (or m): counts = zero_counts + sign · counts_per_unit · position."""
 
     counts_per_unit: float | Array
     sign: int | Array
@@ -141,18 +141,18 @@ class PositionCodec:
         return np.asarray((raw - self.zero_counts) * (self.sign / self.counts_per_unit), dtype=np.float64)
 
     def exact(self, value: Array) -> Array:
-        """Counts before they are rounded and held."""
+        """Counts without rounding and limits."""
         return np.asarray(value * (self.sign * self.counts_per_unit) + self.zero_counts, dtype=np.float64)
 
     def raw(self, value: Array) -> Ints:
-        """Nearest counts, held at the ends of 32 bits."""
+        """Nearest counts, limited to 32 bits."""
         return saturated(self.exact(value), "I32")
 
 
 def quick_stop_ramp(values: Mapping[int, int | None], codec: PositionCodec) -> float | None:
-    """Deceleration of a quick stop, counts/s² of the motor, by the ramp that 605Ah names; None where it is unknown.
+    """Deceleration of a quick stop, counts/s² of the motor, by the ramp that 605Ah selects; None if unknown.
 
-    `values` are those of `RAMP_OBJECTS`. Units are those of the position, unless 60AAh or 60A9h says rpm/s or rpm.
+    `values` are those of `RAMP_OBJECTS`. Units are those of the position, unless 60AAh or 60A9h states rpm/s or rpm.
     """
     raw = values.get(_RAMPS.get(values.get(QUICK_STOP_OPTION) or 0, 0))
     unit = values.get(_ACCELERATION_UNIT) or values.get(_VELOCITY_UNIT)
@@ -173,19 +173,19 @@ def saturated(value: Array, kind: str) -> Ints:
 
 
 def interpolation_period(period_s: float) -> tuple[int, int]:
-    """60C2h: count (U8) and power of ten (I8) that make the SYNC period exactly. Raises `AcquisitionError` where none do."""
+    """60C2h: count (U8) and power of ten (I8) of the SYNC period. Raises `AcquisitionError` if it has no exact form."""
     for unit in (-3, -4, -5, -6):
         count = period_s / 10.0**unit
         if round(count) in range(1, 256) and abs(count - round(count)) < 1e-6 * count:
             return round(count), unit
-    problem = "the interpolation period of drives (60C2) cannot say it"
+    problem = "not representable as the drives' interpolation period (60C2)"
     expected = "up to 255 times 1 ms, 0.1 ms, 10 µs or 1 µs"
     raise AcquisitionError(problem, key="bus.sync_period_s", value=period_s, shown=f"{period_s:g}", expected=expected)
 
 
 IDENTITY = 0x1018
-LARGEST_DICTIONARY = 4 * 2**20  # bytes
-# Numbers of [DeviceInfo] that files leave empty; the importer fails on them.
+MAX_DICTIONARY_BYTES = 4 * 2**20
+# Keys of [DeviceInfo] that some files leave empty; the importer fails on an empty number.
 _EMPTY = re.compile(
     r"^(VendorNumber|ProductNumber|RevisionNumber|NrOf[RT]XPDO|BaudRate_\d+|SimpleBootUp(?:Master|Slave)|Granularity"
     r"|DynamicChannelsSupported|GroupMessaging|LSS_Supported)[ \t]*=[ \t]*(?=(?:;.*)?\r?$)",
@@ -195,7 +195,7 @@ _EMPTY = re.compile(
 
 @dataclass(frozen=True, kw_only=True)
 class DictionaryEntry:
-    """An entry: `type` is I8 to U32, or empty for what no PDO can carry; `value` is the DCF's value or the default."""
+    """An entry: `type` is I8 to U32, or empty if no PDO can carry it; `value` is the DCF's value or the default."""
 
     type: str
     writable: bool
@@ -204,7 +204,7 @@ class DictionaryEntry:
 
 @dataclass(frozen=True, kw_only=True)
 class ObjectDictionary:
-    """Entries by (index, sub-index), the identity the file states (0 where it states none), and warnings."""
+    """Entries by (index, sub-index), the identity in the file (0 if not stated), and warnings."""
 
     entries: Mapping[tuple[int, int], DictionaryEntry]
     vendor: int
@@ -213,7 +213,7 @@ class ObjectDictionary:
 
     @property
     def identity(self) -> list[tuple[int, str, int]]:
-        """Vendor and product as far as they are stated, in 1018h or in [DeviceInfo]: sub-index, name, number."""
+        """Vendor and product, if stated in 1018h or [DeviceInfo]: sub-index, name, number."""
         found = []
         for sub, name, number in ((1, "vendor", self.vendor), (2, "product", self.product)):
             entry = self.entries.get((IDENTITY, sub))
@@ -226,21 +226,21 @@ class ObjectDictionary:
 def load_dictionary(data: bytes, place: str, node: int) -> ObjectDictionary:
     """Types, access and values of an object dictionary (EDS or DCF, CiA 306) by index and sub-index.
 
-    `data` is the file's content, `node` the id that `$NODEID` stands for. Raises `AcquisitionError` with `place`, the file's
-    name, and the line where it cannot be read, holds an entry twice, or holds no objects.
+    `data` is the file's content, `node` replaces `$NODEID`. Raises `AcquisitionError` with `place`, the file's name, and the
+    line: the file cannot be read, holds an entry twice, or holds no objects.
     """
     import canopen
     from canopen import objectdictionary
 
     file = Place(place)
-    # Its warnings about files that it can read would be printed among our own output.
+    # Its warnings about readable files would be printed between our own output.
     logging.getLogger("canopen").addHandler(logging.NullHandler())
-    if len(data) > LARGEST_DICTIONARY:
-        file.refuse(text=f"{len(data)} bytes", expected=f"{LARGEST_DICTIONARY} at most")
+    if len(data) > MAX_DICTIONARY_BYTES:
+        file.refuse(text=f"{len(data)} bytes", expected=f"{MAX_DICTIONARY_BYTES} at most")
     text = data.decode("utf-8-sig", errors="replace")
     empty = [(text.count("\n", 0, found.start()) + 1, found[1]) for found in _EMPTY.finditer(text)]
     source = io.StringIO(_EMPTY.sub(r"\g<0>0x0 ", text))
-    source.name = "dictionary.eds"  # the importer goes by the suffix
+    source.name = "dictionary.eds"  # the importer selects the format by the suffix
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -251,7 +251,7 @@ def load_dictionary(data: bytes, place: str, node: int) -> ObjectDictionary:
         Place(f"{place}: line {error.lineno}").refuse(text=problem, expected="once; remove one")
     except Exception as error:  # on a damaged file the importer raises errors of any kind
         problem = str(error) or type(error).__name__
-        file.refuse(text=f"not an EDS or DCF that can be read: {problem[:200]}")
+        file.refuse(text=f"not a readable EDS or DCF: {problem[:200]}")
     entries = {}
     for item in found.values():
         parts = [item] if isinstance(item, objectdictionary.ODVariable) else list(item.values())

@@ -1,4 +1,4 @@
-"""States and commands of CiA 402 and their one transition table; statuswords, error codes and error frames in words.
+"""States, commands and transition table of CiA 402; statuswords, error codes and error frames in words.
 
 Names, bits and transitions are those of CiA 402-2 (IEC 61800-7-201): statusword 6041h, controlword 6040h.
 """
@@ -38,7 +38,7 @@ class Command(Enum):
 
     @property
     def controlword(self) -> int:
-        """What to write to 6040h."""
+        """Value for 6040h."""
         return self.value[1]
 
 
@@ -50,7 +50,7 @@ class Mode(IntEnum):
 
 _S, _C = State, Command
 
-# Where a command leads (transitions 2 to 12, 15, 16). A command that is not here is illegal in that state.
+# State after a command (transitions 2 to 12, 15, 16). A command that is not here is illegal in that state.
 TRANSITIONS: dict[tuple[State, Command], State] = {
     (_S.SWITCH_ON_DISABLED, _C.SHUTDOWN): _S.READY_TO_SWITCH_ON,  # 2
     (_S.READY_TO_SWITCH_ON, _C.SWITCH_ON): _S.SWITCHED_ON,  # 3
@@ -69,10 +69,10 @@ TRANSITIONS: dict[tuple[State, Command], State] = {
     (_S.QUICK_STOP_ACTIVE, _C.ENABLE_OPERATION): _S.OPERATION_ENABLED,  # 16
 }
 
-# Transitions that a drive makes without a command (1 and 14); 13 leads from any state to FAULT_REACTION_ACTIVE.
+# Transitions without a command (1 and 14); 13 leads from any state to FAULT_REACTION_ACTIVE.
 AUTOMATIC: dict[State, State] = {_S.NOT_READY_TO_SWITCH_ON: _S.SWITCH_ON_DISABLED, _S.FAULT_REACTION_ACTIVE: _S.FAULT}
 
-# No torque in these: the power stage is off, or has nothing to follow.
+# No torque in these: the power stage is off, or there is no target to follow.
 DISABLED = frozenset(State) - {_S.OPERATION_ENABLED, _S.QUICK_STOP_ACTIVE, _S.FAULT_REACTION_ACTIVE}
 
 
@@ -86,7 +86,7 @@ def state_of(statusword: int) -> State:
 
 
 def command_of(controlword: int) -> Command | None:
-    """Command that a controlword (6040h) gives, None where its bits give none."""
+    """Command in a controlword (6040h), None for bits of no command."""
     for command in reversed(Command):  # a fault reset before all others
         mask, value = command.value
         if controlword & mask == value:
@@ -95,7 +95,7 @@ def command_of(controlword: int) -> Command | None:
 
 
 def toward(state: State, goal: State) -> Command | None:
-    """First command on the shortest way to `goal`, None where none is needed. Raises `AcquisitionError`: none leads there."""
+    """First command on the shortest way to `goal`, None if none is needed. Raises `AcquisitionError` if there is no way."""
     reached: dict[State, Command | None] = {state: None}
     queue = [state]
     for at in queue:
@@ -108,7 +108,7 @@ def toward(state: State, goal: State) -> Command | None:
             if then not in reached:
                 reached[then] = command if at is state else reached[at]
                 queue.append(then)
-    raise AcquisitionError(f"from {state.words} no command leads to {goal.words}")
+    raise AcquisitionError(f"no command leads from {state.words} to {goal.words}")
 
 
 # Bit of the identifier: class of the error.
@@ -118,7 +118,7 @@ _CLASSES = {
     0x004: "controller",
     0x008: "protocol",
     0x010: "transceiver",
-    0x020: "no acknowledgement: no other node hears, or the cable is open",
+    0x020: "no acknowledgement: no other node receives, or the cable is open",
     0x040: "bus-off",
     0x080: "bus error",
     0x100: "controller restarted",
@@ -173,7 +173,7 @@ _COUNTERS = 0x200  # class: bytes 6 and 7 hold the controller's error counters
 
 
 def error_frame_words(can_id: int, data: bytes) -> str:
-    """The classes of an error frame and their details; its bytes in hex where no class is known (another adapter's frame)."""
+    """Classes of an error frame and their details; its bytes in hex where no class is known (another adapter's frame)."""
     data = data.ljust(8, b"\0")
     halves = ("H", data[4] & 0xF), ("L", data[4] >> 4)
     wires = [f"CAN_{name} {_WIRE[half]}" for name, half in halves if half in _WIRE]
@@ -249,7 +249,7 @@ _CODES = {
 
 
 def status_words(statusword: int) -> str:
-    """The state of a statusword, and those of its other bits that differ from normal operation."""
+    """State in a statusword, and its other bits that differ from normal operation."""
     try:
         words = [state_of(statusword).words]
     except AcquisitionError:

@@ -1,7 +1,7 @@
 """PDO and SDO of CiA 301 as bytes, without I/O: mapping, configuration and bus load; expedited transfers.
 
-The functions of SDO serve our requests, the simulated drives' answers, and the reading of another master's traffic. Every
-object that is read or written here has four bytes at most: no longer transfer is needed.
+The SDO functions are for our requests, the answers of simulated drives, and another master's traffic. Every object read or
+written here has at most four bytes: longer transfers are not needed.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -18,12 +18,12 @@ PARAMETERS = {"tpdo": (0x1800, 0x1A00), "rpdo": (0x1400, 0x1600)}
 USUAL_CAN_ID = {"tpdo": 0x180, "rpdo": 0x200}  # of the first; 0x100 more for each of the next three
 # Identifiers of PDOs: below lie NMT, SYNC, emergencies and time, above SDO and heartbeats.
 LOWEST_CAN_ID, HIGHEST_CAN_ID = 0x181, 0x57F
-_IDENTIFIER = 0x3FFFFFFF  # of a COB-ID with bit 29, which tells that it has 29 bits
+_IDENTIFIER = 0x3FFFFFFF  # of a COB-ID with bit 29, which marks 29-bit identifiers
 
 
 @dataclass(frozen=True, kw_only=True)
 class Pdo:
-    """A PDO: its number from 1, its identifier, the entries in it in order."""
+    """A PDO: number from 1, identifier, entries in order."""
 
     number: int
     can_id: int
@@ -62,7 +62,7 @@ class Pdo:
 
 
 def usual_can_id(direction: str, number: int, node: int) -> int | None:
-    """Identifier of CiA 301's predefined connection set; it has four PDOs each way."""
+    """Identifier of CiA 301's predefined connection set, which has four PDOs in each direction; else None."""
     return USUAL_CAN_ID[direction] + 0x100 * (number - 1) + node if number <= 4 else None
 
 
@@ -83,8 +83,8 @@ def pdos_of(
 ) -> tuple[Pdo, ...]:
     """PDOs that the `values` of a dictionary's parameters describe; `types` by object.
 
-    PDOs that are switched off, or have the identifier 0, are left out. Raises `AcquisitionError`, naming `place`, for an
-    object of unknown type.
+    PDOs that are disabled or have the identifier 0 are left out. Raises `AcquisitionError` with `place` for an object of
+    unknown type.
     """
     communication, mapping = PARAMETERS[direction]
     found = []
@@ -109,12 +109,12 @@ def pdos_of(
 
 
 def frame_bits(length: int) -> int:
-    """Bits of a data frame of `length` bytes with an 11-bit identifier, gap and the worst case of bit stuffing."""
+    """Bits of a data frame of `length` bytes: 11-bit identifier, gap and worst case of bit stuffing."""
     return 47 + 8 * length + (34 + 8 * length - 1) // 4
 
 
 def bus_load(pdos: Iterable[Pdo], *, bitrate: int, sync_period_s: float) -> float:
-    """Share of the bus that SYNC and one frame of each PDO take in every period; above 1 they do not fit."""
+    """Share of each period that SYNC and one frame of each PDO take; above 1 they do not fit."""
     bits = frame_bits(0) + sum(frame_bits(pdo.length) for pdo in pdos)
     return bits / (bitrate * sync_period_s)
 
@@ -141,7 +141,7 @@ ABORTS = {  # codes by meaning
 
 @dataclass(frozen=True, kw_only=True)
 class Transfer:
-    """What a frame says: `kind` is one of read, write, value, written, abort, other; `data` is the value or abort code."""
+    """Content of an SDO frame: `kind` is read, write, value, written, abort or other; `data` is the value or abort code."""
 
     kind: str
     index: int = 0
@@ -155,42 +155,42 @@ class Transfer:
 
 
 def read_request(index: int, sub: int) -> bytes:
-    """Ask for an object."""
+    """Request to read an object."""
     return _frame(0x40, index, sub, b"")
 
 
 def write_request(index: int, sub: int, value: int, size: int) -> bytes:
-    """Set an object of `size` bytes; negative values in two's complement."""
+    """Request to write an object of `size` bytes; negative values in two's complement."""
     return _frame(0x23 | (4 - size) << 2, index, sub, (value % (1 << 8 * size)).to_bytes(size, "little"))
 
 
 def value_answer(index: int, sub: int, value: int, size: int) -> bytes:
-    """The value asked for."""
+    """Answer with the value."""
     return _frame(0x43 | (4 - size) << 2, index, sub, (value % (1 << 8 * size)).to_bytes(size, "little"))
 
 
 def written_answer(index: int, sub: int) -> bytes:
-    """The write was done."""
+    """Answer to a write."""
     return _frame(0x60, index, sub, b"")
 
 
 def abort_answer(index: int, sub: int, meaning: str) -> bytes:
-    """The transfer cannot be done: one of `ABORTS`."""
+    """Abort of a transfer: one of `ABORTS`."""
     return _frame(0x80, index, sub, ABORTS[meaning].to_bytes(4, "little"))
 
 
 def request_of(data: bytes) -> Transfer:
-    """What a client's frame says; kind `other` for what is not an expedited transfer."""
+    """A client's frame decoded; kind `other` if it is no expedited transfer."""
     return _read(data, {1: "write", 2: "read", 4: "abort"})
 
 
 def answer_of(data: bytes) -> Transfer:
-    """What a server's frame says; kind `other` for what is not an expedited transfer."""
+    """A server's frame decoded; kind `other` if it is no expedited transfer."""
     return _read(data, {2: "value", 3: "written", 4: "abort"})
 
 
 def check_answer(answer: Transfer, wanted: str, place: str) -> int:
-    """The number in an answer of the kind `wanted`. Raises `AcquisitionError` for an abort, naming `place`."""
+    """The number in an answer of the kind `wanted`. Raises `AcquisitionError` with `place` for any other kind."""
     if answer.kind == "abort":
         meaning = next((words for words, code in ABORTS.items() if code == answer.number), "abort")
         raise AcquisitionError(f"refused by the drive: {meaning} (0x{answer.number:08X})", place=place)

@@ -1,7 +1,7 @@
-"""The one loop that sends: record, enable, track, stop; its guards; the recorder, and the second stop, in another process."""
+"""The session: record, enable, track, stop; its guards; the recorder and the second stop in another process."""
 
 from .logs import InlineLog
 from .recorder import RecordedSummary, Recorder, Status, write_decoded
 from .running import RecordOptions, UserInterface, record, replay, stop_on_signals
 from .session import Outcome, Stop, Task, run_active
-from .timing import DEVIATIONS, steady, sync_jitter
+from .timing import DEVIATIONS, real_time_scheduling, sync_jitter

@@ -1,6 +1,6 @@
-"""A session's recorder: in the session's own process for simulated time, else in a process of its own.
+"""A session's recorder: in the session's process for simulated time, else in a separate process.
 
-Where an interface can be opened once only, the session hands its frames over; else the recorder opens the bus itself.
+If an interface can be opened only once, the session passes its frames on; else the recorder opens the bus itself.
 """
 
 import multiprocessing
@@ -17,19 +17,19 @@ from ..robot import Robot
 from .process import BLOCK_S, STOPPING, Role, WatchdogPipe, run
 from .recorder import RecordedSummary, Recorder, Status
 
-START_S = 20.0  # for the process to come up
-FINISH_S = 600.0  # to decode a long session
-HUNG_FINISH_S = 10.0  # for one without a status for long
-SILENT_S = 5.0  # without a status for so long the disk is taken to hang
+MAX_START_S = 20.0  # of the process
+MAX_FINISH_S = 600.0  # for decoding a long session
+MAX_HUNG_FINISH_S = 10.0  # if there was no status for `MAX_SILENT_S`
+MAX_SILENT_S = 5.0  # without a status; then the disk counts as hung
 
-_ENDED = "the recorder has ended: expected it to go on until the session ends"
+_ENDED = "the recorder has ended: expected it to run until the session ends"
 
 
 OnStatus = Callable[[Status, int], None]  # called with each status, and the time
 
 
 class InlineLog:
-    """A recorder in the session's own process, for simulated time: `tap` takes the link's frames."""
+    """A recorder in the session's process, for simulated time: `tap` takes the link's frames."""
 
     def __init__(self, recorder: Recorder) -> None:
         self._recorder, self._frames = recorder, list[Frame]()
@@ -40,11 +40,11 @@ class InlineLog:
         self._frames.append(frame)
 
     def event(self, stamp_ns: int, kind: str, text: str) -> None:
-        """Note what happened."""
+        """Record an event."""
         self._recorder.event(stamp_ns, kind, text)
 
     def poll(self, stamp_ns: int) -> Status | None:
-        """Write what came; a status every half second."""
+        """Write the frames; returns a status every half second."""
         if self._frames and stamp_ns - self._frames[0].time_ns >= BLOCK_S * 1e9:
             self._write()
         status = self._recorder.tick(stamp_ns, 0)
@@ -53,10 +53,10 @@ class InlineLog:
         return status
 
     def alive(self) -> None:
-        """There is no second stop: drives in simulated time are simulated."""
+        """Does nothing: simulated drives need no second stop."""
 
     def ended(self) -> None:
-        """As `alive`."""
+        """Does nothing, as `alive`."""
 
     def finish(self, stamp_ns: int) -> RecordedSummary:
         """End the recording."""
@@ -65,7 +65,7 @@ class InlineLog:
         return self._recorder.finish(stamp_ns)
 
     def close(self) -> None:
-        """End the file as it is."""
+        """Close the file as it is."""
         self._recorder.close()
 
     def _write(self) -> None:
@@ -74,23 +74,23 @@ class InlineLog:
 
 
 class ProcessLog:
-    """A recorder in a process of its own. In the role `FED` the session's link must be tapped by `tap`; no other link may be.
+    """A recorder in a separate process. In the role `FED`, and only then, the session's link calls `tap`.
 
     Raises `AcquisitionError` where the process cannot open the bus or the file.
     """
 
     def __init__(self, path: Path, robot: Robot, place: str, role: Role, offset_ns: int | None = None) -> None:
-        """`offset_ns`: what the session's clock, of its events, is ahead of the monotonic one."""
+        """`offset_ns`: the session's clock, used for its events, minus the monotonic clock."""
         context = multiprocessing.get_context("spawn")
         self._connection, other = context.Pipe()
-        watched, signs = context.Pipe() if role is Role.GUARD else (None, None)
-        self._signs = None if signs is None else WatchdogPipe(signs)
+        watched, watching = context.Pipe() if role is Role.GUARD else (None, None)
+        self._watchdog_pipe = None if watching is None else WatchdogPipe(watching)
         self._frames: list[Frame] = []
         self.on_status: OnStatus = lambda status, stamp_ns: None
         arguments = (other, path.absolute(), dict(robot.files), place, role, watched)
         self._process = context.Process(target=run, args=arguments, name="recorder", daemon=True)
-        # Blocked while it starts: a Ctrl-C of the whole group must not meet it before it ignores them.
-        resource_tracker.ensure_running()  # it would unblock them on its own first start
+        # Signals are blocked while the process starts: a Ctrl-C of the whole group must not end it before it ignores them.
+        resource_tracker.ensure_running()  # its first start would unblock the signals
         before = signal.pthread_sigmask(signal.SIG_BLOCK, STOPPING)
         try:
             self._process.start()
@@ -101,7 +101,7 @@ class ProcessLog:
             watched.close()
         if offset_ns is not None:
             self._send(("clock", offset_ns))
-        self._expect("ready", START_S)
+        self._expect("ready", MAX_START_S)
         self._heard_s, self._hangs = time.monotonic(), False
 
     @property
@@ -114,30 +114,30 @@ class ProcessLog:
         self._frames.append(frame)
 
     def event(self, stamp_ns: int, kind: str, text: str) -> None:
-        """Note what happened."""
+        """Record an event."""
         self._send(("event", stamp_ns, kind, text))
 
     def granted(self, counters: dict[str, float]) -> None:
-        """What the session's process was granted, for `/health`."""
+        """Record the scheduling granted to the session's process, in `/health`."""
         self._send(("granted", counters))
 
     def alive(self) -> None:
-        """Show the second stop that the session is running: only from code whose progress shows it, never from a thread."""
-        if self._signs is not None:
-            self._signs.alive()
+        """Send a sign of life to the second stop: only from code whose progress shows that the session runs, never a thread."""
+        if self._watchdog_pipe is not None:
+            self._watchdog_pipe.alive()
 
     def ended(self) -> None:
         """Disarm the second stop."""
-        if self._signs is not None:
-            self._signs.ended()
+        if self._watchdog_pipe is not None:
+            self._watchdog_pipe.ended()
 
     def poll(self, stamp_ns: int) -> Status | None:
-        """Latest status, None when there is none. To be called at every SYNC, by the SYNC loop: it is a sign of life too.
+        """Latest status, None if there is no new one. Called at every SYNC by the SYNC loop, as a sign of life.
 
         Raises `AcquisitionError` when the recorder has ended, hangs, or stops the drives.
         """
         self.alive()
-        if self._signs is not None and (reason := self._signs.stopped()):
+        if self._watchdog_pipe is not None and (reason := self._watchdog_pipe.stopped()):
             raise AcquisitionError(reason)
         if self._frames and stamp_ns - self._frames[0].time_ns >= BLOCK_S * 1e9:
             self._hand_over()
@@ -153,7 +153,7 @@ class ProcessLog:
         if status is not None:
             self._heard_s = time.monotonic()
         silent_s = time.monotonic() - self._heard_s
-        self._hangs = silent_s > SILENT_S
+        self._hangs = silent_s > MAX_SILENT_S
         if self._hangs:
             raise AcquisitionError(f"no status from the recorder for {silent_s:.1f} s", expected="one every 0.5 s")
         if status is not None:
@@ -166,15 +166,15 @@ class ProcessLog:
         if self._frames:
             self._hand_over()
         self._send(("stop", stamp_ns))
-        found = self._expect("done", HUNG_FINISH_S if self._hangs else FINISH_S)
+        found = self._expect("done", MAX_HUNG_FINISH_S if self._hangs else MAX_FINISH_S)
         self._process.join(5)
         assert isinstance(found, RecordedSummary)
         return found
 
     def close(self) -> None:
-        """Disconnect from the process, which then ends its file."""
-        if self._signs is not None:
-            self._signs.close()
+        """Disconnect from the process, which then closes its file."""
+        if self._watchdog_pipe is not None:
+            self._watchdog_pipe.close()
         self._connection.close()
         self._process.join(30)
 

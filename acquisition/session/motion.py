@@ -1,8 +1,8 @@
 """Enabling and disabling of all drives together, and the conditions that must hold in between.
 
-While a drive is not enabled, its target follows the measured position. From the moment it reports operation enabled, its
-target stays at the last position before. If the target still followed, the arm could sink when the brake opens, and the
-drive's own supervision would see no following error.
+While a drive is not enabled, its target follows the measured position. Once it reports operation enabled, its target stays at
+the last position before. If the target continued to follow, the arm could sink when the brake opens, and the drive would
+detect no following error.
 """
 
 from collections.abc import Collection, Iterator
@@ -32,10 +32,10 @@ def all_enabled(master: Master) -> bool:
 
 
 def enable(master: Master, targets: list[int], in_fault: Collection[int] = ()) -> Iterator[Orders | None]:
-    """Orders of one SYNC after the other until every drive is in operation enabled; None where nothing is to be sent.
+    """Orders for each SYNC until every drive is in operation enabled; None where nothing is to be sent.
 
-    `targets`, empty, receives the target counts (n) at which the drives are held. Only the faults of the nodes `in_fault` are
-    reset: those that the operator was asked about. Raises `AcquisitionError`: another fault, or not enabled after 5 s.
+    `targets`, empty, receives the target counts (n) at which the drives are held. Only faults of the nodes `in_fault`, which
+    the operator confirmed, are reset. Raises `AcquisitionError`: another fault, or not enabled after 5 s.
     """
     for k in range(round(ENABLE_S / master.bus.file.sync_period_s)):
         watches = master.nodes
@@ -83,12 +83,12 @@ def disable(master: Master, targets: list[int]) -> Iterator[Orders]:
     raise AcquisitionError(f"not disabled after {ENABLE_S:g} s", expected="switch on disabled")
 
 
-SILENT_SYNCS = 3  # in a row that a drive may leave unanswered
+SILENT_SYNCS = 3  # in a row without an answer of a drive are a fault
 LOST_HEARTBEATS = 3
 SPEED_MARGIN = 1.2  # times the limit: the speed may overshoot while tracking
 SPEED_SYNCS = 5  # over which speed is measured
-CLEAR_SYNCS = 3  # in a row in which a bit of _OPERATING is 0
-# Bits of the statusword that are 1 in operation. Some drives never set them: only a bit that was 1 before is checked.
+CLEAR_SYNCS = 3  # in a row in which a bit of _OPERATING is 0 are a fault
+# Bits of the statusword that are 1 in operation. Some drives never set them: a bit is checked once it was 1.
 _OPERATING = {
     REMOTE: "does not take commands from the bus (statusword bit 9, remote, is 0)",
     FOLLOWS: "does not follow its target (statusword bit 12 is 0)",
@@ -97,19 +97,21 @@ _OPERATING = {
 
 @dataclass(kw_only=True)
 class MotionState:
-    """State of the motion that the guards compare with, from the start of enabling on."""
+    """State of the motion for the guards, from the start of enabling on."""
 
     enabling: bool = True  # until all drives have been enabled for `enable_watch_s`
     start: Array | None = None  # joint positions (n,) when enabling began
     measured: list[Array] = field(default_factory=list)  # joint positions of the last SYNCs, latest last
     target: Array | None = None  # target position (n,) of the drives, None where they have none
     enabled: set[int] = field(default_factory=set)  # nodes that have been enabled
-    seen: dict[int, int] = field(default_factory=dict)  # bits of the statusword set by each node while it was enabled
-    clear: dict[tuple[int, int], int] = field(default_factory=dict)  # SYNCs in a row in which a (node, bit) was 0
+    bits_seen: dict[int, int] = field(
+        default_factory=dict
+    )  # bits of the statusword set by each node while it was enabled
+    clear_syncs: dict[tuple[int, int], int] = field(default_factory=dict)  # SYNCs in a row in which a (node, bit) was 0
 
 
 def node_fault(master: Master, now_ns: int) -> AcquisitionError | None:
-    """Emergency, restart, lost heartbeat, missed answers or error of the bus: ends any active session."""
+    """The fault that ends any active session: emergency, restart, lost heartbeat, missed answers, bus error."""
     if master.bus_error is not None:
         return AcquisitionError(master.bus_error, place="bus")
     lost_ns = LOST_HEARTBEATS * master.bus.file.heartbeat_s * 1e9
@@ -133,7 +135,7 @@ def node_fault(master: Master, now_ns: int) -> AcquisitionError | None:
 
 
 def state_fault(master: Master, motion: MotionState) -> AcquisitionError | None:
-    """A drive has left operation enabled, or its statusword shows that it does not follow commands."""
+    """The fault of a drive that has left operation enabled, or does not follow commands by its statusword."""
     for watch in master.nodes:
         node, word = watch.drive.node, watch.statusword
         name = f"node {node} ({watch.drive.name})"
@@ -143,17 +145,17 @@ def state_fault(master: Master, motion: MotionState) -> AcquisitionError | None:
                 return AcquisitionError(f"{state} in motion", place=name, expected="operation enabled")
             continue
         motion.enabled.add(node)
-        motion.seen[node] = motion.seen.get(node, 0) | word
+        motion.bits_seen[node] = motion.bits_seen.get(node, 0) | word
         for bit, text in _OPERATING.items():
-            clear = motion.clear.get((node, bit), 0) + 1 if motion.seen[node] & ~word & bit else 0
-            motion.clear[node, bit] = clear
+            clear = motion.clear_syncs.get((node, bit), 0) + 1 if motion.bits_seen[node] & ~word & bit else 0
+            motion.clear_syncs[node, bit] = clear
             if clear >= CLEAR_SYNCS:
                 return AcquisitionError(f"{text} for {clear} SYNC", place=name)
     return None
 
 
 def joint_fault(master: Master, robot: Robot, motion: MotionState) -> AcquisitionError | None:
-    """Limits of position, speed, following error, and of motion while drives are enabled."""
+    """The fault of a joint: limits of position, speed, following error, and motion while drives are enabled."""
     q, file = motion.measured[-1], master.bus.file
     dq = None
     if len(motion.measured) > SPEED_SYNCS:
@@ -161,24 +163,23 @@ def joint_fault(master: Master, robot: Robot, motion: MotionState) -> Acquisitio
     for i, joint in enumerate(robot.joints):
         low, high = joint.si("position")
         if not low <= q[i] <= high:
-            return _beyond(joint, "position", q[i], joint.position_unit, f"{low:.4g} to {high:.4g}")
+            return _limit_fault(joint, "position", q[i], joint.position_unit, f"{low:.4g} to {high:.4g}")
         largest = float(np.radians(file.enable_motion_deg)) if joint.type == "revolute" else file.enable_motion_m
         if motion.enabling and motion.start is not None and abs(q[i] - motion.start[i]) > largest:
             moved = q[i] - motion.start[i]
-            return _beyond(
-                joint, "motion while drives were enabled", moved, joint.position_unit, f"{largest:.4g} at most"
-            )
+            expected = f"{largest:.4g} at most"
+            return _limit_fault(joint, "motion while drives were enabled", moved, joint.position_unit, expected)
         largest = joint.si("following_error")
         if motion.target is not None and abs(q[i] - motion.target[i]) > largest:
             error = abs(q[i] - motion.target[i])
-            return _beyond(joint, "following error", error, joint.position_unit, f"{largest:.4g} at most")
+            return _limit_fault(joint, "following error", error, joint.position_unit, f"{largest:.4g} at most")
         largest = joint.si("speed")
         if dq is not None and abs(dq[i]) > SPEED_MARGIN * largest:
-            return _beyond(joint, "speed", abs(dq[i]), f"{joint.position_unit}/s", f"{largest:.4g} at most")
+            return _limit_fault(joint, "speed", abs(dq[i]), f"{joint.position_unit}/s", f"{largest:.4g} at most")
     return None
 
 
-def _beyond(joint: Joint, key: str, value: float, unit: str, expected: str) -> AcquisitionError:
+def _limit_fault(joint: Joint, key: str, value: float, unit: str, expected: str) -> AcquisitionError:
     return AcquisitionError(
         place=joint.name, key=key, value=float(value), shown=f"{value:.4g} {unit}", expected=expected
     )

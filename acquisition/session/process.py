@@ -1,7 +1,7 @@
 """The recorder's process: it receives, appends and writes, and stops the drives of a session that dies or hangs in motion.
 
-The session sends a sign of life through a pipe at every SYNC, from its SYNC loop alone. The first one arms; only a session
-that has ended in order disarms. When the pipe ends or stays silent, the bus is opened for sending and `stop_drives` runs.
+Only the session's SYNC loop sends signs of life, through a pipe at every SYNC. The first one arms the watchdog; only a session
+that ends in order disarms it. When the pipe ends or a sign is missing, the bus is opened for sending and `stop_drives` runs.
 """
 
 import os
@@ -30,7 +30,7 @@ from .recorder import RecordedSummary, Recorder
 BLOCK_S = 0.1
 STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)  # handled by the session's process
 SILENT_S = 0.3
-SILENT_PERIODS = 3  # of SYNC, where they are longer
+SILENT_PERIODS = 3  # of SYNC, if longer than SILENT_S
 ALIVE, ENDED = b"\1", b"\0"
 
 
@@ -40,54 +40,54 @@ def silence_s(file: BusFile) -> float:
 
 
 class WatchdogPipe:
-    """The session's end of the pipe. It never waits: a recorder that hangs must not hold up SYNC."""
+    """The session's end of the pipe. It never blocks: a recorder that hangs must not delay SYNC."""
 
     def __init__(self, connection: Connection) -> None:
         self._connection, self._sign = connection, ALIVE
         os.set_blocking(connection.fileno(), False)
 
     def alive(self) -> None:
-        """The session goes on; after `ended` it can only repeat that."""
-        with suppress(OSError):  # full, or nobody reads: the recorder's status tells that
+        """Send a sign of life; after `ended`, the end instead."""
+        with suppress(OSError):  # full, or nobody reads: the missing status of the recorder shows it
             os.write(self._connection.fileno(), self._sign)
 
     def ended(self) -> None:
-        """Nothing is left to stop: every drive has confirmed, or the session has ended and has reported the others."""
+        """Disarm: every drive has confirmed, or the session has ended and reported the others."""
         self._sign = ENDED
         self.alive()
 
     def stopped(self) -> str:
-        """Why the second stop acts, empty while it does not. Known before its first frame can be received."""
+        """Reason for which the second stop acts, empty if it does not. Set before its first frame can be received."""
         with suppress(OSError):  # nothing to read
             return os.read(self._connection.fileno(), 4096).decode()
         return ""
 
     def close(self) -> None:
-        """Let go of the pipe: without `ended` before, that is taken for the death of the session."""
+        """Close the pipe; without `ended()` this counts as the session's death."""
         self._connection.close()
 
 
-class DeadMan:
-    """The recorder's end: a thread that waits for signs of life, and acts when they stop."""
+class Watchdog:
+    """The recorder's end of the pipe: a thread that waits for signs of life, and stops the drives when they stop."""
 
     def __init__(self, connection: Connection, bus: Bus) -> None:
         self._connection, self._bus = connection, bus
         self.events = deque[tuple[int, str, str]]()  # stamp, kind and text for the recording
-        self.reason: str | None = None  # why it acted
+        self.reason: str | None = None  # for which it stopped the drives
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
 
     @property
     def waiting(self) -> bool:
-        """Whether it may still act, or is acting."""
+        """Whether it may still stop the drives, or is stopping them."""
         return self._thread.is_alive()
 
     def _run(self) -> None:
-        if (reason := self._why()) is not None:
-            self._act(reason)
+        if (reason := self._wait_for_failure()) is not None:
+            self._stop_drives(reason)
 
-    def _why(self) -> str | None:
-        """Wait until the session is gone or hangs; None where it has ended in order."""
+    def _wait_for_failure(self) -> str | None:
+        """Wait until the session's process has ended or hangs; None where it has ended in order."""
         armed, longest_s = False, silence_s(self._bus.file)
         while True:
             ready, _, _ = select.select([self._connection], [], [], longest_s if armed else None)
@@ -101,9 +101,9 @@ class DeadMan:
                 return "the session's process is gone" if armed else None
             armed = signs.endswith(ALIVE)
 
-    def _act(self, reason: str) -> None:
+    def _stop_drives(self, reason: str) -> None:
         self.reason = f"{reason}: the recorder's process stopped the drives"
-        with suppress(OSError):  # before the first frame: the session must not take it for another master's
+        with suppress(OSError):  # before the first frame: the session must not attribute it to another master
             os.write(self._connection.fileno(), self.reason.encode())
         self._event("fault", self.reason)
         unconfirmed = [drive.node for drive in self._bus.drives]
@@ -123,10 +123,10 @@ class DeadMan:
 
 
 class Role(Enum):
-    """What the recorder's process does in a session; all but `LISTENER` in one whose master is ours.
+    """The task of the recorder's process; in all but `LISTENER` the session is the master.
 
-    `LISTENER` and `OBSERVER` open the bus and only receive. `GUARD` does so too, and stops the drives when the session dies
-    or hangs. `FED` is handed the frames, where the interface can be opened once only.
+    `LISTENER` and `OBSERVER` open the bus and only receive. `GUARD` also stops the drives when the session dies or hangs. `FED`
+    gets the frames from the session, if the interface can be opened only once.
     """
 
     LISTENER = "passive"
@@ -138,23 +138,23 @@ class Role(Enum):
 def run(
     connection: Connection, path: Path, files: Mapping[str, bytes], place: str, role: Role, watched: Connection | None
 ) -> None:
-    """The recorder's process. Signals such as Ctrl-C are ignored here; the session ends it, or its death does."""
-    for number in (*STOPPING, signal.SIGTSTP):  # Ctrl-Z halts the session: its dead man must go on
+    """The recorder's process. It ignores signals such as Ctrl-C, and ends on request or when the session has died."""
+    for number in (*STOPPING, signal.SIGTSTP):  # Ctrl-Z halts the session: its watchdog must still run
         signal.signal(number, signal.SIG_IGN)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, STOPPING)
     bus = None
     try:
         robot = robot_from_files(files, place)
         assert robot.bus is not None
-        # What records never sends; a dead man opens the bus once more, when it has to.
+        # The recorder never sends; the watchdog opens the bus again if it must stop the drives.
         bus = None if role is Role.FED else open_bus(robot.bus, passive=True)
         source = "CAN, passive" if role is Role.LISTENER else "CAN, active"
         recorder = Recorder(path, robot, source=source, place=place)
         receiver = None if bus is None else Receiver(bus)
         try:
             ours = np.zeros(0, np.int64) if role is Role.LISTENER else _master_ids(robot, place)
-            dead_man = None if watched is None else DeadMan(watched, resolve(robot, place))
-            done = _record(connection, recorder, receiver, ours, dead_man)
+            watchdog = None if watched is None else Watchdog(watched, resolve(robot, place))
+            done = _record(connection, recorder, receiver, ours, watchdog)
         finally:
             recorder.close()
         if done is not None:
@@ -171,22 +171,22 @@ def run(
 
 
 def _master_ids(robot: Robot, place: str) -> Ints:
-    """Identifiers that only the master sends: in an active session these frames are ours."""
+    """Identifiers of frames that only the master sends, which in an active session is this program."""
     bus = resolve(robot, place)
     ids = [HEARTBEAT + bus.file.master_node] + [bus.file.sync_can_id] * (bus.file.sync_producer == "recorder")
     return np.array([*ids, *command_ids(bus)])
 
 
 def _record(
-    connection: Connection, recorder: Recorder, receiver: Receiver | None, ours: Ints, dead_man: DeadMan | None
+    connection: Connection, recorder: Recorder, receiver: Receiver | None, ours: Ints, watchdog: Watchdog | None
 ) -> RecordedSummary | None:
-    """Record until the session asks to stop, or has died and its drives are stopped."""
+    """Record until the session requests the end, or has died and its drives are stopped."""
     thread = threading.Thread(target=receiver.run, daemon=True) if receiver is not None else None
     if thread is not None:
         thread.start()
     connection.send(("ready", None))
     stop_ns, gone = None, False
-    clock = WallClock()  # until the session's is known
+    clock = WallClock()  # until the session's clock is known
     while stop_ns is None:
         try:
             if connection.poll(BLOCK_S):
@@ -198,7 +198,7 @@ def _record(
                 elif message[0] == "frames":
                     block = np.frombuffer(message[1], FRAME).copy()
                     _note_step(recorder, clock)
-                    received = (block["flags"] & SENT) == 0  # what the session sends has the session's own time
+                    received = (block["flags"] & SENT) == 0  # frames sent have the session's time already
                     block["time_ns"][received] = clock.continued(block["time_ns"][received])
                     recorder.add(block)
                 elif message[0] == "granted":
@@ -209,13 +209,13 @@ def _record(
             if not gone:
                 recorder.event(clock.now_ns(), "fault", "the session's process is gone")
             gone = True
-            if dead_man is None or not dead_man.waiting:
+            if watchdog is None or not watchdog.waiting:
                 stop_ns = clock.now_ns()
             else:
                 time.sleep(BLOCK_S / 5)  # the pipe of a session that is gone is always ready
-        if dead_man is not None:
-            while dead_man.events:
-                stamp_ns, kind, text = dead_man.events.popleft()
+        if watchdog is not None:
+            while watchdog.events:
+                stamp_ns, kind, text = watchdog.events.popleft()
                 recorder.event(stamp_ns - clock.shift_ns, kind, text)
         if receiver is not None:
             if stop_ns is not None:
@@ -225,7 +225,7 @@ def _record(
             block = receiver.take()
             _note_step(recorder, clock)
             block["time_ns"] = clock.continued(block["time_ns"])
-            # The kernel marks what any program of this machine sent; here it counts who we are.
+            # The kernel marks frames sent by any program of this machine; SENT means sent by this session.
             by_us = np.where(np.isin(block["can_id"], ours), SENT, 0)
             block["flags"] = (block["flags"] & (0xFF ^ SENT)) | by_us
             recorder.add(block)
@@ -242,6 +242,6 @@ def _record(
 
 
 def _note_step(recorder: Recorder, clock: WallClock) -> None:
-    """Record that the computer's clock was set, after frames were taken: those before and after it are there."""
+    """Record that the computer's clock was set; called after frames from before and after the step were taken."""
     if step_ns := clock.step_ns():
         recorder.event(clock.now_ns(), "mark", f"{describe_step(step_ns)}: times go on as if it had not been")

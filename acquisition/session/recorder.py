@@ -1,4 +1,4 @@
-"""Frames of a session into a recording: flushed every half second, watched over, decoded at the end."""
+"""Writes the frames of a session: flushed every half second, with status and counters, decoded at the end."""
 
 import shutil
 from contextlib import suppress
@@ -12,28 +12,28 @@ from ..recording import FRAME, NO_SAMPLES, Block, Header, RecordingWriter, decod
 from ..robot import Bus, Robot, resolve
 
 FLUSH_S = 0.5
-SMALLEST_FREE_BYTES = 100 * 2**20  # with less left on the disk the session ends
+MIN_FREE_BYTES = 100 * 2**20  # with less free space on the disk the session ends
 
 
 @dataclass(frozen=True, kw_only=True)
 class Status:
-    """The recorder half second by half second."""
+    """State of the recorder, every half second."""
 
     frames: int = 0  # in all
     rate_hz: float = 0.0  # of frames, in the last half second
     drops: int = 0  # frames that the kernel dropped
-    late: int = 0  # PDOs in all, as the next three
+    late: int = 0  # number of PDOs so far, as the next three
     missing: int = 0
     duplicate: int = 0
     short: int = 0
     lowest: tuple[float, ...] = ()  # position of each joint so far, rad or m; empty before the first sample
     highest: tuple[float, ...] = ()
-    disk_full: bool = False  # less than the least free space is left
+    disk_full: bool = False  # less than `MIN_FREE_BYTES` is free
 
 
 @dataclass(frozen=True, kw_only=True)
 class RecordedSummary:
-    """What a session left: samples, or why there are none, and what a user should look at."""
+    """Result of a recording: number of samples, or why there are none, and warnings."""
 
     frames: int
     samples: int
@@ -42,13 +42,13 @@ class RecordedSummary:
 
 
 class Recorder:
-    """Writes the recording `path`; what is flushed survives a kill. Raises `AcquisitionError` where it exists or fails."""
+    """Writes the recording `path`; flushed data survives a kill. Raises `AcquisitionError` if it exists or writing fails."""
 
     def __init__(self, path: Path, robot: Robot, *, source: str, place: str) -> None:
         assert robot.bus is not None
         self._path, self._robot, self._place = path, robot, place
-        by_traffic = any(drive.mapping == "traffic" for drive in robot.bus.drive)
-        self._bus: Bus | None = None if by_traffic else resolve(robot, place)
+        mapped_by_traffic = any(drive.mapping == "traffic" for drive in robot.bus.drive)
+        self._bus: Bus | None = None if mapped_by_traffic else resolve(robot, place)
         file = robot.bus
         if path.exists():
             expected = "a new name; recordings are not replaced"
@@ -74,23 +74,23 @@ class Recorder:
         self.channel = "".join(c if c.isalnum() or c in "_.-" else "_" for c in file.channel)[:64] or "can"
         self._recent: list[Block] = []  # since the last status
         self._status = Status()
-        self.granted: dict[str, float] = {}  # counters of what does not change, for every line of `/health`
+        self.granted: dict[str, float] = {}  # constant counters, for every line of `/health`
         self._flushed_ns: int | None = None
 
     def add(self, block: Block) -> None:
-        """Frames in the order in which they were received."""
+        """Write frames in the order of reception."""
         if len(block):
             self._writer.frames(self.channel, block)
             self._recent.append(block)
 
     def event(self, stamp_ns: int, kind: str, text: str) -> None:
-        """Something that happened; on the disk at once when it is no mere phase."""
+        """Write an event, and flush unless it is a phase."""
         self._writer.event(stamp_ns, kind, text)
         if kind != "phase":
             self._writer.flush()
 
     def tick(self, stamp_ns: int, drops: int, *, now: bool = False) -> Status | None:
-        """Flush and return a status every half second; None in between."""
+        """Flush and return a status every half second, else None."""
         if self._flushed_ns is None:
             self._flushed_ns = stamp_ns
         elapsed_s = (stamp_ns - self._flushed_ns) * 1e-9
@@ -98,36 +98,36 @@ class Recorder:
             return None
         recent = np.concatenate(self._recent) if self._recent else np.zeros(0, FRAME)
         self._recent = []
-        self._status = status = self._summed_up(recent, elapsed_s, drops)
+        self._status = status = self._next_status(recent, elapsed_s, drops)
         counters = {"frames": status.frames, "kernel_drops": drops, "late": status.late, "missing": status.missing}
         self._writer.health(stamp_ns, self.granted | counters | {"duplicate": status.duplicate, "short": status.short})
         self._writer.flush()
         self._flushed_ns = stamp_ns
         return status
 
-    def _summed_up(self, recent: Block, elapsed_s: float, drops: int) -> Status:
-        was = self._status
-        low, high, counted = was.lowest, was.highest, dict.fromkeys(("late", "missing", "duplicate", "short"), 0)
+    def _next_status(self, recent: Block, elapsed_s: float, drops: int) -> Status:
+        last = self._status
+        low, high, counted = last.lowest, last.highest, dict.fromkeys(("late", "missing", "duplicate", "short"), 0)
         with suppress(AcquisitionError):  # while there is no SYNC, or no drive answers
             if self._bus is None:
                 self._bus = resolve(self._robot, self._place, written_by_master(recent))
             decoded = decode(recent, self._robot, self._bus, self._place, max_missing=1.0)
             q = decoded.samples["position"]
-            low = tuple(np.minimum(q.min(axis=0), was.lowest or np.inf).tolist())
-            high = tuple(np.maximum(q.max(axis=0), was.highest or -np.inf).tolist())
+            low = tuple(np.minimum(q.min(axis=0), last.lowest or np.inf).tolist())
+            high = tuple(np.maximum(q.max(axis=0), last.highest or -np.inf).tolist())
             counted = {word: sum(getattr(p, word) for p in decoded.pdos) for word in counted}
         return Status(
-            frames=was.frames + len(recent),
+            frames=last.frames + len(recent),
             rate_hz=len(recent) / max(elapsed_s, 1e-3),
             drops=drops,
             lowest=low,
             highest=high,
-            disk_full=shutil.disk_usage(self._path.parent).free < SMALLEST_FREE_BYTES,
-            **{word: getattr(was, word) + count for word, count in counted.items()},
+            disk_full=shutil.disk_usage(self._path.parent).free < MIN_FREE_BYTES,
+            **{word: getattr(last, word) + count for word, count in counted.items()},
         )
 
     def finish(self, stamp_ns: int) -> RecordedSummary:
-        """Decode what was recorded, write the samples after the frames, and end the file."""
+        """Decode the recorded frames, write the samples after them, and close the file."""
         self._writer.flush()
         frames = read_recording(self._path).frames.get(self.channel, np.zeros(0, FRAME))
         found = write_decoded(self._writer, frames, self._robot, stamp_ns, str(self._path))
@@ -135,7 +135,7 @@ class Recorder:
         return found
 
     def close(self) -> None:
-        """End the file as it is."""
+        """Close the file as it is."""
         self._writer.close()
 
 

@@ -1,4 +1,4 @@
-"""Sessions as the commands run them: recording, with link, recorder and status, and replaying."""
+"""Sessions of the commands `record` (link, recorder, status) and `replay`."""
 
 import signal
 import time
@@ -33,7 +33,7 @@ from .logs import InlineLog, ProcessLog
 from .process import STOPPING, Role
 from .recorder import RecordedSummary, Recorder, Status
 from .session import Outcome, Stop, Task, run_active
-from .timing import refuse_jitter, steady
+from .timing import real_time_scheduling, refuse_jitter
 
 STOPPED = "stopped by"
 ShowStatus = Callable[[Status, float | None], None]  # status of the recorder, seconds left
@@ -41,9 +41,9 @@ ShowStatus = Callable[[Status, float | None], None]  # status of the recorder, s
 
 @dataclass(frozen=True, kw_only=True)
 class UserInterface:
-    """Whoever runs a session: how they stop it, what they are shown and asked. By default nothing moves.
+    """How a session is stopped, shows its state and asks its operator. By default nothing moves.
 
-    `confirm` shows the joint positions, and drives in fault, before motion; True where the operator confirms them.
+    `confirm` shows the joint positions and the drives in fault before motion, and returns True if the operator confirms them.
     """
 
     stop: Stop = field(default_factory=Stop)
@@ -58,25 +58,25 @@ def record(
     """Record until the task is done or the operator's `stop` has a reason. The robot moves only with `options.track`.
 
     `robot` has a `[bus]` section; `place` names it in errors. `out` is the recording to write; an existing file is never
-    replaced. Errors of a running session are found in the outcome that is returned; those of the options, the description, the
-    bus or the file are raised as `AcquisitionError` before it runs.
+    replaced. Errors of a running session are in the returned outcome; those of options, description, bus or file are raised as
+    `AcquisitionError` before it runs.
     """
     if robot.bus is None:
         expected = "a [bus] section with one drive per motor"
         raise AcquisitionError(place=place, key="bus", value=None, expected=expected)
-    by_traffic = any(drive.mapping == "traffic" for drive in robot.bus.drive)
+    mapped_by_traffic = any(drive.mapping == "traffic" for drive in robot.bus.drive)
     if options.passive and (options.track is not None or options.dry_run):
-        raise AcquisitionError("sends nothing", place="--passive", expected="it without --track and --dry-run")
-    if by_traffic and not options.passive:
+        raise AcquisitionError("sends nothing", place="--passive", expected="no --track and no --dry-run")
+    if mapped_by_traffic and not options.passive:
         expected = "'table' or 'dictionary' in an active session"
         raise AcquisitionError(place=place, key="mapping", value="traffic", expected=expected)
     task = _task_of(robot, robot.bus.sync_period_s, options, operator)
-    bus = None if by_traffic else resolve(robot, place)  # refuses what it can before anything is opened
+    bus = None if mapped_by_traffic else resolve(robot, place)  # before anything is opened
     if bus is None or options.passive:
         return _listen(robot, place, out, task, operator)
     refuse_load(bus, place)
-    with _simulated(bus, robot, out, place) if options.dry_run else _on_bus(bus, robot, out, place, options) as ends:
-        link, log = ends
+    opened = _simulated(bus, robot, out, place) if options.dry_run else _on_bus(bus, robot, out, place, options)
+    with opened as (link, log):
         started_ns = link.now_ns()
         whole_s = task.duration_s if task.reference is None else len(task.reference) * bus.file.sync_period_s
 
@@ -85,7 +85,9 @@ def record(
             operator.show(status, left_s)
 
         log.on_status = show
-        with steady() if isinstance(log, ProcessLog) else nullcontext() as granted:  # after the recorder has started
+        with (
+            real_time_scheduling() if isinstance(log, ProcessLog) else nullcontext() as granted
+        ):  # after the recorder has started
             if granted is not None and isinstance(log, ProcessLog):
                 log.event(link.now_ns(), "mark", f"SYNC loop: {granted.words}")
                 log.granted(granted.counters)
@@ -97,11 +99,13 @@ def record(
 
 
 def _task_of(robot: Robot, period_s: float, options: RecordOptions, operator: UserInterface) -> Task:
-    """The task that the options ask for. Raises `AcquisitionError` for options that contradict each other."""
+    """The task in the options. Raises `AcquisitionError` for options that contradict each other."""
     if options.track is not None and options.duration_s is not None:
-        raise AcquisitionError("lasts as long as its reference", place="--track", expected="it without --duration")
+        raise AcquisitionError("lasts as long as its reference", place="--track", expected="no --duration")
     if options.track is None and options.speed != 1.0:
-        raise AcquisitionError("is that of a reference", key="--speed", value=options.speed, expected="it with --track")
+        raise AcquisitionError(
+            "applies to a reference only", key="--speed", value=options.speed, expected="--track with it"
+        )
     if not 0 < options.speed <= 1:
         raise AcquisitionError(key="--speed", value=options.speed, expected="more than 0, and 1 at most")
     if options.track is None:
@@ -115,8 +119,8 @@ def _task_of(robot: Robot, period_s: float, options: RecordOptions, operator: Us
 
 
 @contextmanager
-def _simulated(bus: Bus, robot: Robot, out: Path, place: str) -> Iterator[tuple[Link, InlineLog]]:
-    """Link to simulated drives in simulated time, and the log of its frames."""
+def _simulated(bus: Bus, robot: Robot, out: Path, place: str) -> Iterator[tuple[LockStepLink, InlineLog]]:
+    """Link to simulated drives in simulated time, and its log."""
     mechanism = driven_plant(robot, bus)
     described = describe_loops(robot, mechanism.loops)
     log = InlineLog(Recorder(out, described, source="dry run on simulated drives", place=place))
@@ -129,7 +133,7 @@ def _simulated(bus: Bus, robot: Robot, out: Path, place: str) -> Iterator[tuple[
 
 @contextmanager
 def _on_bus(bus: Bus, robot: Robot, out: Path, place: str, options: RecordOptions) -> Iterator[tuple[Link, ProcessLog]]:
-    """Link to the drives, and the recorder in its own process. The link is first: without a bus no file is written."""
+    """Link to the drives, and the recorder in a separate process. The link comes first: without a bus no file is written."""
     shared = bus.file.interface in SHARED
     with closing(open_link(bus.file, passive=False, tap=None if shared else lambda frame: log.tap(frame))) as link:
         role = Role.FED if not shared else Role.OBSERVER if options.track is None else Role.GUARD
@@ -156,7 +160,7 @@ def _before_motion(robot: Robot, master: Master, options: RecordOptions, confirm
 def _listen(
     robot: Robot, place: str, out: Path, task: Task, operator: UserInterface
 ) -> tuple[Outcome, RecordedSummary]:
-    """Record the frames of the bus. No link is opened here: that of the recorder's process cannot send."""
+    """Record the frames of the bus. Only the recorder's process opens it, and cannot send."""
     stop, clock = operator.stop, WallClock()
     log = ProcessLog(out, robot, place, Role.LISTENER, clock.now_ns() - time.monotonic_ns())
     try:
@@ -193,7 +197,7 @@ def stop_on_signals(stop: Stop) -> Iterator[None]:
         stop.at_once |= number == signal.SIGINT and stop.reason.startswith(STOPPED)
         stop.reason = stop.reason or f"{STOPPED} {signal.Signals(number).name}"
 
-    # SIGHUP that is ignored already stays ignored (`nohup`). SIGINT is handled also in background jobs, where shells ignore it.
+    # An ignored SIGHUP stays ignored (`nohup`). SIGINT is handled also in background jobs, where shells ignore it.
     numbers = [n for n in STOPPING if n != signal.SIGHUP or signal.getsignal(n) is not signal.SIG_IGN]
     before = {number: signal.signal(number, asked) for number in numbers}
     try:
@@ -209,11 +213,11 @@ WITHOUT_HARDWARE = ("virtual", "udp_multicast")  # the second: UDP on this compu
 def replay(path: Path, file: BusFile, stop: Stop, *, speed: float = 1.0, onto_bus: bool = False) -> int:
     """Send the frames that the drives of a recording sent, and its SYNCs, in their order and with their timing.
 
-    Commands are never sent. `file` is the bus to send on, `speed` is in times of the recorded one, and `onto_bus` allows
-    interfaces that hardware may be connected to. Returns the number of frames sent.
+    Commands are never sent. `file` is the bus to send on, `speed` a factor on the recorded speed, and `onto_bus` allows
+    interfaces with hardware. Returns the number of frames sent.
 
     Raises `AcquisitionError`: `speed` or the interface is refused, the recording holds no frames of drives, a frame of another
-    node is received before or between those that are sent, or the bus takes no frames.
+    node is received before or between the frames sent, or the bus accepts no frames.
     """
     if not speed > 0:
         raise AcquisitionError(key="--speed", value=speed, expected="more than 0")
@@ -230,13 +234,13 @@ def replay(path: Path, file: BusFile, stop: Stop, *, speed: float = 1.0, onto_bu
     count, sync_can_id = 0, recording.robot.bus.sync_can_id
 
     def listen_until(until_s: float) -> None:
-        """Wait; an error at the first frame that is not our own."""
+        """Wait. Raises `AcquisitionError` at the first frame that is not our own."""
         while not stop.reason:
             left_s = until_s - time.monotonic()
             frame = link.take(min(max(left_s, 0.0), 0.1))
             if frame is not None and not frame.flags & ERROR:
                 place, sent = f"{file.interface} {file.channel}", f"{count} frames were" if count else "nothing was"
-                problem, expected = f"{service_of(frame, sync_can_id)} is heard", f"a silent bus; {sent} sent"
+                problem, expected = f"{service_of(frame, sync_can_id)} received", f"an idle bus; {sent} sent"
                 raise AcquisitionError(problem, place=place, expected=expected)
             if left_s <= 0:
                 return

@@ -36,7 +36,7 @@ HOLD_S = 0.3  # the drives hold their position at the end of motion, before they
 
 @dataclass(kw_only=True)
 class Stop:
-    """Ends a session when `reason` is set from outside (Ctrl-C, SIGTERM); `at_once`: by a quick stop."""
+    """Ends a session when `reason` is set (Ctrl-C, SIGTERM); with `at_once` by a quick stop."""
 
     reason: str = ""
     at_once: bool = False
@@ -46,13 +46,13 @@ class Stop:
 class Task:
     """The task of a session: to record for a time, or to follow a reference; without one nothing moves.
 
-    `before_motion` checks the drives before anything is written to them; it returns texts for the recording, and raises
-    `AcquisitionError` where nothing may move.
+    `before_motion` checks the drives before anything is written to them; it returns texts for the recording, or raises
+    `AcquisitionError` if nothing may move.
     """
 
     duration_s: float | None = None  # of a session without a reference; None: until it is stopped
     reference: Array | None = None  # joint positions (N, n), one row per SYNC, rad or m
-    place: str = "reference"  # its name in errors
+    place: str = "reference"  # name of the reference in errors
     before_motion: Callable[[Master], Iterable[str]] = lambda _: ()
 
 
@@ -80,10 +80,10 @@ def run_active(
     stop: Stop,
     announce: Callable[[Outcome], None] = lambda _: None,
 ) -> Outcome:
-    """Configure the drives, send SYNC and record; follow the task's reference if it has one, without one nothing moves.
+    """Configure the drives, send SYNC and record; follow the task's reference if it has one, else nothing moves.
 
-    `master` is over an open link that may send; `log` takes frames from the link by itself. `stop`, set from outside (Ctrl-C),
-    ends the session. `announce` is called with the outcome as soon as it is known, also when an exception follows. An
+    `master` has an open link that may send; `log` gets its frames independently. `stop`, set from outside (Ctrl-C), ends the
+    session. `announce` is called with the outcome as soon as it is known, also when an exception follows. An
     `AcquisitionError` that ended the session is not raised: it is the `error` of the outcome. Any other exception is raised
     after the drives were disabled.
     """
@@ -106,8 +106,8 @@ def run_active(
         unconfirmed = session.make_safe()
         outcome = Outcome(reason=reason, fault=fault, error=failure, unconfirmed=tuple(unconfirmed))
         if unconfirmed:
-            announce(outcome)  # at once: the requests that follow take time
-            master.while_awaiting = log.alive  # the second stop stays armed, and must not take that time for a death
+            announce(outcome)  # now: the requests that follow take time
+            master.while_awaiting = log.alive  # the second stop stays armed, and must not act in that time
         else:
             log.ended()
         if session.addressed:
@@ -125,7 +125,7 @@ def run_active(
 
 
 class _Session:
-    """One run. Phases are generators: they yield the orders of one SYNC after the other, and `_run` carries them out."""
+    """One run. Phases are generators: they yield the orders of each SYNC, and `_run` sends them."""
 
     def __init__(self, robot: Robot, master: Master, log: SessionLog, task: Task, stop: Stop) -> None:
         self._robot, self._master, self._log, self._task, self._stop = robot, master, log, task, stop
@@ -143,7 +143,7 @@ class _Session:
         self.addressed = False  # whether anything was commanded or written to the drives
 
     def prepare(self) -> None:
-        """Check all that can be checked, configure the drives, start them. Raises `AcquisitionError` where a check fails."""
+        """Check, configure and start the drives. Raises `AcquisitionError` where a check fails."""
         if self._task.reference is not None:
             check_limits(self._task.reference, self._robot, self._period_s, self._task.place)
             refuse_out_of_range(self._task.reference, self._robot, self._bus, self._task.place)
@@ -202,7 +202,7 @@ class _Session:
         self._run("disable", self._disable())
 
     def _run(self, name: str, orders: Iterator[Orders | None]) -> None:
-        """Carry out a phase: send the orders of each SYNC, which apply from that SYNC on, then SYNC, answers and guards."""
+        """Run a phase: for each SYNC its orders, which apply from that SYNC on, then SYNC, answers and guards."""
         self._log.event(max(self._pace.next_ns, self._link.now_ns()), "phase", name)
         for order in orders:
             if order is not None:
@@ -218,7 +218,7 @@ class _Session:
         self._pace.sync(in_motion=in_motion)
         now_ns = self._link.now_ns()
         if self._master.signs or self._master.bus_error:
-            self._log.poll(now_ns)  # raises where the second stop sent those frames: it is no other master
+            self._log.poll(now_ns)  # raises if the second stop sent those frames: it is not another master
         error = node_fault(self._master, now_ns) or self._other_master(in_motion)
         if error is None and motion is not None:
             q = self._positions()
@@ -240,7 +240,7 @@ class _Session:
             self._stop.reason = "disk nearly full"
 
     def _other_master(self, in_motion: bool) -> AcquisitionError | None:
-        """The fault where another master commands our drives in motion; all else that shows one is a warning, once each."""
+        """The fault if another master commands our drives in motion; any other sign of one is a warning, once each."""
         signs, self._master.signs = self._master.signs, {}
         for sign, commands in signs.items():
             error = AcquisitionError(f"{sign}: another master is active", place="bus", expected="none in motion")
@@ -250,7 +250,7 @@ class _Session:
         return None
 
     def _positions(self) -> Array | None:
-        """Measured joint positions (n,), None until every drive has sent its own."""
+        """Measured joint positions (n,), None until every drive has sent its position."""
         counts = [watch.counts for watch in self._master.nodes if watch.counts is not None]
         return joints_of(self._robot, self._bus, counts) if len(counts) == self._robot.n else None
 
@@ -259,7 +259,7 @@ class _Session:
             yield None
 
     def _enable(self) -> Iterator[Orders | None]:
-        """All drives to operation enabled, each held at its position. The guards of motion are active from here on."""
+        """Enable all drives, each held at its position. The guards of motion are active from here on."""
         self._motion = MotionState()
         targets: list[int] = []
         for order in enable(self._master, targets, self._in_fault):
@@ -273,7 +273,7 @@ class _Session:
         self._motion.enabling = False
 
     def _follow(self, path: Array) -> Iterator[Orders]:
-        """Orders that keep drives enabled and give them the joint targets of `path` (N, n)."""
+        """Orders that keep drives enabled at the joint targets of `path` (N, n)."""
         for q in follow(path, self._robot, self._period_s, lambda: bool(self._stop.reason)):
             motor = self._robot.motor_position(q[None])[0]
             counts = [int(drive.position_codec.raw(motor[i])) for i, drive in enumerate(self._bus.drives)]
@@ -283,12 +283,12 @@ class _Session:
         yield from itertools.repeat(_enabled_at(self._held), max(3, round(HOLD_S / self._period_s)))
 
     def _disable(self) -> Iterator[Orders]:
-        """All drives to switch on disabled, without the guards of motion: drives leave operation enabled here."""
+        """Disable all drives, without the guards of motion: drives leave operation enabled here."""
         self._motion = None
         yield from disable(self._master, self._held or [watch.counts or 0 for watch in self._master.nodes])
 
     def make_safe(self) -> list[int]:
-        """Stop and disable every drive, or ask those that were not commanded; node ids of those that did not confirm."""
+        """Stop and disable every drive, or read the states if none was commanded; node ids of those that did not confirm."""
         if not self.addressed or (not self._started and self._task.reference is None):
             self.addressed = False
             return []
@@ -304,7 +304,7 @@ class _Session:
             return False
 
     def reports(self, unconfirmed: list[int]) -> list[str]:
-        """Error reports of drives in fault, one line each; drives that did not confirm are not asked."""
+        """Error reports of drives in fault, one line each, without those that did not confirm."""
         in_fault = [
             watch.drive
             for watch in self._master.nodes

@@ -1,6 +1,6 @@
-"""SYNC: when it is sent or awaited, when it is too late, its jitter, and real-time scheduling for it.
+"""SYNC: sending or waiting, lateness, jitter, and real-time scheduling.
 
-Scheduling and locked memory need permission of the system; the recording says which were granted.
+Scheduling and locked memory need permission of the system; the recording states which were granted.
 """
 
 import ctypes
@@ -18,18 +18,18 @@ from ..errors import AcquisitionError
 from ..robot import BusFile
 
 # In motion SYNC may be late by the larger of the two, unless `[bus] late_sync_s` is stated.
-LATE_PERIODS, LATE_S = 3, 0.02
-ABSENT_PERIODS = 50  # at rest, without SYNC of the other producer
-ANSWER_SHARE = 0.7  # of a period: drives must answer SYNC within it
+MAX_LATE_PERIODS, MAX_LATE_S = 3, 0.02
+MAX_ABSENT_PERIODS = 50  # at rest, without SYNC of the other producer
+MAX_ANSWER_SHARE = 0.7  # of a period, for the drives' answers to SYNC
 
 
 def largest_delay_s(file: BusFile) -> float:
     """How late SYNC may be in motion, s."""
-    return max(LATE_PERIODS * file.sync_period_s, LATE_S) if file.late_sync_s is None else file.late_sync_s
+    return max(MAX_LATE_PERIODS * file.sync_period_s, MAX_LATE_S) if file.late_sync_s is None else file.late_sync_s
 
 
 class Pace:
-    """Sends or awaits one SYNC after the other, each with the answers to it."""
+    """Sends or awaits each SYNC, then receives the answers to it."""
 
     def __init__(self, master: Master) -> None:
         file = master.bus.file
@@ -39,7 +39,7 @@ class Pace:
         self.next_ns = 0
 
     def start(self) -> None:
-        """Set the time of the first SYNC: a period from now."""
+        """Schedule the first SYNC one period from now."""
         self.next_ns = self._link.now_ns() + self._period_ns
 
     def sync(self, *, in_motion: bool) -> None:
@@ -52,17 +52,17 @@ class Pace:
             self._master.wait(self.next_ns)
             self._refuse_late(in_motion)
             if self._link.now_ns() > self.next_ns + self._period_ns:
-                self.next_ns = self._link.now_ns()  # after a delay the period starts again from here: no burst of SYNCs
+                self.next_ns = self._link.now_ns()  # after a delay the period restarts here: no burst of SYNCs
             self._master.sync()
         else:
-            patience_ns = self._latest_ns if in_motion else ABSENT_PERIODS * self._period_ns
+            patience_ns = self._latest_ns if in_motion else MAX_ABSENT_PERIODS * self._period_ns
             if not self._master.wait_for_sync(self.next_ns + patience_ns):
                 waited = f"{patience_ns / self._period_ns:.3g} periods"
                 expected = "the other producer's; or sync_producer = 'recorder'"
                 raise AcquisitionError(f"no SYNC in {waited}", place="bus", expected=expected)
             self._refuse_late(in_motion)
             self.next_ns = self._link.now_ns()
-        self._master.wait(self.next_ns + round(ANSWER_SHARE * self._period_ns), for_answers=True)
+        self._master.wait(self.next_ns + round(MAX_ANSWER_SHARE * self._period_ns), for_answers=True)
         self.next_ns += self._period_ns
 
     def _refuse_late(self, in_motion: bool) -> None:
@@ -74,13 +74,13 @@ class Pace:
 
 PRIORITY = 20  # of SCHED_FIFO, 1 to 99: above all ordinary processes, below the kernel's own threads
 MCL_CURRENT, MCL_FUTURE = 1, 2  # of mlockall(2)
-JITTER_SYNCS, FEWEST_SYNCS, JITTER_S = 200, 20, 1.0
-DEVIATIONS = 3  # of the jitter that must stay within the largest delay of SYNC
+MAX_JITTER_SYNCS, MIN_JITTER_SYNCS, MAX_JITTER_S = 200, 20, 1.0
+DEVIATIONS = 3  # standard deviations of jitter within the largest delay of SYNC
 
 
 @dataclass(frozen=True, kw_only=True)
 class Scheduling:
-    """What the system has granted to this process."""
+    """Scheduling that the system has granted to this process."""
 
     fifo: bool
     locked: bool
@@ -98,7 +98,7 @@ class Scheduling:
 
 
 @contextmanager
-def steady() -> Iterator[Scheduling]:
+def real_time_scheduling() -> Iterator[Scheduling]:
     """Real-time scheduling, locked memory, no garbage collection inside the block where permitted; yields what was granted."""
     policy, parameter = os.sched_getscheduler(0), os.sched_getparam(0)
     collected = gc.isenabled()
@@ -147,7 +147,7 @@ def sync_jitter(master: Master) -> Jitter:
     Raises `AcquisitionError` where SYNC of the other producer is absent for 50 periods.
     """
     file, period_ns, link = master.bus.file, master.bus.period_ns, master.link
-    count = min(JITTER_SYNCS, max(FEWEST_SYNCS, round(JITTER_S * 1e9 / period_ns)))
+    count = min(MAX_JITTER_SYNCS, max(MIN_JITTER_SYNCS, round(MAX_JITTER_S * 1e9 / period_ns)))
     if file.sync_producer == "recorder":
         times, begin_ns = [], link.now_ns()
         for k in range(count):
@@ -156,8 +156,10 @@ def sync_jitter(master: Master) -> Jitter:
     else:
         first = len(master.sync_times)
         for _ in range(count):
-            if not master.wait_for_sync(link.now_ns() + 50 * period_ns):
-                raise AcquisitionError("no SYNC in 50 periods", place="bus", expected="the other producer's")
+            if not master.wait_for_sync(link.now_ns() + MAX_ABSENT_PERIODS * period_ns):
+                raise AcquisitionError(
+                    f"no SYNC in {MAX_ABSENT_PERIODS} periods", place="bus", expected="the other producer's"
+                )
         times = master.sync_times[first:]
     deviation_s = np.abs(np.diff(times) - period_ns) * 1e-9
     return Jitter(
@@ -169,11 +171,11 @@ def sync_jitter(master: Master) -> Jitter:
 
 
 def refuse_jitter(master: Master) -> Jitter:
-    """The jitter of SYNC as measured. Raises `AcquisitionError` where it is too large to move a robot."""
+    """Measured jitter of SYNC. Raises `AcquisitionError` where it is too large to move a robot."""
     found = sync_jitter(master)
     if not found.fit_for_motion:
         raise AcquisitionError(
-            f"{DEVIATIONS} of it are more than {found.largest_s * 1e3:g} ms, the largest delay in motion",
+            f"{DEVIATIONS} sd exceed {found.largest_s * 1e3:g} ms, the largest delay in motion",
             place="bus",
             key="SYNC jitter sd",
             value=found.sd_s,

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..bus import Frame, Link, Tap, open_link
+from ..bus import Frame, Tap, open_link
 from ..errors import AcquisitionError
 from ..protocol import (
     HEARTBEAT,
@@ -33,17 +33,17 @@ from ..robot import Bus, Robot, axis_index
 from .mechanism import SUBSTEPS, DrivenPlant, cubic, driven_plant
 from .node import Sent, SimulatedNode, Supervision, simulated_node
 
-# Times the following errors of the joints that a motor moves: the drive's own (6065h) stops after the session's.
-WINDOW = 2
-# 605Ah: these values keep a drive in quick stop active at standstill; smaller ones lead on to switch on disabled.
+# Times the following-error limits of the joints that a motor moves: the drive (6065h) reacts after the session.
+WINDOW_FACTOR = 2
+# Values of 605Ah with which a drive stays in quick stop active at standstill; smaller ones lead to switch on disabled.
 QUICK_STOP_STAYS = range(5, 9)
 
 
 class SimulatedDrives:
     """All drives of a robot: `receive` takes a frame and returns the frames that the drives send. No I/O, no clock.
 
-    They move `mechanism` (default: `driven_plant` the description). Drives that are not `supervised` notice no lost SYNC, no
-    lost master (no 1016h, 6007h is 0), and no following error (6065h is off).
+    They move `mechanism` (default: `driven_plant` of the description). Unless `supervised`, drives do not detect a lost SYNC, a
+    lost master (no 1016h, 6007h is 0) or a following error (6065h is off).
     """
 
     def __init__(
@@ -52,10 +52,10 @@ class SimulatedDrives:
         self.nodes = [simulated_node(drive) for drive in bus.drives]
         for node, file in zip(self.nodes, bus.file.drive, strict=True):
             if file.homed is not None:
-                node.home(file.homed)
+                node.set_homed(file.homed)
         following = np.abs(robot.R) @ [joint.si("following_error") or np.inf for joint in robot.joints]
         self._supervisions = [
-            Supervision(node, WINDOW * limit * node.drive.position_codec.counts_per_unit, supervised=supervised)
+            Supervision(node, WINDOW_FACTOR * limit * node.drive.position_codec.counts_per_unit, supervised=supervised)
             for node, limit in zip(self.nodes, following, strict=True)
         ]
         mechanism = mechanism or driven_plant(robot, bus)
@@ -84,7 +84,7 @@ class SimulatedDrives:
         return [node.state for node in self.nodes]
 
     def set_heartbeats(self, every_ms: int) -> None:
-        """From their next boot on, drives whose dictionaries have a heartbeat time (1017h) of 0 send one every `every_ms`."""
+        """Set `every_ms`, from the next boot on, for drives whose dictionaries have a heartbeat time (1017h) of 0."""
         for node in self.nodes:
             if node.initial.get((HEARTBEAT_TIME, 0)) == 0:
                 node.initial[HEARTBEAT_TIME, 0] = every_ms
@@ -96,7 +96,7 @@ class SimulatedDrives:
         return sent
 
     def receive(self, now_ns: int, can_id: int, data: bytes) -> Sent:
-        """The frames that the drives send upon a frame."""
+        """The frames that the drives send in response to a frame."""
         if can_id == self.bus.file.sync_can_id:
             return self._sync(now_ns)
         if HEARTBEAT < can_id < HEARTBEAT + 0x80 and data:
@@ -151,8 +151,8 @@ class SimulatedDrives:
 
     def _move(self) -> None:
         """Step control loops and plant by one period."""
-        # A torque demand (6074h) is that of the last step: it leads the torque by the lag of the current loop. Every other
-        # effort is the mean of the torque since the SYNC before: it is half a period late.
+        # A torque demand (6074h) is that of the last step: it leads the torque by the lag of the current loop. Any other effort
+        # is the mean torque since the last SYNC: it is half a period late.
         loops, T = self._loops, self._period_s
         stopping = np.array([node.state is State.QUICK_STOP_ACTIVE for node in self.nodes])
         enabled = np.array([node.state is State.OPERATION_ENABLED for node in self.nodes]) | stopping
@@ -162,7 +162,7 @@ class SimulatedDrives:
         position, _ = self._measured()
         # A drive that was enabled at this SYNC starts from its measured position.
         start, before = np.where(self._held, position, self._target), np.where(self._held, 0.0, self._travel)
-        # Quick stop: the speed of the target falls by the ramp that 605Ah names, else at the acceleration limit.
+        # Quick stop: the target's speed falls by the ramp that 605Ah selects, else at the acceleration limit.
         stated = np.array([_ramp(node, node.values) for node in self.nodes])
         ramps = np.where(stated, stated, self._quick_stop)
         slower = np.sign(before) * np.maximum(np.abs(before) - ramps * T**2, 0.0)
@@ -191,14 +191,14 @@ class SimulatedDrives:
                 node.state = State.SWITCH_ON_DISABLED
 
     def _set_ramps(self, node: SimulatedNode, limit: float) -> None:
-        """Ramps at the acceleration limit of the motor, rad/s² or m/s², as whoever puts an arm into operation sets them."""
+        """Set the ramps to the motor's acceleration limit, rad/s² or m/s², as in the commissioning of an arm."""
         keys = [(axis_index(node.drive, index), 0) for index in (QUICK_STOP_DECELERATION, PROFILE_DECELERATION)]
         unit = _ramp(node, node.values | dict.fromkeys(keys, 1))
         for key in [key for key in keys if key in node.values and unit]:
             node.values[key] = node.initial[key] = int(saturated(np.array(limit / unit), "U32"))
 
     def _targets(self, position: Array, enabled: NDArray[np.bool_]) -> Array:
-        """Targets (n,) of the motors from 607Ah; the present position where a drive is not enabled or not in that mode."""
+        """Motor targets (n,) from 607Ah; the present position where a drive is not enabled or in another mode."""
         target = position.copy()
         for i, node in enumerate(self.nodes):
             if enabled[i] and node.values.get((MODE_DISPLAY, 0), 8) == Mode.CYCLIC_SYNCHRONOUS_POSITION:
@@ -206,7 +206,7 @@ class SimulatedDrives:
         return target
 
     def _measured(self) -> tuple[Array, Array]:
-        """Positions as the encoders measure them, and speeds, (n,) of the motors."""
+        """Measured positions and speeds, (n,) of the motors."""
         q, dq = self.plant.state()
         return self._positions.si(self._counts(q)), self._robot.motor_velocity(dq)
 
@@ -230,17 +230,17 @@ class SimulatedDrives:
 
 
 def _ramp(node: SimulatedNode, values: Mapping[tuple[int, int], int]) -> float:
-    """Deceleration of a quick stop by `values` of its objects, rad/s² or m/s² of the motor; 0 where they state none."""
+    """Deceleration of a quick stop by `values` of its objects, rad/s² or m/s² of the motor; 0 if unknown."""
     objects = {index: values.get((axis_index(node.drive, index), 0)) for index in RAMP_OBJECTS}
     codec = node.drive.position_codec
     return (quick_stop_ramp(objects, codec) or 0.0) / float(codec.counts_per_unit)
 
 
-IDLE_HEARTBEAT_MS = 200  # until a master sets another: a master that listens first must hear them
+IDLE_HEARTBEAT_MS = 200  # until a master sets another, so that a master that listens first receives heartbeats
 
 
-class LockStepLink(Link):
-    """The link of a session to simulated drives, which it boots; every run with the same drives gives the same frames.
+class LockStepLink:
+    """A `MasterLink` to simulated drives, which it boots; every run with the same drives gives the same frames.
 
     Time is simulated: it advances only when the link waits. `tap` is called with every frame that the link sends or receives.
     """
@@ -260,7 +260,7 @@ class LockStepLink(Link):
             self._tap(Frame(self._time_ns, can_id, data, SENT))
 
     def receive(self, until_ns: int) -> Frame | None:
-        """As `Link.receive`."""
+        """The next frame, None when there is none until `until_ns`."""
         while not self._from_drives:
             due_ns = self.drives.due_ns()
             if self._to_drives:
@@ -281,10 +281,10 @@ class LockStepLink(Link):
 
 
 def serve(drives: SimulatedDrives, stopped: Callable[[], bool], ready: Callable[[], None] = lambda: None) -> None:
-    """Simulated drives, not booted yet, on the bus of their description, in real time, for any master.
+    """Boot simulated drives and run them in real time on the bus of their description, for any master.
 
-    `stopped` is asked at least every 50 ms, and True ends the simulation; `ready` is called once the drives have booted.
-    Raises `AcquisitionError` where the bus cannot be opened, or takes or gives no frames any more.
+    `stopped` is called at least every 50 ms, and True ends the simulation; `ready` is called once the drives have booted.
+    Raises `AcquisitionError` where the bus cannot be opened or fails.
     """
     link = open_link(drives.bus.file, passive=False)
     try:

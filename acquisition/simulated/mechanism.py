@@ -1,6 +1,6 @@
-"""What simulated drives move, and by which control loops: the described robot, a table, or independent joints in its place.
+"""Plants and control loops of simulated drives: the described robot, a recorded table, or independent joints instead.
 
-This package does not know the dynamics of `[parameters]`. Another package offers them as an entry point of the group
+This package does not know the dynamics of `[parameters]`. Another package provides them by an entry point of the group
 `robot_idim.plants`: a function of the robot that returns the plant and control loops that suit its inertias. It raises
 `AcquisitionError` where the description cannot be simulated.
 """
@@ -30,7 +30,7 @@ class Plant(Protocol):
         """Position and speed, each (n,)."""
 
     def prescribed_effort(self) -> Array | None:
-        """Effort (n,) that drives report in place of that of their loops; None for a plant that their loops move."""
+        """Effort (n,) that drives report instead of that of their loops; None if the loops move the plant."""
 
     def step(self, effort: Array, held: Mask, duration_s: float) -> None:
         """Step by `duration_s` under constant `effort` (n,); brakes hold the joints where `held` (n,)."""
@@ -68,7 +68,7 @@ class JointwisePlant:
 
 
 def typical_plant(robot: Robot, rated_motor_effort: Array, load_share: float = TYPICAL_LOAD) -> JointwisePlant:
-    """Independent joints that suit the drives, amid their ranges; a horizontal one carries `load_share` of its rated effort."""
+    """Independent joints that suit the drives, in mid-range; a horizontal joint carries `load_share` of its rated effort."""
     rated = np.abs(robot.joint_effort(rated_motor_effort[None])[0])
     speed = np.array([j.si("speed") or 1.0 for j in robot.joints])
     return JointwisePlant(
@@ -93,7 +93,7 @@ def middle_of_range(robot: Robot) -> Array:
 
 
 class TablePlant:
-    """Replays joint samples, one row per period, whatever the loops of the drives demand."""
+    """Replays joint samples, one row per period; the drives' loops have no effect."""
 
     def __init__(self, samples: Block, sample_rate_hz: float) -> None:
         if len(samples) == 0:
@@ -125,7 +125,7 @@ SUBSTEPS = 4  # of the control loops in a SYNC period
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LoopGains:
-    """The law of the drives, each with its own motor: u = Kp e + Kd (phi dr - dq) + Ki integral(alpha e - (1 - phi) dq).
+    """Control law of the drives, each with its own motor: u = Kp e + Kd (phi dr - dq) + Ki integral(alpha e - (1 - phi) dq).
 
     e = r - q, in rad (or m) of the motor; u in the recorded effort; gains (n,).
     """
@@ -135,8 +135,8 @@ class LoopGains:
     integral: Array  # Ki
     position_share: Array  # alpha
     feedforward: float = 1.0  # phi, the share of the reference's speed that is fed forward
-    # Between two targets the reference is a cubic of continuous speed. Else it is a line, from which motion deviates: the
-    # demand has a ripple in each SYNC period.
+    # Between two targets the reference is a cubic of continuous speed; if False a straight line, with which the demand has a
+    # ripple in each SYNC period.
     smooth: bool = True
     current_s: float = 3e-4  # time constant of the current loop
 
@@ -153,10 +153,10 @@ def cascaded_loops(robot: Robot, inertia: Array) -> LoopGains:
 
 
 def describe_loops(robot: Robot, loops: LoopGains) -> Robot:
-    """The description for a recording of simulated drives: where it states no law, with that of `cascaded_loops`.
+    """The description for a recording of simulated drives: the law of `cascaded_loops` is added if it states none.
 
-    The fit then simulates the drives that were recorded. The law has a file of its own: of the robot's real drives nothing is
-    known, and robot.toml, from which a description is exported, stays as it is.
+    The fit then simulates the recorded drives. The law is in a separate file because it does not describe the robot's real
+    drives: robot.toml, from which a description is exported, stays unchanged.
     """
     bandwidth_hz = robot.controller.bandwidth_hz
     if robot.bus is None or robot.controller != Controller(bandwidth_hz=bandwidth_hz):
@@ -170,7 +170,7 @@ def describe_loops(robot: Robot, loops: LoopGains) -> Robot:
 
 
 def cubic(share: float, travel: Array, first: Array, last: Array) -> tuple[Array, Array]:
-    """Way and speed at a share of the period, by a cubic over `travel` with the speeds `first` and `last` at its ends."""
+    """Distance and speed at a share of the period, by a cubic over `travel` with end speeds `first` and `last`."""
     # Speeds are times the period, so that all are in rad or m, (n,).
     rest, a, b = 1 - share, first - travel, last - travel
     speed = travel + rest * (1 - 3 * share) * a - share * (2 - 3 * share) * b
@@ -183,7 +183,7 @@ PlantOf = Callable[[Robot], tuple[Plant, LoopGains]]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DrivenPlant:
-    """The plant that simulated drives move, and their loops; `warning` is set where it is not the described robot."""
+    """The plant of simulated drives, and their loops; `warning` is set where it is not the described robot."""
 
     plant: Plant
     loops: LoopGains
@@ -191,23 +191,25 @@ class DrivenPlant:
 
 
 def driven_plant(robot: Robot, bus: Bus) -> DrivenPlant:
-    """The robot of `[parameters]`; independent joints, with a warning, without them or where no package offers its dynamics."""
+    """The robot of `[parameters]`; without them, or if no package provides dynamics: independent joints and a warning."""
     if not robot.parameters:
-        return _stand_in(robot, bus, "robot.toml has no [parameters]")
-    offered = list(entry_points(group=GROUP))
-    if not offered:
-        return _stand_in(robot, bus, f"no installed package offers the robot's dynamics (entry points {GROUP})")
+        return _independent_joints(robot, bus, "robot.toml has no [parameters]")
+    plants = list(entry_points(group=GROUP))
+    if not plants:
+        return _independent_joints(
+            robot, bus, f"no installed package offers the robot's dynamics (entry points {GROUP})"
+        )
     try:
-        plant_of: PlantOf = offered[0].load()
+        plant_of: PlantOf = plants[0].load()
     except (ImportError, AttributeError) as error:
-        Place(f"entry point {GROUP} {offered[0].value}").refuse(text=f"cannot be loaded: {error}")
+        Place(f"entry point {GROUP} {plants[0].value}").refuse(text=f"cannot be loaded: {error}")
     plant, loops = plant_of(robot)
     return DrivenPlant(plant=plant, loops=loops)
 
 
-def _stand_in(robot: Robot, bus: Bus, why: str) -> DrivenPlant:
+def _independent_joints(robot: Robot, bus: Bus, why: str) -> DrivenPlant:
     rated = rated_motor_effort(bus)
-    warning = f"a stand-in of independent joints with a gravity-like load moves, not the described robot: {why}"
+    warning = f"simulated as independent joints with a gravity-like load, not as the described robot: {why}"
     loops = cascaded_loops(robot, typical_inertia(robot, rated))
     return DrivenPlant(plant=typical_plant(robot, rated), loops=loops, warning=warning)
 

@@ -39,7 +39,7 @@ from ..robot import Drive, axis_of, parse_homed
 
 NMT_STATE = {1: 5, 2: 4, 128: 127}  # command to the state in heartbeats: operational, stopped, pre-operational
 RESET = (129, 130)
-CONSUMERS = 2  # heartbeats that a drive without a dictionary can supervise
+CONSUMERS = 2  # heartbeats that a drive without a dictionary supervises at most
 
 Sent = list[tuple[int, bytes]]
 Key = tuple[int, int]
@@ -47,7 +47,7 @@ Key = tuple[int, int]
 
 @dataclass(kw_only=True)
 class SimulatedNode:
-    """A drive as its master sees it: `types` and raw integer `values` of its objects by (index, sub-index)."""
+    """A simulated drive: `types` and raw integer `values` of its objects by (index, sub-index)."""
 
     drive: Drive
     types: dict[Key, str]
@@ -60,10 +60,10 @@ class SimulatedNode:
     tpdos: tuple[Pdo, ...] = ()
     rpdos: tuple[Pdo, ...] = ()
     more_status: int = 0  # bits of the statusword other than those of the state
-    boot_up_counts: bool = False  # as the first heartbeat (CiA 301): the next is sent a heartbeat time later
+    boot_up_counts: bool = False  # the boot-up is the first heartbeat (CiA 301): the next comes a heartbeat time later
 
     def boot(self) -> Sent:
-        """Reset all values to those at the start; the boot-up message."""
+        """Reset all values to their initial ones; the boot-up message."""
         self.initial = self.initial or dict(self.values)
         self.values = dict(self.initial)
         self.nmt, self.state, self.waiting = 127, State.SWITCH_ON_DISABLED, {}
@@ -81,7 +81,7 @@ class SimulatedNode:
         return [(HEARTBEAT + self.drive.node, bytes([self.nmt]))]
 
     def emergency(self, code: int, register: int = 1) -> Sent:
-        """Go into fault and send an emergency message (CiA 301, 7.2.7)."""
+        """Enter fault reaction; the emergency message (CiA 301, 7.2.7)."""
         self.state = State.FAULT_REACTION_ACTIVE
         return self.error(code, register)
 
@@ -102,7 +102,7 @@ class SimulatedNode:
                 self.nmt = NMT_STATE[data[0]]
                 option = self.values.get((ABORT_CONNECTION, 0), 1)  # 0: no reaction
                 if not self.operational and self.state is State.OPERATION_ENABLED and option:
-                    # No commands can be received any more: the power stage is switched off.
+                    # Commands can no longer be received: the power stage is switched off.
                     self.state = State.SWITCH_ON_DISABLED
         elif can_id == REQUEST + node and self.nmt != 4:
             return [(ANSWER + node, self._serve(data))]
@@ -137,7 +137,7 @@ class SimulatedNode:
         follows = 0x1000 if self.state is State.OPERATION_ENABLED else 0
         return self.state.value[1] | 0x0210 | follows | self.more_status
 
-    def home(self, name: str) -> None:
+    def set_homed(self, name: str) -> None:
         """Set the object or bit that reports the drive as homed."""
         index, sub, bit = parse_homed(name)
         mask = 1 if bit is None else 1 << bit
@@ -206,7 +206,7 @@ class SimulatedNode:
 
 
 def simulated_node(drive: Drive) -> SimulatedNode:
-    """A drive with the objects of its dictionary; without one, the usual objects and those that the description names."""
+    """A drive with the objects of its dictionary; without one, the usual objects and those in the description."""
     read_only: frozenset[Key] = frozenset()
     if drive.dictionary is not None:
         entries = {key: entry for key, entry in drive.dictionary.entries.items() if entry.type}
@@ -214,7 +214,7 @@ def simulated_node(drive: Drive) -> SimulatedNode:
         values = {key: entry.value or 0 for key, entry in entries.items()}
         read_only = frozenset(key for key, entry in entries.items() if not entry.writable)
         values |= {(IDENTITY, sub): number for sub, _, number in drive.dictionary.identity}
-        # PDOs are disabled at the start: a master enables those that it uses.
+        # PDOs are disabled at the start: the master enables those it uses.
         for (index, sub), value in list(values.items()):
             if sub == 1 and any(first <= index < first + MAX_PDOS for first, _ in PARAMETERS.values()):
                 values[index, sub] = value | NOT_VALID
@@ -240,7 +240,9 @@ def simulated_node(drive: Drive) -> SimulatedNode:
     return node
 
 
-SYNC_LOST_NS = 100_000_000  # an enabled drive without SYNC for so long goes into fault, as real drives are set to do
+SYNC_LOST_NS = (
+    100_000_000  # without SYNC for this time an enabled drive enters fault, as real drives are configured to do
+)
 SYNC_LOST_CODE = 0x8700  # CiA 301: sync controller
 FOLLOWING_ERROR_CODE, NO_WINDOW = 0x8611, 2**32 - 1
 HEARTBEAT_LOST_CODE = 0x8130  # CiA 301: life guard or heartbeat error
@@ -249,7 +251,7 @@ _REACTIONS = {2: State.SWITCH_ON_DISABLED, 3: State.QUICK_STOP_ACTIVE}
 
 
 class Supervision:
-    """By one drive, if `supervised`: heartbeat consumers, SYNC, following error over `window` counts."""
+    """Supervision in one drive, if `supervised`: heartbeat consumers, SYNC, following error over `window` counts."""
 
     def __init__(self, node: SimulatedNode, window: float, *, supervised: bool) -> None:
         self._node, self._watches_sync = node, supervised
@@ -262,28 +264,28 @@ class Supervision:
         self._window = (FOLLOWING_ERROR_WINDOW + axis_of(node.drive), 0)
         if self._window in node.values:
             node.values[self._window] = node.initial[self._window] = round(min(window, NO_WINDOW))
-        # By sub-index of 1016h: its entry at the last heartbeat, and the time of that.
+        # By sub-index of 1016h: its entry at the last heartbeat, and the time of that heartbeat.
         self._heard: dict[int, tuple[int, int]] = {}
         self._sync_ns: int | None = None
 
     def sync(self, now_ns: int) -> None:
-        """Take note of a SYNC."""
+        """Note the time of a SYNC."""
         self._sync_ns = now_ns
 
     def follow(self, counts: float) -> Sent:
-        """React to a following error of so many counts."""
+        """React to a following error in counts; the emergency message if it is too large."""
         window = self._node.values.get(self._window, NO_WINDOW)
         beyond = self._node.state is State.OPERATION_ENABLED and window != NO_WINDOW and abs(counts) > window
         return self._fault(FOLLOWING_ERROR_CODE) if beyond else []
 
     def heartbeat(self, now_ns: int, producer: int) -> None:
-        """Take note of a heartbeat: it starts the consumers of that producer (CiA 301, 7.2.8.3.3)."""
+        """Note the time of a heartbeat: it starts the consumers of that producer (CiA 301, 7.2.8.3.3)."""
         for sub, entry in self._entries().items():
             if entry >> 16 == producer and entry & 0xFFFF:
                 self._heard[sub] = (entry, now_ns)
 
     def due_ns(self) -> int | None:
-        """When a heartbeat or SYNC counts as lost next, if none is received; None where nothing is supervised."""
+        """When a heartbeat or SYNC is next due to count as lost; None if nothing is supervised."""
         sync = [] if self._sync_lost_ns is None else [self._sync_lost_ns]
         return min([*self._deadlines().values(), *sync], default=None)
 
@@ -308,7 +310,7 @@ class Supervision:
         return {sub: values[CONSUMER_HEARTBEAT, sub] for sub in subs if (CONSUMER_HEARTBEAT, sub) in values}
 
     def _deadlines(self) -> dict[int, int]:
-        """Time at which each consumer times out; one that was rewritten starts with the next heartbeat."""
+        """Time at which each consumer times out; a rewritten entry starts with the next heartbeat."""
         entries = self._entries()
         self._heard = {sub: heard for sub, heard in self._heard.items() if entries.get(sub) == heard[0]}
         return {sub: then_ns + (entry & 0xFFFF) * 1_000_000 for sub, (entry, then_ns) in self._heard.items()}

@@ -19,7 +19,7 @@ import pytest
 from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.bus import Receiver, kernel_drops
-from acquisition.bus.links import enlarge_queue
+from acquisition.bus.links import request_queue_size
 from acquisition.recording import FRAME, decode, read_recording
 from acquisition.session import Recorder
 from acquisition.session.process import _record
@@ -39,7 +39,7 @@ def _recorder(connection, port: int, path: str) -> None:
     """The recorder's process, with a datagram socket in the place of the CAN socket."""
     sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     sock.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
-    enlarge_queue(sock)
+    request_queue_size(sock)
     sock.bind(("127.0.0.1", port))
     robot = robot_of(TEXT)
     recorder = Recorder(Path(path), robot, source="benchmark", place="robot.toml")

@@ -33,14 +33,14 @@ from test_recording_processes import (
 )
 from test_third_party import THIRD_PARTY_DRIVE, node, npm
 
-import acquisition.session.process as dead_man_module
+import acquisition.session.process as process_module
 import acquisition.simulated.node as simulated_supervision
 from acquisition.bus import Master, open_link
 from acquisition.errors import AcquisitionError
 from acquisition.protocol import State, state_of
 from acquisition.recording import Recording, read_recording
 from acquisition.session import InlineLog, Task
-from acquisition.session.process import DeadMan, WatchdogPipe, silence_s
+from acquisition.session.process import Watchdog, WatchdogPipe, silence_s
 from acquisition.simulated import LockStepLink, serve
 
 __all__ = ["folder", "npm", "port"]  # fixtures
@@ -168,20 +168,20 @@ def test_disable_says_first_who_did_not_confirm(folder):
 
 
 @pytest.mark.slow
-def test_a_dead_man_acts_only_when_armed_and_not_ended():
+def test_a_watchdog_acts_only_when_armed_and_not_ended():
     bus = bus_of(robot_of(bus_text(2, channel="nobody_here")))
     for signs, acts in (("e", False), ("a", True), ("aae", False), ("aea", False)):
         here, there = multiprocessing.Pipe()
-        dead_man, life = DeadMan(here, bus), WatchdogPipe(there)
+        watchdog, life = Watchdog(here, bus), WatchdogPipe(there)
         for sign in signs:
             life.alive() if sign == "a" else life.ended()
         if not acts:
             life.alive()  # what is disarmed stays so
         life.close()
-        dead_man._thread.join(20)
-        assert not dead_man.waiting
-        assert (dead_man.reason is not None) == acts
-        kinds = [kind for _, kind, _ in dead_man.events]
+        watchdog._thread.join(20)
+        assert not watchdog.waiting
+        assert (watchdog.reason is not None) == acts
+        kinds = [kind for _, kind, _ in watchdog.events]
         assert kinds == (["fault", "not disabled"] if acts else [])
 
 
@@ -189,11 +189,11 @@ def test_the_session_knows_of_the_second_stop_before_its_first_frame(monkeypatch
     bus = bus_of(robot_of(bus_text(2, channel="nobody_here")))
     here, there = multiprocessing.Pipe()
     life, said = WatchdogPipe(there), []
-    monkeypatch.setattr(dead_man_module, "stop_drives", lambda _: said.append(life.stopped()) or [])
-    dead_man = DeadMan(here, bus)
+    monkeypatch.setattr(process_module, "stop_drives", lambda _: said.append(life.stopped()) or [])
+    watchdog = Watchdog(here, bus)
     assert life.stopped() == ""
     life.alive()
-    dead_man._thread.join(20)
+    watchdog._thread.join(20)
     assert said == ["no sign of life from the session for 0.3 s: the recorder's process stopped the drives"]
     life.close()
 
@@ -347,19 +347,19 @@ def test_a_third_party_drive_is_stopped(folder, npm):
         master.wait(link.now_ns() + 500_000_000, for_answers=True)
         assert master.nodes[0].state is State.OPERATION_ENABLED
         here, there = multiprocessing.Pipe()
-        dead_man, life = DeadMan(here, bus), WatchdogPipe(there)
+        watchdog, life = Watchdog(here, bus), WatchdogPipe(there)
         life.alive()
         life.close()  # as when the session is killed
         words = []
         until_ns = link.now_ns() + 20 * 10**9
-        while dead_man.waiting and link.now_ns() < until_ns:
+        while watchdog.waiting and link.now_ns() < until_ns:
             frame = link.receive(link.now_ns() + 50_000_000)
             if frame is not None:
                 master.dispatch(frame)
                 words += [frame.data[:2]] if frame.can_id == 0x207 else []
         assert words[0] == b"\x02\x00"
         assert b"\x00\x00" in words
-        assert [kind for _, kind, _ in dead_man.events] == ["fault", "disabled"]
+        assert [kind for _, kind, _ in watchdog.events] == ["fault", "disabled"]
         assert master.state(bus.drives[0]) is State.SWITCH_ON_DISABLED
     finally:
         link.close()
