@@ -10,7 +10,7 @@ from scipy.optimize import minimize
 
 from acquisition.robot import Robot, load_robot
 from identification.errors import IdentificationError
-from identification.estimation import PhysicalParameters, certainty, consistent_parameters, pseudo_inertia
+from identification.estimation import PhysicalParameters, consistent_parameters, parameter_certainty, pseudo_inertia
 from identification.estimation.consistency import CERTIFIED, MATRIX, _inverse_root, _Objective
 from identification.methods.consistent import FROM_PRIOR
 from identification.model import InverseModel, base_parameters, physical_parameters, requirements
@@ -272,7 +272,7 @@ def test_intervals_are_those_of_the_inverse_hessian():
     C = covariance(7, 0.05)
     beta = K @ np.concatenate([5 * body(5), physical.start[10:]])
     found = consistent_parameters(beta, C, K, physical)
-    (of_chi, _), (of_beta, _) = certainty(found, C, K, physical)
+    (of_chi, _), (of_beta, _) = parameter_certainty(found, C, K, physical)
     _, J = _Objective(found.beta, _inverse_root(found.beta, C), K, physical, 1.0, 0.0).derivatives(found.chi)
     d = np.linalg.norm(J, axis=0)
     H = np.linalg.pinv(J / d, rcond=1e-13) @ np.linalg.pinv(J / d, rcond=1e-13).T / np.outer(d, d)
@@ -291,7 +291,7 @@ def test_intervals_hold_the_truth_where_the_prior_is_links_by_their_lengths():
     C = covariance_with(covariance(len(true), 1.0), sigma)
     for beta in np.random.default_rng(0).multivariate_normal(true, C, size=15):
         found = consistent_parameters(beta, C, K, physical)
-        _, (deviations, from_prior) = certainty(found, C, K, physical)
+        _, (deviations, from_prior) = parameter_certainty(found, C, K, physical)
         hit.append(np.abs(found.beta - true) <= 1.96 * deviations)
         share.append(from_prior)
     told = np.array(share) <= FROM_PRIOR

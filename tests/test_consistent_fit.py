@@ -18,10 +18,10 @@ from identification.commands import main
 from identification.data import signals_from_arrays
 from identification.errors import IdentificationError
 from identification.estimation import (
-    certainty,
     consistent_parameters,
     intervals,
     link_parameters,
+    parameter_certainty,
     pseudo_inertia,
     weighted_least_squares,
 )
@@ -229,7 +229,7 @@ def test_what_comes_from_the_prior_is_what_the_recording_does_not_say():
     K = np.eye(14)[[0, 9, 10, 11, 12, 13]]
     C = np.diag([1e-6, 100.0, 0.01, 0.01, 0.01, 0.01]) ** 2
     found = consistent_parameters(K @ physical.start, C, K, physical, gamma=0.5, gamma_x=0.1)
-    shares = certainty(found, C, K, physical, gamma=0.5)[0][1]
+    shares = parameter_certainty(found, C, K, physical, gamma=0.5)[0][1]
 
     def prior_cost(chi):
         P = pseudo_inertia(chi[:10])

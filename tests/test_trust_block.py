@@ -150,7 +150,7 @@ def test_shared_parameters_of_joints_in_unknown_units_are_not_to_be_used():
 def test_held_out_blocks_far_off_and_no_positive_m_together_are_not_to_be_used():
     _, evidence = examined("wls", "scara")
     held = held_out_test(evidence)
-    far = replace(held, level="caution", far_off=True)
+    far = replace(held, level="caution", fails_held_out=True)
     for value, line_, level in ((-0.1, far, "do not use"), (0.1, far, "caution"), (-0.1, held, "ok")):
         physical = TrustLine("physical", "caution", "", value)
         (judged,) = (x for x in _judge_together([physical, line_]) if x.test == "held-out blocks")
@@ -538,8 +538,8 @@ def test_sums_that_lost_their_digits_are_not_used():
 @pytest.mark.parametrize("method", ["iv", "wls"])
 def test_what_needs_rows_looks_at_the_beginning_of_a_long_recording(method):
     (fit, _), (long, evidence) = examined(method, "scara"), examined_as_long(method)
-    assert evidence.looked_at is not None
-    assert not evidence.looked_at.observed.reduced
+    assert evidence.beginning is not None
+    assert not evidence.beginning.observed.reduced
     told, wanted = (x.trust.line("added columns") for x in (long, fit))
     assert (told.level, told.value) == (wanted.level, pytest.approx(wanted.value, rel=0.3))
     lag, other = long.lags[0], fit.lags[0]

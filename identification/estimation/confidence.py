@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..arrays import Array
 from .diagnostics import t_quantile
 from .estimators import Estimate
-from .system import slices
+from .system import spans_of
 
 LEVEL = 0.95
 FEWEST, MOST = 4, 16  # cosines: with all that white residuals would bear, AR(0.98) is covered in 76 % instead of 92 %
@@ -66,7 +66,7 @@ def scores_of_recordings(Q: Array, bread: Array, rho: Array, parts: Sequence[int
     (n, T), b = rho.shape, Q.shape[1]
     scores = (Q * rho.reshape(-1, 1)).reshape(n, T, b).sum(axis=0) @ bread.T
     by_instant, found = Q.reshape(n, T, b).transpose(1, 0, 2), list[Scores]()
-    for part in slices(parts):
+    for part in spans_of(parts):
         count = len(scores[part])
         blocks = np.array_split(by_instant[part], min(count, TIME_BLOCKS))
         grams = np.stack([q.T @ q for q in (block.reshape(-1, b) for block in blocks)])
@@ -111,7 +111,7 @@ def deviations_of_sums(z: Array, rho: Array, Q: Array, parts: Sequence[int]) -> 
     own = flat - Q @ (Q.T @ flat)  # the direction that a column adds to Q
     own = (own / np.maximum(np.linalg.norm(own, axis=0), 1e-300)).reshape(z.shape)
     scores, directions, each = (z * rho).sum(axis=0), Q.reshape(n, T, -1), []
-    for part in slices(parts):
+    for part in spans_of(parts):
         B = cosines(part.stop - part.start)
         blocks = np.array_split(np.arange(part.start, part.stop), min(part.stop - part.start, TIME_BLOCKS))
         squares = np.stack([(z[:, block] ** 2).sum(axis=(0, 1)) for block in blocks])

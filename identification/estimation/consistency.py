@@ -121,7 +121,7 @@ def consistent_parameters(
     )
 
 
-def certainty(
+def parameter_certainty(
     found: Consistent, covariance: Array, K: Array, physical: PhysicalParameters, *, gamma: float = GAMMA
 ) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
     """How well the standard parameters (p,) and the base parameters (b,) are known: deviations, and shares of the prior.

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..report import TorqueError
-from .system import System, orthonormal, r_factor, slices
+from .system import System, orthonormal, r_factor, spans_of
 
 MOVING = 0.02  # of a joint's peak speed: below, it stands
 _MOST_TERMS = 500  # of the continued fraction: some ten are needed, and sqrt(degrees of freedom) where these are many
@@ -41,7 +41,7 @@ def torque_errors(tau: Array, predicted: Array, speed: Array, names: tuple[str, 
             standing_relative_error_percent=relative_error_percent(t[~m], r[~m]),
             moving_rows=int(m.sum()),
             standing_rows=int((~m).sum()),
-            autocorrelation=lag_one(r),
+            autocorrelation=autocorrelation(r),
         )
         for name, t, r, m in [*each, ("all", tau, rho, moving)]
     )
@@ -52,12 +52,7 @@ def are_moving(speed: Array) -> NDArray[np.bool_]:
     return np.asarray(np.abs(speed) > MOVING * np.abs(speed).max(axis=0))
 
 
-def lag_one(rho: Array) -> float | None:
-    """Autocorrelation of residuals (rows,) or (rows, n) at a lag of one row; None where they are zero."""
-    return autocorrelation(rho, 1)
-
-
-def autocorrelation(rho: Array, lag: int) -> float | None:
+def autocorrelation(rho: Array, lag: int = 1) -> float | None:
     """Autocorrelation of residuals (rows,) or (rows, n) at a lag of `lag` rows; None where they are zero."""
     r, following = rho[:-lag].ravel(), rho[lag:].ravel()
     size = np.linalg.norm(r) * np.linalg.norm(following)
@@ -141,7 +136,7 @@ def whitened(
     used, residual = system.used.reshape(n, -1), rho.reshape(n, -1) * system.used.reshape(n, -1)
     T = stack.shape[1]
     filtered, counts = stack.copy(), used.copy()
-    for part in slices(parts or (T,)):
+    for part in spans_of(parts or (T,)):
         counts[:, part.start : part.start + order] = 0.0
     for j in range(n):
         h = np.r_[1.0, -autoregression(residual[j], order)]

@@ -63,7 +63,7 @@ class System:
         return self.W * w[:, None], self.Y * w
 
 
-def slices(parts: Sequence[int]) -> list[slice]:
+def spans_of(parts: Sequence[int]) -> list[slice]:
     """The instants of each recording among those of all."""
     edges = np.cumsum([0, *parts])
     return [slice(int(a), int(b)) for a, b in pairwise(edges)]

@@ -11,7 +11,7 @@ from ..arrays import Array
 from ..estimation import Estimate, InstrumentTests, Intervals, Reduction
 from ..model import BaseParameters
 from ..regression import Motion, Problem, RowStates, Settings
-from ..report import Method, OwnTest, Status, TorqueError
+from ..report import FTest, Method, Status, TorqueError
 from ..simulation import DirectModelError, Instruments, Replica
 from ..trust import HeldOut, Lag, Trust
 
@@ -231,7 +231,7 @@ class Fit:
     iv: InstrumentEvidence | None = None
     consistent: ConsistentSet | None = None
     consistent_errors: tuple[TorqueError, ...] = ()
-    own: OwnTest | None = None
+    own: FTest | None = None
     method_reason: str = "asked for"
     lags: tuple[Lag, ...] = ()
     _repr_html_: ClassVar[Callable[["Fit"], str]]  # bound in `identification.notebook`: the report is a room above

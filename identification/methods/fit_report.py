@@ -79,10 +79,9 @@ def _essential_line(fit: Fit) -> str:
     line = f"essential{by}: {len(fit.essential_names)} of {len(fit.least_squares.full.names)} parameters"
     if not math.isfinite(reduction.F):
         return line
-    return (
-        f"{line}; without the others F = {reduction.F:.2f}, p = {reduction.p_value:.2g}; with the residual's correlation "
-        f"counted F = {reduction.F_effective:.2f}, p = {reduction.p_effective:.2g}"
-    )
+    left_out = len(fit.least_squares.full.names) - len(reduction.kept)
+    p = f"p = {reduction.p_value:.2g} (corrected for correlation p = {reduction.p_effective:.2g})"
+    return f"{line}; {left_out} parameters left out: F test {p}"
 
 
 def _parameters(fit: Fit, *, everything: bool) -> Section:
@@ -113,9 +112,9 @@ def _parameters(fit: Fit, *, everything: bool) -> Section:
             rows=tuple(rows),
         ),
         lines=(
-            f"±95%: half the 95 % interval, by equal-weighted cosines, Student's t of {fit.intervals.freedom} degrees",
+            "±95%: half-width of the 95 % interval",
             *(["sigma takes the residual for white noise, the interval does not"] if everything else []),
-            *([f"{left_out} more, which the recording determines less well: --all"] if left_out else []),
+            *([f"{left_out} poorly determined parameters hidden (--all)"] if left_out else []),
         ),
     )
 

@@ -17,9 +17,9 @@ from ..errors import IdentificationError
 from ..estimation import (
     Estimate,
     System,
+    autocorrelation,
     essential_parameters,
     instrumental_variables,
-    lag_one,
     one_thread,
     torque_errors,
 )
@@ -139,7 +139,7 @@ def _by_least_squares(observed: StackedSystem, method: Literal["ols", "wls"], *,
         beginning = evidence_of_ls(span, method, of_span, lags_of_ls(span, of_span.estimate))
     lags = lags_of_ls(observed, ls.estimate) if beginning is None else over_all(observed, ls.estimate, beginning.lags)
     ls = replace(ls, intervals=counted(ls.estimate, ls.intervals, lags))
-    return fit_of(observed, replace(evidence_of_ls(observed, method, ls, lags), looked_at=beginning), ls)
+    return fit_of(observed, replace(evidence_of_ls(observed, method, ls, lags), beginning=beginning), ls)
 
 
 @one_thread
@@ -191,7 +191,7 @@ def solve_least_squares(observed: StackedSystem, full: Estimate, *, essential: b
     """Least squares of all parameters, `full`, and its reduction to the essential ones, which `essential` asks for."""
     rows, predicted = observed.regression, observed.predicted(full)
     rho = (rows.tau - predicted) * full.weights * rows.fast
-    reduction = essential_parameters(rows.system, full, correlation=lag_one(rho) or 0.0)
+    reduction = essential_parameters(rows.system, full, correlation=autocorrelation(rho) or 0.0)
     estimate = full
     if essential:
         estimate = reduction.estimate

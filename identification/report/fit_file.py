@@ -123,10 +123,13 @@ class ConsistentFile(msgspec.Struct, frozen=True, kw_only=True):
     base_parameters: list[StandardParameter] | UnsetType = UNSET
 
 
-class EssentialSet(msgspec.Struct, frozen=True, kw_only=True):
-    """The parameters that the recording determines well, and the F tests of leaving out the others."""
+class FTest(msgspec.Struct, frozen=True, kw_only=True):
+    """An F test: of leaving out all parameters but the essential ones, `names`, or of sharing the own ones, `names`.
 
-    names: list[str]
+    A small p rejects that. The effective values are corrected for the residual's correlation.
+    """
+
+    names: tuple[str, ...]
     F: float | None
     p_value: float | None
     F_effective: float | None
@@ -167,19 +170,6 @@ class Assumed(msgspec.Struct, frozen=True):
     what: str
     value: str
     why: str
-
-
-class OwnTest(msgspec.Struct, frozen=True, kw_only=True):
-    """The F test of own parameters of recordings, `names`, against shared ones: a small p says that they differ.
-
-    Those called effective count only as many independent rows as the residual's correlation leaves.
-    """
-
-    names: tuple[str, ...]
-    F: float
-    p_value: float
-    F_effective: float
-    p_effective: float
 
 
 class PassFile(msgspec.Struct, frozen=True, kw_only=True):
@@ -267,7 +257,7 @@ class FitFile(OnRecording, frozen=True, kw_only=True):
     condition_number: float | UnsetType | None = UNSET
     condition_number_scaled: float | UnsetType | None = UNSET
     rows: int | UnsetType = UNSET
-    essential: EssentialSet | UnsetType = UNSET
+    essential: FTest | UnsetType = UNSET
     description: dict[str, str] = msgspec.field(default_factory=dict)
     covariance: Covariance | UnsetType = UNSET
     left_out: list[LeftOut] | UnsetType = UNSET
@@ -279,7 +269,7 @@ class FitFile(OnRecording, frozen=True, kw_only=True):
     lag: LagFile | UnsetType = UNSET
     trust: list[TrustLineFile] | UnsetType = UNSET
     held_out_error_percent: float | UnsetType | None = UNSET
-    own_parameters: OwnTest | UnsetType = UNSET
+    own_parameters: FTest | UnsetType = UNSET
     reason: str | UnsetType | None = UNSET
     pass_returned: int | UnsetType = UNSET
     start: str | UnsetType = UNSET

@@ -18,7 +18,7 @@ from ..estimation import deviations_of_sums
 from ..model import DirectModel, JointTerm, direct_model
 from ..regression import Decimation, Motion, known_torque_rows
 from ..report import Method
-from .evidence import FitData, RecordingData, TrustLine
+from .fit_data import FitData, RecordingData, TrustLine
 from .lag import simulated_rates
 
 MIN_T = 5.0  # deviations that chance does not explain

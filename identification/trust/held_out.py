@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..estimation import slices, undetermined_parameters
-from .evidence import ILL_CONDITIONED, Figure, FitData, TrustLine, part_of
+from ..estimation import spans_of, undetermined_parameters
+from .fit_data import ILL_CONDITIONED, Figure, FitData, TrustLine, part_of
 
 BLOCKS = 5
 FAR_FACTOR = 3.0  # the same that, with M not positive, says not to use it
@@ -77,7 +77,7 @@ def held_out_recordings(evidence: FitData) -> tuple[HeldOut | None, ...]:
     if len(evidence.recordings) == 1:
         return (None,)
     names, weights = evidence.estimate.names, evidence.estimate.weights
-    n, parts = evidence.observed.tau.shape[1], slices(evidence.observed.parts)
+    n, parts = evidence.observed.tau.shape[1], spans_of(evidence.observed.parts)
     rows = [_rows_of(evidence, k) for k in range(len(parts))]
     factors = [np.linalg.qr(np.c_[Z, W, Y] * weights[joint][:, None], mode="r") for Z, W, Y, joint in rows]
     found = []
@@ -114,7 +114,7 @@ def _rows_of(evidence: FitData, k: int) -> tuple[Array, Array, Array, NDArray[np
     if observed.reduced:
         system, Z = evidence.factors[k]
         return Z[:, indices], system.W[:, indices], system.Y, system.joint_of_row
-    part, system = slices(observed.parts)[k], observed.system
+    part, system = spans_of(observed.parts)[k], observed.system
     instruments = system.W if evidence.Z is None else evidence.Z
     W, Y, Z, used = (part_of(x, n, part) for x in (system.W, system.Y, instruments, evidence.used))
     joints = np.repeat(np.arange(n), part.stop - part.start)
@@ -165,4 +165,4 @@ def _line(evidence: FitData, text: str, errors: tuple[float, float], cure: str, 
         text += ", or take the parameters of --consistent, which carry over better"
     far, finding = errors[0] > FAR_FACTOR * errors[1], "does not carry over"
     line = TrustLine("held-out blocks", "caution", text, errors[0], finding, figures=shown, unit="%")
-    return replace(line, far_off=far)
+    return replace(line, fails_held_out=far)

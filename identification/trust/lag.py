@@ -19,7 +19,7 @@ from ..errors import IdentificationError
 from ..estimation import Estimate, System, instrumental_variables, intervals, whitened
 from ..regression import KnownLag, Regression, differentiate, moving_rows_of, torque_rate
 from ..report import Level
-from .evidence import Figure, FitData, Lag, RecordingData, TrustLine
+from .fit_data import Figure, FitData, Lag, RecordingData, TrustLine
 
 APART = 3.0  # joint deviations between data and what is known: beyond, the data alone count
 CONTRADICTED = 4.0  # deviations of the data off a lag that the user states

@@ -29,7 +29,7 @@ from ..model import InverseModel, friction_power, nearest_consistent, requiremen
 from ..regression import base_name, friction_states, recorded_power
 from ..report import Level
 from .columns import motion_of
-from .evidence import LEVELS, FitData, TrustLine, covariance_of_all
+from .fit_data import LEVELS, FitData, TrustLine, covariance_of_all
 
 SEVERE = 2.0  # half-widths below zero that chance does not explain
 TINY = 1e-300  # in place of an interval of no width

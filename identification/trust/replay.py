@@ -17,7 +17,7 @@ from ..errors import IdentificationError
 from ..model import direct_model
 from ..regression import KnownLag, Problem, differentiate, sampled_at
 from ..simulation import Control, ControlLaw, Reference, recorded_loop
-from .evidence import LEVELS, Figure, FitData, TrustLine
+from .fit_data import LEVELS, Figure, FitData, TrustLine
 
 DRIVE_DELAY_S = 0.0005  # deviation of the time from a command to its torque
 GAIN_OFF, ERROR_PERCENT = 0.02, 5.0  # beyond these: caution

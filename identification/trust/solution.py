@@ -10,12 +10,12 @@ import numpy as np
 
 from ..arrays import Array
 from ..errors import IdentificationError
-from ..estimation import Estimate, are_moving, estimate_deviations, f_tail, instrumental_variables, slices, whitened
+from ..estimation import Estimate, are_moving, estimate_deviations, f_tail, instrumental_variables, spans_of, whitened
 from ..model import JointTerm
 from ..regression import base_name, standing_joints
 from ..report import Assumed
 from .columns import added_columns_test
-from .evidence import ILL_CONDITIONED, LEVELS, FitData, RecordingData, Trust, TrustLine
+from .fit_data import ILL_CONDITIONED, LEVELS, FitData, RecordingData, Trust, TrustLine
 from .held_out import held_out_test
 from .lag import lag_test
 from .physical import consistent_test, physical_test
@@ -97,7 +97,7 @@ def ends_test(evidence: FitData) -> TrustLine:
     scale = np.array([1.4826 * np.median(np.abs(rho[j, used[j]])) if used[j].any() else np.inf for j in range(n)])
     size = np.where(used, np.abs(rho) / np.where(scale > 0, scale, np.inf)[:, None], 0.0)
     at_end = np.zeros(size.shape[1], dtype=bool)
-    for part in slices(evidence.observed.parts):
+    for part in spans_of(evidence.observed.parts):
         at_end[part.start : part.start + END_ROWS] = at_end[part.stop - END_ROWS : part.stop] = True
     ends, middle = size[:, at_end].max(axis=1), size[:, ~at_end].max(axis=1)
     finding = f"{int((size > ROBUST).sum())} of {int(used.sum())} moving rows beyond {ROBUST:g} robust deviations"
@@ -246,13 +246,13 @@ def _judge_together(lines: list[TrustLine]) -> list[TrustLine]:
     by_test = {line.test: line for line in lines}
     held, physical = by_test["held-out blocks"], by_test["physical"]
     why_not_positive = physical.value is not None and physical.value <= 0
-    if not (why_not_positive and held.far_off):
+    if not (why_not_positive and held.fails_held_out):
         return lines
     text = f"{held.text}; and the inertia matrix is not positive: fit with --consistent"
     return [replace(held, level="do not use", text=text) if line is held else line for line in lines]
 
 
-def assumed(evidence: FitData, lines: Mapping[str, TrustLine]) -> Iterator[Assumed]:
+def list_assumptions(evidence: FitData, lines: Mapping[str, TrustLine]) -> Iterator[Assumed]:
     """What was given and what no test of `lines` sees: taken as it is."""
     signals, settings = evidence.problem.signals, evidence.problem.settings
     robot, motors, several = signals.robot, signals.robot.motors, len(signals.robot.joints) > 1
@@ -293,7 +293,7 @@ TESTS: tuple[Callable[[FitData], TrustLine | None], ...] = (
 def trust_in(evidence: FitData) -> Trust:
     """All tests of an estimate, worst first, and what is assumed."""
     lines = [line for test in TESTS if (line := test(evidence)) is not None]
-    assumptions = assumed(evidence, {line.test: line for line in lines})
+    assumptions = list_assumptions(evidence, {line.test: line for line in lines})
     return Trust(lines=worst_first(_judge_together(lines)), assumed=tuple(assumptions))
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..arrays import Array
 from ..data import PositionSteps
-from ..estimation import BlockSums, Estimate, Intervals, Scores, System, scores_of_recordings, slices
+from ..estimation import BlockSums, Estimate, Intervals, Scores, System, scores_of_recordings, spans_of
 from ..regression import NOTHING, Decimation, KnownLag, Motion, Problem, Regression, RowStates
 from ..report import Assumed, Level, Method, Verdict
 
@@ -40,7 +40,7 @@ class TrustLine:
         value: its figure, None where there is none.
         finding: the same in a few words, for the first line of a report.
         figures: its figures one by one, to be drawn, in `unit`.
-        far_off: whether held-out errors are so far above the trained ones that other doubts weigh more.
+        fails_held_out: whether held-out errors are so far above the trained ones that other doubts weigh more.
     """
 
     test: str
@@ -50,7 +50,7 @@ class TrustLine:
     finding: str = ""
     figures: tuple[Figure, ...] = ()
     unit: str = ""
-    far_off: bool = False
+    fails_held_out: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -167,7 +167,7 @@ class FitData:
         factors: where rows are reduced and recordings several, the reduced system and instruments of each.
         blocks: where rows are reduced, sums over the blocks of time of each recording.
         position_noise: whether noise of the position biases least squares; None of instrumental variables.
-        looked_at: where rows are reduced, the evidence of the beginning of the first recording, which has rows.
+        beginning: where rows are reduced, the evidence of the beginning of the first recording, which has rows.
         lags: those of each group of recordings alike.
         essential: names of the parameters that the recordings determine well.
     """
@@ -187,7 +187,7 @@ class FitData:
     factors: tuple[tuple[System, Array], ...] = ()
     blocks: tuple[BlockSums, ...] = ()
     position_noise: TrustLine | None = None
-    looked_at: "FitData | None" = None
+    beginning: "FitData | None" = None
     lags: tuple[Lag, ...] = ()
     essential: tuple[str, ...] = ()
 
@@ -199,7 +199,7 @@ class FitData:
     @property
     def with_rows(self) -> "FitData":
         """The evidence whose rows are held: that of a long recording's beginning."""
-        return self.looked_at or self
+        return self.beginning or self
 
     @cached_property
     def rows(self) -> "WeightedRows":
@@ -243,7 +243,7 @@ class FitData:
         """The instants of the blocks of time nearest to a part of the time; the part itself where rows are held."""
         if not self.blocks:
             return part
-        starts = [whole.start for whole in slices(self.observed.parts)]
+        starts = [whole.start for whole in spans_of(self.observed.parts)]
         edges = np.concatenate([start + own.edges for start, own in zip(starts, self.blocks, strict=True)])
         first, last = (int(edges[np.abs(edges - at).argmin()]) for at in (part.start, part.stop))
         return slice(first, last)
@@ -260,7 +260,7 @@ class FitData:
     def _within(self, part: slice) -> list[tuple[int, int]]:
         """What a part of the time has of each recording: first and last instant, counted from the recording's start."""
         ends = [
-            np.clip((part.start, part.stop), own.start, own.stop) - own.start for own in slices(self.observed.parts)
+            np.clip((part.start, part.stop), own.start, own.stop) - own.start for own in spans_of(self.observed.parts)
         ]
         return [(int(first), int(last)) for first, last in ends]
 
