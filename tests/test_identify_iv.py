@@ -418,4 +418,4 @@ def test_robot_without_controller_uses_a_surrogate_and_says_so(capsys):
     signals = load_signals(SCARA, dataclasses.replace(robot, controller=bare))
     fit = identify_iv(signals, Overrides(), Iteration())
     assert (fit.status, fit.iv.controller, fit.iv.reference) == ("converged", "surrogate", "recorded")
-    assert any("a PD of 5 Hz stands in" in text for text in fit.warnings)
+    assert any("simulated with a 5 Hz PD" in text for text in fit.warnings)

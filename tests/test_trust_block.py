@@ -302,8 +302,8 @@ def test_held_out_blocks_are_predicted_by_the_fit_of_the_others(method):
 
 
 @pytest.mark.slow
-def test_a_fit_that_does_not_carry_over_is_told():
-    """Of 60 parameters, from 2.6 s; physical ones carry over better, where the drive gains let them be found."""
+def test_a_fit_that_does_not_generalise_is_a_caution():
+    """Of 60 parameters, from 2.6 s; physical ones generalise better, where the drive gains let them be found."""
     signals = recorded("tx40", fault="tilt of gravity")
     cut = {name: getattr(signals, name)[:2600] for name in ("t_s", "q", "q_ref", "effort")}
     short = identify_ls(replace(signals, **cut), Overrides()).trust.line("held-out blocks")

@@ -17,9 +17,14 @@ from .estimators import Estimate
 from .system import spans_of
 
 LEVEL = 0.95
-FEWEST, MOST = 4, 16  # cosines: with all that white residuals would bear, AR(0.98) is covered in 76 % instead of 92 %
-LEAST_SHARE = 0.1  # of a recording too short to say more
-TIME_BLOCKS = 8 * MOST  # of a long recording: a cosine of the highest frequency has eight of them in half a period
+MIN_COSINES, MAX_COSINES = (
+    4,
+    16,
+)  # cosines: with all that white residuals would bear, AR(0.98) is covered in 76 % instead of 92 %
+MIN_VARIANCE_SHARE = 0.1  # of a recording too short to say more
+TIME_BLOCKS = (
+    8 * MAX_COSINES
+)  # of a long recording: a cosine of the highest frequency has eight of them in half a period
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -140,7 +145,7 @@ def _share(squares: Array, along: Array, B: int) -> Array:
     lost = np.tensordot(cosine, along, axes=1) ** 2  # (B, m, d)
     found, whole = (cosine**2 @ squares - lost.sum(axis=-1)).mean(axis=0), squares.sum(axis=0)
     seen = whole > 0  # one of several recordings may say nothing of a parameter
-    return np.asarray(np.maximum(np.divide(found, whole, out=np.ones_like(found), where=seen), LEAST_SHARE))
+    return np.asarray(np.maximum(np.divide(found, whole, out=np.ones_like(found), where=seen), MIN_VARIANCE_SHARE))
 
 
 def _family(B: int, T: int) -> Array:
@@ -151,7 +156,7 @@ def _family(B: int, T: int) -> Array:
 
 def cosines(T: int) -> int:
     """Their number for T instants: enough to tell the spread, few enough to stay at low frequencies."""
-    return int(np.clip(np.floor(0.4 * T ** (2 / 3)), FEWEST, MOST))
+    return int(np.clip(np.floor(0.4 * T ** (2 / 3)), MIN_COSINES, MAX_COSINES))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

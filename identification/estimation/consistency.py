@@ -21,13 +21,17 @@ from ..errors import IdentificationError
 
 GAMMA = 1.0  # of the prior of the links; with a generic prior 0.1 and less is worse than none on short recordings
 GAMMA_X = 1e-6  # of gamma: a barrier alone; at full weight friction and rotors are drawn away from the data
-MATRIX = 100.0  # times GAMMA_X of the log det of a matrix, whose lowest eigenvalue would be lost in rounding
-CERTIFIED = 1e-6  # Newton decrement: half its square is about the distance to the optimum
-STEPS = 40  # at most; some twenty are usual
-SOFTEST, FACTOR, LEAST_FACTOR = 1e8, 100.0, 1.02  # covariances times the first lead to what cannot be reached at once
-TO_THE_EDGE = 0.95  # of the way to the boundary that a step may go
-ROUNDING = 1e-14  # of the largest singular value
-LEAST_DEVIATION = 1e-5  # of a parameter's value: with less the barrier is lost in rounding
+MATRIX_WEIGHT = 100.0  # times GAMMA_X of the log det of a matrix, whose lowest eigenvalue would be lost in rounding
+MAX_DECREMENT = 1e-6  # Newton decrement: half its square is about the distance to the optimum
+MAX_STEPS = 40  # at most; some twenty are usual
+MAX_SOFTENING, MAX_FACTOR, MIN_FACTOR = (
+    1e8,
+    100.0,
+    1.02,
+)  # covariances times the first lead to what cannot be reached at once
+MAX_BOUNDARY_SHARE = 0.95  # of the way to the boundary that a step may go
+MIN_SINGULAR_VALUE = 1e-14  # of the largest singular value
+MIN_RELATIVE_DEVIATION = 1e-5  # of a parameter's value: with less the barrier is lost in rounding
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -97,7 +101,7 @@ def consistent_parameters(
     root = _inverse_root(beta, covariance)
     objective = _Objective(beta, root, K, physical, gamma, gamma * gamma_x)
     chi, decrement, steps = _minimum(objective, physical.start)
-    if not decrement <= CERTIFIED:
+    if not decrement <= MAX_DECREMENT:
         # An estimate far from any robot draws the steps along the boundary, where they are short.
         def softened(softer: float) -> _Objective:
             barrier = gamma * max(gamma_x, min(gamma_x * softer, 1.0))
@@ -105,9 +109,12 @@ def consistent_parameters(
 
         chi, decrement, more = _along_path(softened, physical.start)
         steps += more
-    if not decrement <= CERTIFIED:
+    if not decrement <= MAX_DECREMENT:
         raise IdentificationError(
-            "no consistent parameters found", key="Newton decrement", value=decrement, expected=f"{CERTIFIED:g} at most"
+            "no consistent parameters found",
+            key="Newton decrement",
+            value=decrement,
+            expected=f"{MAX_DECREMENT:g} at most",
         )
     moved = K @ chi - beta
     sigma = np.sqrt(np.diag(covariance))
@@ -146,7 +153,7 @@ def _variances(J: Array, rows: Array) -> Array:
     """Diagonal (k,) of rows (J'J)⁻¹ rows', with columns of J scaled to one; what J does not tell has a vast one."""
     d = np.linalg.norm(J, axis=0)
     values, V = np.linalg.svd(J / d, full_matrices=False)[1:]
-    return np.asarray(((rows / d @ V.T / np.maximum(values, ROUNDING * values[0])) ** 2).sum(axis=1))
+    return np.asarray(((rows / d @ V.T / np.maximum(values, MIN_SINGULAR_VALUE * values[0])) ** 2).sum(axis=1))
 
 
 class _Objective:
@@ -162,7 +169,7 @@ class _Objective:
         self._cones = [(physical.links, BASIS, gamma)]
         for matrix in physical.matrices:
             columns = np.flatnonzero(matrix.any(axis=(0, 1)))
-            self._cones.append((columns[None], np.moveaxis(matrix[..., columns], -1, 0), MATRIX * gamma_x))
+            self._cones.append((columns[None], np.moveaxis(matrix[..., columns], -1, 0), MATRIX_WEIGHT * gamma_x))
         self._pull = np.zeros(K.shape[1])  # of tr(P0⁻¹ P) by the parameters
         self._pull[physical.links] = gamma * np.einsum("lab,iba->li", np.linalg.inv(physical.prior), BASIS)
 
@@ -220,15 +227,15 @@ class _Objective:
 
 def _along_path(problem: Callable[[float], _Objective], chi: Array) -> tuple[Array, float, int]:
     """Minima of problems with ever harder covariances, each from the one before: the last, its decrement, all steps."""
-    chi, decrement, steps = _minimum(problem(SOFTEST), chi)
-    softer, factor = SOFTEST, FACTOR
-    while decrement <= CERTIFIED and softer > 1.0:
+    chi, decrement, steps = _minimum(problem(MAX_SOFTENING), chi)
+    softer, factor = MAX_SOFTENING, MAX_FACTOR
+    while decrement <= MAX_DECREMENT and softer > 1.0:
         harder = max(1.0, softer / factor)
         found, reached, more = _minimum(problem(harder), chi)
         steps += more
-        if reached <= CERTIFIED:
-            chi, decrement, softer, factor = found, reached, harder, min(FACTOR, factor**1.5)
-        elif factor > LEAST_FACTOR:  # a closer problem comes between
+        if reached <= MAX_DECREMENT:
+            chi, decrement, softer, factor = found, reached, harder, min(MAX_FACTOR, factor**1.5)
+        elif factor > MIN_FACTOR:  # a closer problem comes between
             factor **= 0.5
         else:
             decrement = reached
@@ -239,7 +246,7 @@ def _minimum(objective: _Objective, chi: Array) -> tuple[Array, float, int]:
     """Newton steps from chi: where they end, the decrement there, and their number."""
     steps = 0
     step, decrement = _newton_step(*objective.derivatives(chi))
-    while decrement > CERTIFIED and np.isfinite(decrement) and steps < STEPS:
+    while decrement > MAX_DECREMENT and np.isfinite(decrement) and steps < MAX_STEPS:
         length = _length(objective, chi, step, decrement)
         if length == 0.0:
             break
@@ -250,7 +257,7 @@ def _minimum(objective: _Objective, chi: Array) -> tuple[Array, float, int]:
 
 def _length(objective: _Objective, chi: Array, step: Array, decrement: float) -> float:
     """Share of a Newton step that stays inside and lowers the function as it should; 0 where rounding leaves none."""
-    value, length = objective.value(chi), min(1.0, TO_THE_EDGE * objective.reach(chi, step))
+    value, length = objective.value(chi), min(1.0, MAX_BOUNDARY_SHARE * objective.reach(chi, step))
     rounding = 1e-13 * abs(value)
     while length > 1e-10:
         if objective.value(chi + length * step) <= value - 1e-4 * length * decrement**2 + rounding:
@@ -277,8 +284,8 @@ def _inverse_root(beta: Array, covariance: Array) -> Array:
     own = np.where(sigma > 0, sigma, 1.0)
     R = covariance / own[:, None] / own
     R[np.diag_indices_from(R)] = 1.0 + 1e-12
-    sigma = np.maximum(sigma, LEAST_DEVIATION * np.abs(beta))
-    sigma = np.where(sigma > 0, sigma, LEAST_DEVIATION)
+    sigma = np.maximum(sigma, MIN_RELATIVE_DEVIATION * np.abs(beta))
+    sigma = np.where(sigma > 0, sigma, MIN_RELATIVE_DEVIATION)
     try:
         return np.asarray(np.linalg.inv(np.linalg.cholesky(R)) / sigma)
     except np.linalg.LinAlgError as error:

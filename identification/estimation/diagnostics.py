@@ -15,7 +15,7 @@ from ..report import TorqueError
 from .system import System, orthonormal, r_factor, spans_of
 
 MOVING = 0.02  # of a joint's peak speed: below, it stands
-_MOST_TERMS = 500  # of the continued fraction: some ten are needed, and sqrt(degrees of freedom) where these are many
+_MAX_TERMS = 500  # of the continued fraction: some ten are needed, and sqrt(degrees of freedom) where these are many
 
 
 def torque_errors(tau: Array, predicted: Array, speed: Array, names: tuple[str, ...]) -> tuple[TorqueError, ...]:
@@ -208,7 +208,7 @@ def _incomplete_beta(a: float, b: float, x: float) -> float:
     front = math.exp(math.lgamma(a + b) - math.lgamma(a) - math.lgamma(b) + a * math.log(x) + b * math.log1p(-x))
     C, D = 1.0, 1.0 / (1.0 - (a + b) * x / (a + 1.0))
     fraction = D
-    for m in range(1, _MOST_TERMS):
+    for m in range(1, _MAX_TERMS):
         even = m * (b - m) * x / ((a + 2 * m - 1) * (a + 2 * m))
         odd = -(a + m) * (a + b + m) * x / ((a + 2 * m) * (a + 2 * m + 1))
         for term in (even, odd):

@@ -21,7 +21,9 @@ from .system import RANK_TOLERANCE, System, orthonormal, r_factor, refuse_rank_d
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-ROUNDING = 1e-9  # of a column's norm over all joints: a joint that has less of it feels rounding, not the parameter
+MIN_COLUMN_NORM = (
+    1e-9  # of a column's norm over all joints: a joint that has less of it feels rounding, not the parameter
+)
 F_TEST_LEVEL = 0.01  # a parameter is dropped only where the F test's p-value stays above
 
 
@@ -116,7 +118,7 @@ def joint_weights(system: System) -> Array:
     """1/s_j (n,): s_j² = |Y_j - W_j b_j|² / (r_j - b_j), b_j the rank of that joint's columns."""
     rows = system.rows
     W, Y = system.weighted(np.ones(len(rows)))
-    s, least = np.empty(len(rows)), ROUNDING * np.linalg.norm(W, axis=0)
+    s, least = np.empty(len(rows)), MIN_COLUMN_NORM * np.linalg.norm(W, axis=0)
     for j in range(len(rows)):
         W_j, Y_j = W[system.joint_of_row == j], Y[system.joint_of_row == j]
         W_j = W_j[:, np.linalg.norm(W_j, axis=0) > least]

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from ..arrays import Array
 from ..errors import IdentificationError
 
-_ROWS = 1024  # of a block that is factored at a time
-_WELL = 1e3  # condition up to which A R⁻¹ is orthonormal to 1e-12
+_BLOCK_ROWS = 1024  # of a block that is factored at a time
+_MAX_CONDITION = 1e3  # condition up to which A R⁻¹ is orthonormal to 1e-12
 RANK_TOLERANCE = 1e-8  # of the largest singular value of the column-scaled W
 
 
@@ -132,22 +132,22 @@ def r_factor(A: Array) -> Array:
     Langou, SIAM J. Sci. Comput. 34 (2012)). Of long A three times as fast as in one go.
     """
     r, c = A.shape
-    blocks = r // _ROWS
-    if blocks < 2 or c >= _ROWS:
+    blocks = r // _BLOCK_ROWS
+    if blocks < 2 or c >= _BLOCK_ROWS:
         return np.asarray(np.linalg.qr(A, mode="r"))
-    whole = A[: blocks * _ROWS].reshape(blocks, _ROWS, c)
+    whole = A[: blocks * _BLOCK_ROWS].reshape(blocks, _BLOCK_ROWS, c)
     each: Array = np.asarray(np.linalg.qr(whole, mode="r"))
-    return r_factor(np.concatenate([each.reshape(-1, c), A[blocks * _ROWS :]]))
+    return r_factor(np.concatenate([each.reshape(-1, c), A[blocks * _BLOCK_ROWS :]]))
 
 
 def orthonormal(A: Array) -> Array:
     """Orthonormal columns (r, c) that span those of A (r, c), which are of norm one and can be told apart: A R⁻¹."""
-    if len(A) < 2 * _ROWS:
+    if len(A) < 2 * _BLOCK_ROWS:
         return np.asarray(np.linalg.qr(A)[0])
     R = r_factor(A)
     Q = np.asarray(A @ np.linalg.inv(R))
     # Once more where R is not well conditioned: then they are orthonormal but for rounding.
-    return Q if np.linalg.cond(R) < _WELL else np.asarray(Q @ np.linalg.inv(r_factor(Q)))
+    return Q if np.linalg.cond(R) < _MAX_CONDITION else np.asarray(Q @ np.linalg.inv(r_factor(Q)))
 
 
 def refuse_rank_deficiency(W: Array, names: tuple[str, ...]) -> Array:

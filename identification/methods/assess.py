@@ -303,7 +303,7 @@ def _iv_warnings(replicas: tuple[Replica, ...], tests: InstrumentTests) -> tuple
             "strictly exogenous"
         )
     if without := [one.bandwidth_hz for one in replicas if not one.described]:
-        warnings.append(f"surrogate controller: none is described, a PD of {without[0]:g} Hz stands in")
+        warnings.append(f"no controller described: simulated with a {without[0]:g} Hz PD instead")
     if unknown := [one.bandwidth_hz for one in replicas if one.described and not one.J_known]:
         warnings.append(
             "least squares gives no positive inertias: those that the described gains suit at "

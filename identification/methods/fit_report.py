@@ -58,7 +58,7 @@ def _verdict_section(fit: Fit) -> Section:
     lines += [f"status: {fit.status}{reason}", error_line(fit.errors)]
     if fit.status in NO_FIXED_POINT:
         error = relative_error_percent(fit.tau, fit.tau - fit.least_squares.tau_predicted)
-        lines.append(f"least squares leaves {_percent(error)} of all rows: --method wls")
+        lines.append(f"error of least squares {_percent(error)} of all rows: --method wls")
     return Section(lines=(*lines, _essential_line(fit)), warnings=fit.warnings)
 
 
@@ -113,7 +113,7 @@ def _parameters(fit: Fit, *, everything: bool) -> Section:
         ),
         lines=(
             "±95%: half-width of the 95 % interval",
-            *(["sigma takes the residual for white noise, the interval does not"] if everything else []),
+            *(["sigma assumes a white residual, the interval does not"] if everything else []),
             *([f"{left_out} poorly determined parameters hidden (--all)"] if left_out else []),
         ),
     )
@@ -216,7 +216,7 @@ def _iv_lines(iv: InstrumentEvidence) -> tuple[str, ...]:
     lines = [f"pass {k}: instruments {p.z.kind}: {p.z.reason}" for k, p in enumerate(iv.passes, 1) if p.z.reason]
     strength = f"instruments: smallest correlation with W {t.strength:.3f}, first-stage F {t.first_stage_F:.3g}"
     used = f"{iv.rows_used_percent:.1f} % of the rows used; reference {iv.reference}, controller {iv.controller}"
-    contrast = f"least squares is {iv.contrast:.2g} half-widths off at {iv.contrast_at}"
+    contrast = f"least squares differs by {iv.contrast:.2g} half-widths at {iv.contrast_at} (IV is reported)"
     return (*lines, strength, contrast, used)
 
 

@@ -23,8 +23,8 @@ from acquisition.files import atomic_write
 from ..errors import IdentificationError
 from .document import Document, Section, Table, cell_text
 
-_LONGEST_WORD = 16  # that keeps its column as wide; longer ones, such as a file's name, are broken
-_UNBOUNDED = 10_000  # columns, of what is to be measured
+_MAX_WORD = 16  # that keeps its column as wide; longer ones, such as a file's name, are broken
+_MAX_WIDTH = 10_000  # columns, of what is to be measured
 
 
 def print_whole(*items: Document | str) -> None:
@@ -35,7 +35,7 @@ def print_whole(*items: Document | str) -> None:
     """
     console = Console(markup=False, emoji=False)
     if not console.is_terminal:
-        console.width = _UNBOUNDED
+        console.width = _MAX_WIDTH
     for item in items:
         if isinstance(item, str):
             _print_line(console, item)
@@ -72,7 +72,7 @@ def _rich_table(table: Table) -> RichTable:
 
 
 def _print_table(console: Console, table: RichTable) -> None:
-    unbounded = console.options.update(max_width=_UNBOUNDED)
+    unbounded = console.options.update(max_width=_MAX_WIDTH)
     if Measurement.get(console, unbounded, table).maximum > console.width:
         table.box, table.padding, table.show_edge = box.SIMPLE_HEAD, (0, 1, 0, 0), False
         for column in table.columns:
@@ -88,7 +88,7 @@ def _set_close(column: Column) -> None:
     numbers, heading = column.justify == "right", str(column.header)
     cells = [str(cell) for cell in column.cells]
     words = [word for text in ([heading] if numbers else [heading, *cells]) for word in text.split()]
-    width = min(_LONGEST_WORD, max((cell_len(word) for word in words), default=1))
+    width = min(_MAX_WORD, max((cell_len(word) for word in words), default=1))
     if numbers:
         width = max(width, *(cell_len(cell) for cell in cells), 1)
         column.header = Text("\n".join(textwrap.wrap(heading, width, break_on_hyphens=False)))

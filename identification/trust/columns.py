@@ -22,13 +22,13 @@ from .fit_data import FitData, RecordingData, TrustLine
 from .lag import simulated_rates
 
 MIN_T = 5.0  # deviations that chance does not explain
-TAKEN_PERCENT = 2.0  # of the residual's square
-SPRING_TAKEN_PERCENT = 10.0  # the same for a spring: slow errors of any origin follow a slow position a little
-SLOW = 0.2  # of a joint's peak speed: Stribeck friction has fallen to Coulomb friction about there
+MIN_TAKEN_PERCENT = 2.0  # of the residual's square
+MIN_SPRING_TAKEN_PERCENT = 10.0  # the same for a spring: slow errors of any origin follow a slow position a little
+STRIBECK_SPEED_RATIO = 0.2  # of a joint's peak speed: Stribeck friction has fallen to Coulomb friction about there
 STRIBECK, ASYMMETRIC, OFFSET, SPRING = "Stribeck friction", "asymmetric friction", "offset", "spring"
 ROOT, LOAD, TILT, LAG, DRIFT = "root friction", "load friction", "tilt of gravity", "lag", "drift"
-SELECT = "run `robot-identify friction`"
-ALIKE_PERCENT = 2.0  # of the residual's square: kinds that take as much cannot be told apart
+SELECT_TERMS = "run `robot-identify friction`"
+MAX_TIE_PERCENT = 2.0  # of the residual's square: kinds that take as much cannot be told apart
 MIN_INDEPENDENT_NORM = 0.02  # share of a column's norm that W must not contain for its coefficient to say anything
 
 
@@ -61,7 +61,7 @@ class MissingTerm:
         """Whether chance does not explain it, and it matters."""
         if self.kind == LAG:  # it hardly shows in the residual
             return abs(self.t) > MIN_T and self.moves > 1
-        least = SPRING_TAKEN_PERCENT if self.kind == SPRING else TAKEN_PERCENT
+        least = MIN_SPRING_TAKEN_PERCENT if self.kind == SPRING else MIN_TAKEN_PERCENT
         return abs(self.t) > MIN_T and self.taken_percent > least
 
 
@@ -71,17 +71,18 @@ def added_columns_test(evidence: FitData) -> TrustLine:
     evidence = evidence.with_rows
     terms = missing_terms(evidence)
     if not terms:
-        return TrustLine(name, "not made", "not made: the model contains all that is tried")
+        return TrustLine(name, "not made", "not made: the model has every term that is tried")
     found = [term for term in terms if term.found]
     first = max(found or terms, key=_rank)
     strongest = f"{first.kind} {first.where} {first.value:.3g} {first.unit}".rstrip()
-    strongest += f" (t {first.t:.1f}) takes {first.taken_percent:.1f} % of the residual"
+    strongest += f", t = {first.t:.1f}, {first.taken_percent:.1f} % of the residual"
     if not found:
         robot = evidence.problem.signals.robot
         untried = "" if robot.gain_known else "; relative gains not tried: the drive gains are not known"
         untried = "; one joint has no relative gain" if robot.n == 1 else untried
-        return TrustLine(name, "ok", f"none of {len(terms)} matters; the first, {strongest}{untried}", first.t)
-    more = f"; {len(found) - 1} more beyond t = {MIN_T:g}" if len(found) > 1 else ""
+        text = f"no missing term found ({len(terms)} tried; strongest: {strongest}){untried}"
+        return TrustLine(name, "ok", text, first.t)
+    more = f"; {len(found) - 1} more with t above {MIN_T:g}" if len(found) > 1 else ""
     finding = f"{first.kind} {first.where}{'' if first.kind in (TILT, LAG, DRIFT) else ' missing'}"
     return TrustLine(name, "caution", f"{strongest}{more}: {first.advice}", first.t, finding=finding)
 
@@ -92,7 +93,7 @@ def _rank(term: MissingTerm) -> tuple[float, float]:
     Asymmetric Coulomb friction is an offset as well: where both take as much, the description of the former has both. A tilt
     of gravity follows the position, as springs do.
     """
-    ahead = ALIKE_PERCENT if term.kind in (ASYMMETRIC, TILT) else 0.0
+    ahead = MAX_TIE_PERCENT if term.kind in (ASYMMETRIC, TILT) else 0.0
     behind = 0.5 if term.kind == SPRING else 1.0
     return behind * term.together_percent + ahead, term.taken_percent
 
@@ -163,13 +164,13 @@ def _columns(evidence: FitData) -> Iterator[MissingTerm]:
     for j, joint in enumerate(joints):
         terms, effort = joint.terms, efforts[j]
         if {"viscous", "coulomb"} & set(terms) and not joint.one_sided and "asymmetric" not in terms:
-            advice = _to_describe(joint, "asymmetric", 'friction = "asymmetric", which has an offset too')
+            advice = _to_describe(joint, "asymmetric", 'friction = "asymmetric", which includes an offset')
             resisting = value.get(f"Fc{j + 1}", 0.0) + value.get(f"Fv{j + 1}", 0.0) * speed[:, j]
             yield of_joint(j, ASYMMETRIC, 0.01 * resisting, "% of it", advice)
         if "offset" not in terms:
             yield of_joint(j, OFFSET, np.ones_like(time), effort, _to_describe(joint, "offset", "offset = true"))
         yield of_joint(j, DRIFT, time, f"{effort} over the recording", "warm the robot up, or record a shorter motion")
-        advice = "record its torque, of a spring, a hose or a weight, as known_torque"
+        advice = "record its torque (of a spring, a hose or a weight) as known_torque"
         yield of_joint(j, SPRING, position[:, j], f"{effort}/{joint.position_unit}", advice)
         if "stribeck" not in terms:
             yield of_joint(j, STRIBECK, slow[:, j], effort, "leave out slow rows by a larger --low-speed-percent")
@@ -183,9 +184,9 @@ def _columns(evidence: FitData) -> Iterator[MissingTerm]:
         if "root" not in joints[j].terms:
             where = f"of{' the motor of' if np.count_nonzero(along) > 1 else ''} joint {joints[j].name}"
             unit = f"{efforts[j]} ({joints[j].position_unit}/s)^-½"
-            yield MissingTerm(kind=ROOT, where=where, torque=np.outer(column, along), unit=unit, advice=SELECT)
+            yield MissingTerm(kind=ROOT, where=where, torque=np.outer(column, along), unit=unit, advice=SELECT_TERMS)
     yield from (
-        of_joint(j, LOAD, load[:, j], "", SELECT) for j, joint in enumerate(joints) if "load" not in joint.terms
+        of_joint(j, LOAD, load[:, j], "", SELECT_TERMS) for j, joint in enumerate(joints) if "load" not in joint.terms
     )
     if (
         n > 1
@@ -194,7 +195,7 @@ def _columns(evidence: FitData) -> Iterator[MissingTerm]:
     ):
         # in fast rows: beside reversals friction that rises smoothly looks like a lag
         late = np.concatenate([(-1e-3 * rate * fast).T for rate, fast in map(simulated_rates, evidence.recordings)])
-        advice = "look at how its effort is filtered or stamped"
+        advice = "check how its effort is filtered and stamped"
         yield from (of_joint(j, LAG, late[:, j], "ms", advice) for j in range(n))
     if n > 1 and robot.gain_known:
         # What the estimate predicts of a drive's torque: the coefficient is its gain over that of the others, less 1.
@@ -212,7 +213,7 @@ def _series(evidence: FitData, links: DirectModel) -> Iterator[tuple[Array, ...]
     directions = evidence.problem.model.coulomb_directions
     fastest = np.max([np.abs(motion.dq).max(axis=0) for motion, _ in motions], axis=0)
     for motion, decimation in motions:
-        slow = np.sign(motion.dq) * np.exp(-((motion.dq / (SLOW * np.maximum(fastest, 1e-300))) ** 2))
+        slow = np.sign(motion.dq) * np.exp(-((motion.dq / (STRIBECK_SPEED_RATIO * np.maximum(fastest, 1e-300))) ** 2))
         slip = motion.dq @ directions.T
         root = np.sign(slip) * np.sqrt(np.abs(slip))
         load = np.abs(links.torque(motion.q, motion.dq, motion.ddq)) * np.sign(motion.dq)

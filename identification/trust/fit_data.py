@@ -14,7 +14,7 @@ from ..report import Assumed, Level, Method, Verdict
 
 LEVELS: tuple[Level, ...] = ("do not use", "caution", "cannot tell", "not made", "ok")  # worst first
 ILL_CONDITIONED = (
-    "not made: the parameters of a long recording are too ill-conditioned for it; fit a part of it, or with --essential"
+    "not made: the parameters of this long recording are too ill-conditioned; fit a part of it, or use --essential"
 )
 MAX_SUMS_ERROR = 1e-6  # of the products of orthonormal columns, by which sums of squares may be off
 

@@ -16,8 +16,8 @@ from ..estimation import spans_of, undetermined_parameters
 from .fit_data import ILL_CONDITIONED, Figure, FitData, TrustLine, part_of
 
 BLOCKS = 5
-FAR_FACTOR = 3.0  # the same that, with M not positive, says not to use it
-HELD_OUT_FACTOR = 1.5  # held-out over training error that says that the fit does not carry over
+MAX_HELD_OUT_RATIO_NOT_POSITIVE = 3.0  # the same that, with M not positive, says not to use it
+MAX_HELD_OUT_RATIO = 1.5  # held-out over training error that says that the fit does not carry over
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -158,11 +158,11 @@ def _recordings_line(evidence: FitData, found: tuple[HeldOut | None, ...]) -> Tr
 def _line(evidence: FitData, text: str, errors: tuple[float, float], cure: str, figures: list[Figure]) -> TrustLine:
     """The line of errors in percent, held out and trained."""
     shown = tuple(figures)
-    if errors[0] <= HELD_OUT_FACTOR * errors[1]:
+    if errors[0] <= MAX_HELD_OUT_RATIO * errors[1]:
         return TrustLine("held-out blocks", "ok", text, errors[0], figures=shown, unit="%")
-    text += f": the fit does not carry over: {cure}, with more varied motion, or fit with --essential"
+    text += f": the fit does not generalise: {cure}, with more varied motion, or fit with --essential"
     if evidence.problem.signals.robot.gain_known:
-        text += ", or take the parameters of --consistent, which carry over better"
-    far, finding = errors[0] > FAR_FACTOR * errors[1], "does not carry over"
+        text += ", or take the parameters of --consistent, which generalise better"
+    far, finding = errors[0] > MAX_HELD_OUT_RATIO_NOT_POSITIVE * errors[1], "does not generalise"
     line = TrustLine("held-out blocks", "caution", text, errors[0], finding, figures=shown, unit="%")
     return replace(line, fails_held_out=far)

@@ -21,10 +21,10 @@ from ..regression import KnownLag, Regression, differentiate, moving_rows_of, to
 from ..report import Level
 from .fit_data import Figure, FitData, Lag, RecordingData, TrustLine
 
-APART = 3.0  # joint deviations between data and what is known: beyond, the data alone count
-CONTRADICTED = 4.0  # deviations of the data off a lag that the user states
-NEGATIVE = 0.75  # samples that a torque may come before its command, beyond the interval
-SLOW_PERCENT = 20.0  # of the peak speed: rows slower than this are left out
+MAX_DEVIATIONS_FROM_PRIOR = 3.0  # joint deviations between data and what is known: beyond, the data alone count
+MAX_DEVIATIONS_FROM_STATED = 4.0  # deviations of the data off a lag that the user states
+MAX_EARLY_SAMPLES = 0.75  # samples that a torque may come before its command, beyond the interval
+MIN_SPEED_PERCENT = 20.0  # of the peak speed: rows slower than this are left out
 ORDER = 6  # of the autoregression that whitens: shorter, model error passes for a lag; longer, few rows are left
 
 Groups = Sequence[Sequence[int]]  # places of recordings whose torques have one lag
@@ -75,7 +75,7 @@ def simulated_rates(part: RecordingData) -> tuple[Array, NDArray[np.bool_]]:
     assert decimation is not None
     rate = decimation.filtered(differentiate(simulated.tau, 1 / (simulated.t_s[1] - simulated.t_s[0])).T)
     directions = problem.model.coulomb_directions
-    percent = max(SLOW_PERCENT, problem.settings.low_speed.iv or 0.0)
+    percent = max(MIN_SPEED_PERCENT, problem.settings.low_speed.iv or 0.0)
     slip = decimation.kept(simulated.dq) @ directions.T
     return rate, _well_before_slow(moving_rows_of(slip, part.regression.slip_noise, directions, percent).T)
 
@@ -96,7 +96,7 @@ def combined_lag(prior: KnownLag, found: tuple[float, float, float] | None) -> L
     if found is not None and not prior.stated:
         value, sd, reach = found
         data = KnownLag(value_s=value, sd_s=sd, source="data")
-        far = abs(value - prior.value_s) > APART * np.hypot(sd, prior.sd_s)
+        far = abs(value - prior.value_s) > MAX_DEVIATIONS_FROM_PRIOR * np.hypot(sd, prior.sd_s)
         counted = data if far else prior.with_other(data)
     value_s, sd_s, source = counted.value_s, counted.sd_s, counted.source
     return Lag(value_s=value_s, sd_s=sd_s, reach=reach, source=source, prior=prior, found=found)
@@ -128,23 +128,26 @@ def _line(evidence: FitData, lag: Lag) -> TrustLine:
     cost = f"±{moved[worst]:.2g} half-widths at {names[worst]}"
     if lag.prior.stated:
         text = f"{lag.value_s:.4g} s, as torque_lag_s states"
-        if lag.found is not None and abs(lag.found[0] - lag.value_s) > CONTRADICTED * lag.found[1]:
+        if lag.found is not None and abs(lag.found[0] - lag.value_s) > MAX_DEVIATIONS_FROM_STATED * lag.found[1]:
             level = "caution"
-            text += f"; the data say {lag.found[0]:.4g} ± {lag.found[1] * lag.reach:.2g} s: leave torque_lag_s out"
+            text += f"; the data give {lag.found[0]:.4g} ± {lag.found[1] * lag.reach:.2g} s: leave torque_lag_s out"
     elif lag.found is None:
         known = f"{lag.value_s * 1e3:.2g} ± {lag.sd_s * 1e3:.2g} ms by {lag.prior.source}"
         if lag.prior.source == "nothing":
             known = f"not known, {lag.value_s * 1e3:g} ± {lag.sd_s * 1e3:g} ms"
-        text = f"{known}: {cost}, counted in the intervals"
+        text = f"{known}: {cost}, included in the intervals"
         if moved[worst] > 1:
             level, text = "caution", f"{text}: state effort_timing, or record the reference"
     else:
-        text += ": corrected, counted in the intervals"
+        text += ": corrected, included in the intervals"
         if lag.source == "data":
-            text += f"; {lag.prior.source} says {lag.prior.value_s * fs:.2f}, too far off to count"
+            text += f"; {lag.prior.source} gives {lag.prior.value_s * fs:.2f}, which contradicts it and is not used"
         if lag.delay_s is not None:
             delay, off = lag.delay_s[0] * fs, lag.delay_s[1] * fs
             text += f"; it acts {delay:.2f} ± {off:.2f} samples after the command"
-            if delay < -NEGATIVE - off:
-                level, text = "caution", f"{text}: before it: check sample_rate_hz of [controller] and time stamps"
+            if delay < -MAX_EARLY_SAMPLES - off:
+                level, text = (
+                    "caution",
+                    f"{text}, which is impossible: check sample_rate_hz of [controller] and time stamps",
+                )
     return TrustLine("lag", level, text, late, figures=figures, unit="samples")

@@ -31,11 +31,11 @@ from ..report import Level
 from .columns import motion_of
 from .fit_data import LEVELS, FitData, TrustLine, covariance_of_all
 
-SEVERE = 2.0  # half-widths below zero that chance does not explain
-TINY = 1e-300  # in place of an interval of no width
-NO_WEIGHT = 1e-9  # m: arms of weights about all axes below this are none
-LIGHTER = 0.9  # of the residual: a model without gravity that leaves less is told
-FAR_LEVEL = 0.001  # of the chi-squared test: how rarely a physical robot gives an estimate this far off
+MAX_HALF_WIDTHS = 2.0  # half-widths below zero that chance does not explain
+MIN_HALF_WIDTH = 1e-300  # in place of an interval of no width
+MIN_ARM_M = 1e-9  # m: arms of weights about all axes below this are none
+MIN_RESIDUAL_RATIO = 0.9  # of the residual: a model without gravity that leaves less is told
+CONSISTENT_LEVEL = 0.001  # of the chi-squared test: how rarely a physical robot gives an estimate this far off
 
 
 Finding = tuple[Level, str]
@@ -86,16 +86,16 @@ def _findings(evidence: FitData, estimate: Estimate, found: Intervals) -> tuple[
             if not np.allclose(G @ base.K, matrix, atol=1e-9) or not (G := G[..., indices] * of_part).any():
                 continue
             _, value, half = _along_directions(G, estimate.beta, found)
-            worst = int(np.argmin(value / np.maximum(half, TINY)))
+            worst = int(np.argmin(value / np.maximum(half, MIN_HALF_WIDTH)))
             name = of + (f" in {part.problem.signals.recording}" if own else "")
             text = f"{name} = {value[worst]:.4g} ± {half[worst]:.2g} {first.unit}"
-            furthest = (float(-value[worst] / max(half[worst], TINY)), text)
+            furthest = (float(-value[worst] / max(half[worst], MIN_HALF_WIDTH)), text)
             if furthest[0] > 1:
                 of_joint = beyond.setdefault(first.joint, {})
                 of_joint[first.kind] = max(furthest, of_joint.get(first.kind, furthest))
     for joint, kinds in sorted(beyond.items()):
         # One of many parameters is beyond its interval now and then; two of one joint hardly ever.
-        severe = len(kinds) > 1 or any(far > SEVERE for far, _ in kinds.values())
+        severe = len(kinds) > 1 or any(far > MAX_HALF_WIDTHS for far, _ in kinds.values())
         text = f"below zero: {', '.join(text for _, text in kinds.values())}: {_question(idm.robot.joints[joint].name)}"
         findings.append(("do not use" if severe else "caution", text))
     return findings, lowest
@@ -134,7 +134,7 @@ def _driving_findings(
         G = friction_power(idm, columns, dq, load) * of_part
         for g, v in zip(G, dq, strict=True):
             j, power, half = int(np.abs(v).argmax()), float(g @ estimate.beta), float(_half(g, found))
-            one = (power / max(half, TINY), v[j], power, half)
+            one = (power / max(half, MIN_HALF_WIDTH), v[j], power, half)
             worst[j] = min(one, worst.get(j, one))
     findings = list[Finding]()
     for j, (beyond, speed, power, half) in sorted(worst.items()):
@@ -142,12 +142,12 @@ def _driving_findings(
             joint, unit = robot.joints[j], robot.effort_units[j]
             text = f"friction would drive joint {joint.name} at {speed:.3g} {joint.position_unit}/s: {power:.3g} ± {half:.2g} "
             text += f"{unit} against its motion: {_question(joint.name)}, or leave terms out"
-            findings.append(("do not use" if beyond < -SEVERE else "caution", text))
+            findings.append(("do not use" if beyond < -MAX_HALF_WIDTHS else "caution", text))
     return findings
 
 
 def _question(name: str) -> str:
-    return f"look at the sign of effort and position of joint {name}"
+    return f"check the sign of effort and position of joint {name}"
 
 
 def _inertia_findings(
@@ -167,9 +167,9 @@ def _inertia_findings(
     joint = idm.robot.joints[int(np.abs(directions[worst]).argmax())].name
     finding = f"the inertia matrix is not positive on the trajectory (lowest eigenvalue {least:.3g}"
     finding += f"; {lowest[worst]:.3g} ± {half[worst]:.2g} about joint {joint})"
-    if (lowest < -SEVERE * half).any():
+    if (lowest < -MAX_HALF_WIDTHS * half).any():
         return [("do not use", f"{finding}: {_question(joint)}")], least
-    return [("caution", f"{finding}, which chance may explain: a consistent set is needed to simulate it")], least
+    return [("caution", f"{finding}, possibly by chance: simulating it needs a consistent set")], least
 
 
 def _gravity_findings(evidence: FitData) -> list[Finding]:
@@ -184,7 +184,7 @@ def _gravity_findings(evidence: FitData) -> list[Finding]:
     q = np.concatenate([decimation.kept(motion.q) for motion, decimation in measured])
     of_links = idm.of_links[columns]
     at_rest = np.where(of_links, idm.regressor(q, np.zeros_like(q), np.zeros_like(q))[:, :, columns], 0.0)
-    if np.abs(at_rest).max() <= NO_WEIGHT * np.linalg.norm(problem.signals.robot.gravity):
+    if np.abs(at_rest).max() <= MIN_ARM_M * np.linalg.norm(problem.signals.robot.gravity):
         return []
     rows, system = evidence.rows, evidence.observed.system
     weights = dict(zip(problem.base.names, at_rest.transpose(2, 1, 0), strict=True))
@@ -199,10 +199,10 @@ def _gravity_findings(evidence: FitData) -> list[Finding]:
         A = W / np.where(size > 0, size, 1.0)
         rho = R[:, -1] - A @ np.linalg.lstsq(A, R[:, -1], rcond=1e-9)[0]
         left.append(100 * float(np.linalg.norm(rho) / np.linalg.norm(rows.Y)))
-    if left[1] >= LIGHTER * left[0]:
+    if left[1] >= MIN_RESIDUAL_RATIO * left[0]:
         return []
-    text = f"the torques fit a model without gravity better: {left[1]:.3g} % left against {left[0]:.3g} %: "
-    text += "efforts with the robot's weight taken out, values that are no torques, or a wrong gravity_m_s2"
+    text = f"the torques fit a model without gravity better: residual {left[1]:.3g} % against {left[0]:.3g} %: "
+    text += "the efforts lack the robot's weight, are no torques, or gravity_m_s2 is wrong"
     return [("caution", text)]
 
 
@@ -222,10 +222,15 @@ def consistent_test(evidence: FitData) -> TrustLine:
         nearest = nearest_consistent(problem.model, problem.base, beta, covariance[np.ix_(first, first)], power)
     except IdentificationError as error:
         return TrustLine("consistent", "cannot tell", str(error))
-    moves, bound = np.abs(nearest.deviations) / evidence.intervals.reach, chi_squared_quantile(FAR_LEVEL, len(names))
-    text = f"the nearest physical robot is at chi² = {nearest.chi_squared:.3g} of {len(names)} parameters, "
+    moves, bound = (
+        np.abs(nearest.deviations) / evidence.intervals.reach,
+        chi_squared_quantile(CONSISTENT_LEVEL, len(names)),
+    )
+    text = f"the nearest physical robot is at chi² = {nearest.chi_squared:.3g} ({len(names)} parameters), "
     text += f"{names[int(moves.argmax())]} moved by {moves.max():.2g} half-widths of its interval"
     if nearest.chi_squared > bound:
-        text += f", more than {bound:.3g} by chance: look at the signs and units of efforts and positions, and at the frames"
+        text += (
+            f", above {bound:.3g}, the limit of chance: check signs and units of efforts and positions, and the frames"
+        )
         return TrustLine("consistent", "caution", text, nearest.chi_squared)
     return TrustLine("consistent", "ok", text, nearest.chi_squared)

@@ -20,14 +20,14 @@ from ..simulation import Control, ControlLaw, Reference, recorded_loop
 from .fit_data import LEVELS, Figure, FitData, TrustLine
 
 DRIVE_DELAY_S = 0.0005  # deviation of the time from a command to its torque
-GAIN_OFF, ERROR_PERCENT = 0.02, 5.0  # beyond these: caution
-REPLAYED_S = 600.0  # of a long recording: what the law gives later it gives for the same reasons
-MOST_LAG = 20  # samples looked at, to start from
-EARLIER = MOST_LAG + 3  # samples replayed before those compared: a lag, and the past of the velocity estimate
+MAX_GAIN_ERROR, MAX_ERROR_PERCENT = 0.02, 5.0  # beyond these: caution
+MAX_REPLAYED_S = 600.0  # of a long recording: what the law gives later it gives for the same reasons
+MAX_FIRST_LAG = 20  # samples looked at, to start from
+LEAD_SAMPLES = MAX_FIRST_LAG + 3  # samples replayed before those compared: a lag, and the past of the velocity estimate
 LAG_PASSES = 3  # of Gauss and Newton, from there
-FURTHEST_STEP = 10.0  # samples that one of them may go
-MIRRORED_PERCENT = 50.0  # left by a negative gain: less, and the effort is the law's with the wrong sign
-STILL = 1e-9  # of the largest: a joint whose law gives less than this is not compared
+MAX_LAG_STEP = 10.0  # samples that one of them may go
+MAX_MIRRORED_PERCENT = 50.0  # left by a negative gain: less, and the effort is the law's with the wrong sign
+MIN_EFFORT_RATIO = 1e-9  # of the largest: a joint whose law gives less than this is not compared
 
 
 def replay_test(evidence: FitData) -> TrustLine:
@@ -51,22 +51,22 @@ def replay_line(problem: Problem) -> tuple[TrustLine, KnownLag | None]:
     That needs no estimate. A command acts from its tick to the next one, half a period later in the mean, and the drive's own
     delay is not in it.
     """
-    signals, reason, loop = problem.signals, "[controller] describes no control law, or not all of one", None
+    signals, reason, loop = problem.signals, "[controller] describes no control law, or not all of it", None
     with suppress(IdentificationError):  # described in part
         loop = recorded_loop(signals.robot)
     if signals.q_ref is None:
         reason, loop = "the recording has no reference", None
     elif signals.of_drives:
-        reason = "the drives have loops of their own, which interpolate the reference between two SYNCs"
+        reason = "the drive's internal loop is not described, so drive gain and delay cannot be checked"
         loop = None
     elif loop is not None and loop.computed_torque:
-        reason, loop = "computed torque has the robot's own model in it", None
+        reason, loop = "computed torque depends on the robot's own model", None
     if loop is None:
         return TrustLine("replay", "not made", f"not made: {reason}"), None
     found = replay(problem, loop)
     _, lag, lag_sd, _, left = found
     line = _line([joint.name for joint in signals.robot.joints], found)
-    alike = np.nan_to_num(left, nan=np.inf) <= ERROR_PERCENT
+    alike = np.nan_to_num(left, nan=np.inf) <= MAX_ERROR_PERCENT
     if not alike.any():
         return line, None
     value_s = float(lag[alike].mean()) / signals.sample_rate_hz - 0.5 * loop.period_s
@@ -84,7 +84,7 @@ def replay(problem: Problem, loop: ControlLaw) -> Array:
     effort, replayed = _efforts(problem, loop)
     size = np.abs(replayed).max(axis=0)
     found = np.full((5, len(size)), np.nan)
-    for j in np.flatnonzero(size > STILL * max(size.max(), np.abs(effort).max())):
+    for j in np.flatnonzero(size > MIN_EFFORT_RATIO * max(size.max(), np.abs(effort).max())):
         integrates = bool(loop.Ki.any())
         found[:, j] = _compared(problem, effort[:, j : j + 1], replayed[:, j : j + 1], integrates=integrates)
     return found
@@ -98,7 +98,7 @@ def _compared(
     An unknown start of the integral is a constant.
     """
     settings, decimation = problem.settings, problem.settings.decimator
-    start, stop = max(settings.start, EARLIER), _stop(problem)
+    start, stop = max(settings.start, LEAD_SAMPLES), _stop(problem)
     measured = decimation.filtered(effort[start:stop].T)[0]
     norm, gain, sd, error, left = float(np.linalg.norm(measured)), 1.0, 0.0, 0.0, 0.0
     lag = _whole_lag(effort[start:stop, 0], replayed[:, 0], start)
@@ -108,7 +108,7 @@ def _compared(
         A = np.stack([*rows, np.ones_like(measured)] if integrates else rows, axis=1)
         solution, *_ = np.linalg.lstsq(A, measured)
         gain = float(solution[0])
-        step = float(np.clip(solution[1] / gain, -FURTHEST_STEP, FURTHEST_STEP)) if gain else 0.0
+        step = float(np.clip(solution[1] / gain, -MAX_LAG_STEP, MAX_LAG_STEP)) if gain else 0.0
         rho = measured - rows[0] - step * rows[1]
         rho = rho - rho.mean() if integrates else rho
         error, left = (
@@ -121,7 +121,7 @@ def _compared(
 
 def _whole_lag(effort: Array, replayed: Array, start: int) -> float:
     """The lag in whole samples at which a multiple of the replayed effort (N,) leaves least of `effort`, from `start` on."""
-    lags = np.arange(max(-MOST_LAG, start + len(effort) - len(replayed)), min(MOST_LAG, start) + 1)
+    lags = np.arange(max(-MAX_FIRST_LAG, start + len(effort) - len(replayed)), min(MAX_FIRST_LAG, start) + 1)
     shifted = [replayed[start - lag : start - lag + len(effort)] for lag in lags]
     explained = [(effort @ law) ** 2 / max(float(law @ law), 1e-300) for law in shifted]
     return float(lags[int(np.argmax(explained))])
@@ -131,7 +131,7 @@ def _efforts(problem: Problem, loop: ControlLaw) -> tuple[Array, Array]:
     """Recorded and replayed joint efforts (N, n) up to beyond the last sample replayed; zero where none is."""
     signals, fs = problem.recorded, problem.signals.sample_rate_hz
     assert signals.q_ref is not None
-    first, last = max(0, problem.settings.start - EARLIER), _stop(problem) - 1
+    first, last = max(0, problem.settings.start - LEAD_SAMPLES), _stop(problem) - 1
     count = int((last - first) / (loop.period_s * fs) + 1e-6) + 1
     ticks = first + loop.period_s * fs * np.arange(count, dtype=np.float64)
     q, q_ref = sampled_at(ticks, signals.q), sampled_at(ticks, signals.q_ref)
@@ -145,7 +145,7 @@ def _efforts(problem: Problem, loop: ControlLaw) -> tuple[Array, Array]:
     control = Control(model, loop, q[0], (q[1] - q[0]) / loop.period_s)
     control.take(reference)
     given = np.array([control.torque(k, q[k], v[k]) for k in range(len(q))])
-    effort = signals.effort[: last + 1 + EARLIER]
+    effort = signals.effort[: last + 1 + LEAD_SAMPLES]
     replayed, samples = np.zeros_like(effort), np.arange(first, last + 1, dtype=np.float64)
     replayed[first : last + 1] = sampled_at((samples - first) / (loop.period_s * fs), given)
     return effort, replayed
@@ -154,7 +154,7 @@ def _efforts(problem: Problem, loop: ControlLaw) -> tuple[Array, Array]:
 def _stop(problem: Problem) -> int:
     """Past the last sample replayed."""
     settings = problem.settings
-    return min(settings.stop, settings.start + round(REPLAYED_S * problem.signals.sample_rate_hz))
+    return min(settings.stop, settings.start + round(MAX_REPLAYED_S * problem.signals.sample_rate_hz))
 
 
 def _line(names: list[str], found: Array) -> TrustLine:
@@ -165,16 +165,16 @@ def _line(names: list[str], found: Array) -> TrustLine:
         if np.isfinite(gain)
     )
     if not figures:
-        return TrustLine("replay", "cannot tell", "the described law gives nothing")
+        return TrustLine("replay", "cannot tell", "the described law gives no effort")
     off, error = np.nan_to_num(np.abs(gains - 1)), np.nan_to_num(error)
-    mirrored = (gains < 0) & (left < MIRRORED_PERCENT)
-    worst = int(np.argmax(np.maximum(np.maximum(off / GAIN_OFF, error / ERROR_PERCENT), 1e9 * mirrored)))
+    mirrored = (gains < 0) & (left < MAX_MIRRORED_PERCENT)
+    worst = int(np.argmax(np.maximum(np.maximum(off / MAX_GAIN_ERROR, error / MAX_ERROR_PERCENT), 1e9 * mirrored)))
     gain = float(gains[worst])
     text = f"joint {names[worst]}: recorded effort = {gain:.4g} x what the described controller gives"
-    text += f", {error[worst]:.2g} % off it, {lag[worst]:.2f} samples late"
+    text += f", error {error[worst]:.2g} %, {lag[worst]:.2f} samples late"
     if mirrored.any():
-        return TrustLine("replay", "do not use", f"{text}: look at the sign of its effort", gain, figures=figures)
-    if off[worst] > GAIN_OFF or error[worst] > ERROR_PERCENT:
+        return TrustLine("replay", "do not use", f"{text}: check the sign of its effort", gain, figures=figures)
+    if off[worst] > MAX_GAIN_ERROR or error[worst] > MAX_ERROR_PERCENT:
         text += ": check rated value, ratio, sample rate, structure and gains of [controller]"
         return TrustLine("replay", "caution", text, gain, figures=figures)
     return TrustLine("replay", "ok", text, gain, figures=figures)
