@@ -32,8 +32,8 @@ from identification.trust.columns import missing_terms
 from identification.trust.held_out import held_out_test
 from identification.trust.physical import physical_test
 from identification.trust.solution import (
-    _judge_together,
-    _whitened,
+    _combine_failures,
+    _solve_whitened,
     essential_test,
     fixed_point_test,
     halves_test,
@@ -153,7 +153,7 @@ def test_held_out_blocks_far_off_and_no_positive_m_together_are_not_to_be_used()
     far = replace(held, level="caution", fails_held_out=True)
     for value, line_, level in ((-0.1, far, "do not use"), (0.1, far, "caution"), (-0.1, held, "ok")):
         physical = TrustLine("physical", "caution", "", value)
-        (judged,) = (x for x in _judge_together([physical, line_]) if x.test == "held-out blocks")
+        (judged,) = (x for x in _combine_failures([physical, line_]) if x.test == "held-out blocks")
         assert judged.level == level
         assert ("--consistent" in judged.text) == (level == "do not use")
 
@@ -440,7 +440,7 @@ def test_prewhitened_rows_are_those_of_the_filter():
         stack = np.c_[system.W, evidence.Z, system.Y][rows]
         parts.append((lfilter(taps, [1.0], stack, axis=0) * weight[rows, None])[counts])
     W, Z, Y = np.split(np.concatenate(parts), [8, 16], axis=1)
-    np.testing.assert_allclose(_whitened(evidence).beta, np.linalg.solve(Z.T @ W, Z.T @ Y)[:, 0], rtol=1e-6)
+    np.testing.assert_allclose(_solve_whitened(evidence).beta, np.linalg.solve(Z.T @ W, Z.T @ Y)[:, 0], rtol=1e-6)
 
 
 # Long recordings

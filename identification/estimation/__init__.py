@@ -1,4 +1,4 @@
-"""Least squares, instrumental variables and their tests, on arrays; nothing here knows of robots."""
+"""Least squares, instrumental variables and their tests, on arrays; independent of robots."""
 
 from .confidence import (
     BlockSums,

@@ -1,4 +1,4 @@
-"""When to believe a fit: tests of an estimate against everything that the recording tells, and one verdict."""
+"""Tests of an estimate against the recording, and one verdict."""
 
 from .fit_data import LEVELS, Figure, FitData, Lag, RecordingData, Trust, TrustLine, covariance_of_all
 from .held_out import HeldOut, held_out_recordings

@@ -1,11 +1,11 @@
-"""How late the recorded torque is against the motion: one lag for recordings alike, found with instruments and counted.
+"""The lag of the recorded torque behind the motion: one per group of recordings, estimated with instruments.
 
 To first order tau(t - L) = tau(t) - L d/dt tau(t): the column -d/dt(W beta) takes the coefficient L. Its instrument is -d/dt of
-the simulated torque, so that noise of the position does not bias it; least squares would find a lag where there is none. Rows
-slower than a fifth of the peak are left out: friction that rises smoothly from a reversal on, where the model has a step, looks
-like a lag. Residuals are whitened: noise of the position grows with frequency in them, and drowns a lag otherwise.
+the simulated torque, so that position noise does not bias it; least squares would find a false lag. Rows slower than a fifth of
+the peak are left out: after a reversal friction rises smoothly where the model has a step, which looks like a lag. Residuals
+are whitened, as position noise grows with frequency and would hide a lag.
 
-What is known besides (what the recording says of its efforts, the replay of the described controller) counts by its variance.
+Prior information (effort timing of the recording, replay of the described controller) is combined with it by variances.
 """
 
 from collections.abc import Sequence
@@ -21,17 +21,17 @@ from ..regression import KnownLag, Regression, differentiate, moving_rows_of, to
 from ..report import Level
 from .fit_data import Figure, FitData, Lag, RecordingData, TrustLine
 
-MAX_DEVIATIONS_FROM_PRIOR = 3.0  # joint deviations between data and what is known: beyond, the data alone count
-MAX_DEVIATIONS_FROM_STATED = 4.0  # deviations of the data off a lag that the user states
-MAX_EARLY_SAMPLES = 0.75  # samples that a torque may come before its command, beyond the interval
-MIN_SPEED_PERCENT = 20.0  # of the peak speed: rows slower than this are left out
-ORDER = 6  # of the autoregression that whitens: shorter, model error passes for a lag; longer, few rows are left
+MAX_DEVIATIONS_FROM_PRIOR = 3.0  # joint ones; beyond, only the data are used
+MAX_DEVIATIONS_FROM_STATED = 4.0  # between the data and a lag that the user states
+MAX_EARLY_SAMPLES = 0.75  # of a torque before its command, besides the interval
+MIN_SPEED_PERCENT = 20.0  # of the peak speed; slower rows are left out
+ORDER = 6  # of the whitening filter: shorter, model error looks like a lag; longer, few rows are left
 
-Groups = Sequence[Sequence[int]]  # places of recordings whose torques have one lag
+Groups = Sequence[Sequence[int]]  # indices of recordings whose torques have one lag
 
 
 def lag_columns(parts: Sequence[RecordingData], groups: Groups, estimate: Estimate) -> Array:
-    """-d/dt(W beta) (r, K): torque per second of lag of each group of recordings, rows as those of the system."""
+    """-d/dt(W beta) (r, K): torque per second of lag of each group of recordings, in the rows of the system."""
     rates = [torque_rate(part.problem, estimate.values_of(part.parameters)).T for part in parts]
     return _by_group(rates, groups)
 
@@ -39,10 +39,10 @@ def lag_columns(parts: Sequence[RecordingData], groups: Groups, estimate: Estima
 def lags_in(
     parts: Sequence[RecordingData], groups: Groups, system: System, Z: Array, estimate: Estimate
 ) -> tuple[Array, Array, float]:
-    """How much later (K,) than they are corrected by, in s, the torques are, their deviations, and those in half an interval.
+    """Lags (K,) of the torques in s besides those already corrected, deviations (K,), and deviations in half an interval.
 
-    Of the recordings simulated with the estimate, in groups of one lag, with W, Y and instruments of all parameters. Raises
-    `IdentificationError` where the instruments do not determine the lags.
+    `parts` are simulated with the estimate; `system` and `Z` have all parameters. Raises `IdentificationError` where the
+    instruments do not determine the lags.
     """
     rates, fast = zip(*map(simulated_rates, parts), strict=True)
     b, lengths, columns = len(system.names), [rate.shape[1] for rate in rates], lag_columns(parts, groups, estimate)
@@ -63,27 +63,27 @@ def lags_in(
 
 
 def _by_group(rates: Sequence[Array], groups: Groups) -> Array:
-    """Columns (r, K) of the rates (n, rows) of each recording, zero in the rows of other groups'."""
+    """Columns (r, K) of the rates (n, rows) of each recording, zero in the rows of other groups."""
     whole, recording = -np.concatenate(rates, axis=1), np.repeat(range(len(rates)), [rate.shape[1] for rate in rates])
     return np.stack([(whole * np.isin(recording, group)).reshape(-1) for group in groups], axis=1)
 
 
 def simulated_rates(part: RecordingData) -> tuple[Array, NDArray[np.bool_]]:
-    """Of a recording d/dt of the simulated torque, per second, and which rows are fast, (n, rows) each."""
+    """d/dt of the simulated torque of a recording, per second, and which rows are fast, (n, rows) each."""
     problem, simulated, decimation = part.problem, part.simulated, part.decimation
     assert simulated is not None
     assert decimation is not None
     rate = decimation.filtered(differentiate(simulated.tau, 1 / (simulated.t_s[1] - simulated.t_s[0])).T)
     directions = problem.model.coulomb_directions
     percent = max(MIN_SPEED_PERCENT, problem.settings.low_speed.iv or 0.0)
-    slip = decimation.kept(simulated.dq) @ directions.T
-    return rate, _well_before_slow(moving_rows_of(slip, part.regression.slip_noise, directions, percent).T)
+    sliding_speed = decimation.kept(simulated.dq) @ directions.T
+    return rate, _well_before_slow(moving_rows_of(sliding_speed, part.regression.slip_noise, directions, percent).T)
 
 
 def _well_before_slow(fast: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Rows (n, rows) that are not followed by a slow one soon: decimation, without phase shift, spreads a reversal both ways.
+    """Rows (n, rows) not soon before a slow one, as zero-phase decimation spreads a reversal both ways.
 
-    Rows soon after a slow one are left out by the whitening.
+    The whitening leaves out rows soon after a slow one.
     """
     for _ in range(ORDER):
         fast = fast & np.c_[fast[:, 1:], fast[:, -1:]]
@@ -91,7 +91,7 @@ def _well_before_slow(fast: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def combined_lag(prior: KnownLag, found: tuple[float, float, float] | None) -> Lag:
-    """The lag of a group from what is known of it and what the data say: value and deviation, s, and the interval's reach."""
+    """The lag of a group from its prior and the data, `found`: value and deviation in s, deviations in half an interval."""
     counted, reach = prior, 2.0
     if found is not None and not prior.stated:
         value, sd, reach = found
@@ -103,13 +103,13 @@ def combined_lag(prior: KnownLag, found: tuple[float, float, float] | None) -> L
 
 
 def lag_moves(observed: Regression, used: Array, columns: Array, estimate: Estimate) -> Array:
-    """d beta / d lag (b, K) per s: bread QᵀC of the weighted columns C in the rows that count, `used` (r,)."""
+    """d beta / d lag (b, K) per s: bread QᵀC of the weighted columns C in the `used` rows (r,)."""
     weight = estimate.weights[observed.system.joint_of_row] * used
     return np.asarray(estimate.bread @ (estimate.Q.T @ (columns * weight[:, None])))
 
 
 def lag_test(evidence: FitData) -> TrustLine:
-    """Whether torque and motion belong to the same instants, and what it costs where that is not known; the worst group's."""
+    """Whether torque and motion are synchronous, or the cost of not knowing it; the line of the worst group."""
     lines = [_line(evidence, lag) for lag in evidence.lags]
     return max(lines, key=lambda line: (line.level == "caution", abs(line.value or 0.0)))
 
@@ -121,7 +121,7 @@ def _line(evidence: FitData, lag: Lag) -> TrustLine:
     level: Level = "ok"
     text = f"torque {abs(late):.2f} ± {half:.2f} samples {'late' if late >= 0 else 'early'}"
     names = evidence.estimate.names
-    rest = np.sqrt(np.maximum(evidence.intervals.sigma**2 - lag.moved**2, 0.0))  # the deviations without it
+    rest = np.sqrt(np.maximum(evidence.intervals.sigma**2 - lag.moved**2, 0.0))  # without the lag
     moved = np.divide(lag.moved, rest, out=np.zeros_like(rest), where=rest > 0)
     counts = [i for i, name in enumerate(names) if name in evidence.essential] or range(len(names))
     worst = max(counts, key=lambda i: moved[i])

@@ -1,4 +1,4 @@
-"""Tests of how the estimate came about: fixed point, instruments, parts of the rows on their own; and the whole trust block.
+"""Tests of the solution: fixed point, instruments, parts of the rows; and the whole trust block.
 
 Nothing is simulated again.
 """
@@ -22,22 +22,22 @@ from .physical import consistent_test, physical_test
 from .replay import replay_test
 
 HALVES_LEVEL = 0.001  # of the Wald test
-MIN_SQUARE_OF_HALF = 1e-10  # of the squares that a half has of a direction of Q, below which it does not determine it
-MAX_ROBUST_DEVIATIONS = 6.0  # deviations, of a row that does not belong to the others
-MAX_END_DEVIATIONS = 30.0  # deviations of a row at an end that spoils an estimate
-MAX_END_RATIO = 2.0  # times the largest deviation elsewhere, for a row at an end to be one that does not belong
-END_ROWS = 5  # rows at each end that a bad edge shows in
-MIN_SHARED_NORM = 1e-9  # of a column over all joints: less of it at a joint is rounding
+MIN_SQUARE_OF_HALF = 1e-10  # of a direction of Q in a half; below, it is undetermined
+MAX_ROBUST_DEVIATIONS = 6.0  # above: an outlier
+MAX_END_DEVIATIONS = 30.0  # of a row at an end; above: caution
+MAX_END_RATIO = 2.0  # of the largest deviation at an end over the largest elsewhere
+END_ROWS = 5  # rows at each end that a bad edge affects
+MIN_SHARED_NORM = 1e-9  # of a column's norm over all joints: less at a joint is rounding
 MIN_FIRST_STAGE_F, MAX_FIRST_STAGE_F = (
     10.0,
     1e10,
-)  # first-stage F of weak instruments, and of instruments that are W itself
-MAX_ORDER = 12  # of the autoregression that whitens a joint's residual, at most
+)  # below, weak; above, the instruments are W itself
+MAX_ORDER = 12  # of the whitening filter of a joint's residual
 MAX_MISSING_PERCENT = 0.1  # of the moving rows
-MAX_HELD_RATIO = 0.3  # of held rows, that may be beside steps which do not quite make up for them
-MAX_COARSE_PERCENT = 0.4  # of a joint's moving steps that are double or none: its encoder is slower than the log
-MAX_SHORT_S = 100.0  # of motion: beyond, noise is averaged down to what the filters round off
-MAX_PREWHITENED_SIGMA = 15.0  # deviations between plain and prewhitened IV; coloured noise alone gives up to 11
+MAX_HELD_RATIO = 0.3  # of missing or repeated rows over held rows
+MAX_COARSE_PERCENT = 0.4  # of a joint's moving steps that are double or zero: a slow encoder
+MAX_SHORT_S = 100.0  # of motion: beyond, the error of the filters is as large as that of noise
+MAX_PREWHITENED_SIGMA = 15.0  # between plain and prewhitened IV; coloured noise alone gives up to 11
 
 
 def fixed_point_test(evidence: FitData) -> TrustLine:
@@ -83,7 +83,7 @@ def units_test(evidence: FitData) -> TrustLine:
 
 
 def essential_test(evidence: FitData) -> TrustLine:
-    """Whether some inertia is known to better than its own size."""
+    """Whether the interval of some inertia is narrower than its value."""
     name, base, idm = "essential", evidence.problem.base, evidence.problem.model
     rows = [base.names.index(base_name(one)) for one in evidence.essential]
     sources = [idm.sources[c] for c in np.flatnonzero(base.K[rows].any(axis=0))]
@@ -94,7 +94,7 @@ def essential_test(evidence: FitData) -> TrustLine:
 
 
 def ends_test(evidence: FitData) -> TrustLine:
-    """Rows that move and do not belong to the others: beyond 6 robust deviations of their joint, above all at the ends."""
+    """Outliers of moving rows, beyond 6 robust deviations of their joint, especially at the ends."""
     rho = (evidence.observed.tau - evidence.predicted).T
     n, used = len(rho), (evidence.used.reshape(rho.shape) > 0) & are_moving(evidence.observed.speed).T
     scale = np.array([1.4826 * np.median(np.abs(rho[j, used[j]])) if used[j].any() else np.inf for j in range(n)])
@@ -119,13 +119,13 @@ def ends_test(evidence: FitData) -> TrustLine:
 def halves_test(evidence: FitData) -> TrustLine:
     """Whether the two halves of the recording give the same parameters, by a Wald test.
 
-    The deviations in it are uncertain themselves: its F distribution has their degrees of freedom, two times the cosines.
+    Its F distribution has the degrees of freedom of the deviations, the cosines of both halves.
     """
     name, T, cuts = "halves", len(evidence.observed.tau), np.cumsum(evidence.observed.parts)[:-1]
     if not evidence.sums_accurate:
         return TrustLine(name, "not made", ILL_CONDITIONED)
     cut = int(cuts[np.abs(cuts - T / 2).argmin()]) if len(cuts) else round(T / 2)  # recordings are not cut
-    first, second = (_part_solved(evidence, part) for part in (slice(0, cut), slice(cut, T)))
+    first, second = (_solve_part(evidence, part) for part in (slice(0, cut), slice(cut, T)))
     if first is None or second is None:
         text = "not made: a half alone does not determine the parameters; record longer"
         return TrustLine(name, "not made", text)
@@ -146,10 +146,8 @@ def halves_test(evidence: FitData) -> TrustLine:
     return TrustLine(name, "ok", finding, wald)
 
 
-def _part_solved(evidence: FitData, part: slice) -> tuple[Array, Array, int] | None:
-    """Parameters (b,) of a part of the time, their covariance D R D (b, b) and its degrees of freedom; None where the part does
-    not determine them.
-    """
+def _solve_part(evidence: FitData, part: slice) -> tuple[Array, Array, int] | None:
+    """Parameters (b,) of a span of time, covariance D R D (b, b), degrees of freedom; None where they are undetermined."""
     sums = evidence.sums(part)
     values, vectors = np.linalg.eigh(sums.QQ)
     if sums.rows <= 2 * len(values) or not values[0] > MIN_SQUARE_OF_HALF * values[-1]:
@@ -168,11 +166,11 @@ def _part_solved(evidence: FitData, part: slice) -> tuple[Array, Array, int] | N
 
 
 def prewhitened_test(evidence: FitData) -> TrustLine | None:
-    """How far the estimate moves where each joint's residual is whitened: model error shows in it, white noise does not."""
+    """How far the estimate moves when each joint's residual is whitened: model error moves it, white noise does not."""
     name, evidence = "prewhitened", evidence.with_rows
     if evidence.Z is None:
         return None
-    estimate = _whitened(evidence)
+    estimate = _solve_whitened(evidence)
     if isinstance(estimate, str):
         return TrustLine(name, "not made", estimate)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -188,14 +186,14 @@ def prewhitened_test(evidence: FitData) -> TrustLine | None:
     return TrustLine(name, "ok", finding, value)
 
 
-def _whitened(evidence: FitData) -> Estimate | str:
-    """Instrumental variables of W, Y, Z filtered by each joint's own autoregression; or why there are none."""
+def _solve_whitened(evidence: FitData) -> Estimate | str:
+    """Instrumental variables of W, Y, Z filtered by each joint's own autoregression; or why it is not made."""
     assert evidence.Z is not None
     names = evidence.estimate.names
-    kept = np.array([evidence.observed.system.names.index(name) for name in names])
-    system = evidence.observed.system.with_columns(kept).with_rows(evidence.used)
+    indices = np.array([evidence.observed.system.names.index(name) for name in names])
+    system = evidence.observed.system.with_columns(indices).with_rows(evidence.used)
     order = min(MAX_ORDER, len(evidence.observed.tau) // 20)
-    system, Z = whitened(system, evidence.Z[:, kept], evidence.rows.rho, order, evidence.observed.parts)
+    system, Z = whitened(system, evidence.Z[:, indices], evidence.rows.rho, order, evidence.observed.parts)
     if system.used.sum() <= 4 * len(names):
         return f"not made: {int(system.used.sum())} consecutive fast rows for {len(names)} parameters; record longer"
     try:
@@ -205,12 +203,12 @@ def _whitened(evidence: FitData) -> Estimate | str:
 
 
 def position_noise_test(evidence: FitData) -> TrustLine | None:
-    """Whether noise of the position biases least squares, found where the recording is at hand."""
+    """Whether position noise biases least squares; made while the recording is read."""
     return evidence.position_noise
 
 
 def motion_test(evidence: FitData) -> TrustLine | None:
-    """Joints that stand in all recordings: they creep at most, where friction is not what it is in motion."""
+    """Joints that stand in all recordings; friction of creeping differs from that of motion."""
     speed, joints = np.abs(evidence.observed.speed).max(axis=0), evidence.problem.signals.robot.joints
     if not (names := standing_joints(speed, joints)):
         return None
@@ -219,7 +217,7 @@ def motion_test(evidence: FitData) -> TrustLine | None:
 
 
 def rows_test(e: FitData) -> TrustLine | None:
-    """The recording that misses or repeats most rows; else one of encoders that are slower than the log."""
+    """The recording with most missing or repeated rows; else one whose encoders are slower than the log."""
     several, every = len(e.recordings) > 1, [part.steps for part in e.recordings]
     places = [f"{part.problem.signals.recording}: " if several else "" for part in e.recordings]
     shares = [100 * np.array([steps.lost, steps.repeated, steps.held]) / max(steps.moving, 1) for steps in every]
@@ -238,7 +236,7 @@ def rows_test(e: FitData) -> TrustLine | None:
 
 
 def _slow_encoder(part: RecordingData, held: float) -> str:
-    """What to say where positions stand for a row and jump in the next one: not that rows are missing."""
+    """The note on positions that stand for one row and jump in the next, which are not missing rows."""
     percent = 100 * part.steps.coarse[:, 1:] / np.maximum(part.steps.coarse[:, :1], 1)
     both = (percent.min(axis=1) > MAX_MISSING_PERCENT) & (percent.sum(axis=1) > MAX_COARSE_PERCENT)
     joints = part.problem.signals.robot.joints
@@ -249,8 +247,8 @@ def _slow_encoder(part: RecordingData, held: float) -> str:
     return f"the log is faster than the encoder{where}: {share:.2g} % of the steps are double or zero"
 
 
-def _judge_together(lines: list[TrustLine]) -> list[TrustLine]:
-    """Held-out blocks that are far off, of a robot whose M is not positive, are worse than either."""
+def _combine_failures(lines: list[TrustLine]) -> list[TrustLine]:
+    """`do not use` if the held-out blocks fail and M is not positive."""
     by_test = {line.test: line for line in lines}
     held, physical = by_test["held-out blocks"], by_test["physical"]
     why_not_positive = physical.value is not None and physical.value <= 0
@@ -261,7 +259,7 @@ def _judge_together(lines: list[TrustLine]) -> list[TrustLine]:
 
 
 def list_assumptions(evidence: FitData, lines: Mapping[str, TrustLine]) -> Iterator[Assumed]:
-    """What was given and what no test of `lines` sees: taken as it is."""
+    """Assumptions that no test of `lines` covers."""
     signals, settings = evidence.problem.signals, evidence.problem.settings
     robot, motors, several = signals.robot, signals.robot.motors, len(signals.robot.joints) > 1
     if robot.gain_known:
@@ -288,7 +286,7 @@ def list_assumptions(evidence: FitData, lines: Mapping[str, TrustLine]) -> Itera
         yield Assumed("encoder noise", "the same spectrum below and above the low-pass", why)
 
 
-# A test of a fit is a function of the evidence, None where it is not for this method or says nothing. A new one is a line here.
+# A test is a function of the fit's data, None where it does not apply. A new one is a line here.
 TESTS: tuple[Callable[[FitData], TrustLine | None], ...] = (
     *(fixed_point_test, physical_test, units_test, replay_test, added_columns_test, lag_test),
     *(held_out_test, halves_test, consistent_test, ends_test, essential_test, instruments_test),
@@ -297,12 +295,12 @@ TESTS: tuple[Callable[[FitData], TrustLine | None], ...] = (
 
 
 def trust_in(evidence: FitData) -> Trust:
-    """All tests of an estimate, worst first, and what is assumed."""
+    """All tests of an estimate, worst first, and the assumptions."""
     lines = [line for test in TESTS if (line := test(evidence)) is not None]
     assumptions = list_assumptions(evidence, {line.test: line for line in lines})
-    return Trust(lines=worst_first(_judge_together(lines)), assumed=tuple(assumptions))
+    return Trust(lines=worst_first(_combine_failures(lines)), assumed=tuple(assumptions))
 
 
 def worst_first(lines: list[TrustLine]) -> tuple[TrustLine, ...]:
-    """Lines by their levels."""
+    """Lines sorted by level."""
     return tuple(sorted(lines, key=lambda line: LEVELS.index(line.level)))
