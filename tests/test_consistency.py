@@ -10,8 +10,8 @@ from scipy.optimize import minimize
 
 from acquisition.robot import Robot, load_robot
 from identification.errors import IdentificationError
-from identification.estimation import PhysicalParameters, certainty, consistent_parameters, pseudo_inertia
-from identification.estimation.consistency import CERTIFIED, MATRIX, _inverse_root, _Objective
+from identification.estimation import PhysicalParameters, consistent_parameters, parameter_certainty, pseudo_inertia
+from identification.estimation.consistency import MATRIX_WEIGHT, MAX_DECREMENT, _inverse_root, _Objective
 from identification.methods.consistent import MIN_PRIOR_SHARE
 from identification.model import InverseModel, base_parameters, physical_parameters, requirements
 from identification.model.base import known_parameters
@@ -111,7 +111,9 @@ def test_the_optimum_is_that_of_another_optimiser():
         rho = K @ (np.concatenate([tensor[np.triu_indices(3)], P[:3, 3], P[3:, 3], last]) - wrong)
         divergence = np.trace(np.linalg.solve(physical.prior[0], P)) - np.log(np.linalg.det(P))
         return float(
-            0.5 * rho @ np.linalg.solve(C, rho) + 0.5 * divergence - 0.05 * (z[10] + z[11] + MATRIX * (z[12] + z[13]))
+            0.5 * rho @ np.linalg.solve(C, rho)
+            + 0.5 * divergence
+            - 0.05 * (z[10] + z[11] + MATRIX_WEIGHT * (z[12] + z[13]))
         )
 
     root = np.linalg.cholesky(pseudo_inertia(physical.start[:10]))
@@ -123,7 +125,7 @@ def test_the_optimum_is_that_of_another_optimiser():
     at = np.concatenate([mine[np.tril_indices(4)], np.log([*physical.combinations @ found.chi, a, b - x**2 / a])])
     assert cost(at) == pytest.approx(best.fun, abs=1e-6)
     np.testing.assert_allclose(np.abs(at), np.abs(best.x), rtol=1e-3, atol=1e-3)
-    assert found.decrement <= CERTIFIED
+    assert found.decrement <= MAX_DECREMENT
 
 
 @pytest.mark.parametrize("described", [True, False])
@@ -143,7 +145,7 @@ def test_an_impossible_arm_becomes_a_possible_one(described):
     assert found.chi_squared == pytest.approx(rho @ np.linalg.solve(C, rho), rel=1e-6)
     np.testing.assert_allclose(found.deviations, rho / sigma)
     assert np.abs(found.deviations).max() > 3
-    assert found.decrement <= CERTIFIED
+    assert found.decrement <= MAX_DECREMENT
     assert found.steps < 60
 
 
@@ -243,7 +245,7 @@ def test_a_recording_of_few_rows_gives_values_that_can_be_simulated():
     beta = np.random.default_rng(6).multivariate_normal(K @ chi, C)
     found = consistent_parameters(beta, C, K, physical)
     assert lowest(physical, found.chi) > 0
-    assert found.decrement <= CERTIFIED
+    assert found.decrement <= MAX_DECREMENT
 
 
 @pytest.mark.parametrize("rows", [[[1, 1]], [[1, 1], [1, -1]], [[1, 1, 1]], [[1, 0.5, 0], [0, 1, 1]]])
@@ -272,7 +274,7 @@ def test_intervals_are_those_of_the_inverse_hessian():
     C = covariance(7, 0.05)
     beta = K @ np.concatenate([5 * body(5), physical.start[10:]])
     found = consistent_parameters(beta, C, K, physical)
-    (of_chi, _), (of_beta, _) = certainty(found, C, K, physical)
+    (of_chi, _), (of_beta, _) = parameter_certainty(found, C, K, physical)
     _, J = _Objective(found.beta, _inverse_root(found.beta, C), K, physical, 1.0, 0.0).derivatives(found.chi)
     d = np.linalg.norm(J, axis=0)
     H = np.linalg.pinv(J / d, rcond=1e-13) @ np.linalg.pinv(J / d, rcond=1e-13).T / np.outer(d, d)
@@ -291,7 +293,7 @@ def test_intervals_hold_the_truth_where_the_prior_is_links_by_their_lengths():
     C = covariance_with(covariance(len(true), 1.0), sigma)
     for beta in np.random.default_rng(0).multivariate_normal(true, C, size=15):
         found = consistent_parameters(beta, C, K, physical)
-        _, (deviations, from_prior) = certainty(found, C, K, physical)
+        _, (deviations, from_prior) = parameter_certainty(found, C, K, physical)
         hit.append(np.abs(found.beta - true) <= 1.96 * deviations)
         share.append(from_prior)
     told = np.array(share) <= MIN_PRIOR_SHARE

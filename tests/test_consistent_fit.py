@@ -18,14 +18,14 @@ from identification.commands import main
 from identification.data import signals_from_arrays
 from identification.errors import IdentificationError
 from identification.estimation import (
-    certainty,
     consistent_parameters,
     intervals,
     link_parameters,
+    parameter_certainty,
     pseudo_inertia,
     weighted_least_squares,
 )
-from identification.estimation.consistency import CERTIFIED, MATRIX
+from identification.estimation.consistency import MATRIX_WEIGHT, MAX_DECREMENT
 from identification.methods import Prior, fit_document, identify_ls, urdf_prior, with_consistent
 from identification.methods.fit_files import consistent_keys
 from identification.model import InverseModel, base_parameters, expected_links, physical_parameters
@@ -53,7 +53,7 @@ def test_the_real_arm_becomes_a_physical_one(consistent):
     free, held = (errors[-1].relative_error_percent for errors in (consistent.errors, consistent.consistent_errors))
     assert free < held < free + 0.1
     np.testing.assert_allclose(c.beta, problem.base.K @ c.chi, rtol=1e-12)
-    assert c.certificate <= CERTIFIED
+    assert c.certificate <= MAX_DECREMENT
     moved = (c.beta - consistent.beta) / consistent.intervals.half
     assert c.largest_move == pytest.approx(np.abs(moved).max())
     assert c.moved_most == problem.base.names[int(np.abs(moved).argmax())]
@@ -206,7 +206,9 @@ def test_without_its_barrier_the_optimum_is_that_of_an_sdp():
     best, bound = sdp(beta, C, K, physical, gamma, found.chi)
     pull = np.trace(np.linalg.solve(physical.prior, pseudo_inertia(found.chi[physical.links])), axis1=1, axis2=2).sum()
     mine = 0.5 * found.chi_squared + gamma * pull
-    gap = gamma * (4 * len(physical.links) + len(physical.combinations) + MATRIX * sum(map(len, physical.matrices)))
+    gap = gamma * (
+        4 * len(physical.links) + len(physical.combinations) + MATRIX_WEIGHT * sum(map(len, physical.matrices))
+    )
     assert lowest(physical, found.chi) > 0
     assert best > 1.0
     assert bound - 1e-6 < mine < best + gap + 1e-6
@@ -217,7 +219,7 @@ def test_random_arms_at_ten_times_the_noise():
     for seed in (0, 1, 2, 4):
         beta, C, K, physical, _ = random_estimate(seed, 10.0)
         found = consistent_parameters(beta, C, K, physical)
-        assert found.decrement <= CERTIFIED
+        assert found.decrement <= MAX_DECREMENT
         assert lowest(physical, found.chi) > 0
         rho = K @ found.chi - beta
         assert found.chi_squared == pytest.approx(rho @ np.linalg.solve(C, rho), rel=1e-6)
@@ -229,7 +231,7 @@ def test_what_comes_from_the_prior_is_what_the_recording_does_not_say():
     K = np.eye(14)[[0, 9, 10, 11, 12, 13]]
     C = np.diag([1e-6, 100.0, 0.01, 0.01, 0.01, 0.01]) ** 2
     found = consistent_parameters(K @ physical.start, C, K, physical, gamma=0.5, gamma_x=0.1)
-    shares = certainty(found, C, K, physical, gamma=0.5)[0][1]
+    shares = parameter_certainty(found, C, K, physical, gamma=0.5)[0][1]
 
     def prior_cost(chi):
         P = pseudo_inertia(chi[:10])

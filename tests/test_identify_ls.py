@@ -154,7 +154,7 @@ def test_parameters_that_cannot_be_told_apart_are_named():
     W = rng.normal(size=(200, 4))
     W[:, 2] = 2 * W[:, 0]
     problem = System.whole(W, rng.normal(size=200), np.zeros(200, dtype=int), ("ZZ1R", "Ia1", "Fv1", "Fc1"))
-    with pytest.raises(IdentificationError, match=r"rank 3 for 4 parameters; these cannot be told apart: ZZ1R, Fv1$"):
+    with pytest.raises(IdentificationError, match=r"rank 3 for 4 parameters; not distinguishable: ZZ1R, Fv1$"):
         ordinary_least_squares(problem)
 
 

@@ -24,7 +24,7 @@ from identification.estimation import (
     sums_of_blocks,
     weighted_least_squares,
 )
-from identification.estimation.confidence import MOST, cosines, deviations
+from identification.estimation.confidence import MAX_COSINES, cosines, deviations
 from identification.methods import Fit, identify_ls
 from identification.regression import Overrides
 
@@ -201,8 +201,8 @@ def fits_both_ways(monkeypatch: pytest.MonkeyPatch, **kwargs) -> tuple[Fit, Fit]
 @pytest.mark.parametrize("kwargs", [{}, {"method": "ols"}, {"essential": True}])
 def test_a_recording_held_reduced_has_the_intervals_of_its_rows(monkeypatch, kwargs):
     whole, reduced = fits_both_ways(monkeypatch, **kwargs)
-    assert len(whole.tau) > 8 * MOST
-    assert reduced.intervals.freedom == whole.intervals.freedom == MOST
+    assert len(whole.tau) > 8 * MAX_COSINES
+    assert reduced.intervals.freedom == whole.intervals.freedom == MAX_COSINES
     apart = np.abs(reduced.intervals.sigma / whole.intervals.sigma - 1)
     # A block's scores count as one instant; a deviation of 16 degrees of freedom spreads by 18 %.
     assert apart.max() < 0.12

@@ -75,7 +75,7 @@ def test_the_lag_is_found_corrected_and_counted(name, lag):
     np.testing.assert_allclose(fit.intervals.sigma, wider, rtol=0.15)
     told = line(fit, "lag")
     assert (told.level, told.value) == ("ok", pytest.approx(1e3 * found.value_s))
-    assert "corrected, counted in the intervals" in told.text
+    assert "corrected, included in the intervals" in told.text
 
 
 @pytest.mark.slow
@@ -111,7 +111,7 @@ def test_data_that_contradict_what_is_known_count_alone():
     (found,) = fit.lags
     assert found.source == "data"
     assert 1e3 * found.value_s == pytest.approx(1.5, abs=0.2)
-    assert "too far off to count" in line(fit, "lag").text
+    assert "contradicts it and is not used" in line(fit, "lag").text
 
 
 def test_data_beside_a_lag_that_is_stated():
@@ -121,7 +121,7 @@ def test_data_beside_a_lag_that_is_stated():
     assert "lag" in [one.what for one in fit.trust.assumed]
     wrong = line(fitted(late, torque_lag_s=0.0), "lag")
     assert wrong.level == "caution"
-    assert "the data say 0.002" in wrong.text
+    assert "the data give 0.002" in wrong.text
 
 
 def test_without_a_reference_the_lag_is_not_found_but_counted():
@@ -131,7 +131,7 @@ def test_without_a_reference_the_lag_is_not_found_but_counted():
     assert (fit.method, found.found, found.value_s, found.sd_s) == ("wls", None, 0.0, 0.002)
     told = line(fit, "lag")
     assert told.text.startswith("not known, 0 ± 2 ms: ±")
-    assert "counted in the intervals" in told.text
+    assert "included in the intervals" in told.text
     exact = fitted(bare, method="wls", torque_lag_s=0.0)
     np.testing.assert_allclose(
         fit.intervals.half, fit.intervals.reach * np.hypot(exact.intervals.sigma, found.moved), rtol=1e-9
@@ -293,7 +293,7 @@ def test_a_replay_that_cannot_be_made_says_why_and_the_law_is_assumed():
     for one, why in (
         (replace(signals, q_ref=None), "no reference"),
         (bare, "describes no control law"),
-        (part, "not all of one"),
+        (part, "not all of it"),
         (torque, "own model"),
     ):
         found = line(identify_ls(one, Overrides()), "replay")

@@ -135,7 +135,7 @@ def test_a_recording_that_the_others_do_not_predict_is_doubted():
     line = fit.trust.line("held-out blocks")
     assert line.level == "caution"
     assert line.value > 1.5 * np.mean([figure.expected for figure in line.figures])
-    assert "the fit does not carry over: record more" in line.text
+    assert "the fit does not generalise: record more" in line.text
     assert "take the parameters of --consistent" in line.text
 
 

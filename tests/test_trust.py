@@ -191,7 +191,7 @@ def recorded(request) -> tuple[Signals, int]:
 def test_an_effort_of_the_wrong_sign_is_told_with_its_joint(recorded, method):
     signals, joint = recorded
     fit, name = fitted(wrong_sign(signals, joint), method), signals.robot.joints[joint].name
-    assert any(f"look at the sign of effort and position of joint {name}" in text for text in fit.distrust)
+    assert any(f"check the sign of effort and position of joint {name}" in text for text in fit.distrust)
     assert fit.trust.verdict == "do not use"
     assert fit.trust.line("physical").value < 0
     assert any("below zero" in text for text in fit.distrust)

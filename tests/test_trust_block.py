@@ -32,8 +32,8 @@ from identification.trust.columns import missing_terms
 from identification.trust.held_out import held_out_test
 from identification.trust.physical import physical_test
 from identification.trust.solution import (
-    _judge_together,
-    _whitened,
+    _combine_failures,
+    _solve_whitened,
     essential_test,
     fixed_point_test,
     halves_test,
@@ -150,10 +150,10 @@ def test_shared_parameters_of_joints_in_unknown_units_are_not_to_be_used():
 def test_held_out_blocks_far_off_and_no_positive_m_together_are_not_to_be_used():
     _, evidence = examined("wls", "scara")
     held = held_out_test(evidence)
-    far = replace(held, level="caution", far_off=True)
+    far = replace(held, level="caution", fails_held_out=True)
     for value, line_, level in ((-0.1, far, "do not use"), (0.1, far, "caution"), (-0.1, held, "ok")):
         physical = TrustLine("physical", "caution", "", value)
-        (judged,) = (x for x in _judge_together([physical, line_]) if x.test == "held-out blocks")
+        (judged,) = (x for x in _combine_failures([physical, line_]) if x.test == "held-out blocks")
         assert judged.level == level
         assert ("--consistent" in judged.text) == (level == "do not use")
 
@@ -302,8 +302,8 @@ def test_held_out_blocks_are_predicted_by_the_fit_of_the_others(method):
 
 
 @pytest.mark.slow
-def test_a_fit_that_does_not_carry_over_is_told():
-    """Of 60 parameters, from 2.6 s; physical ones carry over better, where the drive gains let them be found."""
+def test_a_fit_that_does_not_generalise_is_a_caution():
+    """Of 60 parameters, from 2.6 s; physical ones generalise better, where the drive gains let them be found."""
     signals = recorded("tx40", fault="tilt of gravity")
     cut = {name: getattr(signals, name)[:2600] for name in ("t_s", "q", "q_ref", "effort")}
     short = identify_ls(replace(signals, **cut), Overrides()).trust.line("held-out blocks")
@@ -440,7 +440,7 @@ def test_prewhitened_rows_are_those_of_the_filter():
         stack = np.c_[system.W, evidence.Z, system.Y][rows]
         parts.append((lfilter(taps, [1.0], stack, axis=0) * weight[rows, None])[counts])
     W, Z, Y = np.split(np.concatenate(parts), [8, 16], axis=1)
-    np.testing.assert_allclose(_whitened(evidence).beta, np.linalg.solve(Z.T @ W, Z.T @ Y)[:, 0], rtol=1e-6)
+    np.testing.assert_allclose(_solve_whitened(evidence).beta, np.linalg.solve(Z.T @ W, Z.T @ Y)[:, 0], rtol=1e-6)
 
 
 # Long recordings
@@ -538,8 +538,8 @@ def test_sums_that_lost_their_digits_are_not_used():
 @pytest.mark.parametrize("method", ["iv", "wls"])
 def test_what_needs_rows_looks_at_the_beginning_of_a_long_recording(method):
     (fit, _), (long, evidence) = examined(method, "scara"), examined_as_long(method)
-    assert evidence.looked_at is not None
-    assert not evidence.looked_at.observed.reduced
+    assert evidence.beginning is not None
+    assert not evidence.beginning.observed.reduced
     told, wanted = (x.trust.line("added columns") for x in (long, fit))
     assert (told.level, told.value) == (wanted.level, pytest.approx(wanted.value, rel=0.3))
     lag, other = long.lags[0], fit.lags[0]

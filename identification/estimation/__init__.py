@@ -1,4 +1,4 @@
-"""Least squares, instrumental variables and their tests, on arrays; nothing here knows of robots."""
+"""Least squares, instrumental variables and their tests, on arrays; independent of robots."""
 
 from .confidence import (
     BlockSums,
@@ -16,9 +16,9 @@ from .confidence import (
 from .consistency import (
     Consistent,
     PhysicalParameters,
-    certainty,
     consistent_parameters,
     link_parameters,
+    parameter_certainty,
     pseudo_inertia,
 )
 from .diagnostics import (
@@ -30,7 +30,6 @@ from .diagnostics import (
     f_tail,
     f_tests,
     instrument_tests,
-    lag_one,
     relative_error_percent,
     t_quantile,
     torque_errors,
@@ -45,4 +44,4 @@ from .estimators import (
     ordinary_least_squares,
     weighted_least_squares,
 )
-from .system import Factors, System, combined, condensed, r_factor, slices, undetermined_parameters
+from .system import Factors, System, combined, condensed, r_factor, spans_of, undetermined_parameters

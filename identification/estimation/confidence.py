@@ -14,22 +14,25 @@ from numpy.typing import NDArray
 from ..arrays import Array
 from .diagnostics import t_quantile
 from .estimators import Estimate
-from .system import slices
+from .system import spans_of
 
 LEVEL = 0.95
-FEWEST, MOST = 4, 16  # cosines: with all that white residuals would bear, AR(0.98) is covered in 76 % instead of 92 %
-LEAST_SHARE = 0.1  # of a recording too short to say more
-TIME_BLOCKS = 8 * MOST  # of a long recording: a cosine of the highest frequency has eight of them in half a period
+MIN_COSINES, MAX_COSINES = (
+    4,
+    16,
+)  # cosines: with all that white residuals would bear, AR(0.98) is covered in 76 % instead of 92 %
+MIN_VARIANCE_SHARE = 0.1  # of a very short recording
+TIME_BLOCKS = 8 * MAX_COSINES  # of a long recording: eight per half period of the fastest cosine
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Intervals:
-    """95 % intervals of the parameters estimated.
+    """95 % intervals of the estimated parameters.
 
     Attributes:
         low, high: (b,) their ends.
         sigma: (b,) deviations by equal-weighted cosines.
-        freedom: degrees of freedom of Student's t; `reach` deviations, by it, are half an interval.
+        freedom: degrees of freedom of Student's t; half an interval is `reach` deviations.
         covariance: (b, b) D R D, D the deviations `sigma`, R the formula's correlations. The cosines' own matrix has no more
             than `freedom` independent directions.
     """
@@ -48,25 +51,25 @@ class Intervals:
 
 
 def intervals(estimate: Estimate, rho: Array, n: int, parts: tuple[int, ...] | None = None) -> Intervals:
-    """Intervals of an estimate from its weighted residuals rho (r,), stacked joint by joint, zero in rows that do not count.
+    """Intervals of an estimate from its weighted residuals rho (r,), stacked joint by joint, zero in unused rows.
 
-    `parts` are the numbers of instants of each of several recordings, in the order of the rows; None for one.
+    `parts` are the numbers of instants of several recordings, in the order of the rows; None for one recording.
     """
     found = scores_of_recordings(estimate.Q, estimate.bread, rho.reshape(n, -1), parts or (len(rho) // n,))
     return intervals_from(estimate, *estimate_deviations(estimate.bread, found))
 
 
-# Of a recording the scores (T, b) of instants or blocks of time, whose sum is its share of beta - beta_true; Q'Q (K, b, b) of
-# blocks of time; and how many cosines its length bears.
+# Of a recording: the scores (T, b) of instants or blocks of time, whose sum is its share of beta - beta_true; Q'Q (K, b, b) of
+# blocks of time; the number of cosines.
 Scores = tuple[Array, Array, int]
 
 
 def scores_of_recordings(Q: Array, bread: Array, rho: Array, parts: Sequence[int]) -> list[Scores]:
-    """The scores of recordings of so many instants (`parts`) from orthonormal Q (n T, b), `bread` and residuals rho (n, T)."""
+    """Scores of recordings with `parts` instants, from orthonormal Q (n T, b), `bread` and residuals rho (n, T)."""
     (n, T), b = rho.shape, Q.shape[1]
     scores = (Q * rho.reshape(-1, 1)).reshape(n, T, b).sum(axis=0) @ bread.T
     by_instant, found = Q.reshape(n, T, b).transpose(1, 0, 2), list[Scores]()
-    for part in slices(parts):
+    for part in spans_of(parts):
         count = len(scores[part])
         blocks = np.array_split(by_instant[part], min(count, TIME_BLOCKS))
         grams = np.stack([q.T @ q for q in (block.reshape(-1, b) for block in blocks)])
@@ -75,8 +78,8 @@ def scores_of_recordings(Q: Array, bread: Array, rho: Array, parts: Sequence[int
 
 
 def estimate_deviations(bread: Array, recordings: Sequence[Scores]) -> tuple[Array, int]:
-    """Standard deviations (b,) of an estimate of this `bread`, what it takes out of the residuals counted, and their degrees
-    of freedom: recordings are independent of one another, variances and degrees add up.
+    """Standard deviations (b,) of an estimate with this `bread`, corrected for what it removes from the residuals, and their
+    degrees of freedom. Recordings are independent, so variances and degrees add up.
     """
     each = []
     for scores, grams, B in recordings:
@@ -86,7 +89,7 @@ def estimate_deviations(bread: Array, recordings: Sequence[Scores]) -> tuple[Arr
 
 
 def intervals_from(estimate: Estimate, sigma: Array, freedom: int) -> Intervals:
-    """Intervals of an estimate with the deviations `sigma` (b,) of so many degrees of freedom."""
+    """Intervals of an estimate from its deviations `sigma` (b,) and their degrees of freedom."""
     reach = t_quantile(0.5 + LEVEL / 2, freedom)
     with np.errstate(divide="ignore", invalid="ignore"):
         scale = np.where(estimate.sigma > 0, sigma / estimate.sigma, 0.0)
@@ -101,17 +104,17 @@ def intervals_from(estimate: Estimate, sigma: Array, freedom: int) -> Intervals:
 
 
 def deviations_of_sums(z: Array, rho: Array, Q: Array, parts: Sequence[int]) -> Array:
-    """Standard deviations (k,) of the sums z'e of k columns z (n, T, k), of recordings of so many instants (`parts`).
+    """Standard deviations (k,) of the sums z'e of k columns z (n, T, k), of recordings with `parts` instants.
 
-    rho (n, T, k) is what is left of e with each column beside an estimate of orthonormal Q (n T, b). What the two take out of
-    it is counted, as in `estimate_deviations`.
+    rho (n, T, k) is the residual of e with each column and an estimate of orthonormal Q (n T, b). The deviations are corrected
+    for what the two remove, as in `estimate_deviations`.
     """
     n, T, k = z.shape
     flat = z.reshape(-1, k)
     own = flat - Q @ (Q.T @ flat)  # the direction that a column adds to Q
     own = (own / np.maximum(np.linalg.norm(own, axis=0), 1e-300)).reshape(z.shape)
     scores, directions, each = (z * rho).sum(axis=0), Q.reshape(n, T, -1), []
-    for part in slices(parts):
+    for part in spans_of(parts):
         B = cosines(part.stop - part.start)
         blocks = np.array_split(np.arange(part.start, part.stop), min(part.stop - part.start, TIME_BLOCKS))
         squares = np.stack([(z[:, block] ** 2).sum(axis=(0, 1)) for block in blocks])
@@ -129,18 +132,18 @@ def deviations(scores: Array, B: int) -> Array:
 
 
 def _share(squares: Array, along: Array, B: int) -> Array:
-    """(m,) of the variance that white noise gives sums z'e, the share that the cosines find in the residuals.
+    """Share (m,) of the variance of the sums z'e, e white, that the cosines find in the residuals.
 
-    Given by K blocks of time: `squares` (K, m) the sums of z², `along` (K, m, d) the products z'Q. Of an estimate z is
-    Q bread'. The estimate takes d directions out of the noise: rho = (I - Q Q')e. A cosine's L = a'rho, a being the cosine
-    times z, has the variance |a|² - |Q'a|². Regressors as slow as the cosines lose more of it than d of r rows: on the TX40
-    up to a third of the deviation, where d/r is a fortieth.
+    By K blocks of time: `squares` (K, m) the sums of z², `along` (K, m, d) the products z'Q. For an estimate z is Q bread'.
+    The estimate removes d directions from the noise: rho = (I - Q Q')e. A cosine's L = a'rho, a being the cosine times z, has
+    the variance |a|² - |Q'a|². Regressors as slow as the cosines lose more of it than d of r rows: on the TX40 up to a third
+    of the deviation, where d/r is a fortieth.
     """
     cosine = _family(B, len(squares))
     lost = np.tensordot(cosine, along, axes=1) ** 2  # (B, m, d)
     found, whole = (cosine**2 @ squares - lost.sum(axis=-1)).mean(axis=0), squares.sum(axis=0)
-    seen = whole > 0  # one of several recordings may say nothing of a parameter
-    return np.asarray(np.maximum(np.divide(found, whole, out=np.ones_like(found), where=seen), LEAST_SHARE))
+    present = whole > 0  # a recording may not excite a parameter
+    return np.asarray(np.maximum(np.divide(found, whole, out=np.ones_like(found), where=present), MIN_VARIANCE_SHARE))
 
 
 def _family(B: int, T: int) -> Array:
@@ -150,8 +153,8 @@ def _family(B: int, T: int) -> Array:
 
 
 def cosines(T: int) -> int:
-    """Their number for T instants: enough to tell the spread, few enough to stay at low frequencies."""
-    return int(np.clip(np.floor(0.4 * T ** (2 / 3)), FEWEST, MOST))
+    """Number of cosines for T instants: enough to measure the spread, few enough to stay at low frequencies."""
+    return int(np.clip(np.floor(0.4 * T ** (2 / 3)), MIN_COSINES, MAX_COSINES))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -159,7 +162,7 @@ class BlockSums:
     """Sums over the rows of each of K equal blocks of time, with the orthonormal columns Q (r, b) of an estimate.
 
     Attributes:
-        QQ, QW: (K, b, b) Q'Q and Q'W, rows weighted as the estimate was; `QY`: (K, b) Q'Y.
+        QQ, QW: (K, b, b) Q'Q and Q'W, rows weighted as in the estimate; `QY`: (K, b) Q'Y.
         WW: (K, b, b) W'W of the same rows in the unit of the torque; `WY`: (K, b) W'Y.
         edges: (K + 1,) the first instant of each block and the end of the last.
     """
@@ -177,7 +180,7 @@ class BlockSums:
         return tuple(x.sum(axis=0) for x in (self.QQ, self.QW, self.QY, self.WW, self.WY))
 
     def between(self, first: int, last: int) -> "BlockSums":
-        """The blocks that lie between these instants, of which both are edges."""
+        """The blocks between two instants, both of which are edges."""
         a, z = np.searchsorted(self.edges, (first, last))
         QQ, QW, QY, WW, WY = (x[a:z] for x in (self.QQ, self.QW, self.QY, self.WW, self.WY))
         return BlockSums(QQ=QQ, QW=QW, QY=QY, WW=WW, WY=WY, edges=self.edges[a : z + 1])
@@ -190,12 +193,12 @@ class BlockSums:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TimeBlocks:
-    """Products of the rows that count of a long recording, by K equal blocks of time: intervals and fits of parts need no more.
+    """Products of the used rows of a long recording in K equal blocks of time, enough for intervals and fits of parts.
 
     Attributes:
         products: (K, n, b, b + 1) of block and joint W'[W Y]; with instruments (K, 1, b, b + 1), of all joints.
         along: with instruments Z (K, b, 2b + 1) Z'[Z W Y] of the weighted rows; else None.
-        instants: T, how many the blocks share.
+        instants: T, of all blocks.
         names: (b,) parameters.
     """
 
@@ -206,7 +209,7 @@ class TimeBlocks:
 
     @classmethod
     def none_yet(cls, instants: int, n: int, names: tuple[str, ...], *, instruments: bool = False) -> "TimeBlocks":
-        """Blocks to which `add` brings the rows of so many instants of n joints."""
+        """Empty blocks for the rows of `instants` of n joints, filled by `add`."""
         b, K = len(names), min(TIME_BLOCKS, instants)
         products = np.zeros((K, 1 if instruments else n, b, b + 1))
         along = np.zeros((K, b, 2 * b + 1)) if instruments else None
@@ -214,7 +217,7 @@ class TimeBlocks:
 
     def add(self, first: int, columns: Array, counts: NDArray[np.bool_], weights: Array | None = None) -> None:
         """Add the instants from `first` on: W Y (n, b + 1, rows), or with instruments Z W Y (n, 2b + 1, rows) and the `weights`
-        (n,) of the joints; `counts` (rows, n) says which of the rows count.
+        (n,) of the joints; `counts` (rows, n): the rows used.
         """
         b = len(self.names)
         block = np.arange(first, first + len(counts)) * len(self.products) // self.instants
@@ -229,7 +232,7 @@ class TimeBlocks:
                     self.along[k] += weights[j] ** 2 * (rows[:b] @ rows.T)
 
     def sums(self, estimate: Estimate, T: Array) -> BlockSums:
-        """Sums of the parameters estimated; W T, or Z T, are the estimate's orthonormal columns."""
+        """Sums of the estimated parameters; W T, or Z T, are the estimate's orthonormal columns."""
         indices = np.array([self.names.index(name) for name in estimate.names])
         plain = self.products.sum(axis=1)[:, indices]
         if self.along is None:
@@ -251,7 +254,7 @@ class TimeBlocks:
 def sums_of_blocks(
     estimate: Estimate, recordings: Sequence[TimeBlocks], basis: Array | None = None
 ) -> tuple[BlockSums, ...]:
-    """The blocks of recordings with the columns Q of an estimate, of all parameters or some.
+    """Sums over the blocks of recordings with the columns Q of an estimate of all or some parameters.
 
     `basis` T (b, b) makes Z T the estimate's orthonormal Q, by default its `bread`: W bread is that of least squares.
     """

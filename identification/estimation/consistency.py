@@ -6,8 +6,8 @@
 P_j(chi) is the 4 × 4 pseudo-inertia of link j, positive definite for every body of positive density (Wensing, Kim, Slotine,
 Linear matrix inequalities for physically consistent inertial parameter identification, IEEE RA-L 3 (2018)); x_i are
 combinations of the other parameters that must be positive, X_k matrices of them, such as viscous friction of joints that
-share motors. Beta, its covariance C and the regrouping matrix K say all that the rows say. Solved by damped Newton steps;
-every gamma is a problem of its own, and the Newton decrement certifies it.
+share motors. Beta, its covariance C and the regrouping matrix K replace the rows. Solved by damped Newton steps; the Newton
+decrement certifies the optimum.
 """
 
 from collections.abc import Callable
@@ -19,27 +19,31 @@ from numpy.typing import NDArray
 from ..arrays import Array
 from ..errors import IdentificationError
 
-GAMMA = 1.0  # of the prior of the links; with a generic prior 0.1 and less is worse than none on short recordings
-GAMMA_X = 1e-6  # of gamma: a barrier alone; at full weight friction and rotors are drawn away from the data
-MATRIX = 100.0  # times GAMMA_X of the log det of a matrix, whose lowest eigenvalue would be lost in rounding
-CERTIFIED = 1e-6  # Newton decrement: half its square is about the distance to the optimum
-STEPS = 40  # at most; some twenty are usual
-SOFTEST, FACTOR, LEAST_FACTOR = 1e8, 100.0, 1.02  # covariances times the first lead to what cannot be reached at once
-TO_THE_EDGE = 0.95  # of the way to the boundary that a step may go
-ROUNDING = 1e-14  # of the largest singular value
-LEAST_DEVIATION = 1e-5  # of a parameter's value: with less the barrier is lost in rounding
+GAMMA = 1.0  # weight of the links' prior; with a generic prior, 0.1 or less is worse than none on short recordings
+GAMMA_X = 1e-6  # times gamma: only a barrier; full weight would bias friction and rotors
+MATRIX_WEIGHT = 100.0  # times GAMMA_X, of the log det of a matrix: less is lost in rounding
+MAX_DECREMENT = 1e-6  # Newton decrement: half its square is about the distance to the optimum
+MAX_STEPS = 40  # some twenty are usual
+MAX_SOFTENING, MAX_FACTOR, MIN_FACTOR = (
+    1e8,
+    100.0,
+    1.02,
+)  # of covariances, for optima out of direct reach; of its reduction in one step
+MAX_BOUNDARY_SHARE = 0.95  # of the way to the boundary in one step
+MIN_SINGULAR_VALUE = 1e-14  # of the largest singular value
+MIN_RELATIVE_DEVIATION = 1e-5  # of a parameter's value; with less the barrier is lost in rounding
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PhysicalParameters:
-    """What a physical robot asks of standard parameters chi (p,).
+    """Conditions of a physical robot on standard parameters chi (p,).
 
     Attributes:
         links: (L, 10) columns of XX XY XZ YY YZ ZZ MX MY MZ M of each link.
-        prior: (L, 4, 4) pseudo-inertias expected of the links, positive definite.
+        prior: (L, 4, 4) expected pseudo-inertias of the links, positive definite.
         combinations: (m, p) whose products with chi must be positive.
         matrices: (s, s, p) each, whose products with chi must be positive definite.
-        start: (p,) parameters that meet all of this.
+        start: (p,) parameters that meet all conditions.
     """
 
     links: NDArray[np.intp]
@@ -55,9 +59,9 @@ class Consistent:
 
     Attributes:
         chi: (p,) standard parameters; `beta` = K chi (b,).
-        chi_squared: (beta - estimate)' C⁻¹ (beta - estimate), how far they are from the estimate.
-        deviations: (b,) by how many deviations each parameter moved.
-        decrement: Newton decrement at chi, the certificate; `steps` that were taken.
+        chi_squared: (beta - estimate)' C⁻¹ (beta - estimate).
+        deviations: (b,) move of each parameter, in deviations.
+        decrement: Newton decrement at chi, the certificate; `steps`: their number.
     """
 
     chi: Array
@@ -81,10 +85,10 @@ def consistent_parameters(
 
     Parameters
     ----------
-    beta, covariance : (b,), (b, b) the estimate and its covariance C = D R D: the formula's correlations, honest deviations.
+    beta, covariance : (b,), (b, b) the estimate, and C = D R D: the formula's correlations, the intervals' deviations.
     K : (b, p) regrouping matrix, beta = K chi.
-    physical : what is asked of chi.
-    gamma, gamma_x : weights of the links' prior, and of the barrier of the combinations in parts of gamma.
+    physical : conditions on chi.
+    gamma, gamma_x : weight of the links' prior; weight of the barrier of the combinations over gamma.
 
     Returns
     -------
@@ -97,17 +101,20 @@ def consistent_parameters(
     root = _inverse_root(beta, covariance)
     objective = _Objective(beta, root, K, physical, gamma, gamma * gamma_x)
     chi, decrement, steps = _minimum(objective, physical.start)
-    if not decrement <= CERTIFIED:
-        # An estimate far from any robot draws the steps along the boundary, where they are short.
+    if not decrement <= MAX_DECREMENT:
+        # For an estimate far from any robot, steps run along the boundary, where they are short.
         def softened(softer: float) -> _Objective:
             barrier = gamma * max(gamma_x, min(gamma_x * softer, 1.0))
             return _Objective(beta, root / np.sqrt(softer), K, physical, gamma, barrier)
 
         chi, decrement, more = _along_path(softened, physical.start)
         steps += more
-    if not decrement <= CERTIFIED:
+    if not decrement <= MAX_DECREMENT:
         raise IdentificationError(
-            "no consistent parameters found", key="Newton decrement", value=decrement, expected=f"{CERTIFIED:g} at most"
+            "no consistent parameters found",
+            key="Newton decrement",
+            value=decrement,
+            expected=f"{MAX_DECREMENT:g} at most",
         )
     moved = K @ chi - beta
     sigma = np.sqrt(np.diag(covariance))
@@ -121,14 +128,14 @@ def consistent_parameters(
     )
 
 
-def certainty(
+def parameter_certainty(
     found: Consistent, covariance: Array, K: Array, physical: PhysicalParameters, *, gamma: float = GAMMA
 ) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-    """How well the standard parameters (p,) and the base parameters (b,) are known: deviations, and shares of the prior.
+    """Deviations, and variances relative to the prior, of the standard parameters (p,) and of the base parameters (b,).
 
-    Deviations by Laplace: the inverse Hessian at the optimum without the barrier of friction and rotors, which is no knowledge.
-    Of base parameters with the square of their move off the estimate: no prior is the truth. Shares: variance in parts of the
-    one that the prior alone would leave, from 0 to 1; 0 where nothing is expected, as of offsets and friction.
+    Deviations by Laplace: the inverse Hessian at the optimum without the barrier of friction and rotors. Those of base
+    parameters include the square of their move from the estimate. The relative variance is that over the prior's alone, from 0
+    to 1; 0 where there is no prior, as for offsets and friction.
     """
     b, p = K.shape
     links = replace(physical, combinations=np.zeros((0, p)), matrices=())
@@ -143,14 +150,14 @@ def certainty(
 
 
 def _variances(J: Array, rows: Array) -> Array:
-    """Diagonal (k,) of rows (J'J)⁻¹ rows', with columns of J scaled to one; what J does not tell has a vast one."""
+    """Diagonal (k,) of rows (J'J)⁻¹ rows', with columns of J scaled to one; very large where J is singular."""
     d = np.linalg.norm(J, axis=0)
     values, V = np.linalg.svd(J / d, full_matrices=False)[1:]
-    return np.asarray(((rows / d @ V.T / np.maximum(values, ROUNDING * values[0])) ** 2).sum(axis=1))
+    return np.asarray(((rows / d @ V.T / np.maximum(values, MIN_SINGULAR_VALUE * values[0])) ** 2).sum(axis=1))
 
 
 class _Objective:
-    """The function to minimise: finite where every P_j and X_k is positive definite and every x_i positive."""
+    """The function to minimise, finite where every P_j and X_k is positive definite and every x_i positive."""
 
     def __init__(
         self, beta: Array, root: Array, K: Array, physical: PhysicalParameters, gamma: float, gamma_x: float
@@ -162,7 +169,7 @@ class _Objective:
         self._cones = [(physical.links, BASIS, gamma)]
         for matrix in physical.matrices:
             columns = np.flatnonzero(matrix.any(axis=(0, 1)))
-            self._cones.append((columns[None], np.moveaxis(matrix[..., columns], -1, 0), MATRIX * gamma_x))
+            self._cones.append((columns[None], np.moveaxis(matrix[..., columns], -1, 0), MATRIX_WEIGHT * gamma_x))
         self._pull = np.zeros(K.shape[1])  # of tr(P0⁻¹ P) by the parameters
         self._pull[physical.links] = gamma * np.einsum("lab,iba->li", np.linalg.inv(physical.prior), BASIS)
 
@@ -194,12 +201,12 @@ class _Objective:
         inverse = self._x / (self._x @ chi)[:, None]
         g -= self._gamma_x * inverse.sum(axis=0)
         at = np.flatnonzero(self._x.any(axis=0))
-        if len(inverse) > len(at):  # power at hundreds of speeds: as many rows as columns say the same
+        if len(inverse) > len(at):  # power at hundreds of speeds: its R factor is enough
             inverse = np.linalg.qr(inverse[:, at], mode="r") @ np.eye(len(chi))[at]
         return g, np.concatenate([*parts, np.sqrt(self._gamma_x) * inverse])
 
     def reach(self, chi: Array, step: Array) -> float:
-        """How many times a step may be taken until a P_j, an X_k or an x_i reaches zero."""
+        """The multiple of a step at which a P_j, an X_k or an x_i becomes singular or zero."""
         roots = self._roots(chi)
         assert roots is not None
         lowest = float(((self._x @ step) / (self._x @ chi)).min(initial=0.0))
@@ -219,16 +226,16 @@ class _Objective:
 
 
 def _along_path(problem: Callable[[float], _Objective], chi: Array) -> tuple[Array, float, int]:
-    """Minima of problems with ever harder covariances, each from the one before: the last, its decrement, all steps."""
-    chi, decrement, steps = _minimum(problem(SOFTEST), chi)
-    softer, factor = SOFTEST, FACTOR
-    while decrement <= CERTIFIED and softer > 1.0:
+    """Minima for decreasing covariances, each started from the one before: the last, its decrement, all steps."""
+    chi, decrement, steps = _minimum(problem(MAX_SOFTENING), chi)
+    softer, factor = MAX_SOFTENING, MAX_FACTOR
+    while decrement <= MAX_DECREMENT and softer > 1.0:
         harder = max(1.0, softer / factor)
         found, reached, more = _minimum(problem(harder), chi)
         steps += more
-        if reached <= CERTIFIED:
-            chi, decrement, softer, factor = found, reached, harder, min(FACTOR, factor**1.5)
-        elif factor > LEAST_FACTOR:  # a closer problem comes between
+        if reached <= MAX_DECREMENT:
+            chi, decrement, softer, factor = found, reached, harder, min(MAX_FACTOR, factor**1.5)
+        elif factor > MIN_FACTOR:  # try a closer problem first
             factor **= 0.5
         else:
             decrement = reached
@@ -236,10 +243,10 @@ def _along_path(problem: Callable[[float], _Objective], chi: Array) -> tuple[Arr
 
 
 def _minimum(objective: _Objective, chi: Array) -> tuple[Array, float, int]:
-    """Newton steps from chi: where they end, the decrement there, and their number."""
+    """Newton steps from chi: the end, the decrement there, and their number."""
     steps = 0
     step, decrement = _newton_step(*objective.derivatives(chi))
-    while decrement > CERTIFIED and np.isfinite(decrement) and steps < STEPS:
+    while decrement > MAX_DECREMENT and np.isfinite(decrement) and steps < MAX_STEPS:
         length = _length(objective, chi, step, decrement)
         if length == 0.0:
             break
@@ -249,8 +256,8 @@ def _minimum(objective: _Objective, chi: Array) -> tuple[Array, float, int]:
 
 
 def _length(objective: _Objective, chi: Array, step: Array, decrement: float) -> float:
-    """Share of a Newton step that stays inside and lowers the function as it should; 0 where rounding leaves none."""
-    value, length = objective.value(chi), min(1.0, TO_THE_EDGE * objective.reach(chi, step))
+    """Share of a Newton step that stays inside and decreases the function enough; 0 where rounding leaves none."""
+    value, length = objective.value(chi), min(1.0, MAX_BOUNDARY_SHARE * objective.reach(chi, step))
     rounding = 1e-13 * abs(value)
     while length > 1e-10:
         if objective.value(chi + length * step) <= value - 1e-4 * length * decrement**2 + rounding:
@@ -260,7 +267,7 @@ def _length(objective: _Objective, chi: Array, step: Array, decrement: float) ->
 
 
 def _newton_step(g: Array, J: Array) -> tuple[Array, float]:
-    """The Newton step (p,) and its decrement; columns of J, whose sizes span many powers of ten, are scaled to one."""
+    """The Newton step (p,) and its decrement; columns of J are scaled to one."""
     d = np.linalg.norm(J, axis=0)
     d = np.where(d > 0, d, 1.0)
     try:
@@ -272,13 +279,13 @@ def _newton_step(g: Array, J: Array) -> tuple[Array, float]:
 
 
 def _inverse_root(beta: Array, covariance: Array) -> Array:
-    """A root (b, b) of C⁻¹, through the correlations; a deviation is at least so large that the barrier can be computed."""
+    """A root (b, b) of C⁻¹, through the correlations; deviations are bounded below for the barrier's sake."""
     sigma = np.sqrt(np.diag(covariance))
     own = np.where(sigma > 0, sigma, 1.0)
     R = covariance / own[:, None] / own
     R[np.diag_indices_from(R)] = 1.0 + 1e-12
-    sigma = np.maximum(sigma, LEAST_DEVIATION * np.abs(beta))
-    sigma = np.where(sigma > 0, sigma, LEAST_DEVIATION)
+    sigma = np.maximum(sigma, MIN_RELATIVE_DEVIATION * np.abs(beta))
+    sigma = np.where(sigma > 0, sigma, MIN_RELATIVE_DEVIATION)
     try:
         return np.asarray(np.linalg.inv(np.linalg.cholesky(R)) / sigma)
     except np.linalg.LinAlgError as error:

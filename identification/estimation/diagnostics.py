@@ -1,6 +1,6 @@
-"""How far a fit can be trusted: torque errors by joint and by state of motion, tests, residuals without correlation.
+"""Torque errors by joint and by state of motion, tests of instruments, whitening, distributions.
 
-The distributions that tests and intervals need stand here because the import of a library's takes longer than a fit.
+The distributions are written here because importing a library for them takes longer than a fit.
 """
 
 import math
@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..report import TorqueError
-from .system import System, orthonormal, r_factor, slices
+from .system import System, orthonormal, r_factor, spans_of
 
 MOVING = 0.02  # of a joint's peak speed: below, it stands
-_MOST_TERMS = 500  # of the continued fraction: some ten are needed, and sqrt(degrees of freedom) where these are many
+_MAX_TERMS = 500  # of the continued fraction; about max(10, sqrt(degrees of freedom)) are needed
 
 
 def torque_errors(tau: Array, predicted: Array, speed: Array, names: tuple[str, ...]) -> tuple[TorqueError, ...]:
@@ -24,7 +24,7 @@ def torque_errors(tau: Array, predicted: Array, speed: Array, names: tuple[str, 
     Parameters
     ----------
     tau, predicted : (rows, n) measured and predicted torque, N m (N, or A and V where the drive gain is not known).
-    speed : (rows, n) joint speeds, rad/s or m/s: they tell which rows move.
+    speed : (rows, n) joint speeds, rad/s or m/s, by which rows move or stand.
     names : (n,) of the joints.
 
     Returns
@@ -41,7 +41,7 @@ def torque_errors(tau: Array, predicted: Array, speed: Array, names: tuple[str, 
             standing_relative_error_percent=relative_error_percent(t[~m], r[~m]),
             moving_rows=int(m.sum()),
             standing_rows=int((~m).sum()),
-            autocorrelation=lag_one(r),
+            autocorrelation=autocorrelation(r),
         )
         for name, t, r, m in [*each, ("all", tau, rho, moving)]
     )
@@ -52,12 +52,7 @@ def are_moving(speed: Array) -> NDArray[np.bool_]:
     return np.asarray(np.abs(speed) > MOVING * np.abs(speed).max(axis=0))
 
 
-def lag_one(rho: Array) -> float | None:
-    """Autocorrelation of residuals (rows,) or (rows, n) at a lag of one row; None where they are zero."""
-    return autocorrelation(rho, 1)
-
-
-def autocorrelation(rho: Array, lag: int) -> float | None:
+def autocorrelation(rho: Array, lag: int = 1) -> float | None:
     """Autocorrelation of residuals (rows,) or (rows, n) at a lag of `lag` rows; None where they are zero."""
     r, following = rho[:-lag].ravel(), rho[lag:].ravel()
     size = np.linalg.norm(r) * np.linalg.norm(following)
@@ -72,14 +67,14 @@ def relative_error_percent(tau: Array, rho: Array) -> float | None:
 
 @dataclass(frozen=True, kw_only=True)
 class InstrumentTests:
-    """What speaks for the instruments.
+    """Tests of the instruments.
 
     Attributes:
         dwh_F, dwh_p_value: revised Durbin-Wu-Hausman test (Janot2016): small p says that least squares is biased. None
-            where instruments and regressor agree, so that there is nothing to test. Model error rejects as well.
-        dwh_F_effective, dwh_p_effective: the same with the residual's correlation counted.
-        strength: smallest canonical correlation of Z and W, 1 for instruments as good as W itself.
-        first_stage_F: of the direction of W that the instruments explain least; below 10 they are weak.
+            where instruments and regressor agree. Model error rejects as well.
+        dwh_F_effective, dwh_p_effective: the same, corrected for the residual's correlation.
+        strength: smallest canonical correlation of Z and W, 1 for W itself.
+        first_stage_F: of the least explained direction of W; weak below 10.
     """
 
     dwh_F: float | None
@@ -97,15 +92,15 @@ def instrument_tests(Q: Array, W: Array, Y: Array, rows: int, correlation: float
     ----------
     Q : (r, b) orthonormal columns that span the weighted instruments Z.
     W, Y : (r, b), (r,) weighted regressor and torque.
-    rows : how many of the rows count.
-    correlation : of the residual at a lag of one row; F statistics called effective are smaller by it.
+    rows : number of used rows.
+    correlation : of the residual at a lag of one row; the effective F statistics are corrected for it.
     """
     b = W.shape[1]
     d = np.linalg.norm(W, axis=0)
     Qw = orthonormal(W / d)
     strength = float(min(1.0, np.linalg.svd(Q.T @ Qw, compute_uv=False)[-1]))
     first_stage = strength**2 / max(1e-300, 1 - strength**2) * (rows - b) / b
-    V = W / d - Q @ (Q.T @ (W / d))  # what of W its instruments do not explain
+    V = W / d - Q @ (Q.T @ (W / d))  # the part of W that Z does not explain
     outside = V - Qw @ (Qw.T @ V)
     _, singular, Vt = np.linalg.svd(r_factor(outside))
     independent = int((singular > 1e-6).sum())
@@ -130,18 +125,18 @@ def instrument_tests(Q: Array, W: Array, Y: Array, rows: int, correlation: float
 def whitened(
     system: System, Z: Array, rho: Array, order: int, parts: tuple[int, ...] | None = None
 ) -> tuple[System, Array]:
-    """W, Y and Z (r, b) filtered along time, joint by joint, with rows of like size.
+    """W, Y and Z (r, b) filtered along time, joint by joint.
 
-    Joint j's filter is 1 - a_1 B ... - a_p B^p with B the row before, by Yule and Walker from the rows of its residual
-    rho (r,) that count. A row counts where it and the `order` rows before it do. `parts` are the numbers of instants of several
-    recordings, whose first rows have none before them; None for one.
+    Joint j's filter is 1 - a_1 B ... - a_p B^p with B the row before, by Yule and Walker from the used rows of its residual
+    rho (r,). A row is used if it and the `order` rows before it are. `parts` are the numbers of instants of several
+    recordings, each filtered alone; None for one recording.
     """
     n, b = len(system.rows), len(system.names)
     stack = np.c_[system.W, Z, system.Y].reshape(n, -1, b + Z.shape[1] + 1)
     used, residual = system.used.reshape(n, -1), rho.reshape(n, -1) * system.used.reshape(n, -1)
     T = stack.shape[1]
     filtered, counts = stack.copy(), used.copy()
-    for part in slices(parts or (T,)):
+    for part in spans_of(parts or (T,)):
         counts[:, part.start : part.start + order] = 0.0
     for j in range(n):
         h = np.r_[1.0, -autoregression(residual[j], order)]
@@ -162,40 +157,38 @@ def autoregression(x: Array, order: int) -> Array:
 
 
 def f_tail(F: float, dropped: float, freedom: float) -> float:
-    """Probability that an F-distributed value with `dropped` and `freedom` degrees of freedom exceeds F.
-
-    A value below 0 by rounding counts as 0.
-    """
+    """Probability that a value of the F distribution with `dropped` and `freedom` degrees of freedom exceeds F."""
+    # F may be below 0 by rounding
     return _incomplete_beta(freedom / 2, dropped / 2, freedom / (freedom + dropped * max(F, 0.0)))
 
 
 def t_quantile(p: float, freedom: float) -> float:
-    """Value that one with Student's t distribution of `freedom` degrees of freedom stays below with probability p > 1/2."""
+    """Quantile p > 1/2 of Student's t distribution with `freedom` degrees of freedom."""
     return _root(lambda t: f_tail(t * t, 1.0, freedom) - 2.0 * (1.0 - p))
 
 
 def chi_squared_quantile(tail: float, freedom: int) -> float:
-    """Value that a chi-squared one of `freedom` degrees of freedom exceeds with the probability `tail`."""
+    """Value exceeded with the probability `tail` in the chi-squared distribution with `freedom` degrees of freedom."""
     return _root(lambda x: _chi_squared_tail(x, freedom) - tail)
 
 
 def independent_share(correlation: float) -> float:
-    """(1 - c)/(1 + c): r rows whose residual has the correlation c at a lag of one row are worth that share of r.
+    """(1 - c)/(1 + c): the share of independent rows for a residual with the correlation c at a lag of one row.
 
-    A negative correlation counts as none.
+    A negative correlation is taken as zero.
     """
     c = max(0.0, correlation)
     return (1.0 - c) / (1.0 + c)
 
 
 def f_tests(F: float, dropped: int, rows: int, b: int, correlation: float) -> tuple[float, float, float, float]:
-    """F and its p-value, of `dropped` parameters beside b others; and both with the residual's correlation counted."""
+    """F and its p-value for `dropped` of b parameters, and both corrected for the residual's correlation."""
     share = independent_share(correlation)
     return F, f_tail(F, dropped, rows - b), F * share, f_tail(F * share, dropped, max(1.0, rows * share - b))
 
 
 def _chi_squared_tail(x: float, freedom: int) -> float:
-    """The sum that repeated integration by parts gives for whole degrees of freedom, from that of 1 or 2 on."""
+    """By repeated integration by parts from 1 or 2 degrees of freedom."""
     odd, half = freedom % 2, 0.5 * x
     tail = math.erfc(math.sqrt(half)) if odd else 0.0
     powers = (k + 0.5 * odd for k in range(freedom // 2))
@@ -208,12 +201,12 @@ def _incomplete_beta(a: float, b: float, x: float) -> float:
     """The regularised incomplete beta function I_x(a, b), by its continued fraction (Abramowitz and Stegun 26.5.8, Lentz)."""
     if x <= 0.0 or x >= 1.0:
         return float(x >= 1.0)
-    if x > (a + 1.0) / (a + b + 2.0):  # where the fraction of the other tail converges faster
+    if x > (a + 1.0) / (a + b + 2.0):  # the other tail converges faster
         return 1.0 - _incomplete_beta(b, a, 1.0 - x)
     front = math.exp(math.lgamma(a + b) - math.lgamma(a) - math.lgamma(b) + a * math.log(x) + b * math.log1p(-x))
     C, D = 1.0, 1.0 / (1.0 - (a + b) * x / (a + 1.0))
     fraction = D
-    for m in range(1, _MOST_TERMS):
+    for m in range(1, _MAX_TERMS):
         even = m * (b - m) * x / ((a + 2 * m - 1) * (a + 2 * m))
         odd = -(a + m) * (a + b + m) * x / ((a + 2 * m) * (a + 2 * m + 1))
         for term in (even, odd):
@@ -224,11 +217,11 @@ def _incomplete_beta(a: float, b: float, x: float) -> float:
     return front * fraction / a
 
 
-def _root(falling: Callable[[float], float]) -> float:
-    """Where a function of x > 0 that falls becomes negative, by bisection down to rounding."""
+def _root(decreasing: Callable[[float], float]) -> float:
+    """The zero of a decreasing function of x > 0, by bisection down to rounding."""
     low, high = 0.0, 1.0
-    while falling(high) > 0.0:
+    while decreasing(high) > 0.0:
         low, high = high, 2.0 * high
     while low < (middle := 0.5 * (low + high)) < high:
-        low, high = (middle, high) if falling(middle) > 0.0 else (low, middle)
+        low, high = (middle, high) if decreasing(middle) > 0.0 else (low, middle)
     return high

@@ -1,8 +1,8 @@
 """Least squares and instrumental variables on any W, Y, Z by QR; reduction to the essential parameters.
 
-Algebra only: nothing here knows of robots. Letters as in Janot2014 and Gautier1997: rho = Y - W beta, s² = |rho|²/(r - 1),
+Letters as in Janot2014 and Gautier1997: rho = Y - W beta, s² = |rho|²/(r - 1),
 C = s² (WᵀW)⁻¹, sigma_i = sqrt(C_ii), %sigma_i = 100 sigma_i/|beta_i|. The divisor r - 1, not r - b, is that of the authors'
-scripts, and published deviations rest on it; it makes sigma smaller by b/2r (0.06 % on the EMPS, 1.3 % on the TX40).
+scripts and published deviations; it makes sigma smaller by b/2r (0.06 % on the EMPS, 1.3 % on the TX40).
 """
 
 from collections.abc import Callable
@@ -21,30 +21,29 @@ from .system import RANK_TOLERANCE, System, orthonormal, r_factor, refuse_rank_d
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-ROUNDING = 1e-9  # of a column's norm over all joints: a joint that has less of it feels rounding, not the parameter
+MIN_COLUMN_NORM = 1e-9  # of a column's norm over all joints: less at a joint is rounding
 F_TEST_LEVEL = 0.01  # a parameter is dropped only where the F test's p-value stays above
 
 
 def one_thread(function: F) -> F:
-    """Keep linear algebra within `function` to one thread.
+    """Restrict linear algebra within `function` to one thread.
 
-    The matrices are small: a second thread waits more than it works, and on a busy machine a fit takes several times as long.
+    The matrices are small: on a busy machine more threads make a fit several times slower.
     """
     return cast(F, threadpool_limits.wrap(limits=1)(function))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Estimate:
-    """An estimate and the evidence for it.
+    """An estimate with its covariance and factors.
 
     Attributes:
         names: (b,) parameters estimated.
         beta: (b,) their values.
         covariance: (b, b) by the formula, which assumes white residuals.
-        weights: (n,) 1/s_j given to the rows of joint j; ones where rows were not weighted.
+        weights: (n,) 1/s_j of the rows of joint j; ones without weighting.
         residual_norm: |Y - W beta| of the weighted rows.
-        condition_number: of W as it stands, in the rows that count; `condition_number_scaled`: of the weighted W with columns
-            of norm one.
+        condition_number: of W in the used rows; `condition_number_scaled`: of the weighted W with columns of norm one.
         rows: r, the number of decimated samples over all joints.
         Q, bread: beta - beta_true = bread Qᵀ rho with weighted rho (r,): Q (r, b) orthonormal columns that span W, or Z.
     """
@@ -83,10 +82,10 @@ class Estimate:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Reduction:
-    """A reduced model beside the full one: the F test of the parameters left out (Gautier2013).
+    """A reduced model, and the F test of the parameters left out (Gautier2013).
 
-    `F` and `p_value` assume white residuals; `F_effective` and `p_effective` count only as many independent rows as the
-    residual's correlation leaves. All are NaN where nothing was left out. `kept` are places in the full model.
+    `F` and `p_value` assume white residuals; `F_effective` and `p_effective` are corrected for the residual's correlation. All
+    are NaN where nothing was left out. `kept` are indices in the full model.
     """
 
     estimate: Estimate
@@ -98,16 +97,16 @@ class Reduction:
 
 
 def ordinary_least_squares(system: System) -> Estimate:
-    """beta minimises |Y - W beta| over the rows that count, all alike. Raises as `weighted_least_squares`."""
+    """beta minimises |Y - W beta| over the used rows, without weights. Raises as `weighted_least_squares`."""
     return _estimated(system, np.ones(len(system.rows)))
 
 
 def weighted_least_squares(system: System) -> Estimate:
-    """Least squares with the rows of joint j divided by s_j, the deviation that joint's own least squares leaves.
+    """Least squares with the rows of joint j divided by s_j, the residual deviation of that joint's own least squares.
 
     Raises
     ------
-    IdentificationError : where no more rows count than there are parameters, or W is rank deficient.
+    IdentificationError : where there are no more used rows than parameters, or W is rank deficient.
     """
     return _estimated(system, joint_weights(system))
 
@@ -116,17 +115,17 @@ def joint_weights(system: System) -> Array:
     """1/s_j (n,): s_j² = |Y_j - W_j b_j|² / (r_j - b_j), b_j the rank of that joint's columns."""
     rows = system.rows
     W, Y = system.weighted(np.ones(len(rows)))
-    s, least = np.empty(len(rows)), ROUNDING * np.linalg.norm(W, axis=0)
+    s, least = np.empty(len(rows)), MIN_COLUMN_NORM * np.linalg.norm(W, axis=0)
     for j in range(len(rows)):
         W_j, Y_j = W[system.joint_of_row == j], Y[system.joint_of_row == j]
         W_j = W_j[:, np.linalg.norm(W_j, axis=0) > least]
-        R = r_factor(np.c_[W_j / _norms(W_j), Y_j])  # of which the residual has the same norm
+        R = r_factor(np.c_[W_j / _norms(W_j), Y_j])  # with the same residual norm
         b_j, _, rank, _ = np.linalg.lstsq(R[:, :-1], R[:, -1], rcond=RANK_TOLERANCE)
         rho = R[:, -1] - R[:, :-1] @ b_j
         s[j] = np.sqrt(rho @ rho / max(1, rows[j] - rank))
-        # An exact model leaves rounding only: its joints then weigh alike, not by the noise of the last digit.
+        # An exact model leaves only rounding, which must not set the weights.
         s[j] = max(s[j], 1e-12 * np.sqrt(Y_j @ Y_j / rows[j]))
-    # Otherwise a joint that stands without torque would outweigh the others, whose rows would then count as zero.
+    # A joint that stands without torque must not outweigh all others.
     s = np.maximum(s, 1e-6 * s.max())
     return np.asarray(1.0 / np.where(s > 0, s, 1.0))
 
@@ -134,15 +133,15 @@ def joint_weights(system: System) -> Array:
 def essential_parameters(system: System, full: Estimate, *, correlation: float, ratio: float = 30.0) -> Reduction:
     """Drop the parameter of the largest %sigma and solve again, until max %sigma < ratio · min %sigma (Gautier2013).
 
-    A drop that the F test refuses at 1 % ends it sooner. Weights stay those of the full model.
+    Dropping also ends where the F test rejects a drop at 1 %. Weights are those of the full model.
 
     Parameters
     ----------
     system, full : all base parameters, and their estimate from that system.
-    correlation : of the residual at a lag of one row: r rows are worth r (1 - correlation)/(1 + correlation) independent ones.
+    correlation : of the residual at a lag of one row, by which the F test is corrected.
     ratio : 30 by default.
     """
-    # Dropping columns of W is dropping columns of its R factor: each pass costs b³, not r b².
+    # Columns are dropped from the R factor: each pass costs b³, not r b².
     R, r, b = r_factor(np.column_stack(system.weighted(full.weights))), full.rows, len(full.beta)
 
     def solved(kept: NDArray[np.intp]) -> tuple[Array, Array, float, float]:
@@ -178,13 +177,13 @@ def instrumental_variables(system: System, Z: Array, weights: Array) -> Estimate
 
     Parameters
     ----------
-    system : W, Y and the rows that count.
+    system : W, Y and the used rows.
     Z : (r, b) instruments, not weighted.
     weights : (n,) 1/s_j for the rows of joint j.
 
     Raises
     ------
-    IdentificationError : where the instruments have too little in common with W, or as `weighted_least_squares` does.
+    IdentificationError : where QᵀW is singular, or as `weighted_least_squares` does.
     """
     return _estimated(system, weights, Z)
 
@@ -229,7 +228,7 @@ def _solve(Q: Array, W: Array, Y: Array) -> tuple[Array, Array, float, float]:
 
 
 def _covariance(bread: Array, residual_norm: float, rows: int) -> Array:
-    """C (b, b) = s² bread breadᵀ; so many samples stand behind the rows."""
+    """C (b, b) = s² bread breadᵀ; of `rows` samples."""
     return np.asarray(residual_norm**2 / (rows - 1) * (bread @ bread.T))
 
 

@@ -12,16 +12,16 @@ from ..estimation import (
     InstrumentTests,
     Intervals,
     System,
+    autocorrelation,
     f_tests,
     instrument_tests,
     intervals,
     intervals_of_blocks,
-    lag_one,
     sums_of_blocks,
     torque_errors,
 )
 from ..regression import Regression, base_name
-from ..report import DirectModelError, Method, OwnTest, Status
+from ..report import DirectModelError, FTest, Method, Status
 from ..simulation import Instruments, Replica, join_reasons, max_or_none
 from ..trust import FitData, Lag, held_out_recordings, trust_in
 from .fit import Fit, FittedRecording, InstrumentEvidence, LeastSquares, Pass, essential_names
@@ -102,7 +102,7 @@ def fit_of(observed: StackedSystem, evidence: FitData, solved: LeastSquares, rep
     )
 
 
-def own_test(observed: StackedSystem, full: Estimate) -> OwnTest | None:
+def own_test(observed: StackedSystem, full: Estimate) -> FTest | None:
     """F test, by least squares, of the recordings' own parameters against shared ones; None if there are none."""
     parameters, rows = observed.parameters, observed.regression
     if not parameters.any:
@@ -117,9 +117,9 @@ def own_test(observed: StackedSystem, full: Estimate) -> OwnTest | None:
     rho = (rows.tau - observed.predicted(full)) * full.weights * rows.fast
     extra, freedom = len(parameters.names) - len(shared), full.rows - len(parameters.names)
     F = float((left**2 - norm**2) / extra / (norm**2 / freedom)) if norm > 0 else float("inf")
-    F, p, F_effective, p_effective = f_tests(F, extra, full.rows, len(parameters.names), lag_one(rho) or 0.0)
+    F, p, F_effective, p_effective = f_tests(F, extra, full.rows, len(parameters.names), autocorrelation(rho) or 0.0)
     names = tuple(name for name in parameters.names if "@" in name)
-    return OwnTest(names=names, F=F, p_value=p, F_effective=F_effective, p_effective=p_effective)
+    return FTest(names=names, F=F, p_value=p, F_effective=F_effective, p_effective=p_effective)
 
 
 def intervals_of(observed: Regression, estimate: Estimate, predicted: Array, used: Array) -> Intervals:
@@ -196,7 +196,7 @@ def assess_iv(
         unconfirmed=None if status == "converged" else f"status {status}: {reason}",
         factors=z.factors if len(z.factors) > 1 else (),
         blocks=sums_along(z, estimate),
-        looked_at=None if beginning is None else _evidence_along(*beginning, ls),
+        beginning=None if beginning is None else _evidence_along(*beginning, ls),
     )
     own = replace(ls, estimate=estimate, intervals=evidence.intervals, tau_predicted=evidence.predicted)
     fit = fit_of(observed, evidence, own, replicas)
@@ -229,7 +229,7 @@ def _tests(system: System, estimate: Estimate, rho: Array, used: Array) -> Instr
     indices = np.array([system.names.index(name) for name in estimate.names])
     W, Y = system.with_columns(indices).weighted(estimate.weights)
     weighted = rho * estimate.weights * used.reshape(len(estimate.weights), -1).T
-    return instrument_tests(estimate.Q, W, Y, estimate.rows, lag_one(weighted) or 0.0)
+    return instrument_tests(estimate.Q, W, Y, estimate.rows, autocorrelation(weighted) or 0.0)
 
 
 def _direct_errors(replicas: Sequence[Replica]) -> tuple[DirectModelError, ...]:

@@ -9,7 +9,7 @@ from acquisition.robot import Robot
 
 from ..arrays import Array
 from ..errors import IdentificationError
-from ..estimation import certainty, consistent_parameters, one_thread, torque_errors
+from ..estimation import consistent_parameters, one_thread, parameter_certainty, torque_errors
 from ..model import BaseParameters, InverseModel, expected_links, physical_parameters
 from ..regression import recorded_power, torque_of_recording
 from ..trust import covariance_of_all
@@ -95,7 +95,7 @@ def consistent_set(
     expected = None if prior.robot is None else InverseModel(prior.robot)
     physical = physical_parameters(model, expected, power)
     found = consistent_parameters(known.beta, known.covariance, base.K, physical)
-    (sigma, share), (base_sigma, base_share) = certainty(found, known.covariance, base.K, physical)
+    (sigma, share), (base_sigma, base_share) = parameter_certainty(found, known.covariance, base.K, physical)
     return ConsistentSet(
         names=model.names,
         units=model.units,

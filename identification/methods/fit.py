@@ -11,7 +11,7 @@ from ..arrays import Array
 from ..estimation import Estimate, InstrumentTests, Intervals, Reduction
 from ..model import BaseParameters
 from ..regression import Problem, RowStates, Settings
-from ..report import DirectModelError, Method, OwnTest, Status, TorqueError
+from ..report import DirectModelError, FTest, Method, Status, TorqueError
 from ..simulation import Instruments, Replica
 from ..trust import HeldOut, Lag, Trust
 
@@ -228,7 +228,7 @@ class Fit:
     iv: InstrumentEvidence | None = None
     consistent: ConsistentSet | None = None
     consistent_errors: tuple[TorqueError, ...] = ()
-    own: OwnTest | None = None
+    own: FTest | None = None
     method_reason: str = "asked for"
     lags: tuple[Lag, ...] = ()
     _repr_html_: ClassVar[Callable[["Fit"], str]]  # bound in `identification.notebook`: the report is a room above

@@ -13,8 +13,8 @@ from ..regression import Settings, forward_backward_3db_hz
 from ..report import (
     ConsistentFile,
     Covariance,
-    EssentialSet,
     FitFile,
+    FTest,
     KnownLagFile,
     LagFile,
     LeftOut,
@@ -79,8 +79,8 @@ def fit_file(fit: Fit) -> FitFile:
             for parameter, percent in zip(fitted_parameters(fit).parameters.values(), e.sigma_percent, strict=True)
         ],
         **consistent_keys(fit),
-        essential=EssentialSet(
-            names=list(fit.essential_names),
+        essential=FTest(
+            names=fit.essential_names,
             **{key: getattr(fit.essential, key) for key in ("F", "p_value", "F_effective", "p_effective")},
         ),
         description={

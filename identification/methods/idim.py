@@ -17,9 +17,9 @@ from ..errors import IdentificationError
 from ..estimation import (
     Estimate,
     System,
+    autocorrelation,
     essential_parameters,
     instrumental_variables,
-    lag_one,
     one_thread,
     torque_errors,
 )
@@ -141,7 +141,7 @@ def _by_least_squares(observed: StackedSystem, method: Literal["ols", "wls"], *,
         lags_of_ls(observed, ls.estimate) if beginning is None else lags_of_all(observed, ls.estimate, beginning.lags)
     )
     ls = replace(ls, intervals=add_lag_variance(ls.estimate, ls.intervals, lags))
-    return fit_of(observed, replace(evidence_of_ls(observed, method, ls, lags), looked_at=beginning), ls)
+    return fit_of(observed, replace(evidence_of_ls(observed, method, ls, lags), beginning=beginning), ls)
 
 
 @one_thread
@@ -193,7 +193,7 @@ def solve_least_squares(observed: StackedSystem, full: Estimate, *, essential: b
     """Least squares from the estimate `full` of all parameters: its reduction, intervals and torque."""
     rows, predicted = observed.regression, observed.predicted(full)
     rho = (rows.tau - predicted) * full.weights * rows.fast
-    reduction = essential_parameters(rows.system, full, correlation=lag_one(rho) or 0.0)
+    reduction = essential_parameters(rows.system, full, correlation=autocorrelation(rho) or 0.0)
     estimate = full
     if essential:
         estimate = reduction.estimate

@@ -10,7 +10,7 @@ from acquisition.robot import demand_ripple_warnings
 
 from ..data import ON_GRID, Signals
 from ..regression import Settings, forward_backward_3db_hz
-from ..report import Document, Number, OwnTest, Row, Section, Table, TorqueError, columns
+from ..report import Document, FTest, Number, Row, Section, Table, TorqueError, columns
 from .fit import FittedRecording
 
 ERROR_COLUMNS = ("all rows", "moving", "standing")
@@ -89,7 +89,7 @@ def validation_document(
     )
 
 
-def recordings_section(recordings: Sequence[FittedRecording], own: OwnTest | None) -> Section:
+def recordings_section(recordings: Sequence[FittedRecording], own: FTest | None) -> Section:
     """Errors of a fit on each of its recordings, held-out errors, and the test of own parameters."""
     rows: list[Row] = []
     lines = []
@@ -105,8 +105,8 @@ def recordings_section(recordings: Sequence[FittedRecording], own: OwnTest | Non
     lines.append("held out: predicted by a fit of the other recordings, over the rows used")
     if own is not None:
         lines.append(
-            f"own parameters {', '.join(own.names)} against shared ones: F test p = {own.p_value:.2g} "
-            f"(corrected for correlation p = {own.p_effective:.2g})"
+            f"own parameters {', '.join(own.names)} against shared ones: F test p = {Number(own.p_value, '.2g').text} "
+            f"(corrected for correlation p = {Number(own.p_effective, '.2g').text})"
         )
     fs, settings = recordings[0].problem.signals.sample_rate_hz, recordings[0].problem.settings
     cutoff = "no low-pass" if settings.cutoff_hz is None else f"low-pass {settings.cutoff_hz:g} Hz"

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..arrays import Array
 from ..data import RecordingFile, Recordings, Signals, check_one_robot
 from ..errors import IdentificationError
-from ..estimation import Estimate, System, slices
+from ..estimation import Estimate, System, spans_of
 from ..regression import (
     ALL_REDUCED,
     HELD,
@@ -74,7 +74,7 @@ class StackedSystem:
     @property
     def parts(self) -> tuple[slice, ...]:
         """The decimated instants of each recording."""
-        return tuple(slices(self.regression.parts))
+        return tuple(spans_of(self.regression.parts))
 
     def problems(self) -> list[Problem]:
         """The problems for tasks: without samples if a task can read them itself."""

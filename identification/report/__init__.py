@@ -1,4 +1,4 @@
-"""The bottom of reporting: documents of sections and tables, their renderers, the JSON file of a fit, comparisons."""
+"""Documents of sections and tables, their renderers, the JSON files of fits, comparisons."""
 
 from .comparison import ParameterSet, comparison_document, comparison_file, comparison_section, differences, frame_lines
 from .document import Cell, Document, Number, ResultFile, Row, Section, Table, columns, value_form, write_json
@@ -8,14 +8,13 @@ from .fit_file import (
     ConsistentFile,
     Covariance,
     DirectModelError,
-    EssentialSet,
     FitFile,
+    FTest,
     KnownLagFile,
     LagFile,
     LeftOut,
     Level,
     Method,
-    OwnTest,
     Parameter,
     PassFile,
     PhysicalWarning,

@@ -1,4 +1,4 @@
-"""Two sets of parameters side by side: least squares and instrumental variables, a fit and the truth, two fits."""
+"""Comparison of two parameter sets: least squares and instrumental variables, a fit and the truth, two fits."""
 
 import math
 import tomllib
@@ -19,7 +19,7 @@ class ParameterSet:
 
     @classmethod
     def of_file(cls, stored: FitFile, label: str) -> "ParameterSet":
-        """Those of a fit's file."""
+        """The parameters of a fit's file."""
         return cls(label=label, parameters={p.name: p for p in stored.parameters})
 
 
@@ -27,8 +27,8 @@ class ParameterSet:
 class Difference:
     """A parameter of two sets; None where one of them has no such parameter.
 
-    `off` is a - b, `off_percent` in percent of b, `off_sigma` in deviations of the difference, taken as independent: beyond
-    1.96 the intervals say that the two differ.
+    `off` is a - b, `off_percent` in percent of b, `off_sigma` in deviations of the difference of independent values: above 1.96
+    the difference is significant.
     """
 
     name: str
@@ -41,11 +41,10 @@ class Difference:
 
 
 def differences(a: ParameterSet, b: ParameterSet) -> list[Difference]:
-    """Two sets of parameters, one by one: those of `a` first, then those that only `b` has.
+    """Differences by parameter: those of `a` first, then those that only `b` has.
 
-    Two belong together that stand for the same sum of standard parameters, whatever their names; where one set does not say
-    what its parameters stand for, those of the same name. An `IdentificationError` where the two have nothing in common, or a
-    parameter in different units.
+    Parameters are matched by their expressions in standard parameters; without expressions, by name. Raises
+    `IdentificationError` where the two have nothing in common, or a parameter has different units.
     """
     partners = _partners(a, b)
     if not partners:
@@ -74,9 +73,9 @@ def _have_expressions(*sets: ParameterSet) -> bool:
 
 
 def _partners(a: ParameterSet, b: ParameterSet) -> dict[str, str]:
-    """By name in `a`, the name in `b` of the parameter that stands for the same.
+    """Names in `b` by the names in `a` of the same parameters.
 
-    One that a recording has for itself stands beside the same recording's, or beside the one that recordings share.
+    A recording's own parameter matches that of the same recording, or else the shared one.
     """
     if not _have_expressions(a, b):
         return {name: name for name in a.parameters if name in b.parameters}
@@ -97,7 +96,7 @@ def difference_lines(a: ParameterSet, b: ParameterSet, rows: list[Difference]) -
     if off:
         worst = max(off, key=lambda name: off[name])
         shares = ", ".join(f"{sum(x <= k for x in off.values())} within {k} sigma" for k in (1, 2, 3))
-        lines.append(f"of {len(off)} parameters in both {shares}; furthest apart {worst} by {off[worst]:.2g}")
+        lines.append(f"of {len(off)} parameters in both {shares}; largest difference {off[worst]:.2g} sigma, {worst}")
     for values, missing in ((a, [r.name for r in rows if r.b is None]), (b, [r.name for r in rows if r.a is None])):
         if missing:
             lines.append(f"only in {values.label}: {', '.join(missing)}")
@@ -105,7 +104,7 @@ def difference_lines(a: ParameterSet, b: ParameterSet, rows: list[Difference]) -
 
 
 def comparison_document(a: ParameterSet, b: ParameterSet, warnings: tuple[str, ...] = ()) -> Document:
-    """Two sets of parameters side by side, with `warnings` about them.
+    """A comparison as a report, with `warnings`.
 
     Raises `IdentificationError`: as `differences` does.
     """
@@ -114,9 +113,9 @@ def comparison_document(a: ParameterSet, b: ParameterSet, warnings: tuple[str, .
 
 
 def comparison_section(a: ParameterSet, b: ParameterSet) -> Section:
-    """Two sets of parameters side by side, as a section, each with half its 95 % interval."""
+    """A comparison as a section, with half-widths of the 95 % intervals."""
     rows = differences(a, b)
-    numbers = (a.label, "±95%", b.label, "±95%", "off by", "%", "in sigma")
+    numbers = (a.label, "±95%", b.label, "±95%", "difference", "%", "in sigma")
     return Section(
         title=f"{a.label} and {b.label}",
         table=Table(columns=columns("name", "unit", numbers=numbers), rows=tuple(_cells(row) for row in rows)),
@@ -139,7 +138,7 @@ def _cells(row: Difference) -> Row:
 
 
 class ComparisonFile(ResultFile, frozen=True, kw_only=True):
-    """The JSON file of a comparison: two labels, and parameter by parameter what differs."""
+    """The JSON file of a comparison: two labels, and the differences by parameter."""
 
     a: str
     b: str
@@ -152,9 +151,9 @@ def comparison_file(a: ParameterSet, b: ParameterSet) -> ComparisonFile:
 
 
 def frame_lines(a: FitFile, b: FitFile, labels: tuple[str, str]) -> list[str]:
-    """Compares the link frames of two fits: no lines, or one that says that they differ.
+    """One line if the link frames of two fits differ, else none.
 
-    Equal names stand for different quantities then. `labels` name the two fits.
+    Equal names then denote different quantities. `labels` name the two fits.
     """
     if not a.description or not b.description:
         return []
@@ -165,12 +164,12 @@ def frame_lines(a: FitFile, b: FitFile, labels: tuple[str, str]) -> list[str]:
     which = "two different URDFs" if kinds[0] == "a URDF" else "two different DH rows"
     if kinds[0] != kinds[1]:
         which = f"{labels[0]} has {kinds[0]}, {labels[1]} {kinds[1]}"
-    compared = "parameters of links (XX to M) compare only where a link has the same frame in both"
+    compared = "link parameters (XX to M) are comparable only where a link has the same frame in both"
     return [f"the link frames differ: {which}; {compared}"]
 
 
 def _frames(description: dict[str, str], place: str) -> str | list[object]:
-    """What the link frames follow from: the URDF's text, or the DH rows."""
+    """The source of the link frames: the URDF's text, or the DH rows."""
     if "robot.urdf" in description:
         return description["robot.urdf"]
     try:

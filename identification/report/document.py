@@ -1,4 +1,4 @@
-"""A report as data: sections of tables and lines, which `renderers` shows; and what all JSON files have."""
+"""A report as data, sections of tables and lines, and the base of all JSON files."""
 
 import json
 import math
@@ -14,10 +14,7 @@ FORMAT = 1  # of all JSON files
 
 @dataclass(frozen=True)
 class Number:
-    """A number and the format that shows it; `-` stands for one that does not exist (None or not finite).
-
-    A size above `most` is shown as `> most`: its digits would say nothing.
-    """
+    """A number and its format; shown as `-` if None or not finite, and as `> most` if larger than `most`."""
 
     value: float | None
     form: str = "g"
@@ -25,12 +22,12 @@ class Number:
 
     @property
     def exact(self) -> float | None:
-        """The number itself; None where it does not exist."""
+        """The number itself; None where it is not finite."""
         return None if self.value is None or not math.isfinite(self.value) else self.value
 
     @property
     def text(self) -> str:
-        """The number as it is shown."""
+        """The formatted number."""
         if self.exact is None:
             return "-"
         return f"> {self.most:g}" if abs(self.exact) > self.most else format(self.exact, self.form)
@@ -40,14 +37,14 @@ Cell = str | Number
 Row = tuple[Cell, ...]
 
 
-Columns = tuple[tuple[str, bool], ...]  # headings, and whether numbers are below, which stand at the right
+Columns = tuple[tuple[str, bool], ...]  # headings, and whether the column has numbers, aligned right
 
 
 @dataclass(frozen=True, kw_only=True)
 class Table:
-    """Rows of texts and numbers, one cell per column; with `total` the last row sums up the others.
+    """Rows of texts and numbers, one cell per column; with `total` the last row is the total.
 
-    Raises `ValueError` where a row has another number of cells than there are columns.
+    Raises `ValueError` where a row does not have one cell per column.
     """
 
     columns: Columns
@@ -62,7 +59,7 @@ class Table:
 
 @dataclass(frozen=True, kw_only=True)
 class Section:
-    """A part of a report: a title, a table, lines below it, and warnings below these; each may be missing."""
+    """A section of a report: a title, a table, lines, warnings; each may be missing."""
 
     title: str = ""
     table: Table | None = None
@@ -78,33 +75,33 @@ class Document:
     sections: tuple[Section, ...]
 
     def followed_by(self, *sections: Section) -> "Document":
-        """The report with further sections at its end."""
+        """The report with `sections` appended."""
         return replace(self, sections=(*self.sections, *sections))
 
 
 def columns(*texts: str, numbers: tuple[str, ...] = ()) -> Columns:
-    """Columns of a table: those of `texts` by their headings, then those of `numbers`."""
+    """Columns of a table by their headings: texts, then numbers."""
     return (*((heading, False) for heading in texts), *((heading, True) for heading in numbers))
 
 
 def value_form(sigma: float) -> str:
-    """The format of a value with that deviation: four decimals, or more where the deviation would not show three digits."""
+    """The format of a value with this deviation: four decimals, or more for three digits of the deviation."""
     return f".{max(4, min(12, 2 - math.floor(math.log10(sigma)))) if sigma > 0 else 4}f"
 
 
 def cell_text(cell: Cell) -> str:
-    """A cell as it is shown."""
+    """The text of a cell."""
     return cell if isinstance(cell, str) else cell.text
 
 
 class ResultFile(msgspec.Struct, frozen=True, kw_only=True):
-    """What every JSON file has: the version of its format."""
+    """The base of every JSON file: the version of its format."""
 
     format: int = FORMAT
 
 
 def write_json(path: Path, content: ResultFile) -> None:
     """Write a result as a JSON file, whole or not at all; a number that is not finite is null."""
-    plain = json.loads(msgspec.json.encode(content, enc_hook=lambda number: number.item()))  # numpy's as Python's
+    plain = json.loads(msgspec.json.encode(content, enc_hook=lambda number: number.item()))  # numpy scalars to Python's
     with atomic_write(path) as partial:
         partial.write_text(json.dumps(plain, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")

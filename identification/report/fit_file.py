@@ -1,6 +1,6 @@
-"""The JSON files of a fit and of a validation: one type by which each is written and read.
+"""The JSON files of a fit and of a validation, each written and read by one type.
 
-Nothing here knows of the methods: who reads a file need not load what made it.
+Independent of the methods, so that reading a file does not load them.
 """
 
 import math
@@ -24,10 +24,10 @@ PER_INTERVAL = 1.96  # deviations in half a 95 % interval
 
 
 class TorqueError(msgspec.Struct, frozen=True, kw_only=True):
-    """Relative torque error 100 |Y - W beta| / |Y| in percent, of all rows and of those that move and stand; the torque's unit.
+    """Relative torque error 100 |Y - W beta| / |Y| in percent, of all, moving and standing rows; the torque's unit.
 
-    A row moves where its joint is faster than 2 % of that joint's peak speed. None where there are no such rows or no torque.
-    `autocorrelation` is that of the residual at a lag of one decimated sample.
+    In moving rows the joint is faster than 2 % of its peak speed. None without such rows or torque. `autocorrelation` is of the
+    residual at a lag of one decimated sample.
     """
 
     name: str = ""
@@ -41,15 +41,15 @@ class TorqueError(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def percent(self) -> float | None:
-        """Of the rows that move, or else of all."""
+        """Of the moving rows, or else of all."""
         moving = self.moving_relative_error_percent
         return self.relative_error_percent if moving is None else moving
 
 
 class Parameter(msgspec.Struct, frozen=True, kw_only=True):
-    """A parameter with its 95 % interval and its deviation `sigma` by the formula, 0 where the value is known exactly.
+    """A parameter with its 95 % interval and its deviation `sigma` by the formula, 0 for an exact value.
 
-    `low`, `high` and `expression`, what it stands for, are None in a file of an earlier version.
+    `low`, `high` and `expression`, its sum of standard parameters, are None in a file of an earlier version.
     """
 
     name: str
@@ -65,19 +65,19 @@ class Parameter(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def half(self) -> float:
-        """Half the 95 % interval; without one, 1.96 deviations, the larger of the two."""
+        """Half the 95 % interval; without one, 1.96 of the larger deviation."""
         if self.low is None or self.high is None:
             return PER_INTERVAL * max(self.sigma, self.sigma_hac or 0.0)
         return 0.5 * (self.high - self.low)
 
     @property
     def spread(self) -> float:
-        """The deviation to judge by, of which 1.96 make half the interval."""
+        """The deviation by the interval: its half-width / 1.96."""
         return self.half / PER_INTERVAL
 
 
 class PhysicalWarning(msgspec.Struct, frozen=True):
-    """What of a fit no robot has, as files of every version have it; `severe` where chance does not explain it."""
+    """A physically impossible value of a fit, in files of every version; `severe` beyond chance."""
 
     text: str
     severe: bool
@@ -98,7 +98,7 @@ class LeftOut(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class StandardParameter(msgspec.Struct, frozen=True):
-    """A parameter of the consistent set, from the prior where the recording says less; `move`, in half-widths of the fit."""
+    """A parameter of the consistent set; `from_prior`: mostly from the prior; `move`: in half-widths of the fit."""
 
     name: str
     value: float
@@ -109,8 +109,8 @@ class StandardParameter(msgspec.Struct, frozen=True):
 
 
 class ConsistentFile(msgspec.Struct, frozen=True, kw_only=True):
-    """The consistent set: what was expected, how far it is from the estimate (chi², and the largest move in half-widths), its
-    torque error, and the Newton decrement. Files of earlier versions may have another weight of the prior.
+    """The consistent set: the prior, the distance from the estimate (chi², largest move in half-widths), the torque error, and
+    the Newton decrement. Files of earlier versions may have another weight of the prior.
     """
 
     prior: str
@@ -123,10 +123,13 @@ class ConsistentFile(msgspec.Struct, frozen=True, kw_only=True):
     base_parameters: list[StandardParameter] | UnsetType = UNSET
 
 
-class EssentialSet(msgspec.Struct, frozen=True, kw_only=True):
-    """The parameters that the recording determines well, and the F tests of leaving out the others."""
+class FTest(msgspec.Struct, frozen=True, kw_only=True):
+    """An F test: of leaving out all parameters but the essential ones, `names`, or of sharing the own ones, `names`.
 
-    names: list[str]
+    A small p rejects that. The effective values are corrected for the residual's correlation.
+    """
+
+    names: tuple[str, ...]
     F: float | None
     p_value: float | None
     F_effective: float | None
@@ -134,7 +137,7 @@ class EssentialSet(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class KnownLagFile(msgspec.Struct, frozen=True, kw_only=True):
-    """What is known of a torque's lag without a fit, as `regression.KnownLag`."""
+    """The lag of a torque as known without a fit, as `regression.KnownLag`."""
 
     value_s: float
     sd_s: float | None = None  # missing in a file of an earlier version
@@ -142,7 +145,7 @@ class KnownLagFile(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class LagFile(msgspec.Struct, frozen=True, kw_only=True):
-    """The lag of a recording's torque, s, positive where it is late, that a fit corrects and counts in its intervals."""
+    """The lag of a recording's torque, s, positive: late, corrected by the fit and included in its intervals."""
 
     value_s: float
     half_width_s: float
@@ -162,24 +165,11 @@ class TrustLineFile(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Assumed(msgspec.Struct, frozen=True):
-    """What was given and not tested: its value, and why no test sees it."""
+    """An assumption: its value, and why no test covers it."""
 
     what: str
     value: str
     why: str
-
-
-class OwnTest(msgspec.Struct, frozen=True, kw_only=True):
-    """The F test of own parameters of recordings, `names`, against shared ones: a small p says that they differ.
-
-    Those called effective count only as many independent rows as the residual's correlation leaves.
-    """
-
-    names: tuple[str, ...]
-    F: float
-    p_value: float
-    F_effective: float
-    p_effective: float
 
 
 class PassFile(msgspec.Struct, frozen=True, kw_only=True):
@@ -216,7 +206,7 @@ class Provenance(msgspec.Struct, frozen=True, kw_only=True):
 
 class RecordingOfFit(msgspec.Struct, frozen=True, kw_only=True):
     """One of several recordings of a fit or a validation. `held_out_error_percent` is that of the fit of the others; null where
-    these do not determine the parameters `undetermined`, and in a validation.
+    these leave the parameters `undetermined`, and in a validation.
     """
 
     recording: str
@@ -231,7 +221,7 @@ class RecordingOfFit(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class OnRecording(ResultFile, frozen=True, kw_only=True):
-    """What a fit and a validation have in common: torque errors, of all joints and one by one, settings, warnings."""
+    """The keys common to a fit and a validation: torque errors of all and of each joint, settings, warnings."""
 
     warnings: list[str] = msgspec.field(default_factory=list)
     relative_error_percent: float | None = None
@@ -254,7 +244,7 @@ class OnRecording(ResultFile, frozen=True, kw_only=True):
 
 
 class FitFile(OnRecording, frozen=True, kw_only=True):
-    """The JSON file of a fit, or of known values, which have parameters alone; earlier ones have no verdict and no covariance.
+    """The JSON file of a fit, or of known values, with parameters only; earlier ones have no verdict and no covariance.
 
     `left_out` are the base parameters that `--essential` leaves out; `consistent` and `standard_parameters` are those of
     `--consistent`. The keys from `reason` on are those of instrumental variables.
@@ -267,7 +257,7 @@ class FitFile(OnRecording, frozen=True, kw_only=True):
     condition_number: float | UnsetType | None = UNSET
     condition_number_scaled: float | UnsetType | None = UNSET
     rows: int | UnsetType = UNSET
-    essential: EssentialSet | UnsetType = UNSET
+    essential: FTest | UnsetType = UNSET
     description: dict[str, str] = msgspec.field(default_factory=dict)
     covariance: Covariance | UnsetType = UNSET
     left_out: list[LeftOut] | UnsetType = UNSET
@@ -279,7 +269,7 @@ class FitFile(OnRecording, frozen=True, kw_only=True):
     lag: LagFile | UnsetType = UNSET
     trust: list[TrustLineFile] | UnsetType = UNSET
     held_out_error_percent: float | UnsetType | None = UNSET
-    own_parameters: OwnTest | UnsetType = UNSET
+    own_parameters: FTest | UnsetType = UNSET
     reason: str | UnsetType | None = UNSET
     pass_returned: int | UnsetType = UNSET
     start: str | UnsetType = UNSET
@@ -293,14 +283,14 @@ class FitFile(OnRecording, frozen=True, kw_only=True):
     direct_model: list[DirectModelError] | UnsetType = UNSET
 
     def warnings_of(self, place: str) -> list[str]:
-        """Warnings, each led by `place`, its file: a status without a fixed point, values that no robot has."""
+        """Warnings with the file `place`: a status without a fixed point, physically impossible values."""
         unsettled = self.status in (*NO_FIXED_POINT, "not_confirmed")
         status = [f"its status is {self.status}"] if unsettled else []
         return [f"{place}: {text}" for text in (*status, *(doubt.text for doubt in self.doubts if doubt.severe))]
 
 
 class ValidationFile(OnRecording, frozen=True, kw_only=True):
-    """The JSON file of `validate`: errors of a fit, by its file's name, and of its consistent set, that of all joints last."""
+    """The JSON file of `validate`: errors of the file `fit`, and of its consistent set, all joints last."""
 
     fit: str
     consistent_errors: list[TorqueError] | UnsetType = UNSET
@@ -309,7 +299,7 @@ class ValidationFile(OnRecording, frozen=True, kw_only=True):
 def read_fit(path: Path) -> FitFile:
     """Read a fit's JSON file, or one of known values.
 
-    Raises `IdentificationError`: where it cannot be read, or is no fit of this format; `place` is the file.
+    Raises `IdentificationError` where it cannot be read, or is not a fit of this format; `place` is the file.
     """
     try:
         stored = msgspec.json.decode(path.read_bytes(), type=FitFile)
@@ -321,7 +311,7 @@ def read_fit(path: Path) -> FitFile:
         ) from error
     if stored.format != FORMAT:
         raise IdentificationError(
-            place=str(path), key="format", value=stored.format, expected=f"{FORMAT}, the one that this version reads"
+            place=str(path), key="format", value=stored.format, expected=f"{FORMAT}, read by this version"
         )
     if not all(math.isfinite(p.value) and p.sigma >= 0 and p.half >= 0 for p in stored.parameters):
         raise IdentificationError(

@@ -1,4 +1,4 @@
-"""Renders a report: whole in a terminal of any width, as Markdown for the text panel of a viewer, as HTML for a notebook.
+"""Renders a report: in a terminal of any width, as Markdown for the text panel of a viewer, as HTML for a notebook.
 
 A new renderer to a file is a function from a `Document` to text, and a line in `RENDERERS`.
 """
@@ -23,19 +23,19 @@ from acquisition.files import atomic_write
 from ..errors import IdentificationError
 from .document import Document, Section, Table, cell_text
 
-_LONGEST_WORD = 16  # that keeps its column as wide; longer ones, such as a file's name, are broken
-_UNBOUNDED = 10_000  # columns, of what is to be measured
+_MAX_WORD = 16  # characters; longer words, such as a file's name, are broken
+_MAX_WIDTH = 10_000  # characters, for measuring
 
 
 def print_whole(*items: Document | str) -> None:
-    """Print reports and lines. No cell is cut short, and no name of a file or robot is taken for markup.
+    """Print reports and lines. No cell is truncated, and names are not interpreted as markup.
 
-    A table too wide for the terminal is set closer, with headings over several lines; if it is too wide even then, the
-    terminal breaks its lines. A pipe or file gets whole lines, however long.
+    A table too wide for the terminal is compacted, with headings over several lines; if it is still too wide, the terminal
+    breaks its lines. A pipe or file gets whole lines.
     """
     console = Console(markup=False, emoji=False)
     if not console.is_terminal:
-        console.width = _UNBOUNDED
+        console.width = _MAX_WIDTH
     for item in items:
         if isinstance(item, str):
             _print_line(console, item)
@@ -72,23 +72,23 @@ def _rich_table(table: Table) -> RichTable:
 
 
 def _print_table(console: Console, table: RichTable) -> None:
-    unbounded = console.options.update(max_width=_UNBOUNDED)
+    unbounded = console.options.update(max_width=_MAX_WIDTH)
     if Measurement.get(console, unbounded, table).maximum > console.width:
         table.box, table.padding, table.show_edge = box.SIMPLE_HEAD, (0, 1, 0, 0), False
         for column in table.columns:
-            _set_close(column)
+            _compact(column)
     least = Measurement.get(console, unbounded, table).minimum
-    # Rich prints nothing wider than its console.
+    # Rich prints no line wider than its console.
     Console(markup=False, emoji=False, width=max(console.width, least)).print(table, crop=False)
 
 
-def _set_close(column: Column) -> None:
-    """Numbers as wide as they are, their heading above them on as many lines as it takes; texts may be folded at words."""
+def _compact(column: Column) -> None:
+    """Columns of numbers keep their width, with folded headings; texts are folded at words."""
     column.overflow = "fold"
     numbers, heading = column.justify == "right", str(column.header)
     cells = [str(cell) for cell in column.cells]
     words = [word for text in ([heading] if numbers else [heading, *cells]) for word in text.split()]
-    width = min(_LONGEST_WORD, max((cell_len(word) for word in words), default=1))
+    width = min(_MAX_WORD, max((cell_len(word) for word in words), default=1))
     if numbers:
         width = max(width, *(cell_len(cell) for cell in cells), 1)
         column.header = Text("\n".join(textwrap.wrap(heading, width, break_on_hyphens=False)))
@@ -97,7 +97,7 @@ def _set_close(column: Column) -> None:
 
 
 def to_markdown(document: Document) -> str:
-    """The report as Markdown; text of the report, such as a robot's name, is never taken for markup."""
+    """The report as Markdown, with its text escaped."""
     parts = [f"# {_plain(document.title)}"]
     for section in document.sections:
         parts += [f"## {_plain(section.title)}"] if section.title else []
@@ -115,12 +115,12 @@ def _markdown_table(table: Table) -> str:
 
 
 def _plain(text: str) -> str:
-    """Text without markup: on one line, with a backslash before what Markdown would read as more than itself."""
+    """Text on one line, with Markdown characters escaped."""
     return re.sub(r"([\\*`<])", r"\\\1", " ".join(text.splitlines()))
 
 
 def to_html(document: Document) -> str:
-    """The report as HTML; text of the report, such as a robot's name, is never taken for markup."""
+    """The report as HTML, with its text escaped."""
     parts = [_element("h3", document.title)]
     for section in document.sections:
         parts += [_element("h4", section.title)] if section.title else []
@@ -148,13 +148,13 @@ RENDERERS: dict[str, Callable[[Document], str]] = {".md": to_markdown, ".html": 
 
 
 def check_report_file(path: Path) -> None:
-    """Raises `IdentificationError` where no renderer is for the file's ending."""
+    """Raises `IdentificationError` where there is no renderer for the file's ending."""
     if path.suffix not in RENDERERS:
         raise IdentificationError(place=str(path), key="ending", value=path.suffix, expected=" or ".join(RENDERERS))
 
 
 def write_report(path: Path, document: Document) -> None:
-    """Write a report to a file, whole or not at all, in the format that the file's ending names."""
+    """Write a report to a file, complete or not at all, in the format of the file's ending."""
     check_report_file(path)
     with atomic_write(path) as partial:
         partial.write_text(RENDERERS[path.suffix](document), encoding="utf-8")

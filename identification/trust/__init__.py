@@ -1,6 +1,6 @@
-"""When to believe a fit: tests of an estimate against everything that the recording tells, and one verdict."""
+"""Tests of an estimate against the recording, and one verdict."""
 
-from .evidence import LEVELS, Figure, FitData, Lag, RecordingData, Trust, TrustLine, covariance_of_all
+from .fit_data import LEVELS, Figure, FitData, Lag, RecordingData, Trust, TrustLine, covariance_of_all
 from .held_out import HeldOut, held_out_recordings
 from .lag import combined_lag, lag_columns, lag_moves, lags_in
 from .replay import replay_line

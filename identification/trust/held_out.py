@@ -1,8 +1,8 @@
-"""Parts of the rows predicted by the fit of the others: blocks of time of one recording, or each of several recordings.
+"""Cross-validation: each block of time of one recording, or each of several recordings, predicted by a fit of the others.
 
-With the factors at hand, A = QᵀW, the rows of a block add A_k = Q_kᵀW_k and Q_kᵀY_k to the whole, so that the estimate of the
-others solves (A - A_k) beta = QᵀY - Q_kᵀY_k. Long recordings have such sums in place of rows. Recordings are few, and may leave
-parameters undetermined: the others are factored anew.
+A block adds A_k = Q_kᵀW_k and Q_kᵀY_k to A = QᵀW and QᵀY, so that the estimate of the others solves
+(A - A_k) beta = QᵀY - Q_kᵀY_k. Long recordings have these sums instead of rows. With several recordings the others may leave
+parameters undetermined, so they are factored again.
 """
 
 from dataclasses import dataclass, replace
@@ -12,21 +12,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..estimation import slices, undetermined_parameters
-from .evidence import ILL_CONDITIONED, Figure, FitData, TrustLine, part_of
+from ..estimation import spans_of, undetermined_parameters
+from .fit_data import ILL_CONDITIONED, Figure, FitData, TrustLine, part_of
 
 BLOCKS = 5
-FAR_FACTOR = 3.0  # the same that, with M not positive, says not to use it
-HELD_OUT_FACTOR = 1.5  # held-out over training error that says that the fit does not carry over
+MAX_HELD_OUT_RATIO_NOT_POSITIVE = 3.0  # the same, where M is not positive
+MAX_HELD_OUT_RATIO = 1.5  # of held-out over training error
 
 
 @dataclass(frozen=True, kw_only=True)
 class HeldOut:
-    """A recording predicted by the fit of the others, in the rows that count.
+    """A recording predicted by the fit of the others, in the used rows.
 
     Attributes:
         error_percent: its torque error, in percent of its torque; None where the others do not determine the parameters.
-        trained_percent: the same of the fit of all.
+        trained_percent: the same for the fit of all recordings.
         undetermined: names of the parameters that the others do not determine.
         torque: norm of its torque.
     """
@@ -38,10 +38,7 @@ class HeldOut:
 
 
 def held_out_test(evidence: FitData) -> TrustLine:
-    """Five blocks of time, each predicted by the fit of the others, beside the error of the fit itself; in percent.
-
-    Several recordings are themselves the blocks.
-    """
+    """Held-out and training error, in percent, of five blocks of time or of several recordings."""
     name = "held-out blocks"
     if len(evidence.recordings) > 1:
         return _recordings_line(evidence, held_out_recordings(evidence))
@@ -70,22 +67,22 @@ def held_out_test(evidence: FitData) -> TrustLine:
 
 
 def held_out_recordings(evidence: FitData) -> tuple[HeldOut | None, ...]:
-    """Each of several recordings predicted by the fit of the others; None of a single one.
+    """Each of several recordings predicted by the fit of the others; None for a single one.
 
-    Parameters that it has for itself are fitted to the recording: the others know nothing of them.
+    Its own parameters are fitted to the recording itself, as the others do not contain them.
     """
     if len(evidence.recordings) == 1:
         return (None,)
     names, weights = evidence.estimate.names, evidence.estimate.weights
-    n, parts = evidence.observed.tau.shape[1], slices(evidence.observed.parts)
+    n, parts = evidence.observed.tau.shape[1], spans_of(evidence.observed.parts)
     rows = [_rows_of(evidence, k) for k in range(len(parts))]
     factors = [np.linalg.qr(np.c_[Z, W, Y] * weights[joint][:, None], mode="r") for Z, W, Y, joint in rows]
     found = []
     for k, (_, W, Y, _) in enumerate(rows):
         own = np.array(["@" in name and name in evidence.recordings[k].parameters for name in names])
-        kept, others = ~np.r_[own, own, False], [R for i, R in enumerate(factors) if i != k]
-        beta, undetermined = _solved(
-            np.concatenate(others)[:, kept], tuple(name for name, o in zip(names, own, strict=True) if not o)
+        shared, others = ~np.r_[own, own, False], [R for i, R in enumerate(factors) if i != k]
+        beta, undetermined = _solve(
+            np.concatenate(others)[:, shared], tuple(name for name, o in zip(names, own, strict=True) if not o)
         )
         # Y is another torque, where W is linearised
         counts = part_of(evidence.used, n, parts[k]).reshape(n, -1).T
@@ -108,21 +105,21 @@ def held_out_recordings(evidence: FitData) -> tuple[HeldOut | None, ...]:
 
 
 def _rows_of(evidence: FitData, k: int) -> tuple[Array, Array, Array, NDArray[np.intp]]:
-    """Z, W (r, b), Y (r,) and joints (r,) of recording k, of the parameters estimated; zero where rows do not count."""
+    """Z, W (r, b), Y (r,) and joints (r,) of recording k, of the estimated parameters; zero in unused rows."""
     observed, n = evidence.observed, evidence.observed.tau.shape[1]
     indices = np.array([observed.system.names.index(name) for name in evidence.estimate.names])
     if observed.reduced:
         system, Z = evidence.factors[k]
         return Z[:, indices], system.W[:, indices], system.Y, system.joint_of_row
-    part, system = slices(observed.parts)[k], observed.system
+    part, system = spans_of(observed.parts)[k], observed.system
     instruments = system.W if evidence.Z is None else evidence.Z
     W, Y, Z, used = (part_of(x, n, part) for x in (system.W, system.Y, instruments, evidence.used))
     joints = np.repeat(np.arange(n), part.stop - part.start)
     return Z[:, indices] * used[:, None], W[:, indices] * used[:, None], Y * used, joints
 
 
-def _solved(R: Array, names: tuple[str, ...]) -> tuple[Array | None, list[str]]:
-    """Parameters (b,) from weighted rows [Z W Y], or the names of those that they do not determine."""
+def _solve(R: Array, names: tuple[str, ...]) -> tuple[Array | None, list[str]]:
+    """Parameters (b,) from weighted rows [Z W Y], or the names of undetermined ones."""
     b = len(names)
     Z, W, Y = R[:, :b], R[:, b:-1], R[:, -1]
     undetermined = undetermined_parameters(Z, names)
@@ -137,7 +134,7 @@ def _solved(R: Array, names: tuple[str, ...]) -> tuple[Array | None, list[str]]:
 
 
 def _recordings_line(evidence: FitData, found: tuple[HeldOut | None, ...]) -> TrustLine:
-    """The line of several recordings: their errors held out, and those that the others cannot predict."""
+    """The line of several recordings, with those that the others cannot predict."""
     squares, figures, without = np.zeros(3), [], []
     for part, one in zip(evidence.recordings, found, strict=True):
         assert one is not None
@@ -158,11 +155,11 @@ def _recordings_line(evidence: FitData, found: tuple[HeldOut | None, ...]) -> Tr
 def _line(evidence: FitData, text: str, errors: tuple[float, float], cure: str, figures: list[Figure]) -> TrustLine:
     """The line of errors in percent, held out and trained."""
     shown = tuple(figures)
-    if errors[0] <= HELD_OUT_FACTOR * errors[1]:
+    if errors[0] <= MAX_HELD_OUT_RATIO * errors[1]:
         return TrustLine("held-out blocks", "ok", text, errors[0], figures=shown, unit="%")
-    text += f": the fit does not carry over: {cure}, with more varied motion, or fit with --essential"
+    text += f": the fit does not generalise: {cure}, with more varied motion, or fit with --essential"
     if evidence.problem.signals.robot.gain_known:
-        text += ", or take the parameters of --consistent, which carry over better"
-    far, finding = errors[0] > FAR_FACTOR * errors[1], "does not carry over"
+        text += ", or take the parameters of --consistent, which generalise better"
+    far, finding = errors[0] > MAX_HELD_OUT_RATIO_NOT_POSITIVE * errors[1], "does not generalise"
     line = TrustLine("held-out blocks", "caution", text, errors[0], finding, figures=shown, unit="%")
-    return replace(line, far_off=far)
+    return replace(line, fails_held_out=far)

@@ -1,11 +1,11 @@
-"""How late the recorded torque is against the motion: one lag for recordings alike, found with instruments and counted.
+"""The lag of the recorded torque behind the motion: one per group of recordings, estimated with instruments.
 
 To first order tau(t - L) = tau(t) - L d/dt tau(t): the column -d/dt(W beta) takes the coefficient L. Its instrument is -d/dt of
-the simulated torque, so that noise of the position does not bias it; least squares would find a lag where there is none. Rows
-slower than a fifth of the peak are left out: friction that rises smoothly from a reversal on, where the model has a step, looks
-like a lag. Residuals are whitened: noise of the position grows with frequency in them, and drowns a lag otherwise.
+the simulated torque, so that position noise does not bias it; least squares would find a false lag. Rows slower than a fifth of
+the peak are left out: after a reversal friction rises smoothly where the model has a step, which looks like a lag. Residuals
+are whitened, as position noise grows with frequency and would hide a lag.
 
-What is known besides (what the recording says of its efforts, the replay of the described controller) counts by its variance.
+Prior information (effort timing of the recording, replay of the described controller) is combined with it by variances.
 """
 
 from collections.abc import Sequence
@@ -19,19 +19,19 @@ from ..errors import IdentificationError
 from ..estimation import Estimate, System, instrumental_variables, intervals, whitened
 from ..regression import KnownLag, Regression, differentiate, moving_rows_of, torque_rate
 from ..report import Level
-from .evidence import Figure, FitData, Lag, RecordingData, TrustLine
+from .fit_data import Figure, FitData, Lag, RecordingData, TrustLine
 
-APART = 3.0  # joint deviations between data and what is known: beyond, the data alone count
-CONTRADICTED = 4.0  # deviations of the data off a lag that the user states
-NEGATIVE = 0.75  # samples that a torque may come before its command, beyond the interval
-SLOW_PERCENT = 20.0  # of the peak speed: rows slower than this are left out
-ORDER = 6  # of the autoregression that whitens: shorter, model error passes for a lag; longer, few rows are left
+MAX_DEVIATIONS_FROM_PRIOR = 3.0  # joint ones; beyond, only the data are used
+MAX_DEVIATIONS_FROM_STATED = 4.0  # between the data and a lag that the user states
+MAX_EARLY_SAMPLES = 0.75  # of a torque before its command, besides the interval
+MIN_SPEED_PERCENT = 20.0  # of the peak speed; slower rows are left out
+ORDER = 6  # of the whitening filter: shorter, model error looks like a lag; longer, few rows are left
 
-Groups = Sequence[Sequence[int]]  # places of recordings whose torques have one lag
+Groups = Sequence[Sequence[int]]  # indices of recordings whose torques have one lag
 
 
 def lag_columns(parts: Sequence[RecordingData], groups: Groups, estimate: Estimate) -> Array:
-    """-d/dt(W beta) (r, K): torque per second of lag of each group of recordings, rows as those of the system."""
+    """-d/dt(W beta) (r, K): torque per second of lag of each group of recordings, in the rows of the system."""
     rates = [torque_rate(part.problem, estimate.values_of(part.parameters)).T for part in parts]
     return _by_group(rates, groups)
 
@@ -39,10 +39,10 @@ def lag_columns(parts: Sequence[RecordingData], groups: Groups, estimate: Estima
 def lags_in(
     parts: Sequence[RecordingData], groups: Groups, system: System, Z: Array, estimate: Estimate
 ) -> tuple[Array, Array, float]:
-    """How much later (K,) than they are corrected by, in s, the torques are, their deviations, and those in half an interval.
+    """Lags (K,) of the torques in s besides those already corrected, deviations (K,), and deviations in half an interval.
 
-    Of the recordings simulated with the estimate, in groups of one lag, with W, Y and instruments of all parameters. Raises
-    `IdentificationError` where the instruments do not determine the lags.
+    `parts` are simulated with the estimate; `system` and `Z` have all parameters. Raises `IdentificationError` where the
+    instruments do not determine the lags.
     """
     rates, fast = zip(*map(simulated_rates, parts), strict=True)
     b, lengths, columns = len(system.names), [rate.shape[1] for rate in rates], lag_columns(parts, groups, estimate)
@@ -63,27 +63,27 @@ def lags_in(
 
 
 def _by_group(rates: Sequence[Array], groups: Groups) -> Array:
-    """Columns (r, K) of the rates (n, rows) of each recording, zero in the rows of other groups'."""
+    """Columns (r, K) of the rates (n, rows) of each recording, zero in the rows of other groups."""
     whole, recording = -np.concatenate(rates, axis=1), np.repeat(range(len(rates)), [rate.shape[1] for rate in rates])
     return np.stack([(whole * np.isin(recording, group)).reshape(-1) for group in groups], axis=1)
 
 
 def simulated_rates(part: RecordingData) -> tuple[Array, NDArray[np.bool_]]:
-    """Of a recording d/dt of the simulated torque, per second, and which rows are fast, (n, rows) each."""
+    """d/dt of the simulated torque of a recording, per second, and which rows are fast, (n, rows) each."""
     problem, simulated, decimation = part.problem, part.simulated, part.decimation
     assert simulated is not None
     assert decimation is not None
     rate = decimation.filtered(differentiate(simulated.tau, 1 / (simulated.t_s[1] - simulated.t_s[0])).T)
     directions = problem.model.coulomb_directions
-    percent = max(SLOW_PERCENT, problem.settings.low_speed.iv or 0.0)
-    slip = decimation.kept(simulated.dq) @ directions.T
-    return rate, _well_before_slow(moving_rows_of(slip, part.regression.slip_noise, directions, percent).T)
+    percent = max(MIN_SPEED_PERCENT, problem.settings.low_speed.iv or 0.0)
+    sliding_speed = decimation.kept(simulated.dq) @ directions.T
+    return rate, _well_before_slow(moving_rows_of(sliding_speed, part.regression.slip_noise, directions, percent).T)
 
 
 def _well_before_slow(fast: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Rows (n, rows) that are not followed by a slow one soon: decimation, without phase shift, spreads a reversal both ways.
+    """Rows (n, rows) not soon before a slow one, as zero-phase decimation spreads a reversal both ways.
 
-    Rows soon after a slow one are left out by the whitening.
+    The whitening leaves out rows soon after a slow one.
     """
     for _ in range(ORDER):
         fast = fast & np.c_[fast[:, 1:], fast[:, -1:]]
@@ -91,25 +91,25 @@ def _well_before_slow(fast: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def combined_lag(prior: KnownLag, found: tuple[float, float, float] | None) -> Lag:
-    """The lag of a group from what is known of it and what the data say: value and deviation, s, and the interval's reach."""
+    """The lag of a group from its prior and the data, `found`: value and deviation in s, deviations in half an interval."""
     counted, reach = prior, 2.0
     if found is not None and not prior.stated:
         value, sd, reach = found
         data = KnownLag(value_s=value, sd_s=sd, source="data")
-        far = abs(value - prior.value_s) > APART * np.hypot(sd, prior.sd_s)
+        far = abs(value - prior.value_s) > MAX_DEVIATIONS_FROM_PRIOR * np.hypot(sd, prior.sd_s)
         counted = data if far else prior.with_other(data)
     value_s, sd_s, source = counted.value_s, counted.sd_s, counted.source
     return Lag(value_s=value_s, sd_s=sd_s, reach=reach, source=source, prior=prior, found=found)
 
 
 def lag_moves(observed: Regression, used: Array, columns: Array, estimate: Estimate) -> Array:
-    """d beta / d lag (b, K) per s: bread QᵀC of the weighted columns C in the rows that count, `used` (r,)."""
+    """d beta / d lag (b, K) per s: bread QᵀC of the weighted columns C in the `used` rows (r,)."""
     weight = estimate.weights[observed.system.joint_of_row] * used
     return np.asarray(estimate.bread @ (estimate.Q.T @ (columns * weight[:, None])))
 
 
 def lag_test(evidence: FitData) -> TrustLine:
-    """Whether torque and motion belong to the same instants, and what it costs where that is not known; the worst group's."""
+    """Whether torque and motion are synchronous, or the cost of not knowing it; the line of the worst group."""
     lines = [_line(evidence, lag) for lag in evidence.lags]
     return max(lines, key=lambda line: (line.level == "caution", abs(line.value or 0.0)))
 
@@ -121,30 +121,33 @@ def _line(evidence: FitData, lag: Lag) -> TrustLine:
     level: Level = "ok"
     text = f"torque {abs(late):.2f} ± {half:.2f} samples {'late' if late >= 0 else 'early'}"
     names = evidence.estimate.names
-    rest = np.sqrt(np.maximum(evidence.intervals.sigma**2 - lag.moved**2, 0.0))  # the deviations without it
+    rest = np.sqrt(np.maximum(evidence.intervals.sigma**2 - lag.moved**2, 0.0))  # without the lag
     moved = np.divide(lag.moved, rest, out=np.zeros_like(rest), where=rest > 0)
     counts = [i for i, name in enumerate(names) if name in evidence.essential] or range(len(names))
     worst = max(counts, key=lambda i: moved[i])
     cost = f"±{moved[worst]:.2g} half-widths at {names[worst]}"
     if lag.prior.stated:
         text = f"{lag.value_s:.4g} s, as torque_lag_s states"
-        if lag.found is not None and abs(lag.found[0] - lag.value_s) > CONTRADICTED * lag.found[1]:
+        if lag.found is not None and abs(lag.found[0] - lag.value_s) > MAX_DEVIATIONS_FROM_STATED * lag.found[1]:
             level = "caution"
-            text += f"; the data say {lag.found[0]:.4g} ± {lag.found[1] * lag.reach:.2g} s: leave torque_lag_s out"
+            text += f"; the data give {lag.found[0]:.4g} ± {lag.found[1] * lag.reach:.2g} s: leave torque_lag_s out"
     elif lag.found is None:
         known = f"{lag.value_s * 1e3:.2g} ± {lag.sd_s * 1e3:.2g} ms by {lag.prior.source}"
         if lag.prior.source == "nothing":
             known = f"not known, {lag.value_s * 1e3:g} ± {lag.sd_s * 1e3:g} ms"
-        text = f"{known}: {cost}, counted in the intervals"
+        text = f"{known}: {cost}, included in the intervals"
         if moved[worst] > 1:
             level, text = "caution", f"{text}: state effort_timing, or record the reference"
     else:
-        text += ": corrected, counted in the intervals"
+        text += ": corrected, included in the intervals"
         if lag.source == "data":
-            text += f"; {lag.prior.source} says {lag.prior.value_s * fs:.2f}, too far off to count"
+            text += f"; {lag.prior.source} gives {lag.prior.value_s * fs:.2f}, which contradicts it and is not used"
         if lag.delay_s is not None:
             delay, off = lag.delay_s[0] * fs, lag.delay_s[1] * fs
             text += f"; it acts {delay:.2f} ± {off:.2f} samples after the command"
-            if delay < -NEGATIVE - off:
-                level, text = "caution", f"{text}: before it: check sample_rate_hz of [controller] and time stamps"
+            if delay < -MAX_EARLY_SAMPLES - off:
+                level, text = (
+                    "caution",
+                    f"{text}, which is impossible: check sample_rate_hz of [controller] and time stamps",
+                )
     return TrustLine("lag", level, text, late, figures=figures, unit="samples")

@@ -1,13 +1,12 @@
-"""Whether estimated parameters can be those of a robot: M > 0 along the trajectory, no friction or rotor inertia below zero.
+"""Whether estimated parameters are physical: M > 0 along the trajectory, no negative friction or rotor inertia.
 
-No method sees to that by itself: an effort or a position of the wrong sign fits as well as one of the right sign, with
-inertias and friction below zero. What is below zero by two half-widths of its 95 % interval is no chance. For M that is judged
-along single directions v: v'M(q)v is linear in beta, g(q, v)'beta with g'Cg as its variance, C = D R D with the formula's
-correlations R and the intervals' deviations D. Tried at each pose are each joint alone, and the eigenvector of the lowest
-eigenvalue; in the same way where joints share motors, along the speeds of their viscous friction, and at the corners of their
-Coulomb friction (`model.requirements`). Where friction has more terms than Fv and Fc, their sum counts, not the sign of each:
-friction that would drive a joint at a recorded speed is no friction. A stricter test: how far the nearest parameters are whose
-links have positive density as well. Both, `fit --consistent` and `export` ask for the same.
+No method ensures that: an effort or a position of the wrong sign fits equally well, with negative inertias and friction. Two
+half-widths of the 95 % interval below zero are not chance. M is tested along single directions v: v'M(q)v is linear in beta,
+g(q, v)'beta with the variance g'Cg, C = D R D with the formula's correlations R and the intervals' deviations D. Directions are
+each joint alone and the eigenvector of the lowest eigenvalue, at each pose; for joints that share motors also the speeds of
+their viscous friction and the corners of their Coulomb friction (`model.requirements`). If friction has more terms than Fv and
+Fc, their sum is tested, not each sign: friction must not drive a joint at a recorded speed. A stricter test is the distance of
+the nearest parameters whose links have positive density. `fit --consistent` and `export` use the same requirements.
 """
 
 import numpy as np
@@ -29,23 +28,23 @@ from ..model import InverseModel, friction_power, nearest_consistent, requiremen
 from ..regression import base_name, friction_states, recorded_power
 from ..report import Level
 from .columns import motion_of
-from .evidence import LEVELS, FitData, TrustLine, covariance_of_all
+from .fit_data import LEVELS, FitData, TrustLine, covariance_of_all
 
-SEVERE = 2.0  # half-widths below zero that chance does not explain
-TINY = 1e-300  # in place of an interval of no width
-NO_WEIGHT = 1e-9  # m: arms of weights about all axes below this are none
-LIGHTER = 0.9  # of the residual: a model without gravity that leaves less is told
-FAR_LEVEL = 0.001  # of the chi-squared test: how rarely a physical robot gives an estimate this far off
+MAX_HALF_WIDTHS = 2.0  # below zero; beyond, it is not chance
+MIN_HALF_WIDTH = 1e-300  # avoids division by zero
+MIN_ARM_M = 1e-9  # of a weight about an axis
+MIN_RESIDUAL_RATIO = 0.9  # of the models without and with gravity; below, a caution
+CONSISTENT_LEVEL = 0.001  # of the chi-squared test
 
 
 Finding = tuple[Level, str]
 
 
 def physical_test(evidence: FitData) -> TrustLine:
-    """Whether a robot can have the parameters; each finding names the joint to look at.
+    """Whether the parameters are physical; each finding names the joint to check.
 
-    Ordinary least squares weighs all rows alike, so its deviations hide what a joint of small torques says of its signs:
-    weighted least squares is looked at as well.
+    Ordinary least squares weights all rows equally, so its deviations hide wrong signs of joints with small torques:
+    weighted least squares is tested as well.
     """
     found, lowest = _findings(evidence, evidence.estimate, evidence.intervals)
     found += _gravity_findings(evidence)
@@ -61,7 +60,7 @@ def physical_test(evidence: FitData) -> TrustLine:
 
 
 def _intervals(evidence: FitData, estimate: Estimate) -> Intervals:
-    """Intervals of another least squares estimate of the same rows."""
+    """Intervals of another least squares estimate of these rows."""
     observed = evidence.observed
     if observed.time_blocks:
         return intervals_of_blocks(estimate, sums_of_blocks(estimate, observed.time_blocks))
@@ -70,7 +69,7 @@ def _intervals(evidence: FitData, estimate: Estimate) -> Intervals:
 
 
 def _findings(evidence: FitData, estimate: Estimate, found: Intervals) -> tuple[list[Finding], float]:
-    """What of an estimate no robot has; and the lowest eigenvalue of M on the trajectory."""
+    """Physically impossible values of an estimate, and the lowest eigenvalue of M on the trajectory."""
     idm, base = evidence.problem.model, evidence.problem.base
     indices = np.array([base.names.index(base_name(name)) for name in estimate.names])
     poses = np.concatenate([part.poses for part in evidence.recordings])
@@ -82,21 +81,21 @@ def _findings(evidence: FitData, estimate: Estimate, found: Intervals) -> tuple[
     for part in evidence.recordings if own else evidence.recordings[:1]:
         of_part = np.array([name in part.parameters for name in estimate.names])
         for matrix, first, of in requirements(idm, shaped=False):
-            G = matrix @ by_base  # of base parameters; these do not tell rotors that are regrouped with links
+            G = matrix @ by_base  # of base parameters, which do not separate rotors regrouped with links
             if not np.allclose(G @ base.K, matrix, atol=1e-9) or not (G := G[..., indices] * of_part).any():
                 continue
             _, value, half = _along_directions(G, estimate.beta, found)
-            worst = int(np.argmin(value / np.maximum(half, TINY)))
+            worst = int(np.argmin(value / np.maximum(half, MIN_HALF_WIDTH)))
             name = of + (f" in {part.problem.signals.recording}" if own else "")
             text = f"{name} = {value[worst]:.4g} ± {half[worst]:.2g} {first.unit}"
-            furthest = (float(-value[worst] / max(half[worst], TINY)), text)
+            furthest = (float(-value[worst] / max(half[worst], MIN_HALF_WIDTH)), text)
             if furthest[0] > 1:
                 of_joint = beyond.setdefault(first.joint, {})
                 of_joint[first.kind] = max(furthest, of_joint.get(first.kind, furthest))
     for joint, kinds in sorted(beyond.items()):
-        # One of many parameters is beyond its interval now and then; two of one joint hardly ever.
-        severe = len(kinds) > 1 or any(far > SEVERE for far, _ in kinds.values())
-        text = f"below zero: {', '.join(text for _, text in kinds.values())}: {_question(idm.robot.joints[joint].name)}"
+        # One of many parameters exceeds its interval now and then; two of one joint hardly ever do.
+        severe = len(kinds) > 1 or any(far > MAX_HALF_WIDTHS for far, _ in kinds.values())
+        text = f"below zero: {', '.join(text for _, text in kinds.values())}: {_advice(idm.robot.joints[joint].name)}"
         findings.append(("do not use" if severe else "caution", text))
     return findings, lowest
 
@@ -107,7 +106,7 @@ def _half(g: Array, found: Intervals) -> Array:
 
 
 def _along_directions(G: Array, beta: Array, found: Intervals) -> tuple[Array, Array, Array]:
-    """Directions v (..., d + 1, d) tried of the matrices G beta, of G (..., d, d, b), v'(G beta)v, and its half-widths."""
+    """Directions v (..., d + 1, d) tried of the matrices G beta, G (..., d, d, b), v'(G beta)v, and its half-widths."""
     M = G @ beta
     vectors = np.linalg.eigh(0.5 * (M + M.swapaxes(-1, -2)))[1]
     alone = np.broadcast_to(np.eye(M.shape[-1]), M.shape)
@@ -119,10 +118,10 @@ def _along_directions(G: Array, beta: Array, found: Intervals) -> tuple[Array, A
 def _driving_findings(
     evidence: FitData, columns: NDArray[np.intp], estimate: Estimate, found: Intervals
 ) -> list[Finding]:
-    """Whether friction of further terms would drive a joint moving alone, or joints that share motors, at recorded speeds.
+    """Whether friction of further terms would drive a joint, or joints that share motors, at recorded speeds.
 
-    No single term tells that: the root of speed may be below zero where viscous friction makes up for it. Constant offsets are
-    no friction. A recording's own parameters are judged at its own speeds.
+    A single term does not decide: root friction may be negative if viscous friction compensates for it. Constant offsets are
+    not friction. A recording's own parameters are tested at its own speeds.
     """
     idm, robot = evidence.problem.model, evidence.problem.model.robot
     worst: dict[int, tuple[float, float, float, float]] = {}  # by joint: in half-widths, speed, power, half-width
@@ -134,26 +133,26 @@ def _driving_findings(
         G = friction_power(idm, columns, dq, load) * of_part
         for g, v in zip(G, dq, strict=True):
             j, power, half = int(np.abs(v).argmax()), float(g @ estimate.beta), float(_half(g, found))
-            one = (power / max(half, TINY), v[j], power, half)
+            one = (power / max(half, MIN_HALF_WIDTH), v[j], power, half)
             worst[j] = min(one, worst.get(j, one))
     findings = list[Finding]()
     for j, (beyond, speed, power, half) in sorted(worst.items()):
         if beyond < -1:
             joint, unit = robot.joints[j], robot.effort_units[j]
             text = f"friction would drive joint {joint.name} at {speed:.3g} {joint.position_unit}/s: {power:.3g} ± {half:.2g} "
-            text += f"{unit} against its motion: {_question(joint.name)}, or leave terms out"
-            findings.append(("do not use" if beyond < -SEVERE else "caution", text))
+            text += f"{unit} against its motion: {_advice(joint.name)}, or leave terms out"
+            findings.append(("do not use" if beyond < -MAX_HALF_WIDTHS else "caution", text))
     return findings
 
 
-def _question(name: str) -> str:
-    return f"look at the sign of effort and position of joint {name}"
+def _advice(name: str) -> str:
+    return f"check the sign of effort and position of joint {name}"
 
 
 def _inertia_findings(
     idm: InverseModel, columns: NDArray[np.intp], beta: Array, found: Intervals, q: Array
 ) -> tuple[list[Finding], float]:
-    """No finding where M is positive at all poses (P, n); and its lowest eigenvalue."""
+    """A finding if M is not positive at all poses (P, n), and the lowest eigenvalue."""
     zero = np.zeros_like(q)
     at_rest = idm.regressor(q, zero, zero)[:, :, columns]  # M e_j = IDM(q, 0, e_j) - IDM(q, 0, 0), linear in beta
     alone = [idm.regressor(q, zero, zero + e)[:, :, columns] for e in np.eye(q.shape[1])]
@@ -167,15 +166,15 @@ def _inertia_findings(
     joint = idm.robot.joints[int(np.abs(directions[worst]).argmax())].name
     finding = f"the inertia matrix is not positive on the trajectory (lowest eigenvalue {least:.3g}"
     finding += f"; {lowest[worst]:.3g} ± {half[worst]:.2g} about joint {joint})"
-    if (lowest < -SEVERE * half).any():
-        return [("do not use", f"{finding}: {_question(joint)}")], least
-    return [("caution", f"{finding}, which chance may explain: a consistent set is needed to simulate it")], least
+    if (lowest < -MAX_HALF_WIDTHS * half).any():
+        return [("do not use", f"{finding}: {_advice(joint)}")], least
+    return [("caution", f"{finding}, possibly by chance: simulating it needs a consistent set")], least
 
 
 def _gravity_findings(evidence: FitData) -> list[Finding]:
-    """Whether torques of a robot whose axes are not all vertical are fitted better by a model without gravity.
+    """Whether a model without gravity fits better, if the axes are not all vertical; not for reduced rows.
 
-    Torques from which the controller has taken the robot's weight do that. Not made of reduced rows.
+    Gravity-compensated efforts cause that.
     """
     problem, idm, columns = evidence.problem, evidence.problem.model, evidence.problem.base.columns
     if evidence.observed.reduced:
@@ -184,13 +183,13 @@ def _gravity_findings(evidence: FitData) -> list[Finding]:
     q = np.concatenate([decimation.kept(motion.q) for motion, decimation in measured])
     of_links = idm.of_links[columns]
     at_rest = np.where(of_links, idm.regressor(q, np.zeros_like(q), np.zeros_like(q))[:, :, columns], 0.0)
-    if np.abs(at_rest).max() <= NO_WEIGHT * np.linalg.norm(problem.signals.robot.gravity):
+    if np.abs(at_rest).max() <= MIN_ARM_M * np.linalg.norm(problem.signals.robot.gravity):
         return []
     rows, system = evidence.rows, evidence.observed.system
     weights = dict(zip(problem.base.names, at_rest.transpose(2, 1, 0), strict=True))
     weighs = [i for i, name in enumerate(system.names) if name in weights and weights[name].any()]
     G = np.array([weights[system.names[i]].ravel() for i in weighs]).reshape(len(weighs), -1).T
-    # Sums of the rows' columns are those of the R factor, which is small.
+    # The small R factor has the same column products as the rows.
     R = r_factor(np.c_[np.c_[system.W, G] * rows.weight[:, None], rows.Y])
     W, left = R[:, : len(system.names)].copy(), list[float]()
     for weight in (0.0, R[:, len(system.names) : -1]):
@@ -199,15 +198,15 @@ def _gravity_findings(evidence: FitData) -> list[Finding]:
         A = W / np.where(size > 0, size, 1.0)
         rho = R[:, -1] - A @ np.linalg.lstsq(A, R[:, -1], rcond=1e-9)[0]
         left.append(100 * float(np.linalg.norm(rho) / np.linalg.norm(rows.Y)))
-    if left[1] >= LIGHTER * left[0]:
+    if left[1] >= MIN_RESIDUAL_RATIO * left[0]:
         return []
-    text = f"the torques fit a model without gravity better: {left[1]:.3g} % left against {left[0]:.3g} %: "
-    text += "efforts with the robot's weight taken out, values that are no torques, or a wrong gravity_m_s2"
+    text = f"the torques fit a model without gravity better: residual {left[1]:.3g} % against {left[0]:.3g} %: "
+    text += "the efforts lack the robot's weight, are no torques, or gravity_m_s2 is wrong"
     return [("caution", text)]
 
 
 def consistent_test(evidence: FitData) -> TrustLine:
-    """How far the nearest consistent parameters are: in chi-squared, and the largest move in half-widths of the intervals."""
+    """Distance of the nearest consistent parameters: chi-squared, and the largest move in half-widths of the intervals."""
     problem, estimate = evidence.problem, evidence.estimate
     if not problem.signals.robot.gain_known:
         text = "links cannot be compared: the drive gains are not known: state drive_gain"
@@ -222,10 +221,15 @@ def consistent_test(evidence: FitData) -> TrustLine:
         nearest = nearest_consistent(problem.model, problem.base, beta, covariance[np.ix_(first, first)], power)
     except IdentificationError as error:
         return TrustLine("consistent", "cannot tell", str(error))
-    moves, bound = np.abs(nearest.deviations) / evidence.intervals.reach, chi_squared_quantile(FAR_LEVEL, len(names))
-    text = f"the nearest physical robot is at chi² = {nearest.chi_squared:.3g} of {len(names)} parameters, "
+    moves, bound = (
+        np.abs(nearest.deviations) / evidence.intervals.reach,
+        chi_squared_quantile(CONSISTENT_LEVEL, len(names)),
+    )
+    text = f"the nearest physical robot is at chi² = {nearest.chi_squared:.3g} ({len(names)} parameters), "
     text += f"{names[int(moves.argmax())]} moved by {moves.max():.2g} half-widths of its interval"
     if nearest.chi_squared > bound:
-        text += f", more than {bound:.3g} by chance: look at the signs and units of efforts and positions, and at the frames"
+        text += (
+            f", above {bound:.3g}, the limit of chance: check signs and units of efforts and positions, and the frames"
+        )
         return TrustLine("consistent", "caution", text, nearest.chi_squared)
     return TrustLine("consistent", "ok", text, nearest.chi_squared)

@@ -1,4 +1,4 @@
-"""Tests of how the estimate came about: fixed point, instruments, parts of the rows on their own; and the whole trust block.
+"""Tests of the solution: fixed point, instruments, parts of the rows; and the whole trust block.
 
 Nothing is simulated again.
 """
@@ -10,31 +10,34 @@ import numpy as np
 
 from ..arrays import Array
 from ..errors import IdentificationError
-from ..estimation import Estimate, are_moving, estimate_deviations, f_tail, instrumental_variables, slices, whitened
+from ..estimation import Estimate, are_moving, estimate_deviations, f_tail, instrumental_variables, spans_of, whitened
 from ..model import JointTerm
 from ..regression import base_name, standing_joints
 from ..report import Assumed
 from .columns import added_columns_test
-from .evidence import ILL_CONDITIONED, LEVELS, FitData, RecordingData, Trust, TrustLine
+from .fit_data import ILL_CONDITIONED, LEVELS, FitData, RecordingData, Trust, TrustLine
 from .held_out import held_out_test
 from .lag import lag_test
 from .physical import consistent_test, physical_test
 from .replay import replay_test
 
 HALVES_LEVEL = 0.001  # of the Wald test
-LEAST_OF_HALF = 1e-10  # of the squares that a half has of a direction of Q, below which it does not determine it
-ROBUST = 6.0  # deviations, of a row that does not belong to the others
-BAD_END = 30.0  # deviations of a row at an end that spoils an estimate
-OUTSTANDING = 2.0  # times the largest deviation elsewhere, for a row at an end to be one that does not belong
-END_ROWS = 5  # rows at each end that a bad edge shows in
-SHARED = 1e-9  # of a column over all joints: less of it at a joint is rounding
-WEAK_F, SAME_F = 10.0, 1e10  # first-stage F of weak instruments, and of instruments that are W itself
-ORDER = 12  # of the autoregression that whitens a joint's residual, at most
-MISSING_PERCENT = 0.1  # of the moving rows
-HELD_SHARE = 0.3  # of held rows, that may be beside steps which do not quite make up for them
-COARSE_PERCENT = 0.4  # of a joint's moving steps that are double or none: its encoder is slower than the log
-LONG_S = 100.0  # of motion: beyond, noise is averaged down to what the filters round off
-PREWHITENED = 15.0  # deviations between plain and prewhitened IV; coloured noise alone gives up to 11
+MIN_SQUARE_OF_HALF = 1e-10  # of a direction of Q in a half; below, it is undetermined
+MAX_ROBUST_DEVIATIONS = 6.0  # above: an outlier
+MAX_END_DEVIATIONS = 30.0  # of a row at an end; above: caution
+MAX_END_RATIO = 2.0  # of the largest deviation at an end over the largest elsewhere
+END_ROWS = 5  # rows at each end that a bad edge affects
+MIN_SHARED_NORM = 1e-9  # of a column's norm over all joints: less at a joint is rounding
+MIN_FIRST_STAGE_F, MAX_FIRST_STAGE_F = (
+    10.0,
+    1e10,
+)  # below, weak; above, the instruments are W itself
+MAX_ORDER = 12  # of the whitening filter of a joint's residual
+MAX_MISSING_PERCENT = 0.1  # of the moving rows
+MAX_HELD_RATIO = 0.3  # of missing or repeated rows over held rows
+MAX_COARSE_PERCENT = 0.4  # of a joint's moving steps that are double or zero: a slow encoder
+MAX_SHORT_S = 100.0  # of motion: beyond, the error of the filters is as large as that of noise
+MAX_PREWHITENED_SIGMA = 15.0  # between plain and prewhitened IV; coloured noise alone gives up to 11
 
 
 def fixed_point_test(evidence: FitData) -> TrustLine:
@@ -47,7 +50,7 @@ def fixed_point_test(evidence: FitData) -> TrustLine:
         return TrustLine(name, "caution", f"{why}: check [controller]; compare with least squares")
     if evidence.method != "iv":
         return TrustLine(name, "ok", "least squares has one solution")
-    return TrustLine(name, "ok", "settled, and the simulated robot confirms it")
+    return TrustLine(name, "ok", "converged, and the simulated robot confirms it")
 
 
 def instruments_test(evidence: FitData) -> TrustLine | None:
@@ -55,11 +58,11 @@ def instruments_test(evidence: FitData) -> TrustLine | None:
     F = evidence.first_stage_F
     if F is None:
         return None
-    if F < WEAK_F:
-        text = f"weak: first-stage F = {F:.2g}, below {WEAK_F:g}: record faster motion, check [controller]"
+    if F < MIN_FIRST_STAGE_F:
+        text = f"weak: first-stage F = {F:.2g}, below {MIN_FIRST_STAGE_F:g}: record faster motion, check [controller]"
         return TrustLine("instruments", "caution", text, F)
-    if F > SAME_F:
-        text = "the instruments are W itself: this is least squares, and noise of the position biases it alike"
+    if F > MAX_FIRST_STAGE_F:
+        text = "the instruments are W itself: this is least squares, with the same bias by position noise"
         return TrustLine("instruments", "cannot tell", text, F)
     return TrustLine("instruments", "ok", f"strong: first-stage F = {F:.3g}", F)
 
@@ -71,7 +74,7 @@ def units_test(evidence: FitData) -> TrustLine:
         return TrustLine(name, "ok", "torques of all joints are in known units")
     rows = evidence.observed.system
     by_joint = np.stack([np.linalg.norm(rows.W[rows.joint_of_row == j], axis=0) for j in range(robot.n)])
-    acts = by_joint > SHARED * np.linalg.norm(by_joint, axis=0)
+    acts = by_joint > MIN_SHARED_NORM * np.linalg.norm(by_joint, axis=0)
     shared = [name for name, own in zip(rows.names, acts.T, strict=True) if own.sum() > 1]
     if not shared:
         return TrustLine(name, "ok", "drive gains are not known, but no joints share a parameter")
@@ -80,33 +83,35 @@ def units_test(evidence: FitData) -> TrustLine:
 
 
 def essential_test(evidence: FitData) -> TrustLine:
-    """Whether some inertia is known to better than its own size."""
+    """Whether the interval of some inertia is narrower than its value."""
     name, base, idm = "essential", evidence.problem.base, evidence.problem.model
     rows = [base.names.index(base_name(one)) for one in evidence.essential]
     sources = [idm.sources[c] for c in np.flatnonzero(base.K[rows].any(axis=0))]
     if any(not isinstance(x, JointTerm) or x.kind == "rotor" for x in sources):
         return TrustLine(name, "ok", f"{len(evidence.essential)} of {len(evidence.estimate.names)}")
-    text = "no inertia has an interval narrower than itself: record faster, longer motion"
+    text = "no inertia has an interval narrower than its value: record faster, longer motion"
     return TrustLine(name, "caution", text, finding="no inertia is determined")
 
 
 def ends_test(evidence: FitData) -> TrustLine:
-    """Rows that move and do not belong to the others: beyond 6 robust deviations of their joint, above all at the ends."""
+    """Outliers of moving rows, beyond 6 robust deviations of their joint, especially at the ends."""
     rho = (evidence.observed.tau - evidence.predicted).T
     n, used = len(rho), (evidence.used.reshape(rho.shape) > 0) & are_moving(evidence.observed.speed).T
     scale = np.array([1.4826 * np.median(np.abs(rho[j, used[j]])) if used[j].any() else np.inf for j in range(n)])
     size = np.where(used, np.abs(rho) / np.where(scale > 0, scale, np.inf)[:, None], 0.0)
     at_end = np.zeros(size.shape[1], dtype=bool)
-    for part in slices(evidence.observed.parts):
+    for part in spans_of(evidence.observed.parts):
         at_end[part.start : part.start + END_ROWS] = at_end[part.stop - END_ROWS : part.stop] = True
     ends, middle = size[:, at_end].max(axis=1), size[:, ~at_end].max(axis=1)
-    finding = f"{int((size > ROBUST).sum())} of {int(used.sum())} moving rows beyond {ROBUST:g} robust deviations"
-    worst = int((ends / np.maximum(middle, ROBUST)).argmax())
-    finding += f", the largest {middle[worst]:.3g}, and {ends[worst]:.3g} at the ends"
+    worst = int((ends / np.maximum(middle, MAX_ROBUST_DEVIATIONS)).argmax())
     value = float(ends[worst])
-    if value > max(BAD_END, OUTSTANDING * middle[worst]):
-        finding += f" of joint {evidence.problem.signals.robot.joints[worst].name}"
-        text = f'{finding}: take edges = "smooth", or cut the ends off (cut_start_samples, cut_end_samples)'
+    outliers, rows = int((size > MAX_ROBUST_DEVIATIONS).sum()), int(used.sum())
+    finding = f"{outliers} outliers in {rows} moving rows; largest {middle.max():.3g} robust deviations "
+    finding += f"(limit {MAX_ROBUST_DEVIATIONS:g}), at the ends {ends.max():.3g}"
+    if value > max(MAX_END_DEVIATIONS, MAX_END_RATIO * middle[worst]):
+        joint = evidence.problem.signals.robot.joints[worst].name
+        finding += f"; joint {joint}: largest {middle[worst]:.3g}, at the ends {value:.3g}"
+        text = f'{finding}: set edges = "smooth", or cut the ends off (cut_start_samples, cut_end_samples)'
         return TrustLine("ends", "caution", text, value)
     return TrustLine("ends", "ok", finding, value)
 
@@ -114,13 +119,13 @@ def ends_test(evidence: FitData) -> TrustLine:
 def halves_test(evidence: FitData) -> TrustLine:
     """Whether the two halves of the recording give the same parameters, by a Wald test.
 
-    The deviations in it are uncertain themselves: its F distribution has their degrees of freedom, two times the cosines.
+    Its F distribution has the degrees of freedom of the deviations, the cosines of both halves.
     """
     name, T, cuts = "halves", len(evidence.observed.tau), np.cumsum(evidence.observed.parts)[:-1]
     if not evidence.sums_accurate:
         return TrustLine(name, "not made", ILL_CONDITIONED)
     cut = int(cuts[np.abs(cuts - T / 2).argmin()]) if len(cuts) else round(T / 2)  # recordings are not cut
-    first, second = (_part_solved(evidence, part) for part in (slice(0, cut), slice(cut, T)))
+    first, second = (_solve_part(evidence, part) for part in (slice(0, cut), slice(cut, T)))
     if first is None or second is None:
         text = "not made: a half alone does not determine the parameters; record longer"
         return TrustLine(name, "not made", text)
@@ -136,18 +141,16 @@ def halves_test(evidence: FitData) -> TrustLine:
     finding = f"Wald {wald:.3g} for {b} parameters, p = {p:.2g}"
     finding += f"; {evidence.estimate.names[worst]} differs most, by {abs(u[worst]):.2g} sigma"
     if p < HALVES_LEVEL:
-        text = f"{finding}: something changes in time: warm up, look at drift, fit the halves one by one"
+        text = f"{finding}: the torque changes with time: warm the robot up, check for drift, fit each half alone"
         return TrustLine(name, "caution", text, wald)
     return TrustLine(name, "ok", finding, wald)
 
 
-def _part_solved(evidence: FitData, part: slice) -> tuple[Array, Array, int] | None:
-    """Parameters (b,) of a part of the time, their covariance D R D (b, b) and its degrees of freedom; None where the part does
-    not determine them.
-    """
+def _solve_part(evidence: FitData, part: slice) -> tuple[Array, Array, int] | None:
+    """Parameters (b,) of a span of time, covariance D R D (b, b), degrees of freedom; None where they are undetermined."""
     sums = evidence.sums(part)
     values, vectors = np.linalg.eigh(sums.QQ)
-    if sums.rows <= 2 * len(values) or not values[0] > LEAST_OF_HALF * values[-1]:
+    if sums.rows <= 2 * len(values) or not values[0] > MIN_SQUARE_OF_HALF * values[-1]:
         return None
     basis = vectors / np.sqrt(values)  # Q basis is orthonormal in the rows of the part
     A = basis.T @ sums.QW
@@ -163,33 +166,36 @@ def _part_solved(evidence: FitData, part: slice) -> tuple[Array, Array, int] | N
 
 
 def prewhitened_test(evidence: FitData) -> TrustLine | None:
-    """How far the estimate moves where each joint's residual is whitened: model error shows in it, white noise does not."""
+    """How far the estimate moves when each joint's residual is whitened: model error moves it, white noise does not."""
     name, evidence = "prewhitened", evidence.with_rows
     if evidence.Z is None:
         return None
-    estimate = _whitened(evidence)
+    estimate = _solve_whitened(evidence)
     if isinstance(estimate, str):
         return TrustLine(name, "not made", estimate)
     with np.errstate(divide="ignore", invalid="ignore"):
         apart = np.nan_to_num(np.abs(estimate.beta - evidence.estimate.beta) / evidence.intervals.sigma, nan=0.0)
     worst = int(apart.argmax())
-    value, finding = float(apart[worst]), f"{apart[worst]:.2g} sigma off, at {estimate.names[worst]}"
-    if value > PREWHITENED:
-        text = f"{finding}: the model lacks something: see added columns"
+    value, finding = (
+        float(apart[worst]),
+        f"differs by {apart[worst]:.2g} sigma with prewhitening (limit {MAX_PREWHITENED_SIGMA:g}), at {estimate.names[worst]}",
+    )
+    if value > MAX_PREWHITENED_SIGMA:
+        text = f"{finding}: a term is missing in the model: see added columns"
         return TrustLine(name, "caution", text, value)
     return TrustLine(name, "ok", finding, value)
 
 
-def _whitened(evidence: FitData) -> Estimate | str:
-    """Instrumental variables of W, Y, Z filtered by each joint's own autoregression; or why there are none."""
+def _solve_whitened(evidence: FitData) -> Estimate | str:
+    """Instrumental variables of W, Y, Z filtered by each joint's own autoregression; or why it is not made."""
     assert evidence.Z is not None
     names = evidence.estimate.names
-    kept = np.array([evidence.observed.system.names.index(name) for name in names])
-    system = evidence.observed.system.with_columns(kept).with_rows(evidence.used)
-    order = min(ORDER, len(evidence.observed.tau) // 20)
-    system, Z = whitened(system, evidence.Z[:, kept], evidence.rows.rho, order, evidence.observed.parts)
+    indices = np.array([evidence.observed.system.names.index(name) for name in names])
+    system = evidence.observed.system.with_columns(indices).with_rows(evidence.used)
+    order = min(MAX_ORDER, len(evidence.observed.tau) // 20)
+    system, Z = whitened(system, evidence.Z[:, indices], evidence.rows.rho, order, evidence.observed.parts)
     if system.used.sum() <= 4 * len(names):
-        return f"not made: {int(system.used.sum())} rows in a row are fast for {len(names)} parameters; record longer"
+        return f"not made: {int(system.used.sum())} consecutive fast rows for {len(names)} parameters; record longer"
     try:
         return instrumental_variables(system, Z, evidence.estimate.weights)
     except IdentificationError as error:
@@ -197,12 +203,12 @@ def _whitened(evidence: FitData) -> Estimate | str:
 
 
 def position_noise_test(evidence: FitData) -> TrustLine | None:
-    """Whether noise of the position biases least squares, found where the recording is at hand."""
+    """Whether position noise biases least squares; made while the recording is read."""
     return evidence.position_noise
 
 
 def motion_test(evidence: FitData) -> TrustLine | None:
-    """Joints that stand in all recordings: they creep at most, where friction is not what it is in motion."""
+    """Joints that stand in all recordings; friction of creeping differs from that of motion."""
     speed, joints = np.abs(evidence.observed.speed).max(axis=0), evidence.problem.signals.robot.joints
     if not (names := standing_joints(speed, joints)):
         return None
@@ -211,17 +217,17 @@ def motion_test(evidence: FitData) -> TrustLine | None:
 
 
 def rows_test(e: FitData) -> TrustLine | None:
-    """The recording that misses or repeats most rows; else one of encoders that are slower than the log."""
+    """The recording with most missing or repeated rows; else one whose encoders are slower than the log."""
     several, every = len(e.recordings) > 1, [part.steps for part in e.recordings]
     places = [f"{part.problem.signals.recording}: " if several else "" for part in e.recordings]
     shares = [100 * np.array([steps.lost, steps.repeated, steps.held]) / max(steps.moving, 1) for steps in every]
-    surplus = [x[:2] * (x[:2] > max(MISSING_PERCENT, HELD_SHARE * x[2])) for x in shares]
+    surplus = [x[:2] * (x[:2] > max(MAX_MISSING_PERCENT, MAX_HELD_RATIO * x[2])) for x in shares]
     k = int(np.argmax([x.sum() for x in surplus]))
     if surplus[k].any():
         found = zip(surplus[k], ("missing", "repeated"), strict=True)
         finding = " and ".join(f"{x:.2g} % of the rows {what}" for x, what in found if x)
-        text = f"{places[k]}{finding}, by steps of the position that are twice their neighbours', or none"
-        text += ": record stamps or a counter with the rows ([time] in map.toml), or record again"
+        text = f"{places[k]}{finding} (position steps that are double or zero)"
+        text += ": record time stamps or a row counter ([time] in map.toml), or record again"
         return TrustLine("rows", "caution", text, float(surplus[k].sum()), finding=finding)
     notes = [_slow_encoder(part, float(x[2])) for part, x in zip(e.recordings, shares, strict=True)]
     return next(
@@ -230,59 +236,57 @@ def rows_test(e: FitData) -> TrustLine | None:
 
 
 def _slow_encoder(part: RecordingData, held: float) -> str:
-    """What to say where positions stand for a row and jump in the next one: not that rows are missing."""
+    """The note on positions that stand for one row and jump in the next, which are not missing rows."""
     percent = 100 * part.steps.coarse[:, 1:] / np.maximum(part.steps.coarse[:, :1], 1)
-    both = (percent.min(axis=1) > MISSING_PERCENT) & (percent.sum(axis=1) > COARSE_PERCENT)
+    both = (percent.min(axis=1) > MAX_MISSING_PERCENT) & (percent.sum(axis=1) > MAX_COARSE_PERCENT)
     joints = part.problem.signals.robot.joints
     names = ", ".join(joint.name for joint, slow in zip(joints, both, strict=True) if slow)
-    if held <= MISSING_PERCENT and not names:
+    if held <= MAX_MISSING_PERCENT and not names:
         return ""
     where, share = (f" of joint {names}", percent.sum(axis=1).max()) if names else ("", held)
-    return f"the log is faster than the encoder{where}: {share:.2g} % of the steps are double or none"
+    return f"the log is faster than the encoder{where}: {share:.2g} % of the steps are double or zero"
 
 
-def _judge_together(lines: list[TrustLine]) -> list[TrustLine]:
-    """Held-out blocks that are far off, of a robot whose M is not positive, are worse than either."""
+def _combine_failures(lines: list[TrustLine]) -> list[TrustLine]:
+    """`do not use` if the held-out blocks fail and M is not positive."""
     by_test = {line.test: line for line in lines}
     held, physical = by_test["held-out blocks"], by_test["physical"]
     why_not_positive = physical.value is not None and physical.value <= 0
-    if not (why_not_positive and held.far_off):
+    if not (why_not_positive and held.fails_held_out):
         return lines
     text = f"{held.text}; and the inertia matrix is not positive: fit with --consistent"
     return [replace(held, level="do not use", text=text) if line is held else line for line in lines]
 
 
-def assumed(evidence: FitData, lines: Mapping[str, TrustLine]) -> Iterator[Assumed]:
-    """What was given and what no test of `lines` sees: taken as it is."""
+def list_assumptions(evidence: FitData, lines: Mapping[str, TrustLine]) -> Iterator[Assumed]:
+    """Assumptions that no test of `lines` covers."""
     signals, settings = evidence.problem.signals, evidence.problem.settings
     robot, motors, several = signals.robot, signals.robot.motors, len(signals.robot.joints) > 1
     if robot.gain_known:
         gains = [f"{m.drive_gain:g} {m.drive_gain_unit}" for m in motors if m.drive_gain is not None]
         value = ", ".join(gains) or f"torques recorded in {' and '.join(sorted({m.recorded_unit for m in motors}))}"
-        why = "a wrong one scales all parameters, and fits as well"
-        yield Assumed("drive gains", value, f"{why}, where it is that of all joints" if several else why)
+        why = "a wrong gain scales all parameters, and fits equally well"
+        yield Assumed("drive gains", value, f"{why} if it is common to all joints" if several else why)
     ratios = ", ".join(f"{x:g}" for x in np.diag(robot.R))
-    yield Assumed("ratios", ratios, "positions and torques at the joints are made with them")
+    yield Assumed("ratios", ratios, "joint positions and torques are computed with them")
     if several:
         lengths = "dh" if robot.urdf is None else "urdf"
-        yield Assumed("lengths", lengths, "the parameters of the links absorb an error of a length")
+        yield Assumed("lengths", lengths, "link parameters absorb an error of a length")
     yield Assumed("sample rate", f"{signals.sample_rate_hz:g} Hz", "speeds and accelerations scale with it")
     if evidence.method == "iv" and lines["replay"].level == "not made":
-        law = robot.controller.structure or f"a PD of {robot.bandwidth_hz:g} Hz stands in"
+        law = robot.controller.structure or f"a {robot.bandwidth_hz:g} Hz PD"
         yield Assumed("control law", law, lines["replay"].text.removeprefix("not made: "))
     if evidence.lags and evidence.lags[0].prior.stated:
         yield Assumed("lag", f"{evidence.lags[0].value_s:g} s", "stated by torque_lag_s")
-    if (duration_s := len(evidence.observed.tau) * settings.decimation / signals.sample_rate_hz) > LONG_S:
-        why = "intervals count noise; what filters round off, about 0.1 % of a parameter, is as much here"
+    if (duration_s := len(evidence.observed.tau) * settings.decimation / signals.sample_rate_hz) > MAX_SHORT_S:
+        why = "intervals include noise only; filters distort a parameter by about 0.1 %, which is as much here"
         yield Assumed("filters", f"{duration_s:.0f} s of motion", why)
     if evidence.method != "iv":
-        why = (
-            "least squares is biased by noise of the position, of which position noise sees what is above the low-pass"
-        )
-        yield Assumed("encoder noise", "below the low-pass as above", why)
+        why = "position noise biases least squares; only the noise above the low-pass is tested"
+        yield Assumed("encoder noise", "the same spectrum below and above the low-pass", why)
 
 
-# A test of a fit is a function of the evidence, None where it is not for this method or says nothing. A new one is a line here.
+# A test is a function of the fit's data, None where it does not apply. A new one is a line here.
 TESTS: tuple[Callable[[FitData], TrustLine | None], ...] = (
     *(fixed_point_test, physical_test, units_test, replay_test, added_columns_test, lag_test),
     *(held_out_test, halves_test, consistent_test, ends_test, essential_test, instruments_test),
@@ -291,12 +295,12 @@ TESTS: tuple[Callable[[FitData], TrustLine | None], ...] = (
 
 
 def trust_in(evidence: FitData) -> Trust:
-    """All tests of an estimate, worst first, and what is assumed."""
+    """All tests of an estimate, worst first, and the assumptions."""
     lines = [line for test in TESTS if (line := test(evidence)) is not None]
-    assumptions = assumed(evidence, {line.test: line for line in lines})
-    return Trust(lines=worst_first(_judge_together(lines)), assumed=tuple(assumptions))
+    assumptions = list_assumptions(evidence, {line.test: line for line in lines})
+    return Trust(lines=worst_first(_combine_failures(lines)), assumed=tuple(assumptions))
 
 
 def worst_first(lines: list[TrustLine]) -> tuple[TrustLine, ...]:
-    """Lines by their levels."""
+    """Lines sorted by level."""
     return tuple(sorted(lines, key=lambda line: LEVELS.index(line.level)))

@@ -14,7 +14,7 @@ from independent_robots import plant
 from independent_simulator import description, references, simulate
 from random_arms import random_estimate
 
-from identification.estimation import certainty, consistent_parameters, one_thread
+from identification.estimation import consistent_parameters, one_thread, parameter_certainty
 from identification.methods import Prior, identify_ls, with_consistent
 from identification.methods.consistent import MIN_PRIOR_SHARE
 from identification.model import InverseModel, described_parameters
@@ -35,7 +35,7 @@ def test_intervals_hold_the_truth(times):
     for seed in range(ARMS):
         beta, C, K, physical, chi = random_estimate(seed, times)
         found = solve(beta, C, K, physical)
-        _, (sigma, share) = certainty(found, C, K, physical)
+        _, (sigma, share) = parameter_certainty(found, C, K, physical)
         hits.append(np.abs(found.beta - K @ chi) <= NORMAL * sigma)
         shares.append(share)
     hit, prior = np.concatenate(hits), np.concatenate(shares) > MIN_PRIOR_SHARE
