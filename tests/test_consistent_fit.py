@@ -214,6 +214,7 @@ def test_without_its_barrier_the_optimum_is_that_of_an_sdp():
     assert bound - 1e-6 < mine < best + gap + 1e-6
 
 
+@pytest.mark.slow
 def test_random_arms_at_ten_times_the_noise():
     """A sample of what `benchmarks/test_consistent_rates.py` does a thousand times; of these 1 and 4 need the path."""
     for seed in (0, 1, 2, 4):
@@ -339,6 +340,7 @@ def test_a_wrist_that_feeds_energy_is_told_by_the_verdict_and_by_the_consistent_
     assert made.chi_squared == fit.trust.line("consistent").value
 
 
+@pytest.mark.slow
 def test_the_file_holds_what_a_model_is_made_of(tmp_path, capsys):
     session, out, prior = REPLAY / "scara" / "session.mcap", tmp_path / "fit.json", tmp_path / "prior.toml"
     prior.write_text((REPLAY / "scara" / "robot.toml").read_text())

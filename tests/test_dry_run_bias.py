@@ -69,6 +69,7 @@ def cascade(*, smooth: bool) -> LoopGains:
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_demand_at_one_phase_has_a_ripple_where_targets_are_joined_by_lines():
     """(w T)²/3 of the inertia; a twentieth of it with a smooth reference, with and without speed fed forward."""
     expected = demand_ripple(BANDWIDTH_HZ, PERIOD_S)
@@ -111,6 +112,7 @@ def test_the_reference_between_targets_is_continuous_in_position_and_speed():
     assert cubic(0.4, travel, first, last)[1] == pytest.approx((ways[1] - ways[0]) / (2 * h), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_check_and_report_warn_of_the_ripple_where_it_matters(monkeypatch):
     at_10_hz = bus_text(1).replace("bandwidth_hz = 5", "bandwidth_hz = 10")  # SYNC every 2 ms
 

@@ -204,6 +204,7 @@ def tx40_excitation():
     return robot, found, said
 
 
+@pytest.mark.slow
 def test_the_reference_tells_more_than_the_plain_one_in_all_parameters(tx40_excitation):
     _, found, said = tx40_excitation
     smaller = found.plain / found.sigma

@@ -173,6 +173,7 @@ def test_limits_are_those_of_the_handbook():
     assert control_limits(flow[:4]) is None
 
 
+@pytest.mark.slow
 def test_a_stopped_run_goes_on_where_it_was(fleet, tmp_path, fits):
     def stop(done, file):
         if done == 2:
@@ -189,6 +190,7 @@ def test_a_stopped_run_goes_on_where_it_was(fleet, tmp_path, fits):
     assert len(fits) == 2 * COUNT
 
 
+@pytest.mark.slow
 def test_rows_of_other_settings_content_or_versions_are_made_again(fleet, tmp_path, fits):
     folder = tmp_path / "arm"
     folder.mkdir()

@@ -46,6 +46,7 @@ def chosen(own: tuple[str, ...] = ()):
     return choose_terms(Recordings(sources=several(own)), WITHOUT_LAG)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("own", [(), ("Off",)])
 def test_recordings_are_held_out_one_by_one(own):
     """By hand: weighted rows of the other recordings, the error in the moving rows of the one; its own offsets fitted to it."""
@@ -119,6 +120,7 @@ def test_a_recording_that_the_others_cannot_predict_is_named():
     assert "r3.mcap cannot be predicted by the others" in str(refused.value)
 
 
+@pytest.mark.slow
 def test_the_command_takes_several_recordings(tmp_path, capsys):
     files, toml, result = [], tmp_path / "robot.toml", tmp_path / "out.json"
     for signals in several():

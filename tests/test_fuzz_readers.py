@@ -180,6 +180,7 @@ def test_any_bytes_as_a_recording(
         pytest.fail(f"read as {read_recording(path)}")
 
 
+@pytest.mark.slow
 def test_changed_recordings(tmp_path: Path) -> None:
     """Bytes exchanged, dropped, doubled and moved, with and without the CRC that would tell at once."""
     robot: Robot = robot_named("scara")

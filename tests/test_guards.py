@@ -267,6 +267,7 @@ def stalling(at_sync: int, for_s: float) -> type[Through]:
     return Stalling
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("extra", "for_s", "fault"),
     [

@@ -8,6 +8,7 @@ from hunt import Outcome, fit_by_default, is_harmed, row, true_values
 from hunt_kinds import CLEAN, KINDS, sound
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", KINDS)
 def test_every_kind_can_be_recorded(what):
     kind = KINDS[what]

@@ -73,6 +73,7 @@ def test_a_verdict_that_is_asked_for_is_in_the_exit_status(capsys, tmp_path):
     assert run(capsys, "fit", SESSION, "--method", "wls")[0] == 0
 
 
+@pytest.mark.slow
 def test_options_change_the_fit(capsys, tmp_path):
     for name, options in {
         "none.json": ["--cutoff-hz", "none", "--decimate", 20, "--method", "ols", "--all-samples"],
@@ -204,6 +205,7 @@ def test_unknown_gains_give_volts_and_a_warning(capsys, tmp_path):
     assert first["value"] == pytest.approx(2.7, rel=0.01)
 
 
+@pytest.mark.slow
 def test_outputs_are_whole_or_not_there(capsys, tmp_path):
     copy = tmp_path / "log.mcap"
     shutil.copy(SESSION, copy)

@@ -69,6 +69,7 @@ def test_tx40_converges_in_three_passes_as_in_the_paper(tx40):
     assert fit.iv.tests.first_stage_F > 10
 
 
+@pytest.mark.slow
 def test_tx40_is_worse_without_the_gain_update(tx40):
     fit = identify_iv(signals_of(tx40), Overrides(), Iteration(gain_update=False))
     # A wrist of 1 kg m² under gains set for 0.01 kg m² does not follow: only along the reference does the method go on.
@@ -239,6 +240,7 @@ def thinned(signals: Signals, step: int) -> Signals:
     )
 
 
+@pytest.mark.slow
 def test_recordings_of_few_samples_are_fitted():
     """At 40 Hz, 8 times the bandwidth, the rule's cut-off is beyond half the rate; 2 s unfiltered are shorter than borders."""
     robot = robot_named("scara")

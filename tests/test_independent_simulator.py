@@ -148,6 +148,7 @@ def test_steps_are_those_of_an_integrator_of_variable_step(name, closest):
     np.testing.assert_allclose(runs.q_true[0, ticks], state[: body.n], atol=closest)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "closest"), [("emps", 1e-7), ("scara", 1e-6)])
 @pytest.mark.parametrize("delay_s", [3e-4, 1e-3, 1.7e-3])
 def test_a_command_acts_after_its_delay(name, closest, delay_s):
@@ -233,6 +234,7 @@ def test_imperfections_are_what_they_are_called():
     assert np.abs(pushed.q - plain.q).max() > 1e-6
 
 
+@pytest.mark.slow
 def test_a_torque_is_recorded_between_its_samples_or_as_a_mean():
     plain, cell = short_run("scara"), Imperfections(lag=2.25)
     u = plain.effort
@@ -242,6 +244,7 @@ def test_a_torque_is_recorded_between_its_samples_or_as_a_mean():
     assert mean.signals(description(toml("scara")), 0).effort_timing == "mean"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("recorded", ["command", "mean"])
 @pytest.mark.parametrize(("lag", "delay_s"), [(0, 0.0), (2.5, 0.0), (1, 3e-4), (0, 1.7e-3)])
 def test_the_lag_of_a_record_is_that_of_a_torque_of_constant_slope(recorded, lag, delay_s):
@@ -347,6 +350,7 @@ def coupled_motion(body, state: tuple, force: float, ticks: int) -> np.ndarray:
     return np.array(found)
 
 
+@pytest.mark.slow
 def test_two_masses_oscillate_at_their_frequency():
     """Let go when stretched: the stretch is a cosine of the free frequency, and the centre of mass stays."""
     body = two_mass(without_friction(plant(toml("emps"))), share=0.3, free_hz=12.0, damping=0.0)
@@ -368,6 +372,7 @@ def test_play_transmits_nothing_inside():
     assert x[-1, 2] > 0.1 * x[-1, 0]
 
 
+@pytest.mark.slow
 def test_a_stiff_coupling_is_none():
     """The axis in its loop: with a load that follows at once, motion and commands are those of one mass, friction included."""
     body = plant(toml("emps"))

@@ -243,6 +243,7 @@ def test_values_that_are_none_are_wrong_usage(here, capsys, values):
     assert end.value.code == 2
 
 
+@pytest.mark.slow
 def test_a_study_and_a_simulation_of_a_urdf(here, capsys):
     short = [*NAMES, *STATED, "--duration-s", "4", "--rate-hz", "200"]
     assert run(capsys, "simulate", "arm.urdf", *short, "-o", "log.mcap")[0] == 0

@@ -114,6 +114,7 @@ def test_data_that_contradict_what_is_known_count_alone():
     assert "contradicts it and is not used" in line(fit, "lag").text
 
 
+@pytest.mark.slow
 def test_data_beside_a_lag_that_is_stated():
     late = recorded("emps", lag=3)
     fit = fitted(late, torque_lag_s=0.0025)
@@ -124,6 +125,7 @@ def test_data_beside_a_lag_that_is_stated():
     assert "the data give 0.002" in wrong.text
 
 
+@pytest.mark.slow
 def test_without_a_reference_the_lag_is_not_found_but_counted():
     bare = replace(recorded("scara"), q_ref=None)
     fit = identify(bare, Overrides())
@@ -285,6 +287,7 @@ def test_a_replay_tells_a_lag_of_noisy_commands(lag):
     assert corrected[1, 0] == pytest.approx(lags[0], abs=0.02), "of the effort as it was recorded"
 
 
+@pytest.mark.slow
 def test_a_replay_that_cannot_be_made_says_why_and_the_law_is_assumed():
     signals = recorded("scara")
     bare = with_controller(signals, **NO_LAW)

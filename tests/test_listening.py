@@ -324,6 +324,7 @@ INTRUDERS = [
 LONG = Task(reference=np.zeros((301, 2)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("can_id", "flags", "service", "fault"), INTRUDERS)
 def test_another_master_in_motion_is_noticed_within_two_periods(tmp_path, can_id, flags, service, fault):
     times: list[int] = []

@@ -42,6 +42,7 @@ EARLIER = {
 }
 
 
+@pytest.mark.slow
 def test_tx40_agrees_with_the_earlier_identification(tx40):
     """All rows, as in that identification. Those at low speed are what its error is mostly made of."""
     signals = signals_of(tx40)
@@ -62,6 +63,7 @@ def test_tx40_agrees_with_the_earlier_identification(tx40):
     assert fit.essential.p_effective > 0.01
 
 
+@pytest.mark.slow
 def test_tx40_with_the_standstill_fits_less_well(tx40):
     fit = identify_ls(signals_of(tx40), Overrides(span="all", low_speed_percent=0.0))
     assert 5.6 < fit.errors[-1].relative_error_percent <= 7.8

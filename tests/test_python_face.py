@@ -226,6 +226,7 @@ def test_a_notebook_shows_the_report_of_a_fit(signals):
         assert {" ".join(text.split()) for text in lines} <= {*page.texts}
 
 
+@pytest.mark.slow
 def test_the_lines_of_the_readme_run(tmp_path, monkeypatch, capsys):
     section = (ROOT / "identification" / "README.md").read_text().split("## From Python\n")[1].split("\n## ")[0]
     lines = re.findall(r"(?:^ {4}.*\n|^\n(?= {4}))+", section, flags=re.MULTILINE)

@@ -74,6 +74,7 @@ def test_six_drives_at_500_hz_give_the_table_back(tx40_at_500_hz, over_can):
     assert (np.abs(samples["effort"] - table["effort"]).max(axis=0) <= effort_step * (1 + 1e-6)).all()
 
 
+@pytest.mark.slow
 def test_a_fit_of_it_is_the_fit_of_the_direct_import(tx40_at_500_hz, over_can):
     direct = identify_ls(load_signals(tx40_at_500_hz), Overrides())
     by_can = identify_ls(load_signals(over_can), Overrides())

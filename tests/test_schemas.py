@@ -121,6 +121,7 @@ def test_stored_fits_conform(name, capsys):
         assert not conforms(changed(fit, key, value), schema, schema["$defs"]), key
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["wls", "iv"])
 def test_a_new_fit_conforms(method, tmp_path, capsys):
     out = tmp_path / "fit.json"

@@ -64,6 +64,7 @@ def test_nothing_moves_without_a_reference(tmp_path):
     assert len(session.recording.samples) == pytest.approx(250, abs=3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("fault", "reason"),
     [
@@ -253,6 +254,7 @@ def test_a_recorder_that_cannot_write_stops_motion(tmp_path, monkeypatch):
     assert DISABLED.issuperset(session.drives.states)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("at", [0.028, 0.05, 0.3, 0.6])
 def test_a_stop_asked_for_is_slow_and_in_order(tmp_path, at):
     """At any time: while enabling, in the approach, while tracking."""

@@ -89,6 +89,7 @@ def test_least_squares_of_recordings_is_that_of_their_rows_stacked():
         )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["wls", "iv"])
 def test_a_recording_twice_halves_the_variance(method):
     """The same samples under another name: the same estimate; variances of two recordings add up, degrees of freedom too."""
@@ -103,6 +104,7 @@ def test_a_recording_twice_halves_the_variance(method):
     assert twice.intervals.freedom == 2 * single.intervals.freedom
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["wls", "iv"])
 def test_the_truth_is_inside_and_the_verdict_is_trust(method):
     fit = fitted(method)
@@ -379,6 +381,7 @@ def changed(what: str) -> Signals:
     return replace(one, robot=robot, **({"sha256": recorded(1).sha256} if what == "twice" else {}))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("what", "key"),
     [

@@ -148,6 +148,7 @@ def controller_robot(structure: str, **keys: object):
     return robot_from_files({"robot.toml": text.encode()}, "axis.toml")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("structure", "gains", "settles"),
     [

@@ -214,6 +214,7 @@ def rewritten(path, robot: Robot, samples) -> None:
         writer.samples(samples)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["ols", "wls", "iv"])
 def test_a_result_not_to_be_trusted_is_written_and_ends_with_status_3(method, tmp_path, capsys):
     recording = read_recording(SCARA)
@@ -319,6 +320,7 @@ def with_other_text(old: str, new: str) -> Robot:
     return robot_from_files({"robot.toml": text.replace(old, new).encode()}, "other.toml")
 
 
+@pytest.mark.slow
 def test_validate_uses_the_fits_description_where_the_recordings_does_not_fit(capsys, tmp_path):
     fit, log, errors = tmp_path / "fit.json", tmp_path / "log.mcap", tmp_path / "errors.json"
     assert main(["fit", str(SCARA), "--json", str(fit)]) == 0
@@ -336,6 +338,7 @@ def test_validate_uses_the_fits_description_where_the_recordings_does_not_fit(ca
     assert "perhaps not the same quantities" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_compare_goes_by_what_parameters_stand_for(capsys, tmp_path):
     a, b, old = (tmp_path / f"{name}.json" for name in ("a", "b", "old"))
     assert main(["fit", str(SCARA), "--json", str(a)]) == 0

@@ -259,6 +259,7 @@ def test_an_empty_panel_would_be_noticed(written):
         assert not file.holds("/nowhere", kind)
 
 
+@pytest.mark.slow
 def test_titles_say_joint_and_unit(written):
     signals = made_up(types=("prismatic", "revolute"))
     titles = {origin: title for origin, (_, title) in written(signals).views.items()}
@@ -399,6 +400,7 @@ def test_a_raw_derivative_that_drowns_the_filtered_one_waits_for_a_click(written
     assert shown(written(made_up(noise=0.0), name="b.rrd")) == {"dq": True, "ddq": True}
 
 
+@pytest.mark.slow
 def test_what_was_not_recorded_or_done_is_not_shown(written):
     signals = made_up()
     assert not any(path.endswith("reference") for path in written(signals).curves)
@@ -407,6 +409,7 @@ def test_what_was_not_recorded_or_done_is_not_shown(written):
     assert all(unfiltered.holds(origin, kind) for origin, (kind, _) in unfiltered.views.items())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("essential", [False, True])
 def test_parameters_are_drawn_with_their_names_and_deviations(essential, written):
     signals = made_up()
@@ -501,6 +504,7 @@ def test_the_report_tells_result_settings_and_parameters(written):
         assert part in text
 
 
+@pytest.mark.slow
 def test_each_fit_is_an_application_of_its_own(written):
     """A viewer has one layout per application: another fit's titles would stand over this one's curves."""
     signals = made_up()

@@ -145,6 +145,7 @@ PLACES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("place", PLACES)
 def test_a_mesh_is_drawn_where_its_file_is_found(place, mesh, tmp_path, monkeypatch, capfd):
     name, variables = PLACES[place]
@@ -171,6 +172,7 @@ def test_a_mesh_is_drawn_where_its_file_is_found(place, mesh, tmp_path, monkeypa
     assert capfd.readouterr() == ("", "")
 
 
+@pytest.mark.slow
 def test_both_robots_stand_where_their_data_says(tmp_path):
     signals = scara()
     fit = fitted_iv(signals)
@@ -305,6 +307,7 @@ VIEWS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", VIEWS.values(), ids=VIEWS)
 def test_a_recording_that_is_not_fitted_is_shown(case, tmp_path):
     signals = made_up(**{**case, "samples": 4000})
@@ -442,6 +445,7 @@ def test_a_study_joins_the_two_methods_of_a_run_and_draws_their_medians():
     assert bars[1][0][0][0] < dots[2][0] < bars[1][0][1][0], "over the runs it is of"
 
 
+@pytest.mark.slow
 def test_text_has_only_characters_of_the_viewers_font(tmp_path):
     """The viewer's font is Inter alone; the viewer ends at a character without a glyph."""
     assert shown_text("cond ZᵀW, σ ± 2 µrad²/√Hz − é") == "cond Z'W, σ ± 2 µrad²/√Hz − é"

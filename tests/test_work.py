@@ -121,6 +121,7 @@ def test_tasks_that_are_done_are_not_done_again():
     assert given == [[0, 1, 2, 3], [2]]
 
 
+@pytest.mark.slow
 def test_a_task_that_kills_its_worker_three_times_is_an_error(tmp_path):
     with (
         processes(2) as work,
@@ -130,6 +131,7 @@ def test_a_task_that_kills_its_worker_three_times_is_an_error(tmp_path):
     assert "--workers" in told.value.expected
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("from_stdin", "problem"), [(False, "the script starts workers"), (True, "workers end while")])
 def test_workers_that_cannot_start_are_told_once(tmp_path, from_stdin, problem):
     """A script without a guard starts workers in its workers; one from standard input cannot be found by them."""
