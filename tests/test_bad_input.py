@@ -109,7 +109,7 @@ def test_simulations_that_are_too_short_and_folders_that_cannot_be(capsys, tmp_p
     assert "0.1 samples; expected 100 to" in refused(
         capsys, "simulate", robot_file, "-o", out, "--duration-s", "0.0001"
     )
-    assert "/dev/null: cannot be made" in refused(capsys, "demo", "--out", "/dev/null")
+    assert "/dev/null: cannot be created" in refused(capsys, "demo", "--out", "/dev/null")
     with pytest.raises(SystemExit):
         run(capsys, "simulate", robot_file, "-o", out, "--seed", "-1")
     assert "--seed" in capsys.readouterr().err

@@ -317,9 +317,9 @@ def test_counts_per_turn_of_motors_that_turn(kind, unit, counts, expected):
 def test_damaged_dictionaries(tmp_path):
     for data, expected in (
         (b"", "holds no objects"),
-        (b"\xff\xfe\x00junk", "not an EDS or DCF"),
-        (b"[DeviceInfo]\nVendorNumber=x\n", "not an EDS or DCF"),
-        (b"[1000]\nObjectType=7\n", "not an EDS or DCF"),
+        (b"\xff\xfe\x00junk", "not a readable EDS or DCF"),
+        (b"[DeviceInfo]\nVendorNumber=x\n", "not a readable EDS or DCF"),
+        (b"[1000]\nObjectType=7\n", "not a readable EDS or DCF"),
         (b"[6041]\na=1\n[6041]\n", "line 3: [6041] is there twice: expected once"),
     ):
         with pytest.raises(AcquisitionError, match=re.escape(f"x.eds: {expected}")) as caught:

@@ -377,7 +377,7 @@ def test_a_table_of_a_reference(tmp_path):
     with pytest.raises(AcquisitionError, match="time_s: expected two rows or more, with growing times"):
         table_reference(path, robot, 0.1)
     path.write_text("time_s,joint_1\n0,0\n1,1\n")
-    with pytest.raises(AcquisitionError, match="'joint_2' is not there"):
+    with pytest.raises(AcquisitionError, match="'joint_2' does not exist"):
         table_reference(path, robot, 0.1)
 
 
