@@ -49,9 +49,11 @@ class Friction:
 
         Coulomb friction at rest is (1 + stribeck) times its level.
         """
-        from scipy.linalg import lapack  # takes as long to import as a fit by least squares
+        self._solve = _divide
+        if len(v) > 1:
+            from scipy.linalg import lapack  # takes as long to import as a fit by least squares
 
-        self._solve = lapack.dposv
+            self._solve = lapack.dposv
         self._model, self._h, self._S = model, h, model.directions
         speed = np.maximum(fastest, 1e-9)
         self._v_s, self._stribeck, self._falls = STICTION * speed, stribeck, STRIBECK * speed
@@ -130,6 +132,11 @@ class Friction:
             self._creep = (self._S.T * (self._slope * (self._mode == 0))) @ self._S
         u = np.maximum(np.abs(self._S.dot(v)), v_s)
         return model.shape(u, along), model.steepness(u)
+
+
+def _divide(M: Array, force: Array) -> tuple[Array, Array, int]:
+    """The interface of `dposv` for a lone joint: M, the solution, and whether M is not positive."""
+    return M, force / M[0], int(not M[0, 0] > 0)
 
 
 class ClosedLoop:
