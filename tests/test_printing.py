@@ -47,7 +47,7 @@ def test_the_readme_shows_the_real_record_as_it_is_printed(emps, capsys):
     """Its tables are without their frames there."""
     print_whole(fit_document(signals_of(emps), identify(signals_of(emps), Overrides())))
     printed = [re.findall(r"[^\s│┃]+", line) for line in capsys.readouterr().out.splitlines()]
-    section = (ROOT / "identification" / "README.md").read_text().split("\n## What a fit says\n")[1]
+    section = (ROOT / "identification" / "README.md").read_text().split("\n## The report of a fit\n")[1]
     shown = [line.split() for line in section.split("\n- ")[0].splitlines() if line.startswith("    ")]
     assert shown[0][0] == "EMPS:"
     assert len(shown) >= 10
