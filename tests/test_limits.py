@@ -3,6 +3,7 @@
 import dataclasses
 import math
 
+import msgspec
 import numpy as np
 import pytest
 from conftest import REPLAY, needs_data, robot_named
@@ -87,6 +88,28 @@ def test_a_speed_beyond_its_limit_is_told_and_far_beyond_refused(factor, told):
         assert "joint joint_1 at" in refusal(q)
     else:
         assert bool(check_recorded_positions(TX40, T, q, "log")) == (told == "warned")
+
+
+@pytest.mark.parametrize(("peak_m_s", "refused"), [(29.0, False), (31.0, True)])
+def test_an_axis_without_a_stated_speed_moves_at_30_m_s_at_most(peak_m_s, refused):
+    emps = robot_named("emps")
+    axis = msgspec.structs.replace(emps.joints[0], speed_m_s=None, position_m=(-10.0, 10.0))
+    emps, w = dataclasses.replace(emps, joints=(axis,)), 2 * np.pi * 4
+    q = peak_m_s / w * np.sin(w * T)[:, None]
+    if refused:
+        assert "joint axis at" in refusal(q, emps)
+    else:
+        assert check_recorded_positions(emps, T, q, "log") == ()
+
+
+@pytest.mark.parametrize(("ratio", "jump"), [(2.5, False), (4.0, True)])
+def test_one_step_over_three_times_its_neighbours_is_called_a_jump(ratio, jump):
+    q = moving()
+    steps = np.zeros(len(T))
+    steps[2000:2002] = steps[2003:2005] = 0.05  # 50 rad/s
+    steps[2002] = ratio * 0.05
+    q[:, 2] += np.cumsum(steps) - np.cumsum(steps)[-1] / 2
+    assert ("jumps" in refusal(q)) == jump
 
 
 def test_a_fit_refuses_what_no_robot_did_and_tells_of_small_overshoots():
