@@ -23,7 +23,7 @@ from ..estimation import (
 from ..regression import Regression, base_name
 from ..report import DirectModelError, FTest, Method, Status
 from ..simulation import Instruments, Replica, join_reasons, max_or_none
-from ..trust import FitData, Lag, held_out_recordings, trust_in
+from ..trust import FitData, Lag, TrustLine, held_out_recordings, trust_in
 from .fit import Fit, FittedRecording, InstrumentEvidence, LeastSquares, Pass, essential_names
 from .observation import position_noise_line
 from .recording_report import gain_warnings, recording_warnings, ripple_warnings
@@ -37,7 +37,6 @@ MIN_FIRST_STAGE_F = 10.0
 
 def evidence_of_ls(observed: StackedSystem, method: Method, ls: LeastSquares, lags: tuple[Lag, ...]) -> FitData:
     """Inputs of the trust tests of least squares, which has no instruments and cannot find the lags of the torques."""
-    first = observed.problems()[0].with_samples()
     lone, reduced = len(observed.observations) == 1, observed.regression.reduced
     long = observed.observations if reduced and not lone else ()
     return FitData(
@@ -52,10 +51,15 @@ def evidence_of_ls(observed: StackedSystem, method: Method, ls: LeastSquares, la
         least_squares=ls.full,
         blocks=sums_of_blocks(ls.estimate, observed.regression.time_blocks),
         factors=tuple((one.regression.system, one.regression.system.W) for one in long),
-        position_noise=position_noise_line(first, method, ls, alone=lone and not observed.load),
         lags=lags,
         essential=essential_names(ls.essential, ls.estimate, ls.intervals),
     )
+
+
+def position_noise_of(observed: StackedSystem, method: Method, ls: LeastSquares) -> TrustLine:
+    """Bias of least squares by the position noise of the first recording, of its beginning if it is long."""
+    first, alone = observed.problems()[0].with_samples(), len(observed.observations) == 1 and not observed.load
+    return position_noise_line(first, method, ls, alone=alone)
 
 
 def fit_of(observed: StackedSystem, evidence: FitData, solved: LeastSquares, replicas: Sequence[Replica] = ()) -> Fit:

@@ -28,7 +28,7 @@ from ..regression import Overrides, Settings, make_problem, torque_of_recording
 from ..report import Method, TorqueError
 from ..simulation import Instruments
 from ..trust import covariance_of_all
-from .assess import assess_iv, evidence_of_ls, fit_of, intervals_along, intervals_of
+from .assess import assess_iv, evidence_of_ls, fit_of, intervals_along, intervals_of, position_noise_of
 from .fit import Fit, LeastSquares, Pass
 from .iteration import (
     Iteration,
@@ -141,7 +141,9 @@ def _by_least_squares(observed: StackedSystem, method: Literal["ols", "wls"], *,
         lags_of_ls(observed, ls.estimate) if beginning is None else lags_of_all(observed, ls.estimate, beginning.lags)
     )
     ls = replace(ls, intervals=add_lag_variance(ls.estimate, ls.intervals, lags))
-    return fit_of(observed, replace(evidence_of_ls(observed, method, ls, lags), beginning=beginning), ls)
+    noise = position_noise_of(observed, method, ls)  # once: it looks at the beginning of a long recording anyway
+    evidence = replace(evidence_of_ls(observed, method, ls, lags), beginning=beginning, position_noise=noise)
+    return fit_of(observed, evidence, ls)
 
 
 @one_thread
