@@ -2,19 +2,31 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 from made_up_recordings import write
 
+from acquisition.commands.program import PROGRAM as ACQUIRE
 from acquisition.importing import import_tables
 from acquisition.robot import Robot, load_robot
+from identification.commands.program import PROGRAM as IDENTIFY
+from identification.model import InverseModel
 
 ROOT = Path(__file__).resolve().parents[1]
 REPLAY = ROOT / "replay_data"
+PROGRAMS = {"acquisition": ACQUIRE, "identification": IDENTIFY}
+# Of m, mx, my, mz, xx, xy, yy, xz, yz, zz, in the order XX, XY, XZ, YY, YZ, ZZ, MX, MY, MZ, M.
+FROM_PINOCCHIO = [4, 5, 7, 6, 8, 9, 1, 2, 3, 0]
 DATA = ROOT.parent / "shared" / "data"
 
 
 def robot_named(name: str) -> Robot:
     return load_robot(REPLAY / name / "robot.toml")
+
+
+def described_chi(dynamics: InverseModel) -> np.ndarray:
+    """Standard parameters (p,) of the description's `[parameters]`."""
+    return np.array([dynamics.robot.parameters.get(name, 0.0) for name in dynamics.names])
 
 
 def needs_data(*parts: str) -> Path:

@@ -5,15 +5,18 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pytest
 from faulty_drives import Fault, FaultyDrives
 from made_up_buses import bus_of, bus_text, robot_of
 
-from acquisition.bus import Frame, Master
+from acquisition.bus import Frame, Master, MasterLink
+from acquisition.commands.checking import Finding, check_drives
 from acquisition.recording import Recording, read_recording
 from acquisition.robot import Bus, Robot
 from acquisition.session import InlineLog, Outcome, RecordedSummary, Recorder, Stop, Task, run_active
 from acquisition.simulated import DrivenPlant, LockStepLink, SimulatedDrives, cascaded_loops
 from acquisition.simulated.mechanism import Plant, rated_motor_effort, typical_inertia
+from acquisition.simulated.node import SimulatedNode
 
 
 def swing(n: int, *, seconds: float = 1.0, period_s: float = 0.002, amplitude: float = 0.3) -> np.ndarray:
@@ -125,3 +128,27 @@ def dry_session(
         recording=read_recording(path),
         announced=tuple(announced),
     )
+
+
+def findings(link: MasterLink, bus: Bus, subject: str = "", node: int | None = None) -> list[Finding]:
+    """What `check` finds about the drives, or of it only what it finds about one subject, or of one node."""
+    found = check_drives(link, bus)
+    return [f for f in found if subject in ("", f.subject) and node in (None, f.node)]
+
+
+def at_boot(patch: pytest.MonkeyPatch, change: Callable[[SimulatedNode], object]) -> None:
+    """Change each simulated drive when it has booted."""
+    boot = SimulatedNode.boot
+
+    def changed(node: SimulatedNode) -> object:
+        sent = boot(node)
+        change(node)
+        return sent
+
+    patch.setattr(SimulatedNode, "boot", changed)
+
+
+def say(patch: pytest.MonkeyPatch, word: Callable[[int, int], int]) -> None:
+    """Every simulated drive says the statusword that `word` makes of its node and of its own statusword."""
+    plain = SimulatedNode.statusword.fget
+    patch.setattr(SimulatedNode, "statusword", property(lambda node: word(node.drive.node, plain(node))))

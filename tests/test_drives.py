@@ -28,7 +28,6 @@ from acquisition.protocol import (
     written_answer,
 )
 from acquisition.robot import load_robot, refuse_load, refuse_out_of_range, resolve
-from acquisition.robot.bus import dictionary_label
 
 EDS = sorted(path.name for path in (DATA / "eds").glob("*")) or ["(none)"]
 
@@ -184,7 +183,7 @@ def test_each_vendors_own_reference(name, keys, expected):
     text = bus_text(1).replace('reference = "6074"\nrated_torque_nm = 0.42', f'dictionary = "{name}"\n{keys}')
     if "2031" in keys or "30D0" in keys or "current" in keys:
         text = text.replace('effort_unit = "N m"', 'effort_unit = "A"')
-    drive = bus_of(robot_of(text, {dictionary_label(name): data})).drives[0]
+    drive = bus_of(robot_of(text, {f"dictionary:{name}": data})).drives[0]
     assert expected in drive.effort.provenance
     assert drive.dictionary is not None
 
@@ -192,10 +191,10 @@ def test_each_vendors_own_reference(name, keys, expected):
 def test_an_object_the_dictionary_does_not_hold():
     data = (needs_data("eds") / "maxon_EPOS4.eds").read_bytes()
     text = bus_text(1).replace("node = 1\n", 'node = 1\ndictionary = "a.eds"\n')
-    refused(text, "reference = '6074': a.eds does not contain it", {dictionary_label("a.eds"): data})
+    refused(text, "reference = '6074': a.eds does not contain it", {"dictionary:a.eds": data})
     text = text.replace('reference = "6074"', 'reference = "2031"')  # a U32 there, and no current reference
     nanotec = (needs_data("eds") / "nanotec_CL4-E-2-12.eds").read_bytes()
-    refused(text, "reference_rule is missing: 2031:0 (U32) is not known", {dictionary_label("a.eds"): nanotec})
+    refused(text, "reference_rule is missing: 2031:0 (U32) is not known", {"dictionary:a.eds": nanotec})
 
 
 def test_mapping_of_a_dcf():
@@ -207,7 +206,7 @@ def test_mapping_of_a_dcf():
     )
     text = text.replace('effort_unit = "N m"', 'effort_unit = "A"')
     with pytest.raises(AcquisitionError, match="no PDO from the drive carries"):
-        bus_of(robot_of(text, {dictionary_label(name): data}))  # this one maps no current demand
+        bus_of(robot_of(text, {f"dictionary:{name}": data}))  # this one maps no current demand
     found = load_dictionary(data, name, 1)
     values = {key: e.value for key, e in found.entries.items() if e.value is not None}
     types = {key: e.type for key, e in found.entries.items()}
@@ -258,7 +257,7 @@ def dictionary_and_text(records: dict[int, list[int]]) -> tuple[str, dict[str, b
     known = {0x1800: [1, 0x181], 0x1A00: SENT_OBJECTS, 0x1400: [1, 0x201], 0x1600: TAKEN_OBJECTS} | records
     eds = MINIMAL_EDS + "".join(record_eds(index, values) for index, values in known.items())
     text = bus_text(1).replace("node = 1\n", 'node = 1\ndictionary = "a.dcf"\nmapping = "dictionary"\n')
-    return text, {dictionary_label("a.dcf"): eds.encode()}
+    return text, {"dictionary:a.dcf": eds.encode()}
 
 
 @pytest.mark.parametrize(

@@ -3,14 +3,12 @@
 import numpy as np
 import pinocchio as pin
 import pytest
-from conftest import REPLAY, robot_named
+from conftest import FROM_PINOCCHIO, REPLAY, robot_named
 from urdfs import ARM, LIMIT, joint, urdf
 
 from acquisition.robot import Robot, load_robot, robot_from_files
 from identification.errors import IdentificationError
-from identification.model import InverseModel, base_parameters
-from identification.model.base import known_parameters
-from identification.model.inverse import FROM_PINOCCHIO
+from identification.model import InverseModel, base_parameters, described_parameters
 
 KINDS, UNITS = ("revolute", "revolute", "prismatic"), ("N m", "N m", "N")
 RNG = np.random.default_rng(3)
@@ -60,7 +58,7 @@ def test_regressor_is_that_of_pinocchio_also_across_the_borders_of_blocks(robot)
     n, links = dynamics.robot.n, np.flatnonzero(dynamics.of_links)
     q, dq, ddq = states(n, 4099)
     W = dynamics.regressor(q, dq, ddq)
-    data, order = dynamics.model.createData(), list(FROM_PINOCCHIO)
+    data, order = dynamics.model.createData(), FROM_PINOCCHIO
     for k in (0, 1, 2047, 2048, 4095, 4096, 4098):
         expected = pin.computeJointTorqueRegressor(dynamics.model, data, q[k], dq[k], ddq[k]).reshape(n, n, 10)
         got = W[k][:, links].reshape(n, n, 10)
@@ -225,4 +223,4 @@ def test_a_priori_values_must_be_standard_parameters_of_the_robot():
     text = (REPLAY / "scara" / "robot.toml").read_text().replace("ZZ2 = 0.061", "ZZ7 = 0.061")
     dynamics = InverseModel(robot_from_files({"robot.toml": text.encode()}, "scara.toml"))
     with pytest.raises(IdentificationError, match=r"parameters\.ZZ7 = 0\.061: not a standard parameter"):
-        known_parameters(dynamics)
+        described_parameters(dynamics, base_parameters(dynamics))

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from dry_sessions import DrySession, Through, dry_session, swing
+from dry_sessions import DrySession, Through, at_boot, dry_session, swing
 from faulty_drives import Fault, FaultyDrives
 from made_up_buses import bus_of, bus_text, robot_of
 
@@ -13,7 +13,6 @@ from acquisition.recording import SENT
 from acquisition.session import Task
 from acquisition.simulated import SimulatedDrives
 from acquisition.simulated.mechanism import JointwisePlant, rated_motor_effort, typical_plant
-from acquisition.simulated.node import SimulatedNode
 
 DEG = np.degrees(1.0)
 TRACK = Task(reference=swing(2, seconds=0.4, amplitude=0.02))
@@ -225,18 +224,6 @@ def test_a_joint_that_runs_away_loses_its_voltage_while_the_other_still_waits(tm
     assert {two for t, _, two in history if enabled <= t * 1e-9 < stopped} == {State.SWITCHED_ON}
 
 
-def at_boot(monkeypatch, change) -> None:
-    """Change each simulated drive when it has booted."""
-    boot = SimulatedNode.boot
-
-    def changed(self):
-        sent = boot(self)
-        change(self)
-        return sent
-
-    monkeypatch.setattr(SimulatedNode, "boot", changed)
-
-
 def test_a_fault_is_reset_by_a_rising_edge(tmp_path, monkeypatch):
     """The controlword that another program has left has bit 7 set already."""
 
@@ -253,7 +240,7 @@ def test_a_fault_is_reset_by_a_rising_edge(tmp_path, monkeypatch):
 
 def test_a_fault_that_nobody_was_asked_about_is_not_reset(tmp_path, monkeypatch):
     """It comes while the operator is asked, and sends no emergency."""
-    nodes: list[SimulatedNode] = []
+    nodes = []
     at_boot(monkeypatch, nodes.append)
 
     def asked(master):

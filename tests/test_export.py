@@ -18,9 +18,9 @@ from acquisition.robot import load_robot, robot_from_files
 from identification.commands import main
 from identification.errors import IdentificationError
 from identification.estimation import consistent_parameters
-from identification.export import export_model, model_of_fit, split_parameters, write_models
+from identification.export import export_model, make_urdf, model_of_fit, split_parameters, write_models
 from identification.export.exporting import replace_parameters
-from identification.export.formats import UNLIMITED, make_urdf, quaternion, roll_pitch_yaw
+from identification.export.formats import quaternion, roll_pitch_yaw
 from identification.methods import Prior, fit_file, stored_robot, with_consistent
 from identification.model import InverseModel, JointTerm, base_parameters, physical_parameters
 from identification.model.physical import own_shares
@@ -117,7 +117,7 @@ def test_a_new_urdf_has_the_torques_of_the_links(name, tmp_path):
         if limits is not None:  # of joints with one coordinate each
             assert (loaded.lowerPositionLimit[j], loaded.upperPositionLimit[j]) == limits
     known = {"emps": [10.0 * 35.15065188]}.get(name)  # N: saturation in V, drive gain in N/V
-    assert list(loaded.effortLimit) == (pytest.approx(known) if known else [UNLIMITED] * robot.n)
+    assert list(loaded.effortLimit) == (pytest.approx(known) if known else [1e9] * robot.n)
     assert list(loaded.velocityLimit) == pytest.approx([joint.si("speed") for joint in robot.joints])
     (section,) = [s for s in document.sections if s.title.startswith(str(tmp_path / "out.urdf"))]
     weight = f"gravity is {' '.join(f'{g:g}' for g in robot.gravity)} m/s²: not in a URDF"

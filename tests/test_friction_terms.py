@@ -13,7 +13,7 @@ from loops import simulate
 from stacked_recordings import system_of
 
 from acquisition.errors import AcquisitionError
-from acquisition.robot import robot_from_files
+from acquisition.robot import fourier_reference, robot_from_files
 from identification.commands import main
 from identification.data import RecordingFile, Recordings, processes, signals_from_arrays
 from identification.design import choose_terms, friction_of_joints, with_terms
@@ -36,7 +36,6 @@ from identification.regression import (
 )
 from identification.simulation import Reference, surrogate_loop
 from identification.study import Noise, closed_loop, random_reference, write_signals
-from identification.study.simulated_cell import periodic_reference
 
 USUAL = ["viscous", "coulomb", "offset"]
 ALL = [*USUAL, "asymmetric", "root", "load", "stribeck"]
@@ -227,7 +226,7 @@ def exact_problem(robot, x, *, rate_hz=250.0, decimation=1, beta=None):
 @pytest.fixture(scope="module")
 def exact(arm):
     t = np.arange(0.0, 3.0, 1 / 250.0)
-    return exact_problem(arm, periodic_reference(arm, duration_s=3.0, seed=5).at(t))
+    return exact_problem(arm, fourier_reference(arm, period_s=3.0, seed=5).at(t))
 
 
 @pytest.mark.slow
@@ -249,7 +248,7 @@ def test_blocks_and_reduced_rows_give_the_same_as_one_pass(monkeypatch):
     """Load friction by blocks: series made anew, and rows held as QR factors."""
     robot = upright([[*USUAL, "root", "load"], [*USUAL, "load"]], "Fr1 = 0.5\nmu1 = 0.2\nmu2 = 0.3\n")
     t = np.arange(0.0, 12.0, 1 / 250.0)
-    problem, _ = exact_problem(robot, periodic_reference(robot, duration_s=12.0, seed=5).at(t), decimation=2)
+    problem, _ = exact_problem(robot, fourier_reference(robot, period_s=12.0, seed=5).at(t), decimation=2)
     _, whole = solve_with_load_friction(system_of(problem))
     monkeypatch.setattr("identification.regression.problem._SERIES_BLOCK", 10_000)
     monkeypatch.setattr(system, "_MAX_LINK_NUMBERS", 0)
@@ -267,7 +266,7 @@ def test_load_friction_is_the_same_where_a_term_beside_the_links_is_left_out():
     whole = upright([["load"], ["root", "load"]], "mu1 = 0.3\nmu2 = 0.3\n")
     more = dataclasses.replace(whole, parameters={k: v for k, v in whole.parameters.items() if k[0] != "F"})
     less = with_terms(more, (frozenset({"load"}),) * 2)
-    x = periodic_reference(less, duration_s=3.0, seed=5).at(np.arange(0.0, 3.0, 1 / 250.0))
+    x = fourier_reference(less, period_s=3.0, seed=5).at(np.arange(0.0, 3.0, 1 / 250.0))
     known = []
     for robot in (more, less):
         problem, beta = exact_problem(robot, x)
@@ -375,7 +374,7 @@ def test_a_simulated_motion_obeys_the_inverse_model(arm):
     model, base, beta = model_of(arm)
     direct = direct_of(model, base, beta)
     t = np.arange(0.0, 2.0, 1e-3)
-    q, dq, ddq = periodic_reference(arm, duration_s=2.0, seed=3).at(t)
+    q, dq, ddq = fourier_reference(arm, period_s=2.0, seed=3).at(t)
     loop = surrogate_loop(10.0, np.array([1.5, 1.5, 0.4, 0.1, 0.1, 0.05]), 1000.0)
     done = simulate(direct, loop, Reference(q, dq, ddq), start=(q[0], dq[0]), bound=np.ones(6), substeps=2)
     assert done.reason is None
@@ -452,7 +451,7 @@ def test_friction_that_would_drive_a_joint_is_told_and_signs_of_its_terms_are_no
         robot = axis(["viscous", "coulomb", "asymmetric", "root"], **values)
         model, base, beta = model_of(robot)
         t = np.arange(0.0, 10.0, 1e-3)
-        x = periodic_reference(robot, duration_s=10.0, seed=2).at(t)
+        x = fourier_reference(robot, period_s=10.0, seed=2).at(t)
         tau = direct_of(model, base, beta).torque(*x) + np.random.default_rng(0).normal(0, 1.0, x[0].shape)
         fit = identify_ls(signals_from_arrays(x[0], tau, 1000.0, robot), Overrides(torque_lag_s="none", edges="smooth"))
         line = fit.trust.line("physical")
@@ -474,7 +473,7 @@ def recorded(robot, seed: int, noise_percent: float = 2.0, duration_s: float = 1
     """A recording of exact motion, and of torque with white noise, by the robot without its further terms."""
     model, base, beta = model_of(robot)
     t = np.arange(0.0, duration_s, 1e-3)
-    x = periodic_reference(robot, duration_s=duration_s, seed=seed).at(t)
+    x = fourier_reference(robot, period_s=duration_s, seed=seed).at(t)
     tau = direct_of(model, base, beta).torque(*x)
     noise = 0.01 * noise_percent * np.sqrt((tau**2).mean(axis=0)) * np.random.default_rng(seed).normal(size=tau.shape)
     plain = with_terms(robot, (frozenset(),) * robot.n)
@@ -579,9 +578,7 @@ def test_terms_of_several_recordings_hold_the_truth(method, own):
 
 def test_friction_of_its_own_is_judged_in_its_own_recording():
     """Viscous friction below zero that Coulomb friction makes up for, once; that of two recordings added up would drive."""
-    x = [
-        periodic_reference(axis(USUAL[:2]), duration_s=6.0, seed=seed).at(np.arange(0.0, 6.0, 1e-3)) for seed in (2, 3)
-    ]
+    x = [fourier_reference(axis(USUAL[:2]), period_s=6.0, seed=seed).at(np.arange(0.0, 6.0, 1e-3)) for seed in (2, 3)]
     fastest = min(np.abs(dq).max() for _, dq, _ in x)
     robot = axis(["viscous", "coulomb", "root"], Fv=-14.0 / fastest, Fc=20.0, Fr=5.0)
     own = msgspec.structs.replace(robot.identification, own=("Fv",))

@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from acquisition.commands.program import PROGRAM as ACQUIRE
+from acquisition.commands import main as acquire
 from acquisition.robot import load_robot
 from identification.commands import main as identify
 from identification.model import InverseModel
@@ -44,7 +44,7 @@ def loop(request, tmp_path_factory):
         description.write_text(description.read_text().replace("\n#: ", "\n"))
         series = ["--period", "4", "--harmonics", "5", "--periods", "1"]
         assert identify(["excite", "robot.toml", *series, "-o", "ref.csv"]) == 0
-        assert ACQUIRE.main(["record", "robot.toml", "--dry-run", "--track", "ref.csv", "-o", "log.mcap"]) == 0
+        assert acquire(["record", "robot.toml", "--dry-run", "--track", "ref.csv", "-o", "log.mcap"]) == 0
         assert identify(["fit", "log.mcap", "--consistent", "--json", "fit.json"]) == 0
         outputs = ["--urdf", "out.urdf", "--mjcf", "out.xml", "--toml", "out.toml"]
         assert identify(["export", "fit.json", *outputs]) == 0

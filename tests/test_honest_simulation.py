@@ -6,19 +6,18 @@ from functools import cache
 import msgspec
 import numpy as np
 import pytest
-from conftest import REPLAY, robot_named
+from conftest import IDENTIFY, REPLAY, robot_named
 from independent_robots import plant
 from independent_simulator import Imperfections, coloured, described_controller, references, simulate
 
 from acquisition.commands import from_options
 from acquisition.recording import read_recording
 from identification.commands import main
-from identification.commands.program import PROGRAM
 from identification.methods import Iteration, identify_iv
 from identification.model import InverseModel, base_parameters
 from identification.regression import Overrides
 from identification.study import Noise, closed_loop, random_reference, study_truth, write_signals
-from identification.study.simulated_cell import AR, noise_parts
+from identification.study.simulated_cell import noise_parts
 
 NAMES = ("emps", "scara")
 SETTLED = slice(500, None)  # the two start differently under gravity and offset
@@ -142,7 +141,7 @@ def test_an_integral_that_nobody_described_is_that_of_a_description(name, struct
 
 
 def own_coloured(rng, shape):
-    return np.concatenate([part for _, part in noise_parts(rng, shape, AR)])
+    return np.concatenate([part for _, part in noise_parts(rng, shape, 0.98)])
 
 
 def test_coloured_noise_is_that_of_the_other_simulator():
@@ -150,7 +149,7 @@ def test_coloured_noise_is_that_of_the_other_simulator():
     y = coloured(np.random.default_rng(1), (3, 20_000, 1))
     for z in (x, y[..., 0].T):
         assert np.std(z) == pytest.approx(1.0, rel=0.1)
-        assert np.mean(z[1:] * z[:-1]) / np.mean(z**2) == pytest.approx(AR, abs=2e-3)
+        assert np.mean(z[1:] * z[:-1]) / np.mean(z**2) == pytest.approx(0.98, abs=2e-3)
     starts = [own_coloured(np.random.default_rng(k), (2, 4))[0] for k in range(100)]
     assert np.std(starts) == pytest.approx(1.0, rel=0.15)
 
@@ -173,7 +172,7 @@ def test_every_imperfection_is_an_option_and_stands_in_the_recording(tmp_path):
     recording = read_recording(path)
     assert recording.header.effort_provenance == "simulated joint torque, the command of its tick, held after it"
     assert recording.metadata["cell"] == "encoder_step 0.0001, lag_samples 2, asymmetry_percent 20"
-    options = PROGRAM.parser("simulate").parse_args(["simulate", "r.toml", "-o", "x.mcap"])
+    options = IDENTIFY.parser("simulate").parse_args(["simulate", "r.toml", "-o", "x.mcap"])
     assert from_options(Noise, options) == Noise()
     assert {field.name for field in fields(Noise)} <= set(vars(options))
 

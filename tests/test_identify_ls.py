@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from conftest import REPLAY, robot_named
+from conftest import REPLAY, described_chi, robot_named
 from fits_of_records import ls_of
 
 import identification.regression.system as regression_module
@@ -15,7 +15,6 @@ from identification.estimation import System, essential_parameters, ordinary_lea
 from identification.estimation.estimators import joint_weights
 from identification.methods import identify_ls
 from identification.model import BaseParameters, InverseModel, base_parameters, described_parameters
-from identification.model.base import known_parameters
 from identification.regression import (
     Motion,
     Overrides,
@@ -31,7 +30,7 @@ def exact_motion(model: InverseModel, *, duration_s: float, sample_rate_hz: floa
     """Motion along a random exciting reference, with the torques of the inverse dynamic model; no controller, no noise."""
     t_s = np.arange(round(duration_s * sample_rate_hz) + 1) / sample_rate_hz
     q, dq, ddq = fourier_reference(model.robot, period_s=duration_s, seed=seed).at(t_s)
-    tau = model.regressor(q, dq, ddq) @ known_parameters(model)
+    tau = model.regressor(q, dq, ddq) @ described_chi(model)
     return Motion(t_s=t_s, q=q, dq=dq, ddq=ddq, tau=tau)
 
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import REPLAY, robot_named
+from conftest import REPLAY, described_chi, robot_named
 from independent_robots import Friction, plant, two_mass, with_payload
 from independent_simulator import (
     AR,
@@ -25,7 +25,6 @@ from scipy.integrate import solve_ivp
 
 from identification.data import load_signals
 from identification.model import InverseModel
-from identification.model.base import known_parameters
 
 NAMES = ("emps", "scara", "tx40")
 NOTHING = Imperfections()
@@ -60,7 +59,7 @@ def test_inverse_dynamics_are_those_of_pinocchio(name):
     """The conventions of both are the same: frames, coupled wrist, signs, names of parameters."""
     dynamics, body = InverseModel(robot_named(name)), plant(toml(name), smooth=1e-9)
     q, dq, ddq = states(body.n)
-    expected = dynamics.regressor(q, dq, ddq) @ known_parameters(dynamics)
+    expected = dynamics.regressor(q, dq, ddq) @ described_chi(dynamics)
     np.testing.assert_allclose(body.inverse(q, dq, ddq), expected, atol=1e-12 * np.abs(expected).max())
 
 

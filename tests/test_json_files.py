@@ -12,7 +12,6 @@ from identification.commands import main
 from identification.methods import fit_file, stored_beta
 from identification.report import FitFile, ValidationFile, read_fit, write_json
 from identification.report.comparison import ComparisonFile
-from identification.report.document import FORMAT
 from identification.study.study_report import BaseFile, StudyFile
 
 SCARA = REPLAY / "scara" / "session.mcap"
@@ -93,7 +92,7 @@ def test_every_file_has_a_format_and_is_typed(fits, tmp_path, capsys):
     ):
         capsys.readouterr()
         assert main([str(word) for word in [*command, "--json", out]]) == 0
-        assert msgspec.json.decode(out.read_bytes(), type=kind).format == FORMAT
+        assert msgspec.json.decode(out.read_bytes(), type=kind).format == 1
         assert "report" not in json.loads(out.read_text())
 
 
@@ -107,7 +106,7 @@ def test_known_values_are_a_file_of_their_own(tmp_path):
     now = json.loads((tmp_path / "truth.json").read_text())
     assert lasting_keys(earlier) <= keys(now)
     assert now["parameters"] == earlier["parameters"]
-    assert now["format"] == FORMAT
+    assert now["format"] == 1
     assert stored_beta(read_fit(tmp_path / "truth.json"), base, "truth.json").tolist() == list(true)
 
 

@@ -8,12 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from dry_sessions import Through, dry_session, swing
+from dry_sessions import Through, dry_session, findings, swing
 from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.bus import Frame, Link, open_bus, open_link, service_of
 from acquisition.bus.frames import other_node, sign_of_master
-from acquisition.commands.checking import check_drives
 from acquisition.errors import AcquisitionError
 from acquisition.protocol import DISABLED, State
 from acquisition.recording import EXTENDED, REMOTE_REQUEST, SENT, read_recording
@@ -232,7 +231,7 @@ def test_a_listed_device_that_beats_stops_no_session_in_motion(tmp_path):
     session = dry_session(tmp_path / "a.mcap", TASKS[1], robot=robot, through=OtherDevice)
     assert session.outcome.reason == "finished"
     run = LockStepLink(SimulatedDrives(robot, bus_of(robot)))
-    assert not [f for f in check_drives(OtherDevice(link=run), bus_of(robot)) if f.subject == "other nodes"]
+    assert not findings(OtherDevice(link=run), bus_of(robot), "other nodes")
 
 
 @pytest.mark.parametrize("task", TASKS)
@@ -377,10 +376,10 @@ def test_a_check_beside_another_master_sends_nothing_and_says_what_it_leaves_out
     run = LockStepLink(
         SimulatedDrives(ROBOT, BUS), tap=lambda frame: sent.append(frame) if frame.flags & SENT else None
     )
-    alone = check_drives(Neighbour(link=run, can_id=0x181), BUS)
+    alone = findings(Neighbour(link=run, can_id=0x181), BUS)
     assert sum("switch on disabled" in finding.found for finding in alone) == 2
     sent.clear()
-    (found,) = check_drives(Neighbour(link=run, can_id=0x602), BUS)
+    (found,) = findings(Neighbour(link=run, can_id=0x602), BUS)
     assert (found.subject, found.ok) == ("other nodes", False)
     assert found.found.startswith("bus: SDO request to node 2: another master is active")
     assert "SYNC are not checked" in found.found

@@ -12,6 +12,7 @@ from fits_of_records import signals_of
 from stacked_recordings import system_of
 from test_friction_terms import axis, described, direct_of, model_of, simulated, two_speeds
 
+from acquisition.robot import fourier_reference
 from identification.commands import main
 from identification.data import RecordingFile, Recordings, cluster, processes, signals_from_arrays
 from identification.design import with_terms
@@ -27,7 +28,6 @@ from identification.regression import (
 )
 from identification.regression.rows import torque_of_links
 from identification.study import Noise, closed_loop, random_reference, write_signals
-from identification.study.simulated_cell import periodic_reference
 
 TERMS = [["viscous", "coulomb", "root", "load"], ["viscous", "coulomb", "load"]]
 CELL = Noise(encoder_step=1e-6, effort_percent=2.0)
@@ -296,7 +296,7 @@ def test_load_friction_that_would_drive_is_told_in_the_rows_where_the_load_is():
     model, base, beta = model_of(robot)
     sources = []
     for k in (2, 3):
-        motion = periodic_reference(robot, duration_s=6.0, seed=k).at(np.arange(0.0, 6.0, 1e-3))
+        motion = fourier_reference(robot, period_s=6.0, seed=k).at(np.arange(0.0, 6.0, 1e-3))
         tau = direct_of(model, base, beta).torque(*motion)
         tau = tau + np.random.default_rng(k).normal(0, 1.0, tau.shape)
         signals = signals_from_arrays(motion[0], tau, 1000.0, robot)

@@ -4,7 +4,7 @@ from importlib.metadata import EntryPoints
 
 import numpy as np
 import pytest
-from conftest import REPLAY
+from conftest import REPLAY, described_chi
 from made_up_buses import bus_of, bus_text, robot_of
 
 import acquisition.simulated.mechanism as mechanism_module
@@ -13,9 +13,7 @@ from acquisition.recording import read_recording
 from acquisition.robot import load_robot
 from acquisition.session import RecordOptions, UserInterface, record
 from acquisition.simulated import driven_plant
-from acquisition.simulated.mechanism import JointwisePlant
 from identification.model import InverseModel
-from identification.model.base import known_parameters
 
 
 @pytest.mark.slow
@@ -49,7 +47,7 @@ def test_a_dry_run_moves_the_described_robot_and_tracks(tmp_path, name):
     still = samples[samples["stamp_ns"] < stamps["track"]][-20:]
     dynamics = InverseModel(robot)
     zero = np.zeros((1, robot.n))
-    gravity = (dynamics.regressor(still["position"][-1:], zero, zero) @ known_parameters(dynamics))[0]
+    gravity = (dynamics.regressor(still["position"][-1:], zero, zero) @ described_chi(dynamics))[0]
     friction = [robot.parameters[f"Fc{j + 1}"] + robot.parameters.get("Fcm6", 0.0) for j in range(robot.n)]
     assert (np.abs(still["effort"].mean(axis=0) - gravity) < np.array(friction) + 0.1).all()
     if name == "tx40":  # the shoulder leans: it carries the arm
@@ -59,7 +57,6 @@ def test_a_dry_run_moves_the_described_robot_and_tracks(tmp_path, name):
 def test_without_parameters_or_dynamics_a_stand_in_with_weight_moves(monkeypatch):
     robot = robot_of(bus_text(2))
     made = driven_plant(robot, bus_of(robot))
-    assert isinstance(made.plant, JointwisePlant)
     assert made.warning.startswith("simulated as independent joints with a gravity-like load")
     assert "robot.toml has no [parameters]" in made.warning
     free = np.zeros(2, bool)
@@ -71,15 +68,7 @@ def test_without_parameters_or_dynamics_a_stand_in_with_weight_moves(monkeypatch
     monkeypatch.setattr(mechanism_module, "entry_points", lambda **_: EntryPoints())
     scara = load_robot(REPLAY / "scara" / "robot.toml")
     alone = driven_plant(scara, bus_of(scara))
-    assert isinstance(alone.plant, JointwisePlant)
     assert "no installed package offers the robot's dynamics (entry points robot_idim.plants)" in alone.warning
-
-
-def test_a_joint_that_slides_carries_its_load_everywhere():
-    one, zero = np.ones(1), np.zeros(1)
-    plant = JointwisePlant(one, zero, zero, 2 * one, slides=np.ones(1, bool), position=np.array([np.pi]))
-    plant.step(zero, np.zeros(1, bool), 0.1)
-    assert plant.state()[1] == pytest.approx([-0.2])
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from made_up_buses import bus_text, robot_of
 
+from acquisition.errors import AcquisitionError
 from acquisition.recording import sample_dtype
 from acquisition.simulated import TablePlant, middle_of_range
 from acquisition.simulated.mechanism import JointwisePlant, typical_inertia, typical_plant
@@ -42,6 +43,14 @@ def test_coulomb_friction_takes_its_share_of_either_sign(side):
     assert after(joint(coulomb=1.0), side * 0.999, 1.0) == (0.0, 0.0)
 
 
+def test_friction_stops_a_joint_and_does_not_turn_it_round():
+    plant = joint(coulomb=2.0)
+    assert after(plant, 1.9, 1.0, steps=100)[1] == 0.0
+    assert after(plant, 3.0, 1.0, steps=100)[1] == pytest.approx(1.0)
+    assert 0 <= after(plant, 0.0, 0.49, steps=49)[1] < 0.05
+    assert after(plant, 0.0, 0.05, steps=5)[1] == 0.0
+
+
 def test_a_load_swings_as_a_pendulum_and_hangs_straight_down():
     """load cos q: nothing to hold at 90°; small swings about -90° have the period 2 pi sqrt(inertia / load)."""
     assert after(joint(load=5.0), 5.0, 1.0) == pytest.approx((0.0, 0.0))
@@ -78,6 +87,7 @@ def test_a_typical_plant_by_hand():
         plant.step(np.array([0.1 * 21, -0.1 * 21]), np.zeros(2, bool), 0.02)
     assert plant.state()[1] == pytest.approx([200 * DEG, -200 * DEG])  # another twentieth is viscous at 200 deg/s
     loaded = typical_plant(robot, rated)
+    assert loaded.prescribed_effort() is None
     loaded.step(np.array([0.3 * 21 * np.cos(-45 * DEG), 0.3 * 21]), np.zeros(2, bool), 1e-3)
     assert loaded.state()[1].tolist() == [0.0, 0.0]
     loaded.step(np.zeros(2), np.zeros(2, bool), 1e-3)
@@ -102,6 +112,8 @@ def test_a_table_goes_by_its_rate():
     samples = np.zeros(4, sample_dtype(1, reference=False))
     samples["position"][:, 0], samples["effort"][:, 0] = [1.0, 3.0, 4.0, 4.5], [10.0, 20.0, 30.0, 40.0]
     plant = TablePlant(samples, 100.0)
+    with pytest.raises(AcquisitionError, match="holds no samples"):
+        TablePlant(samples[:0], 100.0)
     seen = []
     for _ in range(10):
         (q, dq), effort = plant.state(), plant.prescribed_effort()

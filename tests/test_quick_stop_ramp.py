@@ -4,11 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from dry_sessions import DrySession, Through, dry_session
+from dry_sessions import DrySession, Through, dry_session, findings
 from faulty_drives import FaultyDrives
 from made_up_buses import bus_of, bus_text, robot_of
 
-from acquisition.commands.checking import check_drives
 from acquisition.protocol import State, quick_stop_ramp
 from acquisition.session import Stop, Task
 from acquisition.simulated import LockStepLink, SimulatedDrives
@@ -83,7 +82,7 @@ def test_a_quick_stop_below_half_the_acceleration_limit_is_refused(tmp_path):
         for node in drives.nodes:
             node.values[0x6085, 0] = node.initial[0x6085, 0] = round(share * COUNTS)
         run = LockStepLink(drives)
-        (found,) = [f for f in check_drives(run, bus_of(ROBOT)) if f.subject == "quick stop" and f.node == 2]
+        (found,) = findings(run, bus_of(ROBOT), "quick stop", 2)
         assert found.ok == ok
         words = f"{np.degrees(share):.4g} deg/s², {np.radians(200) / share:.3g} s from the speed limit to rest"
         assert found.found.startswith(f"quick stop ramp {words}")

@@ -8,15 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import REPLAY, ROOT
+from conftest import ACQUIRE, IDENTIFY, REPLAY, ROOT
 from msgspec.json import schema_components
 from test_dynamics import URDF
 
-from acquisition.commands.program import PROGRAM as ACQUIRE
 from acquisition.importing.tables import TableMap
 from acquisition.recording import read_recording
 from acquisition.robot import BusFile, RobotFile
-from identification.commands.program import PROGRAM as IDENTIFY
 
 FIRST, ACQUISITION, IDENTIFICATION = (ROOT / folder / "README.md" for folder in (".", "acquisition", "identification"))
 ALL = [FIRST, ACQUISITION, IDENTIFICATION, *sorted(REPLAY.rglob("README.md"))]

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from dry_sessions import SlowAnswers, SyncOfAnother, Through
+from dry_sessions import SlowAnswers, SyncOfAnother, Through, say
 from faulty_drives import FaultyDrives
 from made_up_buses import bus_of, bus_text, robot_of
 
@@ -13,7 +13,6 @@ from acquisition.bus import Master, leave_operational, not_disabled, safe_stop, 
 from acquisition.errors import AcquisitionError
 from acquisition.protocol import Command, Mode, State
 from acquisition.simulated import DrivenPlant, LockStepLink, SimulatedDrives, cascaded_loops
-from acquisition.simulated.node import SimulatedNode
 
 SPEED = 2.0  # rad/s of joint 1 when the stop begins; the limits are 200 °/s and 4000 °/s²
 LIMIT = np.deg2rad(4000)
@@ -231,13 +230,13 @@ def test_voltage_off_is_commanded_as_soon_as_a_drive_has_confirmed():
 
 def test_switched_on_is_not_disabled(monkeypatch):
     _, master, _ = moving(lambda t: 0.0)
-    monkeypatch.setattr(SimulatedNode, "statusword", property(lambda node: 0x0233 if node.drive.node == 2 else 0x0250))
+    say(monkeypatch, lambda node, word: 0x0233 if node == 2 else 0x0250)
     assert safe_stop(master) == [2]
 
 
 def test_a_fault_is_disabled_and_a_bus_that_takes_nothing_ends_too(monkeypatch):
     run, master, _ = moving(lambda t: 0.0)
-    monkeypatch.setattr(SimulatedNode, "statusword", property(lambda _: 0x0218))
+    say(monkeypatch, lambda node, word: 0x0218)
     assert safe_stop(master) == []
 
     def refuse(*_):

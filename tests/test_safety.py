@@ -11,14 +11,13 @@ import can
 import numpy as np
 import pytest
 from conftest import needs_data
-from dry_sessions import SyncOfAnother, Through, dry_session, swing
+from dry_sessions import SyncOfAnother, Through, at_boot, dry_session, findings, say, swing
 from faulty_drives import Fault
 from made_up_buses import bus_of, bus_text, robot_of
 
 import acquisition.session.logs as recorder_logs
 import acquisition.simulated.drives as dry_run_module
 from acquisition.bus import Frame, Link, Master, open_bus
-from acquisition.commands.checking import check_drives
 from acquisition.errors import AcquisitionError
 from acquisition.protocol import (
     DISABLED,
@@ -32,10 +31,8 @@ from acquisition.protocol import (
 from acquisition.protocol.objects import DictionaryEntry
 from acquisition.recording import SENT
 from acquisition.robot import axis_of
-from acquisition.robot.bus import dictionary_label
 from acquisition.session import RecordOptions, Stop, Task, UserInterface, record, stop_on_signals
 from acquisition.simulated import LockStepLink, SimulatedDrives, serve
-from acquisition.simulated.node import SimulatedNode
 
 TRACK = Task(reference=swing(2))
 ENABLED = 0x0237
@@ -68,7 +65,7 @@ def test_positions_from_before_start_command_nothing(tmp_path):
 
 
 def test_a_drive_that_is_enabled_already_is_somebody_elses(tmp_path, monkeypatch):
-    monkeypatch.setattr(SimulatedNode, "statusword", property(lambda _: ENABLED))
+    say(monkeypatch, lambda node, word: ENABLED)
     session = dry_session(tmp_path / "a.mcap", TRACK)
     assert session.outcome is not None
     assert "node 1: operation enabled before the session began" in session.outcome.reason
@@ -82,23 +79,18 @@ def test_a_drive_that_is_enabled_already_is_somebody_elses(tmp_path, monkeypatch
 
 
 def test_a_drive_found_in_fault_is_told(tmp_path, monkeypatch):
-    begin = SimulatedNode.boot
+    def in_fault(node):
+        node.state = State.FAULT
+        node.tick()
 
-    def in_fault(self):
-        sent = begin(self)
-        self.state = State.FAULT
-        self.tick()
-        return sent
-
-    monkeypatch.setattr(SimulatedNode, "boot", in_fault)
+    at_boot(monkeypatch, in_fault)
     session = dry_session(tmp_path / "a.mcap", TRACK)
     assert session.outcome is not None
     assert session.outcome.reason == "finished"
     assert session.events("mark") == [f"node {k}: found in fault" for k in (1, 2)]
     robot = robot_of(bus_text(2))
     run = LockStepLink(SimulatedDrives(robot, bus_of(robot)))
-    findings = check_drives(run, bus_of(robot))
-    assert [f.ok for f in findings if f.subject == "state"] == [False, False]
+    assert [f.ok for f in findings(run, bus_of(robot), "state")] == [False, False]
 
 
 @pytest.mark.parametrize("task", [TRACK, Task(duration_s=1.0)])
@@ -169,11 +161,11 @@ def test_identity_is_compared_where_the_dictionary_states_it_anywhere():
 def test_check_shows_what_the_drive_holds_on_its_scale():
     eds = needs_data("eds", "nanotec_CL4-E-2-12.eds")
     text = bus_text(1, drive='dictionary = "drive.eds"').replace('reference = "6074"', 'actual = "6077"')
-    robot = robot_of(text, {dictionary_label("drive.eds"): eds.read_bytes()})
+    robot = robot_of(text, {"dictionary:drive.eds": eds.read_bytes()})
     run = LockStepLink(SimulatedDrives(robot, bus_of(robot)))
-    found = {f.subject: f.found for f in check_drives(run, bus_of(robot))}
-    assert found["scale"].startswith("encoder increments per turns 608F 2000/1, gear 6091 1/1, feed 6092 1/1")
-    assert "robot.toml: 65536 counts per turn" in found["scale"]
+    (scale,) = findings(run, bus_of(robot), "scale")
+    assert scale.found.startswith("encoder increments per turns 608F 2000/1, gear 6091 1/1, feed 6092 1/1")
+    assert "robot.toml: 65536 counts per turn" in scale.found
 
 
 class Asked:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 from dry_sessions import SyncOfAnother, Through, dry_session, swing
-from faulty_drives import Fault
+from faulty_drives import Fault, FaultyDrives
 from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.bus import Frame, Link, Master, open_bus
@@ -19,7 +19,6 @@ from acquisition.robot import approach, check_limits, table_reference
 from acquisition.session import Stop, Task
 from acquisition.session.session import _Session
 from acquisition.simulated import LockStepLink, SimulatedDrives
-from acquisition.simulated.node import SimulatedNode
 
 LISTENED_NS = 1_500_000_000  # simulated time begins at 1 s; half a second of listening
 TRACK = Task(reference=swing(2))
@@ -427,20 +426,19 @@ def test_a_drive_whose_status_comes_in_no_pdo_is_not_moved(tmp_path):
 
 
 @pytest.mark.parametrize(("reads", "fault"), [(3, False), (10_000, True)])
-def test_the_mode_is_awaited(tmp_path, monkeypatch, reads, fault):
+def test_the_mode_is_awaited(tmp_path, reads, fault):
     """A drive displays a mode (6061h) only some time after it was asked for (6060h), or never."""
     asked: list[bytes] = []
-    serve = SimulatedNode._serve
 
-    def late(node, data):
-        answer = serve(node, data)
-        if data[:4] == bytes.fromhex("40616000") and node.drive.node == 2:
-            asked.append(data)
-            return answer if len(asked) > reads else answer[:4] + bytes(4)
-        return answer
+    class Late(FaultyDrives):
+        def receive(self, now_ns, can_id, data):
+            sent = super().receive(now_ns, can_id, data)
+            if (can_id, data[:4]) == (0x602, bytes.fromhex("40616000")):
+                asked.append(data)
+                return sent if len(asked) > reads else [(0x582, answer[:4] + bytes(4)) for _, answer in sent]
+            return sent
 
-    monkeypatch.setattr(SimulatedNode, "_serve", late)
-    session = dry_session(tmp_path / "a.mcap", TRACK)
+    session = dry_session(tmp_path / "a.mcap", TRACK, simulated=Late)
     assert session.outcome.fault == fault
     if fault:
         error = session.outcome.error

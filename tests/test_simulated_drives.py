@@ -6,17 +6,14 @@ import re
 import numpy as np
 import pytest
 from conftest import needs_data
-from dry_sessions import dry_session, swing
+from dry_sessions import dry_session, findings, swing
 from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.bus import Master
-from acquisition.commands.checking import check_drives
 from acquisition.errors import AcquisitionError
 from acquisition.protocol import State
-from acquisition.robot.bus import dictionary_label
 from acquisition.session import Task
-from acquisition.simulated import LockStepLink, SimulatedDrives, TablePlant
-from acquisition.simulated.mechanism import JointwisePlant, typical_plant
+from acquisition.simulated import LockStepLink, SimulatedDrives
 
 VENDORS = {
     "elmo_Gold.dcf": 'reference = "6074"\nreference_rule = "per mille of rated torque"\nrated_torque_nm = 0.42',
@@ -32,7 +29,7 @@ def robot_with(name: str, *, n: int = 2):
     text = bus_text(n).replace('reference = "6074"\nrated_torque_nm = 0.42', f'dictionary = "{name}"\n{VENDORS[name]}')
     if "rated_torque" not in VENDORS[name]:
         text = text.replace('effort_unit = "N m"', 'drive_gain = 0.05\ndrive_gain_unit = "N m/A"')
-    return robot_of(text, {dictionary_label(name): data})
+    return robot_of(text, {f"dictionary:{name}": data})
 
 
 @pytest.mark.slow
@@ -62,7 +59,7 @@ def test_doubts_about_a_dictionary_reach_check_and_recording(tmp_path):
     """Two drives of one file: one warning in the recording, a finding of each drive that does not stand against a session."""
     name = "maxon_EPOS4.eds"
     robot = robot_with(name)
-    label = dictionary_label(name)
+    label = f"dictionary:{name}"
     emptied, count = re.subn(rb"(?m)^(ProductNumber=)\S+", rb"\1", robot.files[label])
     assert count == 1
     robot = dataclasses.replace(robot, files={**robot.files, label: emptied})
@@ -72,7 +69,7 @@ def test_doubts_about_a_dictionary_reach_check_and_recording(tmp_path):
     assert session.recorded.warnings == (warning,)
     assert session.events("warning") == [warning]
     run = LockStepLink(SimulatedDrives(robot, bus_of(robot)))
-    found = [(f.subject, f.node, f.ok) for f in check_drives(run, bus_of(robot)) if f.found == warning]
+    found = [(f.subject, f.node, f.ok) for f in findings(run, bus_of(robot)) if f.found == warning]
     assert found == [("dictionary", 1, True), ("dictionary", 2, True)]
 
 
@@ -139,36 +136,6 @@ def test_a_reset_node_has_forgotten_its_mapping(run):
     master.wait(made.now_ns() + 10_000_000)
     assert master.nodes[0].booted
     assert made.drives.nodes[0].tpdos == ()
-
-
-def test_friction_stops_a_joint_and_does_not_turn_it_round():
-    one = np.ones(1)
-    zero = np.zeros(1)
-    plant = JointwisePlant(one, zero, 2.0 * one, zero, slides=np.zeros(1, bool), position=zero)
-    free = np.zeros(1, bool)
-    for _ in range(100):
-        plant.step(1.9 * one, free, 0.01)
-    assert plant.state()[1] == 0.0
-    for _ in range(100):
-        plant.step(3.0 * one, free, 0.01)
-    assert plant.state()[1] == pytest.approx(1.0)
-    for _ in range(49):
-        plant.step(0.0 * one, free, 0.01)
-    assert 0 <= plant.state()[1] < 0.05
-    for _ in range(5):
-        plant.step(0.0 * one, free, 0.01)
-    assert plant.state()[1] == 0.0
-    plant.step(5.0 * one, np.ones(1, bool), 0.01)
-    assert plant.state()[1] == 0.0  # held by its brake
-
-
-def test_plants_at_their_ends():
-    with pytest.raises(AcquisitionError, match="holds no samples"):
-        TablePlant(np.zeros(0), 500.0)
-    robot = robot_of(bus_text(2))
-    plant = typical_plant(robot, np.array([0.42, 0.42]))
-    assert plant.prescribed_effort() is None
-    assert plant.state()[0].tolist() == [0.0, 0.0]
 
 
 def test_a_boot_up_counts_as_the_first_heartbeat():

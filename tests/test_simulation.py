@@ -5,7 +5,7 @@ import dataclasses
 import msgspec
 import numpy as np
 import pytest
-from conftest import robot_named
+from conftest import described_chi, robot_named
 from loops import simulate
 
 from acquisition.robot import robot_from_files
@@ -20,7 +20,6 @@ from identification.model import (
     inertias,
     why_not_positive,
 )
-from identification.model.base import known_parameters
 from identification.regression import Overrides
 from identification.simulation import ClosedLoop, Control, ControlLaw, Reference, recorded_loop, surrogate_loop
 from identification.study import Noise, closed_loop, random_reference
@@ -37,7 +36,7 @@ def free(n: int, period_s: float = 1 / RATE) -> ControlLaw:
 def model_of(name: str, **values: float):
     dynamics = InverseModel(robot_named(name))
     base = base_parameters(dynamics)
-    chi = known_parameters(dynamics)
+    chi = described_chi(dynamics)
     for key, value in values.items():
         chi[[c for c, n in enumerate(dynamics.names) if n.startswith(key)]] = value
     return dynamics, base, direct_model(dynamics, base.standard_parameters(base.K @ chi))
@@ -421,7 +420,7 @@ def test_an_inertia_matrix_that_is_not_positive_stops_the_simulation():
 def test_direct_model_is_the_inverse_of_the_inverse_model():
     """M(q) from the direct model against the regressor: the torque of a unit acceleration less that at rest."""
     dynamics, _base, model = model_of("tx40")
-    chi = known_parameters(dynamics)
+    chi = described_chi(dynamics)
     rng = np.random.default_rng(0)
     q = rng.uniform(-2, 2, size=(5, 6))
     M = model.inertia(q)

@@ -10,15 +10,11 @@ import sys
 import tomllib
 
 import pytest
-from conftest import ROOT
-
-from acquisition.commands.program import PROGRAM as ACQUIRE
-from identification.commands.program import PROGRAM as IDENTIFY
+from conftest import PROGRAMS, ROOT
 
 PACKAGES = ("acquisition", "identification")
 ROOMS = sorted(path for package in PACKAGES for path in (ROOT / package).iterdir() if (path / "__init__.py").exists())
 FILES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
-PROGRAMS = {"acquisition": ACQUIRE, "identification": IDENTIFY}
 MOST_FILES, MOST_LINES = 15, 330
 
 

@@ -4,18 +4,16 @@ import itertools
 
 import msgspec
 import pytest
-from dry_sessions import dry_session, swing
+from dry_sessions import at_boot, dry_session, findings, swing
 from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.bus import Master, MasterHeartbeat, second_stop, supervision_of
 from acquisition.bus.supervision import free_entry, timeout_ms
-from acquisition.commands.checking import check_drives
 from acquisition.errors import AcquisitionError
 from acquisition.protocol import Command, Mode, State
 from acquisition.session import Task
 from acquisition.simulated import LockStepLink, SimulatedDrives
 from acquisition.simulated import node as simulated_supervision
-from acquisition.simulated.node import SimulatedNode
 
 MS = 1_000_000
 TRACK = Task(reference=swing(2))
@@ -102,14 +100,11 @@ def test_an_unsupervised_drive_notices_nothing():
 def test_consumers_of_others_stay_as_they_are(tmp_path, monkeypatch):
     """Full, with one of another producer, or with what a killed session left."""
     other, ours = 5 << 16 | 700, 127 << 16 | 300
-    begin = SimulatedNode.boot
 
-    def entries(self):
-        sent = begin(self)
-        self.values |= {(0x1016, 1): other, (0x1016, 2): other + 0x10000 if self.drive.node == 1 else ours}
-        return sent
+    def entries(node):
+        node.values |= {(0x1016, 1): other, (0x1016, 2): other + 0x10000 if node.drive.node == 1 else ours}
 
-    monkeypatch.setattr(SimulatedNode, "boot", entries)
+    at_boot(monkeypatch, entries)
     session = dry_session(tmp_path / "a.mcap", TRACK)
     assert session.outcome.reason == "finished"
     full, left = session.drives.nodes
@@ -191,7 +186,7 @@ def test_supervision_in_words(values, missing, expected):
 def test_check_shows_it_and_where_there_is_no_second_stop():
     robot = robot_of(bus_text(2))
     run = LockStepLink(SimulatedDrives(robot, bus_of(robot)))
-    (reaction,) = [f for f in check_drives(run, bus_of(robot)) if (f.subject, f.node) == ("reaction 6007", 2)]
+    (reaction,) = findings(run, bus_of(robot), "reaction 6007", 2)
     assert reaction.found.startswith("1: fault")
     file = bus_of(robot).file
     assert second_stop(file).startswith("the recorder's process stops the drives")

@@ -16,7 +16,6 @@ from random_arms import random_estimate
 
 from identification.estimation import consistent_parameters, one_thread, parameter_certainty
 from identification.methods import Prior, identify_ls, with_consistent
-from identification.methods.consistent import MIN_PRIOR_SHARE
 from identification.model import InverseModel, described_parameters
 from identification.regression import Overrides
 
@@ -38,7 +37,7 @@ def test_intervals_hold_the_truth(times):
         _, (sigma, share) = parameter_certainty(found, C, K, physical)
         hits.append(np.abs(found.beta - K @ chi) <= NORMAL * sigma)
         shares.append(share)
-    hit, prior = np.concatenate(hits), np.concatenate(shares) > MIN_PRIOR_SHARE
+    hit, prior = np.concatenate(hits), np.concatenate(shares) > 0.5
     percent = 100 * hit[~prior].mean()
     print(
         f"\nnoise x {times:g}: {percent:.1f} % of {(~prior).sum()} intervals hold the truth; {prior.sum()} more are the prior's"

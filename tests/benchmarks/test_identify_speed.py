@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-from conftest import robot_named
+from conftest import described_chi, robot_named
 
 import identification.methods.assess as assess
 from acquisition.recording import Header, RecordingWriter, sample_dtype
@@ -25,7 +25,6 @@ from identification.data import load_signals
 from identification.design import with_terms
 from identification.methods import Iteration, identify_iv, identify_ls
 from identification.model import InverseModel, base_parameters, described_parameters, direct_model
-from identification.model.base import known_parameters
 from identification.regression import Overrides
 from identification.study import Study
 from identification.study.study import one_run
@@ -140,7 +139,7 @@ def hour_long_recording(path: Path, seconds: int = 3600) -> None:
     """One hour at 1 kHz of the simulated TX40, noise on the torque, written block by block."""
     robot = robot_named("tx40")
     dynamics = InverseModel(robot)
-    chi, columns = known_parameters(dynamics), np.arange(dynamics.p)
+    chi, columns = described_chi(dynamics), np.arange(dynamics.p)
     entries = dynamics.entries(columns)
     reference = fourier_reference(robot, period_s=20.0, seed=1)
     rng = np.random.default_rng(0)
