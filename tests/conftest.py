@@ -6,14 +6,15 @@ import numpy as np
 import pytest
 from made_up_recordings import write
 
-from acquisition.commands.program import PROGRAM as ACQUIRE
+from acquisition.commands import main as acquire
 from acquisition.importing import import_tables
 from acquisition.robot import Robot, load_robot
-from identification.commands.program import PROGRAM as IDENTIFY
+from identification.commands import main as identify
 from identification.model import InverseModel
 
 ROOT = Path(__file__).resolve().parents[1]
 REPLAY = ROOT / "replay_data"
+ACQUIRE, IDENTIFY = acquire.__self__, identify.__self__  # whose method each is
 PROGRAMS = {"acquisition": ACQUIRE, "identification": IDENTIFY}
 # Of m, mx, my, mz, xx, xy, yy, xz, yz, zz, in the order XX, XY, XZ, YY, YZ, ZZ, MX, MY, MZ, M.
 FROM_PINOCCHIO = [4, 5, 7, 6, 8, 9, 1, 2, 3, 0]

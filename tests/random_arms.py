@@ -1,5 +1,7 @@
 """Random arms whose parameters are physical, and noisy estimates of them that are not."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from acquisition.robot import Robot, robot_from_files
@@ -44,6 +46,14 @@ def random_body(rng: np.random.Generator) -> np.ndarray:
     return np.concatenate([inertia[np.triu_indices(3)], masses @ points, [masses.sum()]])
 
 
+def set_own(idm: InverseModel, chi: np.ndarray, values: Callable[[int], np.ndarray]) -> list[int]:
+    """Give the rotor inertias and friction of joints and motors such that their sums are `values` of so many; their columns."""
+    terms, shares = own_shares(idm)
+    columns = list(terms)
+    chi[columns] = np.linalg.solve(shares[:, columns], values(len(columns)))
+    return columns
+
+
 def random_estimate(
     seed: int, times: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, PhysicalParameters, np.ndarray]:
@@ -57,9 +67,7 @@ def random_estimate(
     chi = np.zeros(idm.p)
     for columns in physical.links:
         chi[columns] = random_body(rng)
-    terms, shares = own_shares(idm)
-    rows = list(terms)
-    chi[rows] = np.linalg.solve(shares[:, rows], rng.lognormal(-1.0, 1.0, len(rows)))
+    set_own(idm, chi, lambda count: rng.lognormal(-1.0, 1.0, count))
     q, dq, ddq = (rng.uniform(-s, s, (ROWS, idm.robot.n)) for s in (2.0, 1.5, 4.0))
     W = idm.regressor(q, dq, ddq)
     tau = W @ chi

@@ -19,7 +19,7 @@ from acquisition.recording import SENT
 from acquisition.robot import table_reference
 from acquisition.session import RecordOptions, Task, UserInterface, real_time_scheduling, record, timing
 from acquisition.session.running import _before_motion as before_motion
-from acquisition.session.timing import largest_delay_s, refuse_jitter
+from acquisition.session.timing import Pace, largest_delay_s, refuse_jitter
 from acquisition.simulated import LockStepLink, SimulatedDrives
 
 
@@ -271,3 +271,31 @@ def test_jitter_of_another_producer_that_sends_no_sync():
 def test_the_largest_delay():
     assert largest_delay_s(bus_of(robot_of(bus_text(1))).file) == 0.02
     assert largest_delay_s(bus_of(robot_of(bus_text(1, period_s=0.01))).file) == pytest.approx(0.03)
+
+
+def test_a_slow_sync_may_be_three_periods_late():
+    """With SYNC every 10 ms the bound is 30 ms."""
+
+    class Bare:
+        t = 0
+
+        def now_ns(self):
+            return self.t
+
+        def send(self, can_id, data):
+            pass
+
+        def receive(self, until_ns):
+            self.t = max(self.t, until_ns)
+
+    link = Bare()
+    pace = Pace(Master(link, bus_of(robot_of(bus_text(1, period_s=0.01)))))
+    pace.start()
+    for late_ms, refused in ((0, False), (29, False), (31, True)):
+        link.t = pace.next_ns + late_ms * 1_000_000
+        if refused:
+            with pytest.raises(Exception, match=r"SYNC 0.031 s late in motion: expected 0.03 s at most"):
+                pace.sync(in_motion=True)
+            pace.sync(in_motion=False)
+        else:
+            pace.sync(in_motion=True)

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import can
 import numpy as np
 import pytest
+from conftest import robot_named
 
 from acquisition.bus import (
     Frame,
@@ -21,8 +22,7 @@ from acquisition.bus import (
     socket_of,
 )
 from acquisition.errors import AcquisitionError
-from acquisition.recording import ERROR, EXTENDED, FRAME, REMOTE_REQUEST, SENT
-from acquisition.recording.rows import check_frames
+from acquisition.recording import ERROR, EXTENDED, FRAME, REMOTE_REQUEST, SENT, Header, RecordingWriter
 from acquisition.robot import BusFile, DriveFile
 from acquisition.simulated import LockStepLink
 
@@ -37,16 +37,18 @@ def test_a_row_byte_for_byte():
 
 
 @pytest.mark.parametrize(("length", "time_ns", "good"), [(8, 0, True), (0, 2**62, True), (9, 0, False), (8, -1, False)])
-def test_rows_that_are_no_frames(length, time_ns, good):
+def test_rows_that_are_no_frames(tmp_path, length, time_ns, good):
     block = block_of([Frame(5, 1, b""), Frame(6, 2, b"")])
     block["length"][1], block["time_ns"][1] = length, time_ns
-    if good:
-        check_frames(block, "x")
-    else:
-        with pytest.raises(
-            AcquisitionError, match=f"^x: row 2: length = {length}, time_ns = {time_ns}: expected 8 bytes"
-        ):
-            check_frames(block, "x")
+    header = Header(robot=robot_named("scara"), source="test", sample_rate_hz=500.0, effort_provenance="none")
+    with RecordingWriter(tmp_path / "a.mcap", header) as writer:
+        if good:
+            writer.frames("can0", block)
+            return
+        with pytest.raises(AcquisitionError) as caught:
+            writer.frames("can0", block)
+    assert caught.value.place == f"{tmp_path / 'a.mcap'}: /can/can0/frames: row 2"
+    assert f"length = {length}, time_ns = {time_ns}: expected 8 bytes" in str(caught.value)
 
 
 # The kernel's frames (struct can_frame of linux/can.h): identifier and flags, length, three bytes, data

@@ -27,8 +27,8 @@ from acquisition.protocol import (
     write_request,
     written_answer,
 )
-from acquisition.robot import Bus
-from acquisition.simulated.node import SimulatedNode, simulated_node
+from acquisition.robot import Bus, Robot
+from acquisition.simulated import SimulatedDrives
 
 STATUS, POSITION, TORQUE = (
     ObjectEntry(index=0x6041, sub=0, type="U16"),
@@ -281,16 +281,21 @@ def test_periods_that_60c2_cannot_say(period_s):
 
 
 @pytest.fixture
-def bus() -> Bus:
-    return bus_of(robot_of(bus_text(1).replace("node = 1\n", "node = 5\n")))
+def robot() -> Robot:
+    return robot_of(bus_text(1).replace("node = 1\n", "node = 5\n"))
 
 
 @pytest.fixture
-def node(bus: Bus) -> SimulatedNode:
-    return simulated_node(bus.drives[0])
+def bus(robot: Robot) -> Bus:
+    return bus_of(robot)
 
 
-def written(node: SimulatedNode, *frames: str) -> None:
+@pytest.fixture
+def node(robot: Robot, bus: Bus):
+    return SimulatedDrives(robot, bus).nodes[0]
+
+
+def written(node, *frames: str) -> None:
     for frame in frames:
         ((can_id, answer),) = node.receive(0x605, data(frame))
         assert (can_id, answer) == (0x585, data("60") + data(frame)[1:4] + bytes(4)), frame
@@ -310,7 +315,7 @@ MAPPED = (
 )
 
 
-def commanded(node: SimulatedNode, control: str) -> str:
+def commanded(node, control: str) -> str:
     """A controlword by RPDO, SYNC, and the statusword of the TPDO after the next SYNC."""
     assert node.receive(0x205, data(control + "00 00 00 00")) == []
     node.apply()

@@ -20,7 +20,6 @@ from acquisition.protocol import (
     state_of,
     toward,
 )
-from acquisition.protocol.objects import INTEGERS
 
 # Statusword 6041h, bits 7 to 0; x: either. The bits 8 to 15 belong to no state.
 STATUSWORDS = {
@@ -205,11 +204,6 @@ def test_types_and_sizes_of_the_standard_objects():
         assert (index, 0) in STANDARD, hex(index)
     assert {(0x60C2, 1), (0x60C2, 2)} <= set(STANDARD)
     assert BITS == {"I8": 8, "I16": 16, "I32": 32, "U8": 8, "U16": 16, "U32": 32}
-
-
-def test_numbers_of_the_data_types():
-    """CiA 301, 7.4.7.1: INTEGER8 is 2, UNSIGNED32 is 7; 1 is BOOLEAN, 8 is REAL32."""
-    assert INTEGERS == {2: "I8", 3: "I16", 4: "I32", 5: "U8", 6: "U16", 7: "U32"}
 
 
 def test_modes_of_operation():

@@ -4,14 +4,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from made_up_buses import block as block_of_frames
-from made_up_buses import bus_of, bus_text, frame, robot_of
-from made_up_recordings import some_samples
+from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.bus import read_log
 from acquisition.errors import AcquisitionError
 from acquisition.files import read_columns
-from acquisition.recording.rows import check_frames, check_samples
 from acquisition.robot import check_limits, load_robot
 
 
@@ -98,17 +95,6 @@ def test_of_a_table(tmp_path: Path):
     with pytest.raises(AcquisitionError) as caught:
         read_columns(path, ["a", "b"], 2)
     assert data_of(caught) == (f"{path}: row 2", "b", np.inf, "a finite number")
-
-
-def test_of_a_recording():
-    samples = some_samples(5)
-    samples["stamp_ns"][3] = 7
-    with pytest.raises(AcquisitionError) as caught:
-        check_samples(samples, -1, "a.mcap: /samples")
-    assert data_of(caught)[:3] == ("a.mcap: /samples: row 4", "stamp_ns", 7)
-    with pytest.raises(AcquisitionError) as caught:
-        check_frames(block_of_frames([frame(-1, 0x80)]), "a.mcap: /can/a/frames")
-    assert caught.value.place == "a.mcap: /can/a/frames: row 1"
 
 
 def test_of_a_path():

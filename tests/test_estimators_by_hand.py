@@ -20,8 +20,6 @@ from identification.estimation import (
     t_quantile,
     weighted_least_squares,
 )
-from identification.estimation.diagnostics import independent_share
-from identification.estimation.estimators import joint_weights
 from identification.estimation.system import orthonormal
 
 
@@ -91,16 +89,16 @@ def test_instruments_with_weights_and_left_out_rows_are_the_formula():
 
 
 def test_weights_count_the_rows_less_the_rank_of_the_joints_own_columns():
-    """Joint 1: six rows, two columns. Joint 2: five rows, three columns of which one is twice another: rank 2."""
+    """Joint 1: six rows, three columns. Joint 2: five rows, three columns of which one is twice another: rank 2."""
     rng = np.random.default_rng(4)
     W = np.zeros((11, 4))
-    W[:6, :2] = rng.normal(size=(6, 2))
+    W[:6, [0, 1, 3]] = rng.normal(size=(6, 3))
     W[6:, 1:3] = rng.normal(size=(5, 2))
     W[6:, 3] = 2 * W[6:, 2]
     Y = rng.normal(size=11)
     joints = np.repeat([0, 1], [6, 5])
-    found = joint_weights(System.whole(W, Y, joints, tuple("abcd")))
-    for j, (columns, freedom) in enumerate((([0, 1], 4), ([1, 2], 3))):
+    found = weighted_least_squares(System.whole(W, Y, joints, tuple("abcd"))).weights
+    for j, (columns, freedom) in enumerate((([0, 1, 3], 3), ([1, 2], 3))):
         A, y = W[joints == j][:, columns], Y[joints == j]
         rho = y - A @ np.linalg.solve(A.T @ A, A.T @ y)
         assert found[j] == pytest.approx(np.sqrt(freedom / (rho @ rho)), rel=1e-10)
@@ -108,7 +106,7 @@ def test_weights_count_the_rows_less_the_rank_of_the_joints_own_columns():
     full = W[:, :3]
     problem = System.whole(full, Y, joints, tuple("abc"))
     fit = weighted_least_squares(problem)
-    D = np.diag(joint_weights(problem)[joints])
+    D = np.diag(fit.weights[joints])
     np.testing.assert_allclose(fit.beta, np.linalg.lstsq(D @ full, D @ Y, rcond=None)[0], rtol=1e-9)
     rho = D @ (Y - full @ fit.beta)
     np.testing.assert_allclose(fit.covariance, rho @ rho / 10 * np.linalg.inv(full.T @ D @ D @ full), rtol=1e-9)
@@ -159,7 +157,7 @@ def test_the_durbin_wu_hausman_test_is_the_regression_on_what_instruments_leave(
 def test_a_joint_without_torque_weighs_no_more_than_a_million_others():
     W = np.random.default_rng(3).normal(size=(12, 2))
     Y = np.r_[np.zeros(6), np.arange(6.0) ** 2]
-    weights = joint_weights(System.whole(W, Y, np.repeat([0, 1], 6), ("a", "b")))
+    weights = weighted_least_squares(System.whole(W, Y, np.repeat([0, 1], 6), ("a", "b"))).weights
     assert weights[0] / weights[1] == pytest.approx(1e6)
 
 
@@ -203,10 +201,15 @@ def test_quantiles_are_those_of_the_distributions(freedom):
 
 def test_rows_of_a_first_order_process_are_worth_the_share_of_its_variance_of_the_mean():
     """The mean of x_k = c x_(k-1) + e_k has the variance of r (1 - c)/(1 + c) independent rows, r large."""
-    c, r = 0.6, 400
+    rng, c, r = np.random.default_rng(12), 0.6, 400
+    W = rng.normal(size=(r, 2))
+    problem = System.whole(W, W[:, 0] + rng.normal(size=r), np.zeros(r, dtype=int), tuple("ab"))
+    full = ordinary_least_squares(problem)
+    positive, negative = (essential_parameters(problem, full, correlation=x, ratio=1.5) for x in (c, -0.5))
+    assert positive.estimate.names == ("a",)
     covariance = c ** np.abs(np.subtract.outer(np.arange(r), np.arange(r)))
-    assert independent_share(c) == pytest.approx(1 / (covariance.mean() * r), rel=0.01)
-    assert independent_share(-0.5) == 1.0
+    assert positive.F_effective / positive.F == pytest.approx(1 / (covariance.mean() * r), rel=0.01)
+    assert negative.F_effective == negative.F
 
 
 @pytest.mark.slow

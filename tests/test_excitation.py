@@ -9,7 +9,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from conftest import REPLAY, robot_named
+from test_friction_terms import ALL, USUAL, described, upright
 from test_limits import URDF_ARM, URDF_TOML
+from test_viewer import Written
 
 from acquisition.errors import AcquisitionError
 from acquisition.robot import check_limits, fourier_reference, load_robot, robot_from_files, table_reference
@@ -28,13 +30,9 @@ from identification.model import (
     torque_of_links,
     torque_without_sliding,
 )
-from identification.regression import Overrides, make_problem, regression_of_recording
+from identification.regression import Overrides, load_friction, make_problem, regression_of_recording
 from identification.study import Noise, closed_loop, write_signals
 from identification.view import write_excitation_rrd
-from identification.view.charts import intervals_drawing
-from identification.view.curves import excitation_plots
-from identification.view.panels import GREY, ORANGE
-from identification.view.robot_drawing import excitation_scene
 
 SCARA, TX40 = robot_named("scara"), robot_named("tx40")
 SERIES = Series(period_s=4.0, harmonics=4)
@@ -517,32 +515,34 @@ def test_shapes_that_touch_in_the_middle_and_meshes_that_are_not_found_are_named
 
 def test_the_page_shows_the_reference_between_its_limits(tx40_excitation, tmp_path):
     robot, found, _ = tx40_excitation
-    plots = excitation_plots(found)
-    assert [plot.path for plot in plots[0]] == [("q", "joint_1"), ("dq", "joint_1"), ("torque", "joint_1")]
+    write_excitation_rrd(tmp_path / "a.rrd", found, excitation_document(found))
+    file = Written(tmp_path / "a.rrd")
     *_, direct = modelled(robot)
     for j, joint in enumerate(robot.joints):
-        for plot, quantity in zip(plots[j], ("position", "speed", None), strict=True):
-            lines = {curve.key: curve.line for curve in plot.curves}
-            t_s, values = lines["reference"]
-            motion = found.reference.at(t_s)
-            expected = direct.torque(*motion) if quantity is None else motion[("position", "speed").index(quantity)]
-            assert values == pytest.approx(expected[:, j])
-            if quantity == "speed":
-                assert lines["high"][1].tolist() == [joint.si("speed")] * 2
-            if quantity == "position":
-                assert (lines["low"][1][0], lines["high"][1][0]) == joint.si("position")
-    assert [curve.line[1][0] for curve in plots[0][2].curves[1:]] == pytest.approx([-60.0, 60.0])
-    drawing = intervals_drawing(found)
-    bars = [points for points, color, _ in drawing.strokes if color == ORANGE]
-    grey = [points for points, color, radius in drawing.strokes if color == GREY and radius > 1]
+        for quantity, key in (("q", "position"), ("dq", "speed"), ("torque", None)):
+            t_ns, values = file.curves[f"/{quantity}/{joint.name}/reference"]
+            motion = found.reference.at(1e-9 * t_ns)
+            expected = direct.torque(*motion) if key is None else motion[("position", "speed").index(key)]
+            assert values == pytest.approx(expected[:, j], rel=1e-6, abs=1e-6)
+            low, high = (file.curves.get(f"/{quantity}/{joint.name}/{end}") for end in ("low", "high"))
+            if key == "speed":
+                assert high[1].tolist() == [joint.si("speed")] * 2
+            elif key == "position":
+                assert (low[1][0], high[1][0]) == joint.si("position")
+            elif j == 0:
+                assert [low[1][0], high[1][0]] == pytest.approx([-60.0, 60.0])
+        turns = np.array(file.moving[f"/robot/reference/joints/{j + 1}"]["Transform3D:quaternion"])[:, 0]
+        t_s = np.array([t.total_seconds() for t in file.moving[f"/robot/reference/joints/{j + 1}"]["time"]])
+        turned = np.abs(np.diff(found.reference.at(t_s)[0][:, j]))
+        share = np.abs((turns[1:] * turns[:-1]).sum(axis=1)).clip(max=1.0)
+        assert 2 * np.arccos(share) == pytest.approx(turned, abs=2e-3)
+    strokes = file.static["/intervals/strokes"]
+    drawn = list(zip(*(strokes[f"LineStrips2D:{name}"] for name in ("strips", "colors", "radii")), strict=True))
+    bars = [points for points, color, _ in drawn if color == 0xE69F00FF]
+    grey = [points for points, color, radius in drawn if color == 0x8C8C8CFF and radius < -1]  # in points
     assert len(bars) == len(grey) == found.base.b
     longer = [g[1][0] - b[1][0] for b, g in zip(bars, grey, strict=True)]
     assert np.corrcoef(longer, np.log(found.plain / found.sigma))[0, 1] > 0.999  # on a logarithmic scale
-    scene = excitation_scene(found)
-    (moving,) = scene.robots
-    assert moving.q == pytest.approx(found.reference.at(moving.t_s)[0])
-    write_excitation_rrd(tmp_path / "a.rrd", found, excitation_document(found))
-    assert (tmp_path / "a.rrd").stat().st_size > 100_000
 
 
 def test_the_report_has_the_intervals_and_the_limits_in_use(tx40_excitation):
@@ -557,3 +557,80 @@ def test_the_report_has_the_intervals_and_the_limits_in_use(tx40_excitation):
     assert limits.warnings[-1] == "a warning"
     assert [row[0] for row in limits.table.rows] == [*(f"joint_{j}" for j in range(1, 7)), "motor motor_5"]
     assert limits.table.rows[0][4].exact == pytest.approx(80.0, abs=0.5)
+
+
+# Load friction: limits of efforts count it, the criterion leaves it out
+
+
+def loaded_tx40():
+    """All terms at all joints, in values of usual sizes."""
+    values = "".join(f"Off{j} = 0.{j}\nFa{j} = 0.1\nFr{j} = 0.7\nFs{j} = 0.4\nmu{j} = 0.{j + 1}\n" for j in range(1, 7))
+    return described("tx40", [ALL] * 6, f"{values}Frm6 = 0.5\nFsm6 = 0.3\n")
+
+
+def loaded_scara(terms=(*USUAL, "load")):
+    return upright([list(terms)] * 2, "mu1 = 0.3\nmu2 = 0.3\n" if "load" in terms else "")
+
+
+LOADED = {"scara": loaded_scara(), "tx40": loaded_tx40()}
+
+
+@pytest.mark.parametrize("robot", LOADED.values(), ids=LOADED)
+def test_efforts_count_load_friction_against_the_motion(robot):
+    model, base, direct = modelled(robot)
+    limits, basis, x = limits_of(robot, direct, 0.8, "here"), SERIES.basis(40), random_x(robot, share=0.3)
+    motion = motion_of(x, basis)
+    n = robot.n
+    of_links = torque_of_links(direct, motion)
+    smooth, mu = (
+        torque_without_sliding(direct, motion, of_links)[0],
+        described_parameters(model, base)[list(load_friction(model, base).places)],
+    )
+    scaled = limits.effort.directions / limits.allowed[:, None]
+    expected = np.abs(smooth @ scaled.T) + (mu * np.abs(of_links[0])) @ np.abs(scaled).T
+    used, slopes = limits.shares_and_slopes(motion)
+    assert np.abs(used[:, 3 * n :]) == pytest.approx(expected)
+    assert limits.shares(motion) == pytest.approx(used)
+    true = np.abs(direct.torque(*motion) @ limits.effort.directions.T / limits.effort.limits).max(axis=0)
+    assert (limits.share_of_whole(motion)[3 * n :] >= true * (1 - 1e-9)).all()
+    m = len(limits.effort.limits)
+    J = limits.jacobian(slopes, basis, np.tile(np.arange(40)[:, None], (1, 3 * n + m))).reshape(40, 3 * n + m, -1)
+    rng, h = np.random.default_rng(4), 1e-6
+    for _ in range(3):
+        d = rng.standard_normal(x.shape)
+        low, high = (limits.shares(motion_of(x + k * h * d, basis))[:, 3 * n :] for k in (-1, 1))
+        found, expected = J[:, 3 * n :] @ d.ravel(), (high - low) / (2 * h)
+        same = low * high > 0  # where an effort changes its side, so does what load adds
+        assert same.mean() > 0.9
+        assert np.abs(found - expected)[same].max() < 1e-6 * np.abs(J[:, 3 * n :]).max()
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_load_friction_is_said_to_be_left_out_of_the_criterion(known, monkeypatch):
+    monkeypatch.setattr(search, "STARTS", 1)
+    text = loaded_scara().files["robot.toml"].decode()
+    if not known:
+        text = text.split("[parameters]")[0]
+    robot = robot_from_files({"robot.toml": text.encode()}, "here")
+    found = excite(robot, ExcitationSettings(period_s=2.0, harmonics=2), prior_information(robot), "here")
+    assert not {"mu1", "mu2"} & set(found.base.names)
+    assert found.warnings[-1].startswith("load friction (mu1, mu2) is not in the criterion")
+    assert (found.beta is not None) == known
+    if found.beta is not None:
+        model, base, _ = modelled(robot)
+        values = dict(zip(base.names, described_parameters(model, base), strict=True))
+        assert found.beta.tolist() == [values[name] for name in found.base.names]
+
+
+def test_earlier_recordings_add_what_they_know_of_all_but_load_friction(tmp_path):
+    robot = loaded_scara(("viscous", "coulomb", "load"))
+    q_ref = fourier_reference(robot, period_s=3.0, seed=1).at(np.arange(3001) / 1000)[0]
+    write_signals(tmp_path / "log.mcap", closed_loop(robot, q_ref, 1000.0, noise=Noise(), seed=1), source="simulated")
+    knowledge = prior_information(robot, after=[tmp_path / "log.mcap"])
+    _, base, _ = modelled(robot)
+    noise, fewer = np.array([0.2, 0.01]), base.without(["mu1", "mu2"])
+    problem = make_problem(knowledge.recordings[0], Overrides())
+    system = regression_of_recording(replace(problem, base=fewer)).system
+    rows = system.W[system.used > 0] / noise[system.joint_of_row[system.used > 0], None]
+    assert rows.shape[1] == base.b - 2
+    assert pytest.approx(rows.T @ rows) == earlier_information(fewer, noise, knowledge.recordings)

@@ -13,6 +13,7 @@ import pinocchio as pin
 import pytest
 from conftest import REPLAY, robot_named
 from fits_of_records import ls_of
+from random_arms import set_own
 
 from acquisition.robot import load_robot, robot_from_files
 from identification.commands import main
@@ -23,7 +24,6 @@ from identification.export.exporting import replace_parameters
 from identification.export.formats import quaternion, roll_pitch_yaw
 from identification.methods import Prior, fit_file, stored_robot, with_consistent
 from identification.model import InverseModel, JointTerm, base_parameters, physical_parameters
-from identification.model.physical import own_shares
 from identification.report import Covariance, LeftOut, read_fit, write_json
 from identification.study import study_truth
 
@@ -40,9 +40,7 @@ def values_of(model, seed=1):
     physical, rng = physical_parameters(model), np.random.default_rng(seed)
     chi = physical.start.copy()
     chi[physical.links] *= rng.uniform(0.5, 2.0, (len(physical.links), 1))
-    terms, shares = own_shares(model)
-    rows = list(terms)
-    chi[rows] = np.linalg.solve(shares[:, rows], rng.uniform(0.1, 2.0, len(rows)))
+    rows = set_own(model, chi, lambda count: rng.uniform(0.1, 2.0, count))
     for c, source in enumerate(model.sources):
         if isinstance(source, JointTerm) and c not in rows:
             chi[c] = rng.uniform(0.1, 1.0)

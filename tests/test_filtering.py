@@ -7,7 +7,7 @@ from scipy import interpolate, signal
 from identification.errors import IdentificationError
 from identification.regression import Decimation, differentiate, forward_backward_3db_hz, sampled_at
 from identification.regression.filtering import decimate, decimation_passes, decimation_reach, lowpass, lowpass_reach
-from identification.regression.motion import motion_between
+from identification.regression.motion import later, motion_between
 
 FS = 1000.0
 T = np.arange(8000) / FS
@@ -181,3 +181,11 @@ def test_samples_in_between_are_those_of_a_cubic_spline(by):
         np.abs(sampled_at(np.arange(len(T)) + by, sine)[:, 0] - np.sin(2 * np.pi * (T + by / FS) / 0.05))[2:-2].max()
         < 1e-3
     )
+
+
+@pytest.mark.parametrize("by", [-0.5, 0.5, 2.0, -3.0])
+def test_samples_later_are_the_same_block_by_block(monkeypatch, by):
+    x = np.random.default_rng(1).normal(size=(1000, 2)).cumsum(axis=0)
+    wanted = sampled_at(np.arange(1000) + by, x)
+    monkeypatch.setattr("identification.regression.motion.BLOCK_SAMPLES", 300)
+    np.testing.assert_allclose(later(x, by), wanted, rtol=0, atol=1e-12)

@@ -6,6 +6,7 @@ import os
 import random
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
@@ -17,9 +18,8 @@ from made_up_recordings import write
 from acquisition.errors import AcquisitionError
 from acquisition.files import read_columns
 from acquisition.importing import import_tables
-from acquisition.importing.tables import TableMap
 from acquisition.recording import read_recording
-from acquisition.robot import Robot, parse_toml, robot_from_files
+from acquisition.robot import Robot, robot_from_files
 
 FUZZ = settings(
     max_examples=int(os.environ.get("FUZZ_EXAMPLES", "150")), deadline=None, suppress_health_check=list(HealthCheck)
@@ -76,8 +76,10 @@ def use_robot(text: str) -> None:
 
 
 def use_map(text: str) -> None:
-    with one_line_or_fine():
-        parse_toml(text.encode("utf-8", "surrogatepass"), TableMap, "map.toml")
+    with TemporaryDirectory() as folder, one_line_or_fine():
+        path = Path(folder) / "map.toml"
+        path.write_bytes(text.encode("utf-8", "surrogatepass"))
+        import_tables([path.with_name("none.csv")], EMPS, path, path.with_name("out.mcap"))
 
 
 @pytest.mark.slow

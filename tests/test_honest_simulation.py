@@ -17,7 +17,6 @@ from identification.methods import Iteration, identify_iv
 from identification.model import InverseModel, base_parameters
 from identification.regression import Overrides
 from identification.study import Noise, closed_loop, random_reference, study_truth, write_signals
-from identification.study.simulated_cell import noise_parts
 
 NAMES = ("emps", "scara")
 SETTLED = slice(500, None)  # the two start differently under gravity and offset
@@ -140,17 +139,18 @@ def test_an_integral_that_nobody_described_is_that_of_a_description(name, struct
     assert apart(packaged(name), (effort, off)) > 0.05
 
 
-def own_coloured(rng, shape):
-    return np.concatenate([part for _, part in noise_parts(rng, shape, 0.98)])
+def own_coloured(seed, shape):
+    """Of deviation 1: on a torque of 1, all of it."""
+    return Noise(coloured_percent=100.0, recorded="tick").on_effort(np.ones(shape), seed) - 1.0
 
 
 def test_coloured_noise_is_that_of_the_other_simulator():
-    x = own_coloured(np.random.default_rng(1), (20_000, 3))
+    x = own_coloured(1, (20_000, 3))
     y = coloured(np.random.default_rng(1), (3, 20_000, 1))
     for z in (x, y[..., 0].T):
         assert np.std(z) == pytest.approx(1.0, rel=0.1)
         assert np.mean(z[1:] * z[:-1]) / np.mean(z**2) == pytest.approx(0.98, abs=2e-3)
-    starts = [own_coloured(np.random.default_rng(k), (2, 4))[0] for k in range(100)]
+    starts = [own_coloured(k, (2, 4))[0] for k in range(100)]
     assert np.std(starts) == pytest.approx(1.0, rel=0.15)
 
 

@@ -12,7 +12,6 @@ from acquisition.robot import fourier_reference
 from identification.data import Signals, load_signals
 from identification.errors import IdentificationError
 from identification.estimation import System, essential_parameters, ordinary_least_squares, weighted_least_squares
-from identification.estimation.estimators import joint_weights
 from identification.methods import identify_ls
 from identification.model import BaseParameters, InverseModel, base_parameters, described_parameters
 from identification.regression import (
@@ -101,8 +100,8 @@ def test_sigma_is_the_spread_over_repetitions():
 def test_weights_are_the_joints_noise_and_beat_equal_rows():
     rng, sigma = np.random.default_rng(6), np.array([0.1, 2.0])
     problem, beta = white_problem(rng, sigma)
-    np.testing.assert_allclose(1 / joint_weights(problem), sigma, rtol=0.15)
     weighted = weighted_least_squares(problem)
+    np.testing.assert_allclose(1 / weighted.weights, sigma, rtol=0.15)
     equal = ordinary_least_squares(problem)
     assert np.abs(weighted.beta - beta)[:3].max() < 0.3 * np.abs(equal.beta - beta)[:3].max()
 

@@ -20,10 +20,7 @@ from acquisition.robot import Robot
 from identification.data import Signals, load_signals
 from identification.methods import Fit, Iteration, identify_iv, identify_ls
 from identification.model import InverseModel, base_parameters, described_parameters
-from identification.regression import Overrides, make_problem
-from identification.simulation.experiment import Experiment
-from identification.simulation.instruments import simulate_instruments
-from identification.simulation.motion import simulate_replica
+from identification.regression import Overrides
 
 SETTLED = ("converged", "not_confirmed")
 SENSOR_ARM = Path(__file__).with_name("torque_sensor_arm.toml")
@@ -166,26 +163,3 @@ def test_the_distance_to_the_nearest_robot_is_told():
     assert line.value > 1000
     assert "signs and units" in line.text
     assert identify_ls(signals, Overrides()).trust.line("consistent").level == "ok"
-
-
-def test_a_pass_whose_inertia_matrix_is_not_positive():
-    """The SCARA's elbow with an inertia below zero, within its interval: the nearest robot is simulated, and tracks."""
-    signals = load_signals(REPLAY / "scara" / "session.mcap")
-    problem = make_problem(signals, Overrides())
-    dynamics = InverseModel(signals.robot)
-    true = described_parameters(dynamics, base_parameters(dynamics))
-    e = Experiment(problem, true, np.zeros(2))
-    wrong = np.where(np.array(problem.base.names) == "ZZ2", -0.002, true)
-    spread = np.diag(np.where(wrong == true, 0.01 * np.abs(true) + 1e-4, 0.05) ** 2)
-    weights = np.ones(2)
-    consistent = simulate_instruments(e, wrong, spread, weights)
-    assert (consistent.kind, consistent.tracking_percent < 5) == ("consistent", True)
-    assert "inertia matrix is not positive" in consistent.reason
-    np.testing.assert_array_equal(consistent.beta, wrong)
-    plain = simulate_instruments(e, wrong, None, weights)
-    assert (plain.kind, plain.tracking_percent) == ("reference", None)
-    right = simulate_instruments(e, true, spread, weights)
-    assert (right.kind, right.reason) == ("simulated", None)
-    robot = simulate_replica(e, wrong, spread)
-    assert robot.motion is not None
-    assert "inertia matrix is not positive" in robot.reason

@@ -1,6 +1,7 @@
 """JSON files: every key of earlier versions is there, each file has the version of its format, and is typed."""
 
 import json
+from typing import get_type_hints
 
 import msgspec
 import numpy as np
@@ -10,9 +11,8 @@ from fits_of_records import iv_of, ls_of, signals_of
 
 from identification.commands import main
 from identification.methods import fit_file, stored_beta
-from identification.report import FitFile, ValidationFile, read_fit, write_json
-from identification.report.comparison import ComparisonFile
-from identification.study.study_report import BaseFile, StudyFile
+from identification.report import FitFile, ValidationFile, comparison_file, read_fit, write_json
+from identification.study import base_file, study_file, study_truth
 
 SCARA = REPLAY / "scara" / "session.mcap"
 
@@ -80,15 +80,19 @@ def test_the_schema_of_a_fit_is_that_of_its_file(fits):
     json.dumps(schema)
 
 
+def made_by(function):
+    return get_type_hints(function)["return"]
+
+
 def test_every_file_has_a_format_and_is_typed(fits, tmp_path, capsys):
     robot, out = REPLAY / "scara" / "robot.toml", tmp_path / "out.json"
     study = ["study", robot, "--runs", "1", "--duration-s", "2", "--cutoffs", "5"]
     for kind, command in (
         (FitFile, ["fit", SCARA, "--all", "--method", "wls"]),
         (ValidationFile, ["validate", fits["iv"], SCARA]),
-        (ComparisonFile, ["compare", fits["iv"], fits["wls"]]),
-        (BaseFile, ["base", robot]),
-        (StudyFile, study),
+        (made_by(comparison_file), ["compare", fits["iv"], fits["wls"]]),
+        (made_by(base_file), ["base", robot]),
+        (made_by(study_file), study),
     ):
         capsys.readouterr()
         assert main([str(word) for word in [*command, "--json", out]]) == 0
@@ -97,8 +101,6 @@ def test_every_file_has_a_format_and_is_typed(fits, tmp_path, capsys):
 
 
 def test_known_values_are_a_file_of_their_own(tmp_path):
-    from identification.study import base_file, study_truth
-
     robot = signals_of(SCARA).robot
     base, true = study_truth(robot)
     write_json(tmp_path / "truth.json", base_file(base, robot, true))

@@ -8,8 +8,7 @@ from acquisition.files import GrowingBytes, allocate, on_disk, release_pages
 from acquisition.recording import read_recording
 from identification import identify_iv, load_signals
 from identification.methods import Iteration
-from identification.regression import Overrides, sampled_at
-from identification.regression.motion import later
+from identification.regression import Overrides
 
 
 @pytest.fixture
@@ -60,26 +59,3 @@ def test_a_fit_of_samples_on_disk_is_that_of_samples_in_memory(request):
     for name in ("t_s", "q", "q_ref", "effort"):
         np.testing.assert_array_equal(getattr(found, name), getattr(wanted, name))
     np.testing.assert_array_equal(identify_iv(found, Overrides(), Iteration()).beta, fitted.beta)
-
-
-@pytest.mark.parametrize("by", [-0.5, 0.5, 2.0, -3.0])
-def test_samples_later_are_the_same_block_by_block(monkeypatch, by):
-    x = np.random.default_rng(1).normal(size=(1000, 2)).cumsum(axis=0)
-    wanted = sampled_at(np.arange(1000) + by, x)
-    monkeypatch.setattr("identification.regression.motion.BLOCK_SAMPLES", 300)
-    np.testing.assert_allclose(later(x, by), wanted, rtol=0, atol=1e-12)
-
-
-def test_a_row_that_is_refused_is_counted_from_the_first(everything_on_disk, tmp_path):
-    from made_up_recordings import some_samples
-
-    from acquisition.errors import AcquisitionError
-    from acquisition.recording.rows import check_samples
-
-    samples = some_samples(2000)
-    samples["effort"][1500, 0] = np.nan
-    with pytest.raises(AcquisitionError, match="row 1501"):
-        check_samples(samples, -1, "here")
-    samples["stamp_ns"][1400] = samples["stamp_ns"][1399]  # the first of a block of 700 rows
-    with pytest.raises(AcquisitionError, match="row 1401"):
-        check_samples(samples, -1, "here")

@@ -7,10 +7,8 @@ from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.errors import AcquisitionError
 from acquisition.protocol import ObjectEntry, load_dictionary
-from acquisition.protocol.objects import DictionaryEntry
-from acquisition.robot import resolve
-from acquisition.robot.bus import parse_object
-from acquisition.simulated.node import simulated_node
+from acquisition.robot import parse_homed, resolve
+from acquisition.simulated import SimulatedDrives
 
 DEVICE = "[DeviceInfo]\nVendorName=a\nVendorNumber=0x9A\nProductName=gold\nProductNumber=0x30924\n"
 
@@ -62,7 +60,6 @@ def test_entries_by_hand():
         (0x1800, 0): ("U8", False, 1),
         (0x1800, 1): ("U32", True, 0x185),
     }
-    assert entries[0x6041, 0] == DictionaryEntry(type="U16", writable=False, value=None)
     assert found(EDS, 0x7F).entries[0x1800, 1].value == 0x1FF
 
 
@@ -121,8 +118,9 @@ def test_a_simulated_drive_serves_its_dictionary(asked, answer):
         'dictionary = "a.eds"\nobjects = { "6040" = "U16", "607A" = "I32" }\nreference = "6074"\nrated_torque_nm = 0.3'
     )
     text = bus_text(1).replace("node = 1\n", "node = 5\n").replace('reference = "6074"\nrated_torque_nm = 0.42', keys)
-    drive = bus_of(robot_of(text, {"dictionary:a.eds": (DEVICE + EDS).encode()})).drives[0]
-    assert simulated_node(drive).receive(0x605, bytes.fromhex(asked)) == [(0x585, bytes.fromhex(answer))]
+    robot = robot_of(text, {"dictionary:a.eds": (DEVICE + EDS).encode()})
+    (drive,) = SimulatedDrives(robot, bus_of(robot)).nodes
+    assert drive.receive(0x605, bytes.fromhex(asked)) == [(0x585, bytes.fromhex(answer))]
 
 
 # [bus]
@@ -133,7 +131,7 @@ def test_a_simulated_drive_serves_its_dictionary(asked, answer):
 )  # fmt: skip
 def test_names_of_objects(name, key):
     """The index is hexadecimal, the sub-index decimal."""
-    assert parse_object(name) == key
+    assert parse_homed(name) == (*key, None)
 
 
 def test_what_a_description_may_leave_out():

@@ -3,6 +3,7 @@
 import json
 import re
 
+import numpy as np
 import pytest
 from conftest import REPLAY, ROOT
 from fits_of_records import signals_of
@@ -11,8 +12,7 @@ from identification.commands import main
 from identification.methods import fit_document, identify
 from identification.regression import Overrides
 from identification.report import Document, Section, Table, columns, print_whole
-from identification.study import FALSE_ERROR, Noise, Study
-from identification.study.study_report import study_notes
+from identification.study import FALSE_ERROR, Noise, Study, study_document
 
 SESSION = REPLAY / "scara" / "session.mcap"
 
@@ -102,7 +102,7 @@ def test_a_study_says_what_was_varied_and_what_is_false():
         gain_errors=(0.7,),
         duration_s=4.0,
     )
-    settings, meaning = study_notes(study)
+    settings, meaning = study_document("scara", study, [], np.zeros(8)).sections[0].lines
     for part in (
         "7 runs of 4 s at 1000 Hz",
         "encoder_step 2e-05",

@@ -16,7 +16,6 @@ from rosbags.typesys import Stores, get_typestore
 
 from acquisition.errors import AcquisitionError
 from acquisition.recording import EXTENDED, FRAME, SENT, Header, RecordingWriter, gaps, read_recording, sample_dtype
-from acquisition.recording.rows import check_samples
 from acquisition.robot import Robot, load_robot
 
 
@@ -113,6 +112,11 @@ def test_what_a_recording_says_of_itself(tmp_path: Path, robot: Robot) -> None:
     assert recording.sha256 == hashlib.sha256((tmp_path / "a.mcap").read_bytes()).hexdigest()
 
 
+def write_rows(folder: Path, samples: np.ndarray) -> None:
+    with RecordingWriter(folder / "rows.mcap", header(robot_named("scara"))) as writer:
+        writer.samples(samples)
+
+
 @pytest.mark.parametrize(
     ("stamps", "bad_row"),
     [
@@ -124,26 +128,42 @@ def test_what_a_recording_says_of_itself(tmp_path: Path, robot: Robot) -> None:
         ([0, 1, 2**31 * 10**9], 3),
     ],
 )
-def test_stamps_that_a_recording_takes(stamps: list[int], bad_row: int | None) -> None:
-    samples = np.zeros(3, sample_dtype(1, reference=False))
+def test_stamps_that_a_recording_takes(tmp_path: Path, stamps: list[int], bad_row: int | None) -> None:
+    samples = np.zeros(3, sample_dtype(2, reference=False))
     samples["stamp_ns"] = stamps
     if bad_row is None:
-        check_samples(samples, -1, "x")
+        write_rows(tmp_path, samples)
         return
     with pytest.raises(AcquisitionError) as caught:
-        check_samples(samples, -1, "x")
-    assert str(caught.value) == (
-        f"x: row {bad_row}: stamp_ns = {stamps[bad_row - 1]}: expected growing stamps from 0 to 2147483647999999999"
-    )
+        write_rows(tmp_path, samples)
+    error = caught.value
+    assert (error.place, error.key) == (f"{tmp_path / 'rows.mcap'}: /samples: row {bad_row}", "stamp_ns")
+    assert (error.value, error.expected) == (stamps[bad_row - 1], "growing stamps from 0 to 2147483647999999999")
 
 
 @pytest.mark.parametrize("field", ["position", "effort", "reference"])
-def test_values_that_a_recording_does_not_take(field: str) -> None:
+def test_values_that_a_recording_does_not_take(tmp_path: Path, field: str) -> None:
     for value in (np.nan, np.inf, -np.inf):
-        samples = some_samples(5, n=3)
-        samples[field][3, 2] = value
-        with pytest.raises(AcquisitionError, match=f"x: row 4: {field} of joint 3 = {value}: expected a finite number"):
-            check_samples(samples, -1, "x")
+        samples = some_samples(5)
+        samples[field][3, 1] = value
+        with pytest.raises(AcquisitionError) as caught:
+            write_rows(tmp_path, samples)
+        error = caught.value
+        assert (error.place, error.key) == (f"{tmp_path / 'rows.mcap'}: /samples: row 4", f"{field} of joint 2")
+        assert (str(error.value), error.expected) == (str(value), "a finite number")
+
+
+def test_a_row_that_is_refused_is_counted_from_the_first_of_all_blocks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("acquisition.recording.rows._AT_ONCE", 700)
+    samples = some_samples(2000)
+    samples["effort"][1500, 0] = np.nan
+    with pytest.raises(AcquisitionError, match="row 1501"):
+        write_rows(tmp_path, samples)
+    samples["stamp_ns"][1400] = samples["stamp_ns"][1399]  # the first of a block
+    with pytest.raises(AcquisitionError, match="row 1401"):
+        write_rows(tmp_path, samples)
 
 
 def test_gaps_of_one_and_a_half_periods_and_more() -> None:

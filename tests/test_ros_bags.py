@@ -15,8 +15,7 @@ from acquisition.errors import AcquisitionError
 from acquisition.importing import import_bag
 from acquisition.recording import Header, RecordingWriter, read_recording, sample_dtype
 from identification.data import load_signals
-from identification.regression import Overrides
-from identification.regression.settings import known_lag
+from identification.regression import Overrides, make_problem
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 STATE, TEXT = "sensor_msgs/msg/JointState", "std_msgs/msg/String"
@@ -181,8 +180,9 @@ def test_efforts_of_a_bag_were_measured_and_no_lag_is_expected(tmp_path, whole):
     """The robot's control rate is described: commands of it would be shifted by half a millisecond."""
     signals = load_signals(imported(whole, out=tmp_path / "out.mcap")[1])
     assert signals.effort_timing == "measured"
-    assert known_lag(signals, Overrides()).value_s == 0.0
-    assert known_lag(replace(signals, effort_timing="command"), Overrides()).value_s == -0.5e-3
+    assert make_problem(signals, Overrides()).settings.known_lag.value_s == 0.0
+    command = make_problem(replace(signals, effort_timing="command"), Overrides())
+    assert command.settings.known_lag.value_s == -0.5e-3
 
 
 def test_currents_of_the_motors_go_through_the_robots_rule(tmp_path, whole, capsys):

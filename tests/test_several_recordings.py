@@ -1,10 +1,8 @@
 """Several recordings in one fit: against their rows stacked by hand, in any order, on any workers, held out, refused."""
 
 import json
-from concurrent.futures import Future
 from dataclasses import replace
 from functools import cache
-from threading import Timer
 
 import msgspec
 import numpy as np
@@ -15,8 +13,7 @@ import identification.methods.assess as assess
 import identification.regression.system as regression_system
 from acquisition.robot import robot_from_files
 from identification.commands import main
-from identification.data import Recordings, Signals, check_one_robot, signals_from_arrays
-from identification.data.work import Pool
+from identification.data import Recordings, Serial, Signals, check_one_robot, signals_from_arrays
 from identification.errors import IdentificationError
 from identification.export import model_of_fit
 from identification.methods import (
@@ -141,25 +138,11 @@ def test_a_recording_that_the_others_do_not_predict_is_doubted():
     assert "take the parameters of --consistent" in line.text
 
 
-class LastFirst:
-    """An executor that does its tasks a moment after they were submitted, the last one first."""
+class LastFirst(Serial):
+    """Does the last task first."""
 
-    def __init__(self):
-        self.waiting = []
-
-    def submit(self, function, *arguments):
-        if not self.waiting:
-            Timer(0.05, self.work).start()
-        self.waiting.append((Future(), function, arguments))
-        return self.waiting[-1][0]
-
-    def work(self):
-        waiting, self.waiting = self.waiting, []
-        for future, function, arguments in reversed(waiting):
-            future.set_result(function(*arguments))
-
-    def shutdown(self, wait=True, cancel_futures=False):
-        pass
+    def run(self, function, tasks):
+        return iter([function(*task) for task in reversed(tasks)][::-1])
 
 
 def bits(fit) -> list[bytes]:
@@ -173,7 +156,7 @@ def test_the_same_bits_in_any_order(method):
     wanted = bits(fitted(method))
     for order in ((3, 1, 2), (2, 3, 1)):
         assert bits(fitted(method, order)) == wanted
-    recordings = several(*map(recorded, (1, 2, 3)), work=Pool(LastFirst))
+    recordings = several(*map(recorded, (1, 2, 3)), work=LastFirst())
     found = (
         identify_iv(recordings, Overrides(), Iteration()) if method == "iv" else identify_ls(recordings, Overrides())
     )

@@ -13,8 +13,7 @@ from acquisition.robot import LowSpeed, Robot, robot_from_files
 from identification.commands import main
 from identification.data import Signals, load_signals
 from identification.errors import IdentificationError
-from identification.estimation import System, weighted_least_squares
-from identification.estimation.estimators import joint_weights
+from identification.estimation import weighted_least_squares
 from identification.methods import Fit, Iteration, identify_iv, identify_ls
 from identification.model import InverseModel, described_parameters
 from identification.regression import FilteredMotion, Overrides, make_problem, moving_rows_of, regression_of_recording
@@ -126,17 +125,6 @@ def test_both_methods_leave_slow_rows_out_and_settings_say_how_many():
     assert off_percent(ls, signals) < 2.0 * off_percent(iv, signals)
     only_iv = identify_ls(signals, Overrides(low_speed_percent=LowSpeed(ls=0.0, iv=10.0)))
     np.testing.assert_array_equal(only_iv.beta, whole.beta)
-
-
-def test_the_rank_counts_in_the_weights():
-    """s_j² = |rho_j|²/(r_j - b_j), b_j the rank: of 12 rows on 4 columns, two of them alike, rho² is shared by 9."""
-    rng = np.random.default_rng(3)
-    W = rng.normal(size=(12, 4))
-    W[:, 3] = 2 * W[:, 0]
-    Y = rng.normal(size=12)
-    rho = Y - W @ np.linalg.lstsq(W, Y)[0]
-    weights = joint_weights(System.whole(W, Y, np.zeros(12, dtype=int), tuple("abcd")))
-    assert 1 / weights[0] ** 2 == pytest.approx(rho @ rho / 9, rel=1e-12)
 
 
 # A surrogate at a low rate

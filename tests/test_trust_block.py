@@ -27,10 +27,8 @@ from identification.estimation import System, instrumental_variables, intervals
 from identification.estimation.diagnostics import autoregression
 from identification.methods import Fit, identify, identify_ls
 from identification.regression import Overrides
-from identification.trust import LEVELS, FitData, Trust, TrustLine
+from identification.trust import LEVELS, FitData, Trust, TrustLine, trust_in
 from identification.trust.columns import missing_terms
-from identification.trust.held_out import held_out_test
-from identification.trust.physical import physical_test
 from identification.trust.solution import (
     _combine_failures,
     _solve_whitened,
@@ -149,7 +147,7 @@ def test_shared_parameters_of_joints_in_unknown_units_are_not_to_be_used():
 
 def test_held_out_blocks_far_off_and_no_positive_m_together_are_not_to_be_used():
     _, evidence = examined("wls", "scara")
-    held = held_out_test(evidence)
+    held = trust_in(evidence).line("held-out blocks")
     far = replace(held, level="caution", fails_held_out=True)
     for value, line_, level in ((-0.1, far, "do not use"), (0.1, far, "caution"), (-0.1, held, "ok")):
         physical = TrustLine("physical", "caution", "", value)
@@ -194,7 +192,7 @@ def test_what_resists_may_be_below_zero_by_chance_once_a_joint(below, level):
     beta = estimate.beta.copy()
     for name, times in below.items():
         beta[estimate.names.index(name)] = -times * half[estimate.names.index(name)]
-    found = physical_test(replace(evidence, estimate=replace(estimate, beta=beta)))
+    found = trust_in(replace(evidence, estimate=replace(estimate, beta=beta))).line("physical")
     assert found.level == level, found.text
 
 
@@ -295,7 +293,7 @@ def block_errors(evidence: FitData, blocks: int) -> tuple[float, float]:
 def test_held_out_blocks_are_predicted_by_the_fit_of_the_others(method):
     _, evidence = examined(method, "scara")
     held, trained = block_errors(evidence, 5)
-    told = held_out_test(evidence)
+    told = trust_in(evidence).line("held-out blocks")
     assert told.value == pytest.approx(held, rel=1e-6)
     assert f"{held:.3g} % held out, {trained:.3g} % trained" in told.text
     assert [figure.name for figure in told.figures] == [f"block {k}" for k in range(1, 6)]
@@ -530,9 +528,10 @@ def test_sums_that_lost_their_digits_are_not_used():
     assert long.sums_accurate
     for lost in ({"QQ": blocks.QQ * (1 + 1e-5)}, {"QW": blocks.QW * (1 + 1e-5)}):
         ill = replace(long, blocks=(replace(blocks, **lost),))
-        for test in (held_out_test, halves_test):
-            assert test(ill).level == "not made"
-            assert "too ill-conditioned" in test(ill).text
+        trust = trust_in(ill)
+        for test in ("held-out blocks", "halves"):
+            assert trust.line(test).level == "not made"
+            assert "too ill-conditioned" in trust.line(test).text
 
 
 @pytest.mark.parametrize("method", ["iv", "wls"])

@@ -15,12 +15,10 @@ from acquisition.robot import robot_from_files
 from identification.data import Signals
 from identification.methods import Iteration, identify_iv, identify_ls
 from identification.model import InverseModel, base_parameters
-from identification.regression import Motion, Overrides, differentiate, predicted_torque
-from identification.regression.filtering import decimate, lowpass
-from identification.regression.motion import motion_between
+from identification.regression import Decimation, FilteredMotion, Motion, Overrides, differentiate, predicted_torque
 from identification.study import Noise, closed_loop, random_reference
 from identification.view import curves, viewer, write_fit_rrd
-from identification.view.curves import BUCKETS, extremes, readable_unit
+from identification.view.curves import extremes, readable_unit
 
 FS = 1000.0
 
@@ -307,22 +305,18 @@ def test_short_curves_are_written_sample_by_sample(written):
     fit, file = fitted(signals), written(signals)
     plan = fit.settings
     span = np.arange(plan.start, plan.stop)
-    q = lowpass(signals.q, plan.cutoff_hz, FS)  # in one pass over the whole
-    dq = differentiate(q, FS)
-    whole = motion_between(
-        signals.q, signals.effort, cutoff_hz=plan.cutoff_hz, sample_rate_hz=FS, start=plan.start, stop=plan.stop
-    )
+    whole = FilteredMotion(signals).between(plan.start, plan.stop, plan.cutoff_hz)  # in one pass
     predicted = predicted_torque(whole, InverseModel(signals.robot), fit.base, fit.beta)
     for j, joint in enumerate(signals.robot.joints):
         expected = {
-            ("torque", "measured"): (np.arange(len(q)), signals.effort),
+            ("torque", "measured"): (np.arange(len(signals.q)), signals.effort),
             ("torque", "model_idm"): (span, predicted),
-            ("q", "measured"): (np.arange(len(q)), signals.q),
-            ("q", "reference"): (np.arange(len(q)), signals.q_ref),
-            ("q", "measured_filtered"): (span, q[span]),
-            ("dq", "measured"): (np.arange(len(q)), differentiate(signals.q, FS)),
-            ("dq", "measured_filtered"): (span, dq[span]),
-            ("ddq", "measured_filtered"): (span, differentiate(dq, FS)[span]),
+            ("q", "measured"): (np.arange(len(signals.q)), signals.q),
+            ("q", "reference"): (np.arange(len(signals.q)), signals.q_ref),
+            ("q", "measured_filtered"): (span, whole.q),
+            ("dq", "measured"): (np.arange(len(signals.q)), differentiate(signals.q, FS)),
+            ("dq", "measured_filtered"): (span, whole.dq),
+            ("ddq", "measured_filtered"): (span, whole.ddq),
         }
         for (quantity, key), (samples, values) in expected.items():
             k, x = file.curve(quantity, joint.name, key)
@@ -333,15 +327,14 @@ def test_short_curves_are_written_sample_by_sample(written):
 def test_the_residual_is_the_one_whose_error_is_reported(written):
     signals = made_up()
     fit, file = fitted(signals), written(signals)
-    Y = decimate(signals.effort[fit.settings.start : fit.settings.stop].T, fit.settings.decimation)
+    decimation = Decimation(factor=fit.settings.decimation)
+    Y = decimation.filtered(signals.effort[fit.settings.start : fit.settings.stop].T)
     for j, joint in enumerate(signals.robot.joints):
         k, rho = file.curve("torque", joint.name, "residual")
         assert 100 * np.linalg.norm(rho) / np.linalg.norm(Y[j]) == pytest.approx(fit.errors[j].relative_error_percent)
         t, predicted = file.curve("torque", joint.name, "model_idm")
         np.testing.assert_array_equal(t, np.arange(fit.settings.start, fit.settings.stop))
-        np.testing.assert_allclose(
-            rho, Y[j] - decimate(predicted, fit.settings.decimation), atol=1e-9 * np.abs(Y[j]).max()
-        )
+        np.testing.assert_allclose(rho, Y[j] - decimation.filtered(predicted), atol=1e-9 * np.abs(Y[j]).max())
         assert k[-1] == fit.settings.stop - 1
         assert set(np.diff(k)) == {fit.settings.decimation}
 
@@ -383,8 +376,8 @@ def test_long_curves_are_bounded_and_lose_no_peak(written, tmp_path):
     assert x[k == 12_345] == effort.max()
     assert k[0] < 5
     assert k[-1] > len(effort) - 6
-    step = -(-25_000 // BUCKETS)
-    assert all(len(t) <= 2 * BUCKETS + step for t, _ in file.curves.values())
+    step = -(-25_000 // 5000)
+    assert all(len(t) <= 2 * 5000 + step for t, _ in file.curves.values())
     assert (tmp_path / "fit.rrd").stat().st_size < 4e6
     assert f"every {step} samples" in file.static["/report"]["TextDocument:text"][0]
 

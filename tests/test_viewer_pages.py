@@ -20,13 +20,11 @@ from acquisition.robot import robot_from_files
 from acquisition.session import Task
 from identification.commands import main
 from identification.data import load_signals
-from identification.data.signals import SignalEvent
 from identification.errors import IdentificationError
 from identification.methods import fitted_parameters
 from identification.model import InverseModel
 from identification.regression import Overrides
-from identification.report import Parameter, ParameterSet, differences
-from identification.report.comparison import difference_lines
+from identification.report import Parameter, ParameterSet, comparison_section, differences
 from identification.study import Noise, Run, RunFit, RunSettings
 from identification.trust import Figure, Trust, TrustLine
 from identification.view import write_comparison_rrd, write_fit_rrd, write_recording_rrd
@@ -195,16 +193,20 @@ def test_both_robots_stand_where_their_data_says(tmp_path):
     )
 
 
+def event(**values):
+    return replace(signals_of(SESSION).events[0], **values)
+
+
 def eventful(signals):
     t_s = np.array([-1.0, 0.0, 1.0, 2.0, 99.0])
     return replace(
         signals,
         events=(
-            SignalEvent(t_s=-3.0, kind="phase", text="configure"),
-            SignalEvent(t_s=-1.0, kind="phase", text="settle"),
-            SignalEvent(t_s=0.5, kind="phase", text="track"),
-            SignalEvent(t_s=1.0, kind="fault", text="drive 2: following error"),
-            SignalEvent(t_s=99.0, kind="phase", text="stop"),
+            event(t_s=-3.0, kind="phase", text="configure"),
+            event(t_s=-1.0, kind="phase", text="settle"),
+            event(t_s=0.5, kind="phase", text="track"),
+            event(t_s=1.0, kind="fault", text="drive 2: following error"),
+            event(t_s=99.0, kind="phase", text="stop"),
         ),
         health={"frames": (t_s, 100 * t_s), "late": (t_s, np.array([0, 0, 2, 2, 3.0])), "lost": (t_s, t_s * np.nan)},
     )
@@ -294,7 +296,7 @@ def test_a_recording_gives_its_events_in_seconds_of_its_samples(tmp_path):
         writer.samples(samples)
         writer.health(6_000_000_000, {"late": 2.0})
     signals = load_signals(path)
-    assert signals.events == (SignalEvent(t_s=-1.0, kind="phase", text="track"),)
+    assert signals.events == (event(t_s=-1.0, kind="phase", text="track"),)
     np.testing.assert_allclose(signals.health["late"], [[1.0], [2.0]])
 
 
@@ -356,7 +358,7 @@ def test_differences_are_in_deviations_of_the_difference():
     assert rows["M1"].off_percent == pytest.approx(100.0)
     assert rows["M2"].off_sigma is None
     assert (rows["M3"].a, rows["M3"].off, rows["M4"].b) == (None, None, None)
-    by_name, _, *alone = difference_lines(a, b, list(rows.values()))
+    by_name, _, *alone = comparison_section(a, b).lines
     assert "matched by name" in by_name
     assert alone == ["only in A: M4", "only in B: M3"]
     with pytest.raises(IdentificationError, match="no parameter in common"):

@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -21,13 +22,12 @@ from conftest import described_chi, robot_named
 import identification.methods.assess as assess
 from acquisition.recording import Header, RecordingWriter, sample_dtype
 from acquisition.robot import fourier_reference
-from identification.data import load_signals
+from identification.data import Serial, load_signals
 from identification.design import with_terms
 from identification.methods import Iteration, identify_iv, identify_ls
 from identification.model import InverseModel, base_parameters, described_parameters, direct_model
 from identification.regression import Overrides
-from identification.study import Study
-from identification.study.study import one_run
+from identification.study import Study, run_study
 from identification.trust import Trust, trust_in
 
 pytestmark = pytest.mark.skipif(
@@ -208,7 +208,8 @@ def test_study_runs(capsys):
     """Of each robot, beside the floor of bare `aba` at the steps of the simulated recording."""
     for name in ("emps", "tx40"):
         robot = robot_named(name)
-        times = [timed(lambda n=number, r=robot: one_run(r.files, Study(), n)) for number in range(6)]
+        runs = run_study(robot, Study(runs=6), Serial())
+        times = [timed(partial(next, runs)) for _ in range(6)]
         with capsys.disabled():
             print(f"\nstudy run of {name}: {np.median(times):.2f} s of CPU", end="")
 
