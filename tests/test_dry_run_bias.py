@@ -197,6 +197,7 @@ def test_a_dry_run_of_the_arm_without_noise_gives_its_parameters(dry_tx40):
     assert inside.mean() > 0.85
 
 
+@pytest.mark.slow
 def test_the_described_law_moves_the_simulated_robot_as_the_drives_do(dry_tx40):
     """The wrist is coupled: the law acts on motors. Without it a stand-in PD was 90 mrad off at joint 6."""
     robot, out = dry_tx40

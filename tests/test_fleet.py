@@ -124,6 +124,7 @@ def test_a_row_is_the_fit_of_its_recording(written):
     assert table.schema.field("Fv1_low").metadata == {b"unit": b"N s/m"}
 
 
+@pytest.mark.slow
 def test_what_failed_is_a_row_with_its_reason(written):
     rows = {
         row["file"].rsplit("/", 1)[1]: row for row in pyarrow.parquet.read_table(written / "fleet.parquet").to_pylist()

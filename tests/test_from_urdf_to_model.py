@@ -77,6 +77,7 @@ def test_the_exported_description_moves_as_the_robot_that_was_recorded(loop):
     assert relative(torque(exported, states) - true, true).max() < 0.03
 
 
+@pytest.mark.slow
 def test_the_exported_urdf_has_the_rigid_body_of_the_robot(loop):
     """Read by pinocchio alone; the sum of what was fitted is the robot's, though no link need be."""
     robot = load_robot(loop / "robot.toml")

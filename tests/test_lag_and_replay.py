@@ -165,6 +165,7 @@ def test_recordings_alike_have_one_lag_and_others_their_own():
     assert found[("B",)] == pytest.approx(1.5, abs=0.3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("timing", "rate_hz", "stated", "option", "expected"),
     [
@@ -248,6 +249,7 @@ def test_the_right_controller_is_confirmed_and_faults_are_named(name):
     assert (weak.level, weak.value) == ("caution", pytest.approx(2.0, abs=2e-3))
 
 
+@pytest.mark.slow
 def test_a_rate_one_percent_wrong_shows_where_a_speed_is_fed_back():
     signals = recorded("emps")
     found = replayed(replace(signals, sample_rate_hz=1010.0, t_s=signals.t_s / 1.01))
@@ -274,6 +276,7 @@ def test_an_integral_is_replayed_and_missed_where_it_is_not_described():
     assert replayed(with_controller(signals, structure="cascade_p_p", integral_gain=None)).level == "caution"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lag", [0, 3])
 def test_a_replay_tells_a_lag_of_noisy_commands(lag):
     signals = recorded("emps", lag=lag, noise=2e-5)

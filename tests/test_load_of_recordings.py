@@ -241,6 +241,7 @@ def test_long_recordings_give_the_same(monkeypatch, blocks):
     assert found.trust.line("physical").level == "ok"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("blocks", [False, True])
 def test_states_of_rows_are_those_of_the_regressor(monkeypatch, blocks):
     """Speeds of the rows, and the torque of the links as columns times parameters."""

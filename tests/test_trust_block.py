@@ -145,6 +145,7 @@ def test_shared_parameters_of_joints_in_unknown_units_are_not_to_be_used():
     assert alone.trust.line("units").level == "ok"
 
 
+@pytest.mark.slow
 def test_held_out_blocks_far_off_and_no_positive_m_together_are_not_to_be_used():
     _, evidence = examined("wls", "scara")
     held = trust_in(evidence).line("held-out blocks")
@@ -242,6 +243,7 @@ def test_what_the_model_lacks_is_named_first(method, fault):
     assert found.verdict != "trust"
 
 
+@pytest.mark.slow
 def test_a_column_has_the_size_of_the_fault():
     by_joint = {x.where: x for x in missing_terms(examined("iv", "scara", fault="asymmetric friction")[1])}
     assert len(by_joint) > 2
@@ -258,6 +260,7 @@ def test_a_tilt_of_gravity_is_named_first():
     assert abs(float(told.text.split()[5])) == pytest.approx(np.deg2rad(3.0), rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_relative_gain_is_named():
     """The elbow's torque scaled by 1.2: its inertia and friction take that, its share in the shoulder's torque does not."""
     signals = recorded("scara")
@@ -551,6 +554,7 @@ def test_what_needs_rows_looks_at_the_beginning_of_a_long_recording(method):
 # Tests that cannot be made
 
 
+@pytest.mark.slow
 def test_one_joint_and_unknown_gains_have_no_relative_gain():
     assert "one joint has no relative gain" in examined("iv", "emps", COARSE)[0].trust.line("added columns").text
     signals = recorded("scara")
@@ -561,6 +565,7 @@ def test_one_joint_and_unknown_gains_have_no_relative_gain():
     assert "relative gains not tried: the drive gains are not known" in told.text
 
 
+@pytest.mark.slow
 def test_a_short_recording_has_no_halves():
     signals = recorded("tx40", fault="tilt of gravity")
     cut = {name: getattr(signals, name)[4000:4700] for name in ("t_s", "q", "q_ref", "effort")}
