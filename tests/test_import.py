@@ -67,13 +67,15 @@ def run(folder: Path, robot: Robot, table_map: str, *tables: Path) -> ImportSumm
     return import_tables(tables, robot, folder / "map.toml", folder / "out.mcap")
 
 
-def refusal(folder: Path, robot: Robot, table_map: str, *tables: Path) -> str:
+def refusal(folder: Path, robot: Robot, table_map: str, *tables: Path) -> tuple[str, str, object, str]:
+    """Place, key, value and what was expected; nothing is written."""
     with pytest.raises(AcquisitionError) as caught:
         run(folder, robot, table_map, *tables)
     assert not (folder / "out.mcap").exists()
     assert not list(folder.glob(".*"))
-    assert "\n" not in str(caught.value)
-    return str(caught.value)
+    error = caught.value
+    assert "\n" not in str(error)
+    return error.place.replace(f"{folder}/", ""), error.key, error.value, error.expected
 
 
 def test_motor_side_goes_through_the_robots_rule(tmp_path: Path, two: Robot) -> None:
@@ -196,84 +198,88 @@ GRID = np.arange(100) / 500
 
 
 @pytest.mark.parametrize(
-    ("time_s", "rate", "message"),
+    ("time_s", "rate", "place", "key", "value", "expected"),
     [
-        (np.delete(GRID, [7, 8]), "", "row 8: 0.006 s after the row before: expected 0.002 s (2 rows missing)"),
-        (np.insert(GRID, 7, GRID[7]), "", "row 9: 0.014 s after 0.014 s: expected a later time"),
-        (GRID[::-1], "", "row 2: 0.196 s after 0.198 s: expected a later time"),
-        (np.zeros(100), "", "row 2: 0 s after 0 s: expected a later time"),
-        (GRID + 3e-4 * (np.arange(100) == 50), "", "row 51: 0.0023 s after the row before: expected 0.002 s (not uniform)"),
-        (GRID * (1 + 0.4 * GRID), "", "s off a uniform grid: expected 0.00"),
-        (GRID, "sample_rate_hz = 1000", "sample_rate_hz = 1000.0: expected 500,"),
-        (GRID * 1e12, "", "expected 68 years and 100 MHz at most"),
-        (GRID + 1e10, "", "expected 68 years and 100 MHz at most"),
+        (np.delete(GRID, [7, 8]), "", "a.csv: t", "row 8", None, "0.002 s (2 rows missing)"),
+        (np.insert(GRID, 7, GRID[7]), "", "a.csv: t", "row 9", None, "a later time"),
+        (GRID[::-1], "", "a.csv: t", "row 2", None, "a later time"),
+        (np.zeros(100), "", "a.csv: t", "row 2", None, "a later time"),
+        (GRID + 3e-4 * (np.arange(100) == 50), "", "a.csv: t", "row 51", None, "0.002 s (not uniform)"),
+        (GRID * (1 + 0.4 * GRID), "", "a.csv: t", "row 50", None, "0.0010792 s at most"),
+        (GRID, "sample_rate_hz = 1000", "map.toml", "sample_rate_hz", 1000.0, "500, the rate of the times"),
+        (GRID * 1e12, "", "a.csv", "", None, "68 years and 100 MHz at most"),
+        (GRID + 1e10, "", "a.csv", "", None, "68 years and 100 MHz at most"),
     ],
 )  # fmt: skip
-def test_times_that_are_no_grid(tmp_path: Path, two: Robot, time_s: np.ndarray, rate: str, message: str) -> None:
-    table = tmp_path / "a.csv"
+def test_times_that_are_no_grid(tmp_path: Path, two: Robot, time_s, rate, place, key, value, expected) -> None:
     rows = [f"0,0,0,0,{t:.17g}" for t in time_s]
-    table.write_text("\n".join(["p1,p2,c1,c2,t", *rows]))
-    assert message in refusal(tmp_path, two, with_time("s", rate), table)
+    (tmp_path / "a.csv").write_text("\n".join(["p1,p2,c1,c2,t", *rows]))
+    found = refusal(tmp_path, two, with_time("s", rate), tmp_path / "a.csv")
+    assert (*found[:3], found[3].split(";")[0]) == (place, key, value, expected)
 
 
 @pytest.mark.parametrize(
-    ("content", "message"),
+    ("content", "place", "key", "value", "expected"),
     [
-        ("", "has no lines: expected a table"),
-        ("p1,p2,c1,c2\n", "has no rows: expected numbers below the header"),
-        ("p1,p2,c1,c2\n1,2,3,4\n", "map.toml: position: 1 row: expected 2 at least"),
-        ("p1,p2,c1\n1,2,3\n", "column 'c2' does not exist: expected one of p1, p2, c1"),
-        ("p1,p2,c1,c2,c2\n1,2,3,4,5\n", "column 'c2' exists 2 times: expected one of p1, p2, c1, c2, c2"),
-        ("p1,p2,c1,c2\n1,2,3,4\n1,2,x,4\n", "line 3: c1 = 'x': expected a number"),
-        ("p1,p2,c1,c2\n\n# remark\n1,2,3,4\n1,2,,4\n", "line 5: c1 = '': expected a number"),
-        ("p1,p2,c1,c2\n1,2,3,4\n1,2,1_0,4\n", "line 3: c1 = '1_0': expected a number"),
-        ("p1;p2;c1;c2\n1;2;3;4\n1;2;3,5;4\n", "line 3: c1 = '3,5': expected a number"),
-        ("p1,p2,c1,c2\n1,2,3,4\n1,2,3\n", "line 3: 3 cells: expected 4"),
-        ("p1,p2,c1,c2\n1,2,3,4\n1,2,3,5,4\n", "line 3: 5 cells: expected 4"),
-        ("p1,p2,c1,c2\n1,2,3,4\n1,2,3,nan\n", "row 2: c2 = nan: expected a finite number"),
-        ("p1,p2,c1,c2\n1,2,3,4\n1,-inf,3,4\n", "row 2: p2 = -inf: expected a finite number"),
-        ("p1,p2,c1,c2\n1,2,3,4\n1,1e999,3,4\n", "row 2: p2 = inf: expected a finite number"),
-        ("1,2,3,4\n1,2,3,4\n", "column 'p1': the file has no header line: expected numbers from 1 to 4"),
+        ("", "a.csv", "", None, "a table"),
+        ("p1,p2,c1,c2\n", "a.csv", "", None, "numbers below the header"),
+        ("p1,p2,c1,c2\n1,2,3,4\n", "map.toml", "position", None, "2 at least"),
+        ("p1,p2,c1\n1,2,3\n", "a.csv", "", None, "one of p1, p2, c1"),
+        ("p1,p2,c1,c2,c2\n1,2,3,4,5\n", "a.csv", "", None, "one of p1, p2, c1, c2, c2"),
+        ("p1,p2,c1,c2\n1,2,3,4\n1,2,x,4\n", "a.csv: line 3", "c1", "x", "a number"),
+        ("p1,p2,c1,c2\n\n# remark\n1,2,3,4\n1,2,,4\n", "a.csv: line 5", "c1", "", "a number"),
+        ("p1,p2,c1,c2\n1,2,3,4\n1,2,1_0,4\n", "a.csv: line 3", "c1", "1_0", "a number"),
+        ("p1;p2;c1;c2\n1;2;3;4\n1;2;3,5;4\n", "a.csv: line 3", "c1", "3,5", "a number"),
+        ("p1,p2,c1,c2\n1,2,3,4\n1,2,3\n", "a.csv: line 3", "", None, "4"),
+        ("p1,p2,c1,c2\n1,2,3,4\n1,2,3,5,4\n", "a.csv: line 3", "", None, "4"),
+        ("p1,p2,c1,c2\n1,2,3,4\n1,2,3,nan\n", "a.csv: row 2", "c2", np.nan, "a finite number"),
+        ("p1,p2,c1,c2\n1,2,3,4\n1,-inf,3,4\n", "a.csv: row 2", "p2", -np.inf, "a finite number"),
+        ("p1,p2,c1,c2\n1,2,3,4\n1,1e999,3,4\n", "a.csv: row 2", "p2", np.inf, "a finite number"),
+        ("1,2,3,4\n1,2,3,4\n", "a.csv", "", None, "numbers from 1 to 4"),
     ],
-)
-def test_csv_mistakes(tmp_path: Path, two: Robot, content: str, message: str) -> None:
+)  # fmt: skip
+def test_csv_mistakes(tmp_path: Path, two: Robot, content, place, key, value, expected) -> None:
     (tmp_path / "a.csv").write_text(content)
-    assert message in refusal(tmp_path, two, MAP, tmp_path / "a.csv")
+    found = refusal(tmp_path, two, MAP, tmp_path / "a.csv")
+    assert tuple(map(repr, found)) == tuple(map(repr, (place, key, value, expected)))
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "message"),
+    ("old", "new", "key", "value", "expected"),
     [
-        ("sample_rate_hz = 500", "", "map.toml: sample_rate_hz is missing: expected it, or a [time] table"),
-        ("sample_rate_hz = 500", "sample_rate_hz = -1", "sample_rate_hz = -1: expected `float` > 0.0"),
-        ('["p1", "p2"]', '["p1"]', "map.toml: position.columns: 1 columns: expected 2, one per joint"),
-        ('["p1", "p2"]', "[]", "position.columns: expected `array` of length >= 1"),
-        ('["p1", "p2"]', "[1, 9]", "a.csv: column 9: expected a number from 1 to 4"),
-        ('["p1", "p2"]', "[0, 1]", "a.csv: column 0: expected a number from 1 to 4"),
-        ('unit = "deg"', 'unit = "degree"', "position.unit = 'degree': expected one of rad, deg, m, mm, um"),
-        ('unit = "deg"', 'unit = "mm"', "position.unit: in m for joint 1 (first): expected an angle"),
-        ('unit = "deg"', 'unit = ["deg", "deg", "deg"]', "position.unit: 3 units: expected one, or 2, one per joint"),
-        ('unit = "deg"\nside = "motor"', 'unit = "deg"', "position.side is missing: expected 'motor' or 'joint'"),
-        ('side = "motor"\n[effort]', 'side = "load"\n[effort]', "position.side = 'load': expected one of 'joint', 'motor'"),
-        ('unit = "mA"', 'unit = "mV"', "effort.unit: gives V at the motor: expected A, as in robot.toml"),
-        ('"mA"\nside = "motor"', '"mA"\nside = "joint"', "effort.unit: gives A at the joint: expected N m, as in robot.toml"),
-        ('"mA"\nside = "motor"', '"N"', "effort.unit: gives N at the motor: expected A, as in robot.toml"),
-        ('unit = "mA"', 'unit = "Nm"', "effort.unit = 'Nm': expected one of A, mA, V, mV, N m, mN m, N"),
-        ('unit = "mA"', 'unit = "mA"\ntable = 2', "effort.table = 2: expected 1 at most, the number of tables given"),
-        ('unit = "mA"', 'unit = "mA"\ntable = 0', "effort.table = 0: expected `int` >= 1"),
-        ('unit = "mA"', 'unit = "mA"\nscale = 2', "effort: Object contains unknown field `scale`"),
+        ("sample_rate_hz = 500", "", "sample_rate_hz", None, "it, or a [time] table"),
+        ("sample_rate_hz = 500", "sample_rate_hz = -1", "sample_rate_hz", -1, "`float` > 0.0"),
+        ('["p1", "p2"]', '["p1"]', "position.columns", None, "2, one per joint"),
+        ('["p1", "p2"]', "[]", "position.columns", None, "`array` of length >= 1"),
+        ('["p1", "p2"]', "[1, 9]", "", None, "a number from 1 to 4"),
+        ('["p1", "p2"]', "[0, 1]", "", None, "a number from 1 to 4"),
+        ('unit = "deg"', 'unit = "degree"', "position.unit", "degree", "one of rad, deg, m, mm, um"),
+        ('unit = "deg"', 'unit = "mm"', "position.unit", None, "an angle"),
+        ('unit = "deg"', 'unit = ["deg", "deg", "deg"]', "position.unit", None, "one, or 2, one per joint"),
+        ('unit = "deg"\nside = "motor"', 'unit = "deg"', "position.side", None, "'motor' or 'joint'"),
+        ('side = "motor"\n[effort]', 'side = "load"\n[effort]', "position.side", "load", "one of 'joint', 'motor'"),
+        ('unit = "mA"', 'unit = "mV"', "effort.unit", None, "A, as in robot.toml"),
+        ('"mA"\nside = "motor"', '"mA"\nside = "joint"', "effort.unit", None, "N m, as in robot.toml"),
+        ('"mA"\nside = "motor"', '"N"', "effort.unit", None, "A, as in robot.toml"),
+        ('unit = "mA"', 'unit = "Nm"', "effort.unit", "Nm", "one of A, mA, V, mV, N m, mN m, N"),
+        ('unit = "mA"', 'unit = "mA"\ntable = 2', "effort.table", 2, "1 at most, the number of tables given"),
+        ('unit = "mA"', 'unit = "mA"\ntable = 0', "effort.table", 0, "`int` >= 1"),
+        ('unit = "mA"', 'unit = "mA"\nscale = 2', "effort", None, ""),
         (
             "sample_rate_hz = 500",
             'sample_rate_hz = 500\neffort_timing = "late"',
-            "map.toml: effort_timing = 'late': expected one of 'command', 'mean', 'measured', 'unknown'",
+            "effort_timing",
+            "late",
+            "one of 'command', 'mean', 'measured', 'unknown'",
         ),
-        ("[effort]", "[torque]", "map.toml: top level: Object contains unknown field `torque`"),
+        ("[effort]", "[torque]", "top level", None, ""),
     ],
 )  # fmt: skip
-def test_map_mistakes(tmp_path: Path, two: Robot, old: str, new: str, message: str) -> None:
+def test_map_mistakes(tmp_path: Path, two: Robot, old, new, key, value, expected) -> None:
     assert MAP.count(old) == 1
     table = csv(tmp_path / "a.csv", "p1,p2,c1,c2", Q, CURRENT)
-    assert message in refusal(tmp_path, two, MAP.replace(old, new), table)
+    found = refusal(tmp_path, two, MAP.replace(old, new), table)
+    assert found == ("map.toml" if key else "a.csv", key, value, expected)
 
 
 def test_the_side_may_be_left_out_where_nothing_hangs_on_it(tmp_path: Path, two: Robot) -> None:
@@ -292,7 +298,7 @@ def test_the_side_may_be_left_out_where_nothing_hangs_on_it(tmp_path: Path, two:
         geared = geared.replace(unit, 'effort_unit = "A"\n' if "unit" in unit else "")
     joint_position = table_map.replace('unit = "deg"', 'unit = "deg"\nside = "joint"')
     in_amperes = robot_from_files({"robot.toml": geared.encode()}, "amperes")
-    assert "effort.side is missing" in refusal(tmp_path, in_amperes, joint_position, table)
+    assert refusal(tmp_path, in_amperes, joint_position, table)[1:3] == ("effort.side", None)
 
 
 def test_a_motor_may_turn_where_its_joint_slides(tmp_path: Path) -> None:
@@ -314,40 +320,37 @@ def test_a_motor_may_turn_where_its_joint_slides(tmp_path: Path) -> None:
     assert result.effort_units == ("N",)
     result.out.unlink()
     joint_side = table_map.replace('"deg"\nside = "motor"', '"deg"\nside = "joint"')
-    assert "position.unit: in rad for joint 1 (slide): expected a length" in refusal(tmp_path, robot, joint_side, table)
+    assert refusal(tmp_path, robot, joint_side, table) == ("map.toml", "position.unit", None, "a length")
 
 
 def test_tables_of_different_length(tmp_path: Path, two: Robot) -> None:
     tables = csv(tmp_path / "a.csv", "p1,p2", Q), csv(tmp_path / "b.csv", "c1,c2", CURRENT[:2])
     table_map = MAP.replace('unit = "mA"', 'unit = "mA"\ntable = 2')
-    assert "map.toml: effort: 2 rows: expected 3 as in position" in refusal(tmp_path, two, table_map, *tables)
+    assert refusal(tmp_path, two, table_map, *tables) == ("map.toml", "effort", None, "3 as in position")
 
 
 def test_mat_mistakes(tmp_path: Path, two: Robot) -> None:
     good = {"p1": Q[:, 0], "p2": Q[:, 1], "c1": CURRENT[:, 0]}
-    for extra, message in (
-        ({}, "variable 'c2' does not exist: expected one of p1, p2, c1"),
-        ({"c2": CURRENT[:2, 1]}, "c1 1 x 3, c2 1 x 2: expected variables of one length, 2 columns in all"),
-        ({"c2": "text"}, "variable 'c2' is <U4 of shape (1,): expected a vector or matrix of real numbers"),
-        ({"c2": np.array([1, 2, 3j])}, "variable 'c2' is complex128"),
-        ({"c2": {"a": 1}}, "variable 'c2' is "),
-        ({"c2": np.zeros((0, 0))}, "c1 1 x 3, c2 0 x 0: expected"),
-        ({"c2": np.array([1, np.nan, 3])}, "row 2: c2 = nan: expected a finite number"),
+    for extra, place, key, value, expected in (
+        ({}, "", "", None, "one of p1, p2, c1"),
+        ({"c2": CURRENT[:2, 1]}, "", "", None, "variables of one length, 2 columns in all"),
+        ({"c2": "text"}, "", "", None, "a vector or matrix of real numbers"),
+        ({"c2": np.array([1, 2, 3j])}, "", "", None, "a vector or matrix of real numbers"),
+        ({"c2": {"a": 1}}, "", "", None, "a vector or matrix of real numbers"),
+        ({"c2": np.zeros((0, 0))}, "", "", None, "variables of one length, 2 columns in all"),
+        ({"c2": np.array([1, np.nan, 3])}, ": row 2", "c2", np.nan, "a finite number"),
     ):
         scipy.io.savemat(tmp_path / "a.mat", good | extra)
-        assert message in refusal(tmp_path, two, MAP, tmp_path / "a.mat")
+        found = refusal(tmp_path, two, MAP, tmp_path / "a.mat")
+        assert tuple(map(repr, found)) == tuple(map(repr, (f"a.mat{place}", key, value, expected)))
     numbers = MAP.replace('["c1", "c2"]', "[3, 4]")
-    assert "variable 3 does not exist: expected one of p1, p2, c1, c2" in refusal(
-        tmp_path, two, numbers, tmp_path / "a.mat"
-    )
+    assert refusal(tmp_path, two, numbers, tmp_path / "a.mat")[3] == "one of p1, p2, c1, c2"
     whole = (tmp_path / "a.mat").read_bytes()
     (tmp_path / "a.mat").write_bytes(whole[: len(whole) // 2])
-    assert "not a MAT file that can be read" in refusal(tmp_path, two, MAP, tmp_path / "a.mat")
+    assert refusal(tmp_path, two, MAP, tmp_path / "a.mat")[::2] == ("a.mat", None)
     for content in (b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(512), b"\x89HDF\r\n\x1a\n".ljust(512)):
         (tmp_path / "a.mat").write_bytes(content)
-        assert "version 7.3 (HDF5): expected version 7; save it with -v7" in refusal(
-            tmp_path, two, MAP, tmp_path / "a.mat"
-        )
+        assert refusal(tmp_path, two, MAP, tmp_path / "a.mat")[3].startswith("version 7;")
 
 
 SINGLE = """
@@ -432,15 +435,11 @@ def test_units_of_time_by_hand(tmp_path: Path, two: Robot, unit: str, per_s: flo
 def test_times_in_words_that_are_no_unit_and_in_columns_that_are_none(tmp_path: Path, two: Robot) -> None:
     table = csv(tmp_path / "a.csv", "p1,p2,c1,c2,t", np.zeros((3, 4)), np.arange(3.0))
     short = csv(tmp_path / "b.csv", "t", np.arange(2.0))
-    assert "map.toml: time.unit = 'min': expected one of s, ms, us, ns" in refusal(
-        tmp_path, two, with_time("min"), table
-    )
+    found = refusal(tmp_path, two, with_time("min"), table)
+    assert found == ("map.toml", "time.unit", "min", "one of s, ms, us, ns")
     two_tables = with_time("s") + "table = 2\n"
-    told = "map.toml: time: shape (2, 1): expected one column of 3 rows"
-    assert told in refusal(tmp_path, two, two_tables, table, short)
-    assert "time.table = 2: expected 1 at most" in refusal(tmp_path, two, two_tables, table)
-    without = MAP.replace("sample_rate_hz = 500", "")
-    assert "sample_rate_hz is missing: expected it, or a [time] table" in refusal(tmp_path, two, without, table)
+    assert refusal(tmp_path, two, two_tables, table, short)[::3] == ("map.toml", "one column of 3 rows")
+    assert refusal(tmp_path, two, two_tables, table)[1:3] == ("time.table", 2)
 
 
 def test_joint_torques_beside_motor_currents(tmp_path: Path, two: Robot) -> None:
@@ -472,8 +471,8 @@ def test_what_instants_efforts_belong_to_is_what_the_map_says(tmp_path: Path, tw
 
 
 def test_missing_files_are_named(tmp_path: Path, two: Robot) -> None:
-    assert "none.csv: cannot be read: No such file" in refusal(tmp_path, two, MAP, tmp_path / "none.csv")
-    assert "cannot be read: Is a directory" in refusal(tmp_path, two, MAP, tmp_path)
+    assert refusal(tmp_path, two, MAP, tmp_path / "none.csv")[0] == "none.csv"
+    assert refusal(tmp_path, two, MAP, tmp_path)[0] == str(tmp_path)
     with pytest.raises(AcquisitionError, match=r"none\.toml: cannot be read: No such file"):
         import_tables([], two, tmp_path / "none.toml", tmp_path / "out.mcap")
 
