@@ -8,7 +8,6 @@ from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.bus import read_log
 from acquisition.errors import AcquisitionError
-from acquisition.files import read_columns
 from acquisition.robot import check_limits, load_robot
 
 
@@ -83,18 +82,6 @@ def test_of_a_guard_that_guards_nothing(tmp_path: Path, key, most, prismatic):
         load_robot(path)
     assert data_of(caught) == (str(path), key, pytest.approx(1.001 * most), f"{most:g} at most")
     robot_of(with_value(1e9 if name != "heartbeat_s" else 10.0))
-
-
-def test_of_a_table(tmp_path: Path):
-    path = tmp_path / "a.csv"
-    path.write_text("a,b\n1,2\n3,x y\n")
-    with pytest.raises(AcquisitionError) as caught:
-        read_columns(path, ["a", "b"], 2)
-    assert data_of(caught) == (f"{path}: line 3", "b", "x y", "a number")
-    path.write_text("a,b\n1,2\n3,inf\n")
-    with pytest.raises(AcquisitionError) as caught:
-        read_columns(path, ["a", "b"], 2)
-    assert data_of(caught) == (f"{path}: row 2", "b", np.inf, "a finite number")
 
 
 def test_of_a_path():
