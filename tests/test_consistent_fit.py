@@ -370,6 +370,7 @@ def test_the_file_holds_what_a_model_is_made_of(tmp_path, capsys):
     assert {"standard_parameters", "consistent", "left_out"} <= set(FitFile.__struct_fields__)
 
 
+@pytest.mark.slow
 def test_the_file_holds_what_an_essential_fit_leaves_out(tx40):
     fit = identify_ls(signals_of(tx40), Overrides(), essential=True)
     full, names = fit.least_squares.full, fit.estimate.names

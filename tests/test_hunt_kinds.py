@@ -34,6 +34,7 @@ def test_kinds_are_named_by_tests_that_there_are(fit):
     assert CLEAN.named == ()
 
 
+@pytest.mark.slow
 def test_harmed_is_off_by_three_half_widths_and_two_percent(fit):
     assert list(true_values("emps")) == list(fit.estimate.names)
     true = np.array(list(true_values("emps").values()))

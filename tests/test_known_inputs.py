@@ -96,6 +96,7 @@ def test_with_both_the_truth_is_in_the_intervals(method):
         assert fit.iv.direct[0].torque_error_percent < 3.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["ls", "iv"])
 def test_without_the_spring_the_fit_says_caution(method):
     fit = fitted(without("known_torque"), method)

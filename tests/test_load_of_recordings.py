@@ -200,6 +200,7 @@ def test_the_same_bits_with_one_and_two_workers(files):
     assert both == alone
 
 
+@pytest.mark.slow
 def test_the_same_bits_on_dask(files):
     distributed = pytest.importorskip("distributed")
     sources = tuple(RecordingFile.at(path) for path in files[:2])

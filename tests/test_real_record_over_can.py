@@ -84,6 +84,7 @@ def test_a_fit_of_it_is_the_fit_of_the_direct_import(tx40_at_500_hz, over_can):
     assert deviation.max() < 2.0
 
 
+@pytest.mark.slow
 def test_decoding_again_with_a_corrected_rated_torque(over_can, tmp_path):
     recording = read_recording(over_can)
     text = recording.attachments["robot.toml"].decode().replace("rated_torque_nm = 0.3", "rated_torque_nm = 0.6")

@@ -112,6 +112,7 @@ def test_the_truth_is_inside_and_the_verdict_is_trust(method):
         assert {line.level for line in fit.trust.lines} == {"ok"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["wls", "iv"])
 def test_held_out_is_predicted_by_the_fit_of_the_others(method):
     fit = fitted(method)
