@@ -136,6 +136,9 @@ def test_the_command_takes_several_recordings(tmp_path, capsys):
     assert sorted(stored["held_out"]) == ["r1.mcap", "r2.mcap", "r3.mcap"]
     assert all(len(one["held_out_percents"]) == 3 for one in stored["sets"])
     out = capsys.readouterr().out
+    sets = {cells[1].strip(): cells[-2].strip() for line in out.splitlines() if len(cells := line.split("│")) == 10}
+    assert {"root; load", "load", "root: shoulder; load: elbow"} <= set(sets)  # no names where all joints have the term
+    assert (sets["root: shoulder; load"], sets["none"]) == ("recommended", "usual")
     assert "held out: r3.mcap, r2.mcap, r1.mcap, each predicted by the fit of the others" in " ".join(out.split())
     assert 'friction = ["viscous", "coulomb", "root", "load"]' in toml.read_text()
     found = choose_terms(Recordings(sources=tuple(map(RecordingFile.at, map(tmp_path.joinpath, files)))), WITHOUT_LAG)

@@ -279,6 +279,14 @@ def test_ticks_are_counted_by_speeds_where_a_pc_stamps_late(tmp_path):
     assert (refused.value.key, refused.value.value) == ("time.ticks", "from velocity")
 
 
+def test_a_last_row_after_a_stop_keeps_the_tick_of_its_stamp():
+    """A joint moves for 99 ticks, then stands; the last row is 20 ticks late, and no position says so."""
+    ticks = np.append(np.arange(100.0), 120.0)
+    v = np.append(np.linspace(0.2, 1.0, 99), [0.0, 0.0])[:, None]
+    q = np.cumsum(np.concatenate([[[0.0]], 0.5e-3 * (v[1:] + v[:-1])]), axis=0)
+    np.testing.assert_array_equal(ticks_from_velocity(70 + 1e-3 * ticks, q, v, 1e-3) - 70_000, ticks)
+
+
 def test_times_that_cannot_be_read_that_way(tmp_path):
     def told(text: str, **more: np.ndarray) -> str:
         with pytest.raises(AcquisitionError) as caught:

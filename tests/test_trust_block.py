@@ -197,6 +197,22 @@ def test_what_resists_may_be_below_zero_by_chance_once_a_joint(below, level):
     assert found.level == level, found.text
 
 
+def test_signs_are_judged_by_weighted_rows_only_where_ordinary_least_squares_sees_no_wrong_one():
+    """Of the rows as they are, and with the sign of every torque changed; beta of one or the other."""
+
+    def judged(method: str, sign_of_beta: int) -> tuple[str, bool]:
+        _, evidence = examined(method, "scara")
+        observed, estimate = evidence.observed, evidence.estimate
+        wrong = replace(observed, system=replace(observed.system, Y=-observed.system.Y))
+        estimate = replace(estimate, beta=sign_of_beta * estimate.beta)
+        found = physical_test(replace(evidence, observed=wrong, estimate=estimate))
+        return found.level, "by weighted least squares" in found.text
+
+    assert judged("ols", 1) == ("do not use", True)
+    assert judged("ols", -1) == ("do not use", False)
+    assert judged("wls", 1) == ("ok", False)
+
+
 def test_the_ways_an_iteration_ends():
     _, evidence = examined("iv", "scara")
     none = fixed_point_test(replace(evidence, fixed_point=False, unconfirmed="status diverged: M"))
