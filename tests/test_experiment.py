@@ -10,12 +10,10 @@ from independent_simulator import Imperfections, described_controller, descripti
 
 from identification.data import load_signals
 from identification.estimation import (
-    System,
-    TimeBlocks,
+    SPANS,
     instrumental_variables,
     intervals,
-    intervals_of_blocks,
-    sums_of_blocks,
+    intervals_of,
     weighted_least_squares,
 )
 from identification.model import InverseModel, base_parameters, described_parameters
@@ -71,68 +69,31 @@ def test_blocks_of_a_long_recording_give_what_its_rows_give(monkeypatch, without
     full = weighted_least_squares(whole.system)
     spread = 4 * full.covariance
     e = Experiment(problem, full.beta, whole.slip_noise)
-    one, moved = simulate_instruments(e, full.beta, spread, full.weights), simulate_replica(e, full.beta)
+    one, moved = simulate_instruments(e, full.beta, spread), simulate_replica(e, full.beta)
     wanted = instrumental_variables(whole.system.with_rows(one.used), one.Z, full.weights)
     rho = wanted.weights[whole.system.joint_of_row] * (whole.system.Y - whole.system.W @ wanted.beta)
     monkeypatch.setattr("identification.regression.problem._SERIES_BLOCK", 1)
     assert len(row_blocks(problem)) == 3
     e = Experiment(problem, full.beta, whole.slip_noise)
-    short, moved_short = simulate_instruments(e, full.beta, spread, full.weights), simulate_replica(e, full.beta)
+    short, moved_short = simulate_instruments(e, full.beta, spread), simulate_replica(e, full.beta)
     np.testing.assert_allclose(short.Z, one.Z, atol=1e-9 * np.abs(one.Z).max())
     np.testing.assert_array_equal(short.used, one.used)
     errors = ([joint.torque_error_percent for joint in x.direct] for x in (moved_short, moved))
     assert next(errors) == pytest.approx(next(errors), rel=1e-6)
     np.testing.assert_allclose(moved_short.motion.q, moved.motion.q, atol=1e-9)
-    e = Experiment(problem, full.beta, whole.slip_noise, long=True)
-    long = simulate_instruments(e, full.beta, spread, full.weights, one.moving_rows[0])
+    e = Experiment(problem, full.beta, whole.slip_noise, spans=SPANS)
+    long = simulate_instruments(e, full.beta, spread, one.moving_rows[0])
     assert len(long.Z) < len(one.Z)
     found = instrumental_variables(long.system, long.Z, full.weights)
     assert np.abs((found.beta - wanted.beta) / wanted.sigma).max() < 1e-6
     np.testing.assert_allclose(found.covariance, wanted.covariance, rtol=1e-6, atol=1e-9 * wanted.covariance.max())
     assert (found.rows, found.residual_norm) == (wanted.rows, pytest.approx(wanted.residual_norm, rel=1e-9))
     assert long.tracking_percent == pytest.approx(one.tracking_percent, rel=1e-6)
-    # Intervals, of blocks that count as instants.
-    parameters, system = (
-        found.Q.T @ (long.Z * full.weights[long.system.joint_of_row, None]),
-        whole.system,
-    )
-    of_blocks = intervals_of_blocks(found, sums_of_blocks(found, long.time_blocks, np.linalg.inv(parameters)))
-    used = one.used
-    of_rows = intervals(wanted, rho * used, system.joint_of_row[-1] + 1)
-    np.testing.assert_allclose(of_blocks.sigma, of_rows.sigma, rtol=0.15)
-    assert of_blocks.freedom == of_rows.freedom
-
-
-def test_instrument_blocks_are_sums_over_their_rows():
-    """As many instants as blocks: the intervals of the rows, and what is in the unit of the torque without the weights."""
-    T, n, b, rng = 128, 2, 3, np.random.default_rng(7)
-    Z, W, Y = rng.normal(size=(n, b, T)), rng.normal(size=(n, b, T)), rng.normal(size=(n, 1, T))
-    counts, weights = rng.uniform(size=(T, n)) > 0.3, np.array([1.0, 3.0])
-    blocks = TimeBlocks.none_yet(T, n, tuple("abc"), instruments=True)
-    for a, z in ((0, 40), (40, 41), (41, T)):
-        blocks.add(a, np.concatenate([Z, W, Y], axis=1)[..., a:z], counts[a:z], weights)
-    Z, W, Y = (x.transpose(0, 2, 1).reshape(n * T, -1) for x in (Z, W, Y))
-    used = counts.T.reshape(-1).astype(float)
-    system = System.whole(W, Y[:, 0], np.repeat([0, 1], T), tuple("abc")).with_rows(used)
-    for columns in (np.arange(3), np.array([0, 2])):
-        some = system.with_columns(columns)
-        fit = instrumental_variables(some, Z[:, columns], weights)
-        weight = weights[system.joint_of_row] * used
-        (sums,) = sums_of_blocks(fit, [blocks], np.linalg.inv(fit.Q.T @ (Z[:, columns] * weight[:, None])))
-        found = intervals_of_blocks(fit, [sums])
-        wanted = intervals(fit, (some.Y - some.W @ fit.beta) * weight, n)
-        np.testing.assert_allclose(found.sigma, wanted.sigma, rtol=1e-9)
-        np.testing.assert_allclose(found.low, wanted.low, rtol=1e-9)
-        part, own = sums.between(32, 96), np.tile((np.arange(T) >= 32) & (np.arange(T) < 96), n)
-        W_k, rho = some.W * (used * own)[:, None], (some.Y - some.W @ fit.beta) * used * own
-        np.testing.assert_allclose(part.WW.sum(axis=0), W_k.T @ W_k, rtol=1e-9)
-        np.testing.assert_allclose(part.WY.sum(axis=0), W_k.T @ some.Y, rtol=1e-9)
-        Q = fit.Q * own[:, None]
-        np.testing.assert_allclose(part.QW.sum(axis=0), Q.T @ (some.W * weight[:, None]), rtol=1e-9)
-        one = np.eye(len(columns))
-        scores, _, cosines = part.scores(fit.beta, one, one)
-        np.testing.assert_allclose(scores.sum(axis=0), Q.T @ (rho * weight), rtol=1e-9)
-        assert cosines == 6  # 0.4 * 64^(2/3)
+    # Intervals, of spans that count as instants.
+    of_spans = intervals_of(long.system, found)
+    of_rows = intervals(wanted, rho * one.used, whole.system.joint_of_row[-1] + 1)
+    np.testing.assert_allclose(of_spans.sigma, of_rows.sigma, rtol=0.15)
+    assert of_spans.freedom == of_rows.freedom
 
 
 def test_a_pass_whose_inertia_matrix_is_not_positive():

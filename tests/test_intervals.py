@@ -14,14 +14,16 @@ from scipy.signal import lfilter
 import identification.regression.system as regression_module
 from identification.data import load_signals
 from identification.estimation import (
+    SPANS,
+    SpanFactors,
+    Spans,
     System,
-    TimeBlocks,
     deviations_of_sums,
     instrumental_variables,
     intervals,
-    intervals_of_blocks,
+    intervals_of,
     ordinary_least_squares,
-    sums_of_blocks,
+    stacked,
     weighted_least_squares,
 )
 from identification.estimation.confidence import MAX_COSINES, cosines, deviations
@@ -189,7 +191,7 @@ def test_a_sample_of_recordings_is_covered():
 
 
 def fits_both_ways(monkeypatch: pytest.MonkeyPatch, **kwargs) -> tuple[Fit, Fit]:
-    """A recording fitted as it is, and held reduced, in blocks that share no boundary with those of time."""
+    """A recording fitted as it is, and held reduced, in blocks that share no boundary with its spans."""
     signals = load_signals(REPLAY / "tx40" / "session.mcap")
     whole = identify_ls(signals, Overrides(decimation=5), **kwargs)
     monkeypatch.setattr("identification.regression.problem._SERIES_BLOCK", 300_000)
@@ -204,31 +206,36 @@ def test_a_recording_held_reduced_has_the_intervals_of_its_rows(monkeypatch, kwa
     assert len(whole.tau) > 8 * MAX_COSINES
     assert reduced.intervals.freedom == whole.intervals.freedom == MAX_COSINES
     apart = np.abs(reduced.intervals.sigma / whole.intervals.sigma - 1)
-    # A block's scores count as one instant; a deviation of 16 degrees of freedom spreads by 18 %.
+    # A span's scores count as one instant; a deviation of 16 degrees of freedom spreads by 18 %.
     assert apart.max() < 0.12
     assert np.median(apart) < 0.02
     np.testing.assert_allclose(reduced.intervals.low, reduced.beta[reduced.beta != 0] - reduced.intervals.half)
 
 
-def test_time_blocks_are_sums_over_their_rows():
-    """As many instants as blocks: the intervals of the rows. Joints weighted, rows left out, all or some of the parameters."""
-    T, n, b, rng = 128, 2, 4, np.random.default_rng(5)
-    W, Y, counts = rng.normal(size=(n, b, T)), rng.normal(size=(n, T)), rng.uniform(size=(T, n)) > 0.3
-    system = System.whole(W.transpose(0, 2, 1).reshape(n * T, b), Y.ravel(), np.repeat([0, 1], T), tuple("abcd"))
-    system = system.with_rows(counts.T.ravel().astype(float))
-    blocks = TimeBlocks.none_yet(T, n, tuple("abcd"))
-    for a, z in ((0, 13), (13, 50), (50, 51), (51, T)):
-        blocks.add(a, np.concatenate([W, Y[:, None]], axis=1)[..., a:z], counts[a:z])
+def test_spans_of_one_instant_have_the_intervals_of_the_rows():
+    """As many instants as spans. Joints weighted, rows left out, two recordings, all or some of the parameters."""
+    T, n, b, rng = SPANS, 2, 4, np.random.default_rng(5)
+    rows, spans = [], []
+    for _ in range(2):
+        W, Y, counts = rng.normal(size=(n, b, T)), rng.normal(size=(n, T)), rng.uniform(size=(T, n)) > 0.3
+        one = System.whole(W.transpose(0, 2, 1).reshape(n * T, b), Y.ravel(), np.repeat([0, 1], T), tuple("abcd"))
+        one = one.with_rows(counts.T.ravel().astype(float))
+        rows.append(dataclasses.replace(one, spans=(Spans(instants=T, count=T),)))
+        factors = SpanFactors(T, n, b + 1)
+        for a, z in ((0, 13), (13, 30), (30, 31), (31, T)):
+            factors.add(a, np.concatenate([W, Y[:, None]], axis=1)[..., a:z], counts[a:z])
+        spans.append(factors.system(tuple("abcd"))[0])
+    of_rows, of_spans = stacked(rows), stacked(spans)
+    assert of_spans.spans == 2 * (Spans(instants=T, count=T, rows=1),)
     for columns in (np.arange(4), np.array([1, 3])):
-        some = system.with_columns(columns)
-        fit = weighted_least_squares(some)
+        some, other = of_rows.with_columns(columns), of_spans.with_columns(columns)
+        fit, found = weighted_least_squares(some), weighted_least_squares(other)
+        np.testing.assert_allclose(found.beta, fit.beta, rtol=1e-9)
         W_w, Y_w = some.weighted(fit.weights)
-        by_rows, by_blocks = (
-            intervals(fit, Y_w - W_w @ fit.beta, n),
-            intervals_of_blocks(fit, sums_of_blocks(fit, [blocks])),
-        )
-        np.testing.assert_allclose(by_blocks.sigma, by_rows.sigma, rtol=1e-9)
-        np.testing.assert_allclose(by_blocks.low, by_rows.low, rtol=1e-9)
+        wanted, by_spans = intervals(fit, Y_w - W_w @ fit.beta, n, (T, T)), intervals_of(other, found)
+        np.testing.assert_allclose(by_spans.sigma, wanted.sigma, rtol=1e-9)
+        np.testing.assert_allclose(by_spans.low, wanted.low, rtol=1e-9)
+        assert by_spans.freedom == wanted.freedom
 
 
 def test_intervals_of_several_recordings_by_hand():
@@ -255,11 +262,32 @@ def test_intervals_of_several_recordings_by_hand():
     np.testing.assert_allclose(found.half, stats.t.ppf(0.975, freedom) * np.sqrt(variance), rtol=1e-6)
 
 
-def test_time_blocks_are_equal():
-    """1000 instants in 128 blocks of 7 or 8, brought in pieces that end within a block."""
-    blocks = TimeBlocks.none_yet(1000, 1, ("a",))
-    for a, z in ((0, 13), (13, 500), (500, 501), (501, 1000)):
-        blocks.add(a, np.stack([[np.ones(z - a), np.zeros(z - a)]]), np.ones((z - a, 1), dtype=bool))
-    assert blocks.products.shape == (128, 1, 1, 2)
-    assert set(blocks.products[:, 0, 0, 0]) == {7.0, 8.0}
-    assert blocks.products[..., 0].sum() == 1000
+def test_spans_are_equal_and_have_the_products_of_their_rows():
+    """1010 instants in 120 spans of 8 or 9, brought in pieces that end within a span; the second joint feels one column."""
+    T, n, rng = 1010, 2, np.random.default_rng(9)
+    columns, counts = rng.normal(size=(n, 7, T)), rng.uniform(size=(T, n)) > 0.2
+    columns[1, [0, 1, 3, 4]] = 0.0
+    counts[30:50, 0] = False  # a span may have fewer rows than columns
+    factors = SpanFactors(T, n, 7)
+    for a, z in ((0, 13), (13, 500), (500, 501), (501, T)):
+        factors.add(a, columns[..., a:z], counts[a:z])
+    system, Z = factors.system(tuple("abc"))
+    (spans,) = system.spans
+    assert (spans.instants, spans.count, spans.rows) == (T, SPANS, 7)
+    assert set(np.diff(spans.edges)) == {8, 9}
+    np.testing.assert_array_equal(system.rows, counts.sum(axis=0))
+    found = np.c_[Z, system.W, system.Y].reshape(n, SPANS, 7, 7)
+    for k, (a, z) in enumerate(pairwise(spans.edges)):
+        for j in range(n):
+            rows = columns[j, :, a:z][:, counts[a:z, j]]
+            np.testing.assert_allclose(found[j, k].T @ found[j, k], rows @ rows.T, rtol=1e-9, atol=1e-12)
+
+
+def test_a_part_of_the_time_has_its_spans():
+    """Of a recording that starts at instant 100: all of it, its first span, and none of it."""
+    spans = Spans(instants=10, count=4, rows=3)
+    np.testing.assert_array_equal(spans.edges, [0, 3, 5, 8, 10])
+    assert spans.between(slice(0, 200), 100) == spans
+    assert spans.between(slice(90, 103), 100) == Spans(instants=3, count=1, rows=3)
+    assert spans.between(slice(105, 110), 100) == Spans(instants=5, count=2, rows=3)
+    assert spans.between(slice(0, 100), 100).count == 0

@@ -466,7 +466,7 @@ def test_prewhitened_rows_are_those_of_the_filter():
 @pytest.mark.slow
 @pytest.mark.parametrize("method", ["iv", "wls"])
 def test_a_long_recording_is_tested_as_its_rows_are(method):
-    """Borders of blocks are off by half a block of 128 at most. By instruments a row or two more count."""
+    """Halves and fifths of the time end where spans do. By instruments a row or two more count."""
     (fit, evidence), (long, of_blocks) = examined(method, "scara"), examined_as_long(method)
     assert (evidence.observed.reduced, of_blocks.observed.reduced) == (False, True)
     rows = 5e-8 if method == "wls" else 0.01
@@ -474,7 +474,7 @@ def test_a_long_recording_is_tested_as_its_rows_are(method):
     assert (told.level, told.value) == ("ok", pytest.approx(wanted.value, rel=0.01))
     assert [x.name for x in told.figures] == [x.name for x in wanted.figures]
     for one, other in zip(told.figures, wanted.figures, strict=True):
-        assert one.value == pytest.approx(other.value, rel=0.05)
+        assert one.value == pytest.approx(other.value, rel=0.05 if method == "iv" else 0.01)
     whole = slice(0, len(evidence.observed.tau))
     assert of_blocks.sums(whole).rho_rho == pytest.approx(evidence.sums(whole).rho_rho, rel=2 * rows)
     told, wanted = (x.trust.line("halves") for x in (long, fit))
@@ -487,13 +487,14 @@ def test_a_long_recording_is_tested_as_its_rows_are(method):
     np.testing.assert_allclose(left, evidence.rows.rho, atol=1e-9 * np.abs(evidence.rows.rho).max())
 
 
-def test_sums_over_blocks_are_those_of_their_rows():
-    """Least squares of the blocks' own instants, held out or alone, is that of the rows at these instants."""
+def test_sums_over_spans_are_those_of_their_rows():
+    """Least squares of the spans' own instants, held out or alone, is that of the rows at these instants."""
     (_, evidence), (fit, long) = examined("wls", "scara"), examined_as_long("wls")
     T, n, b = len(evidence.observed.tau), 2, len(fit.estimate.names)
     for part in (slice(0, round(T / 5)), slice(round(T / 5), round(2 * T / 5)), slice(round(T / 2), T)):
-        covered = long.aligned(part)
-        assert max(abs(covered.start - part.start), abs(covered.stop - part.stop)) <= T / 256 + 1
+        covered, _ = long.aligned(part)
+        assert max(abs(covered.start - part.start), abs(covered.stop - part.stop)) <= 1
+        assert evidence.aligned(part) == (part, part)
         inside = np.zeros((n, T), dtype=bool)
         inside[:, covered] = True
         W, Y = evidence.rows.W[inside.ravel()], evidence.rows.Y[inside.ravel()]
@@ -538,19 +539,6 @@ def test_a_half_without_motion_of_a_joint_determines_nothing_of_it(long):
     told = looked_at("wls", replace(signals, q=q), long=long, decimation=10)[0].trust.line("halves")
     assert told.level == "not made"
     assert "a half alone does not determine the parameters" in told.text
-
-
-def test_sums_that_lost_their_digits_are_not_used():
-    """Q'Q of all blocks is 1 and Q'W the inverse of the bread, unless squares are too ill-conditioned."""
-    _, long = examined_as_long("wls")
-    (blocks,) = long.blocks
-    assert long.sums_accurate
-    for lost in ({"QQ": blocks.QQ * (1 + 1e-5)}, {"QW": blocks.QW * (1 + 1e-5)}):
-        ill = replace(long, blocks=(replace(blocks, **lost),))
-        trust = trust_in(ill)
-        for test in ("held-out blocks", "halves"):
-            assert trust.line(test).level == "not made"
-            assert "too ill-conditioned" in trust.line(test).text
 
 
 @pytest.mark.parametrize("method", ["iv", "wls"])

@@ -1,17 +1,14 @@
 """Least squares, instrumental variables and their tests, on arrays; independent of robots."""
 
 from .confidence import (
-    BlockSums,
     Intervals,
     Scores,
-    TimeBlocks,
     deviations_of_sums,
     estimate_deviations,
     intervals,
     intervals_from,
-    intervals_of_blocks,
+    intervals_of,
     scores_of_recordings,
-    sums_of_blocks,
 )
 from .consistency import (
     Consistent,
@@ -44,4 +41,4 @@ from .estimators import (
     ordinary_least_squares,
     weighted_least_squares,
 )
-from .system import Factors, System, combined, condensed, r_factor, spans_of, undetermined_parameters
+from .system import SPANS, SpanFactors, Spans, System, condensed, r_factor, spans_of, stacked, undetermined_parameters

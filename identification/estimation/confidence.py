@@ -9,12 +9,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..arrays import Array
 from .diagnostics import t_quantile
 from .estimators import Estimate
-from .system import spans_of
+from .system import Spans, System, spans_of
 
 LEVEL = 0.95
 MIN_COSINES, MAX_COSINES = (
@@ -22,7 +21,7 @@ MIN_COSINES, MAX_COSINES = (
     16,
 )  # cosines: with all that white residuals would bear, AR(0.98) is covered in 76 % instead of 92 %
 MIN_VARIANCE_SHARE = 0.1  # of a very short recording
-TIME_BLOCKS = 8 * MAX_COSINES  # of a long recording: eight per half period of the fastest cosine
+TIME_BLOCKS = 8 * MAX_COSINES  # for the share that cosines find: eight per half period of the fastest one
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -50,30 +49,42 @@ class Intervals:
         return 0.5 * (self.high - self.low)
 
 
-def intervals(estimate: Estimate, rho: Array, n: int, parts: tuple[int, ...] | None = None) -> Intervals:
+def intervals(estimate: Estimate, rho: Array, n: int, parts: Sequence[int] = ()) -> Intervals:
     """Intervals of an estimate from its weighted residuals rho (r,), stacked joint by joint, zero in unused rows.
 
-    `parts` are the numbers of instants of several recordings, in the order of the rows; None for one recording.
+    `parts` are the numbers of instants of several recordings, in the order of the rows; none for one recording.
     """
-    found = scores_of_recordings(estimate.Q, estimate.bread, rho.reshape(n, -1), parts or (len(rho) // n,))
+    spans = tuple(Spans(instants=T, count=T) for T in parts or (len(rho) // n,))
+    return _intervals(estimate, rho.reshape(n, -1), spans)
+
+
+def intervals_of(system: System, estimate: Estimate) -> Intervals:
+    """Intervals of an estimate from the used rows of its system."""
+    rho = system.Y - system.W @ estimate.values_of(system.names)
+    weighted = rho * estimate.weights[system.joint_of_row] * system.used
+    return _intervals(estimate, weighted.reshape(len(system.rows), -1), system.spans)
+
+
+def _intervals(estimate: Estimate, rho: Array, spans: Sequence[Spans]) -> Intervals:
+    found = scores_of_recordings(estimate.Q, estimate.bread, rho, spans)
     return intervals_from(estimate, *estimate_deviations(estimate.bread, found))
 
 
-# Of a recording: the scores (T, b) of instants or blocks of time, whose sum is its share of beta - beta_true; Q'Q (K, b, b) of
+# Of a recording: the scores (T, b) of instants or spans of time, whose sum is its share of beta - beta_true; Q'Q (K, b, b) of
 # blocks of time; the number of cosines.
 Scores = tuple[Array, Array, int]
 
 
-def scores_of_recordings(Q: Array, bread: Array, rho: Array, parts: Sequence[int]) -> list[Scores]:
-    """Scores of recordings with `parts` instants, from orthonormal Q (n T, b), `bread` and residuals rho (n, T)."""
-    (n, T), b = rho.shape, Q.shape[1]
-    scores = (Q * rho.reshape(-1, 1)).reshape(n, T, b).sum(axis=0) @ bread.T
-    by_instant, found = Q.reshape(n, T, b).transpose(1, 0, 2), list[Scores]()
-    for part in spans_of(parts):
-        count = len(scores[part])
-        blocks = np.array_split(by_instant[part], min(count, TIME_BLOCKS))
+def scores_of_recordings(Q: Array, bread: Array, rho: Array, spans: Sequence[Spans]) -> list[Scores]:
+    """Scores of recordings with these spans, from orthonormal Q (r, b), `bread` and residuals rho (n, r/n)."""
+    (n, r), b = rho.shape, Q.shape[1]
+    scores = (Q * rho.reshape(-1, 1)).reshape(n, r, b).sum(axis=0) @ bread.T
+    by_row, found = Q.reshape(n, r, b).transpose(1, 0, 2), list[Scores]()
+    for part, own in zip(spans_of([own.count * own.rows for own in spans]), spans, strict=True):
+        by_span = by_row[part].reshape(own.count, own.rows, n, b)
+        blocks = np.array_split(by_span, min(own.count, TIME_BLOCKS))
         grams = np.stack([q.T @ q for q in (block.reshape(-1, b) for block in blocks)])
-        found.append((scores[part], grams, cosines(count)))
+        found.append((scores[part].reshape(own.count, own.rows, b).sum(axis=1), grams, cosines(own.instants)))
     return found
 
 
@@ -155,115 +166,3 @@ def _family(B: int, T: int) -> Array:
 def cosines(T: int) -> int:
     """Number of cosines for T instants: enough to measure the spread, few enough to stay at low frequencies."""
     return int(np.clip(np.floor(0.4 * T ** (2 / 3)), MIN_COSINES, MAX_COSINES))
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class BlockSums:
-    """Sums over the rows of each of K equal blocks of time, with the orthonormal columns Q (r, b) of an estimate.
-
-    Attributes:
-        QQ, QW: (K, b, b) Q'Q and Q'W, rows weighted as in the estimate; `QY`: (K, b) Q'Y.
-        WW: (K, b, b) W'W of the same rows in the unit of the torque; `WY`: (K, b) W'Y.
-        edges: (K + 1,) the first instant of each block and the end of the last.
-    """
-
-    QQ: Array
-    QW: Array
-    QY: Array
-    WW: Array
-    WY: Array
-    edges: NDArray[np.intp]
-
-    @property
-    def total(self) -> tuple[Array, ...]:
-        """Q'Q, Q'W, Q'Y, W'W and W'Y of all blocks."""
-        return tuple(x.sum(axis=0) for x in (self.QQ, self.QW, self.QY, self.WW, self.WY))
-
-    def between(self, first: int, last: int) -> "BlockSums":
-        """The blocks between two instants, both of which are edges."""
-        a, z = np.searchsorted(self.edges, (first, last))
-        QQ, QW, QY, WW, WY = (x[a:z] for x in (self.QQ, self.QW, self.QY, self.WW, self.WY))
-        return BlockSums(QQ=QQ, QW=QW, QY=QY, WW=WW, WY=WY, edges=self.edges[a : z + 1])
-
-    def scores(self, beta: Array, bread: Array, T: Array) -> Scores:
-        """Scores bread T'Q'(Y - W beta) of an estimate beta (b,) with the orthonormal columns Q T."""
-        scores = (self.QY - self.QW @ beta) @ T @ bread.T
-        return scores, T.T @ self.QQ @ T, cosines(int(self.edges[-1] - self.edges[0]))
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class TimeBlocks:
-    """Products of the used rows of a long recording in K equal blocks of time, enough for intervals and fits of parts.
-
-    Attributes:
-        products: (K, n, b, b + 1) of block and joint W'[W Y]; with instruments (K, 1, b, b + 1), of all joints.
-        along: with instruments Z (K, b, 2b + 1) Z'[Z W Y] of the weighted rows; else None.
-        instants: T, of all blocks.
-        names: (b,) parameters.
-    """
-
-    products: Array
-    along: Array | None
-    instants: int
-    names: tuple[str, ...]
-
-    @classmethod
-    def none_yet(cls, instants: int, n: int, names: tuple[str, ...], *, instruments: bool = False) -> "TimeBlocks":
-        """Empty blocks for the rows of `instants` of n joints, filled by `add`."""
-        b, K = len(names), min(TIME_BLOCKS, instants)
-        products = np.zeros((K, 1 if instruments else n, b, b + 1))
-        along = np.zeros((K, b, 2 * b + 1)) if instruments else None
-        return cls(products=products, along=along, instants=instants, names=names)
-
-    def add(self, first: int, columns: Array, counts: NDArray[np.bool_], weights: Array | None = None) -> None:
-        """Add the instants from `first` on: W Y (n, b + 1, rows), or with instruments Z W Y (n, 2b + 1, rows) and the `weights`
-        (n,) of the joints; `counts` (rows, n): the rows used.
-        """
-        b = len(self.names)
-        block = np.arange(first, first + len(counts)) * len(self.products) // self.instants
-        for k in np.unique(block):
-            for j, of_joint in enumerate(columns):
-                rows = of_joint[:, (block == k) & counts[:, j]]
-                products = rows[-b - 1 : -1] @ rows[-b - 1 :].T
-                if self.along is None or weights is None:
-                    self.products[k, j] += products
-                else:
-                    self.products[k, 0] += products
-                    self.along[k] += weights[j] ** 2 * (rows[:b] @ rows.T)
-
-    def sums(self, estimate: Estimate, T: Array) -> BlockSums:
-        """Sums of the estimated parameters; W T, or Z T, are the estimate's orthonormal columns."""
-        indices = np.array([self.names.index(name) for name in estimate.names])
-        plain = self.products.sum(axis=1)[:, indices]
-        if self.along is None:
-            along = np.tensordot(estimate.weights**2, self.products, axes=(0, 1))[:, indices]
-            of_W = indices
-        else:
-            along, of_W = self.along[:, indices], len(self.names) + indices
-        return BlockSums(
-            QQ=T.T @ along[..., indices] @ T,
-            QW=T.T @ along[..., of_W],
-            QY=along[..., -1] @ T,
-            WW=plain[..., indices],
-            WY=plain[..., -1],
-            # instant t is in block t K // T
-            edges=np.asarray(-(-np.arange(len(plain) + 1) * self.instants // len(plain))),
-        )
-
-
-def sums_of_blocks(
-    estimate: Estimate, recordings: Sequence[TimeBlocks], basis: Array | None = None
-) -> tuple[BlockSums, ...]:
-    """Sums over the blocks of recordings with the columns Q of an estimate of all or some parameters.
-
-    `basis` T (b, b) makes Z T the estimate's orthonormal Q, by default its `bread`: W bread is that of least squares.
-    """
-    T = estimate.bread if basis is None else basis
-    return tuple(blocks.sums(estimate, T) for blocks in recordings)
-
-
-def intervals_of_blocks(estimate: Estimate, recordings: Sequence[BlockSums]) -> Intervals:
-    """Intervals of an estimate from the sums over the blocks of recordings."""
-    one = np.eye(len(estimate.beta))
-    found = [blocks.scores(estimate.beta, estimate.bread, one) for blocks in recordings]
-    return intervals_from(estimate, *estimate_deviations(estimate.bread, found))

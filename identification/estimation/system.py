@@ -1,6 +1,6 @@
 """The over-determined system of the estimators, and QR factors of its rows for long recordings."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -10,9 +10,33 @@ from numpy.typing import NDArray
 from ..arrays import Array
 from ..errors import IdentificationError
 
+SPANS = 120  # of a long recording: halves and fifths of its time end where spans do; 7.5 per half period of the fastest cosine
 _BLOCK_ROWS = 1024  # of a block that is factored at a time
 _MAX_CONDITION = 1e3  # condition up to which A R⁻¹ is orthonormal to 1e-12
 RANK_TOLERANCE = 1e-8  # of the largest singular value of the column-scaled W
+
+
+@dataclass(frozen=True, kw_only=True)
+class Spans:
+    """The rows of a recording: `count` spans of equal time, each with `rows` rows of each joint, in all of `instants`.
+
+    Held rows are spans of one instant and one row; those of a long recording are QR factors of a span's rows.
+    """
+
+    instants: int
+    count: int
+    rows: int = 1
+
+    @property
+    def edges(self) -> NDArray[np.intp]:
+        """(count + 1,) the first instant of each span, and the end of the last: instant t is in span t count // instants."""
+        return np.asarray(-(-np.arange(self.count + 1) * self.instants // self.count))
+
+    def between(self, part: slice, start: int = 0) -> "Spans":
+        """The spans of a part of the time, which ends where spans do; the recording starts at instant `start`."""
+        first, last = np.clip((part.start - start, part.stop - start), 0, self.instants)
+        count = int(np.subtract(*np.searchsorted(self.edges, (last, first))))
+        return replace(self, instants=int(last - first), count=count)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -26,6 +50,7 @@ class System:
         names: (b,) parameters.
         used: (r,) 1 for used rows, 0 for others.
         rows: (n,) used samples per joint; more than rows of W where these are QR factors.
+        spans: by recording how its rows follow in time, the same for each joint; empty where they do not.
     """
 
     W: Array
@@ -34,6 +59,7 @@ class System:
     names: tuple[str, ...]
     used: Array
     rows: NDArray[np.intp]
+    spans: tuple[Spans, ...] = ()
 
     def __post_init__(self) -> None:
         r, b = self.W.shape
@@ -69,62 +95,87 @@ def spans_of(parts: Sequence[int]) -> list[slice]:
     return [slice(int(a), int(b)) for a, b in pairwise(edges)]
 
 
-class Factors:
-    """R factor of the rows [Z W Y], or [W Y], of each joint so far, and their number.
+class SpanFactors:
+    """R factors of the used rows [Z W Y], or [W Y], of each joint in each span of a long recording.
 
-    The factor has the same column products AᵀB as the rows, hence the same least squares and instrumental variables, and avoids
+    A factor has the same column products AᵀB as its rows, hence the same least squares and instrumental variables, and avoids
     the loss of digits of squared sums.
     """
 
-    def __init__(self, n: int, columns: int) -> None:
-        """Of n joints, without any rows yet."""
-        self._R: list[Array] = [np.empty((0, columns)) for _ in range(n)]
-        self.rows = np.zeros(n, dtype=np.intp)
+    def __init__(self, instants: int, n: int, columns: int, spans: int = SPANS) -> None:
+        """Of `instants` of n joints, without any rows yet."""
+        self._instants, self._rows = instants, np.zeros(n, dtype=np.intp)
+        self._R = [[np.empty((0, columns))] * n for _ in range(min(spans, instants))]
 
-    def add(self, j: int, rows: Array, count: int | None = None) -> None:
-        """Add rows (r, columns) of joint j, or a factor of `count` rows."""
-        stack = np.concatenate([self._R[j], rows])
-        own = stack.any(axis=0)  # a joint depends on some parameters only
-        R = r_factor(stack[:, own])
-        self._R[j] = np.zeros((len(R), stack.shape[1]))
-        self._R[j][:, own] = R
-        self.rows[j] += len(rows) if count is None else count
-
-    def add_block(self, columns: Array, counts: NDArray[np.bool_]) -> None:
-        """Add instants: columns (n, columns, T), and `counts` (T, n), the rows used."""
-        for j, own in enumerate(columns):
-            self.add(j, own[:, counts[:, j]].T)
+    def add(self, first: int, columns: Array, counts: NDArray[np.bool_]) -> None:
+        """Add the instants from `first` on: columns (n, columns, T), and `counts` (T, n), the rows used."""
+        span = np.arange(first, first + len(counts)) * len(self._R) // self._instants
+        for k in np.unique(span):
+            for j, own in enumerate(columns):
+                self._R[k][j] = _factor(np.concatenate([self._R[k][j], own[:, (span == k) & counts[:, j]].T]))
+        self._rows += counts.sum(axis=0)
 
     def system(self, names: tuple[str, ...]) -> tuple[System, Array | None]:
-        """W and Y as a system, and Z in the same rows; None for rows [W Y]."""
-        stack, b = np.concatenate(self._R), len(names)
+        """W and Y as a system, and Z in the same rows; None for rows [W Y]. Spans with fewer rows end with zeros."""
+        n, K, b = len(self._rows), len(self._R), len(names)
+        m = max(len(R) for of_span in self._R for R in of_span)
+        Z, W, Y = np.zeros((n, K, m, b)), np.zeros((n, K, m, b)), np.zeros((n, K, m))
+        instruments = self._R[0][0].shape[1] > b + 1
+        for k, of_span in enumerate(self._R):
+            for j, R in enumerate(of_span):
+                r = len(R)
+                W[j, k, :r], Y[j, k, :r] = R[:, -b - 1 : -1], R[:, -1]
+                if instruments:
+                    Z[j, k, :r] = R[:, :b]
         system = System(
-            W=np.ascontiguousarray(stack[:, -b - 1 : -1]),
-            Y=np.ascontiguousarray(stack[:, -1]),
-            joint_of_row=np.repeat(np.arange(len(self._R)), [len(R) for R in self._R]),
+            W=W.reshape(-1, b),
+            Y=Y.reshape(-1),
+            joint_of_row=np.repeat(np.arange(n), K * m),
             names=names,
-            used=np.ones(len(stack)),
-            rows=self.rows.copy(),
+            used=np.ones(n * K * m),
+            rows=self._rows.copy(),
+            spans=(Spans(instants=self._instants, count=K, rows=m),),
         )
-        return system, np.ascontiguousarray(stack[:, :b]) if stack.shape[1] > b + 1 else None
+        return system, Z.reshape(-1, b) if instruments else None
+
+
+def stacked(systems: Sequence[System]) -> System:
+    """The system of several recordings of the same parameters, rows stacked joint by joint, in the order given."""
+    if len(systems) == 1:
+        return systems[0]
+    rows = [[s.joint_of_row == j for s in systems] for j in range(len(systems[0].rows))]
+
+    def by_joint(name: str) -> Array:
+        values = [getattr(s, name) for s in systems]
+        return np.concatenate([x[own] for indices in rows for x, own in zip(values, indices, strict=True)])
+
+    return replace(
+        systems[0],
+        W=by_joint("W"),
+        Y=by_joint("Y"),
+        joint_of_row=np.sort(np.concatenate([s.joint_of_row for s in systems])),
+        used=by_joint("used"),
+        rows=np.sum([s.rows for s in systems], axis=0),
+        spans=tuple(spans for s in systems for spans in s.spans),
+    )
 
 
 def condensed(system: System) -> System:
     """Per joint the QR factor of the used rows of [W Y]: at most b + 1 rows with the same least squares."""
-    return combined([(system, None)])[0]
+    rows = np.c_[system.W, system.Y]
+    R = [_factor(rows[(system.joint_of_row == j) & (system.used > 0)]) for j in range(len(system.rows))]
+    stack, joints = np.concatenate(R), np.repeat(np.arange(len(R)), [len(x) for x in R])
+    W, Y = np.ascontiguousarray(stack[:, :-1]), np.ascontiguousarray(stack[:, -1])
+    return replace(system, W=W, Y=Y, joint_of_row=joints, used=np.ones(len(stack)), spans=())
 
 
-def combined(parts: Iterable[tuple[System, Array | None]]) -> tuple[System, Array | None]:
-    """One system, with its instruments if any, equivalent to all parts."""
-    found: Factors | None = None
-    names: tuple[str, ...] = ()
-    for system, Z in parts:
-        stack = np.c_[system.W, system.Y] if Z is None else np.c_[Z, system.W, system.Y]
-        found, names = found or Factors(len(system.rows), stack.shape[1]), system.names
-        for j, count in enumerate(system.rows):
-            found.add(j, stack[(system.joint_of_row == j) & (system.used > 0)], int(count))
-    assert found is not None
-    return found.system(names)
+def _factor(rows: Array) -> Array:
+    """The R factor of rows (r, columns) of a joint, which depends on some parameters only."""
+    own = np.any(rows, axis=0)
+    R = r_factor(rows[:, own])
+    found = np.zeros((len(R), rows.shape[1]))
+    found[:, own] = R
+    return found
 
 
 def r_factor(A: Array) -> Array:

@@ -7,22 +7,18 @@ import numpy as np
 
 from ..arrays import Array
 from ..estimation import (
-    BlockSums,
     Estimate,
     InstrumentTests,
-    Intervals,
     System,
     autocorrelation,
     f_tests,
     instrument_tests,
-    intervals,
-    intervals_of_blocks,
-    sums_of_blocks,
+    intervals_of,
     torque_errors,
 )
-from ..regression import Regression, base_name
+from ..regression import base_name
 from ..report import DirectModelError, FTest, Method, Status
-from ..simulation import Instruments, Replica, join_reasons, max_or_none
+from ..simulation import Replica, join_reasons, max_or_none
 from ..trust import FitData, Lag, TrustLine, held_out_recordings, trust_in
 from .fit import Fit, FittedRecording, InstrumentEvidence, LeastSquares, Pass, essential_names
 from .observation import position_noise_line
@@ -37,8 +33,6 @@ MIN_FIRST_STAGE_F = 10.0
 
 def evidence_of_ls(observed: StackedSystem, method: Method, ls: LeastSquares, lags: tuple[Lag, ...]) -> FitData:
     """Inputs of the trust tests of least squares, which has no instruments and cannot find the lags of the torques."""
-    lone, reduced = len(observed.observations) == 1, observed.regression.reduced
-    long = observed.observations if reduced and not lone else ()
     return FitData(
         recordings=observed.observations,
         observed=observed.regression,
@@ -49,8 +43,6 @@ def evidence_of_ls(observed: StackedSystem, method: Method, ls: LeastSquares, la
         used=observed.regression.fast.T.reshape(-1).astype(float),
         intervals=ls.intervals,
         least_squares=ls.full,
-        blocks=sums_of_blocks(ls.estimate, observed.regression.time_blocks),
-        factors=tuple((one.regression.system, one.regression.system.W) for one in long),
         lags=lags,
         essential=essential_names(ls.essential, ls.estimate, ls.intervals),
     )
@@ -126,31 +118,6 @@ def own_test(observed: StackedSystem, full: Estimate) -> FTest | None:
     return FTest(names=names, F=F, p_value=p, F_effective=F_effective, p_effective=p_effective)
 
 
-def intervals_of(observed: Regression, estimate: Estimate, predicted: Array, used: Array) -> Intervals:
-    """Intervals of an estimate from the `used` rows (r,)."""
-    if observed.time_blocks:
-        return intervals_of_blocks(estimate, sums_of_blocks(estimate, observed.time_blocks))
-    rho = ((observed.tau - predicted) * estimate.weights).T.reshape(-1)
-    return intervals(estimate, rho * used, observed.tau.shape[1], observed.parts)
-
-
-def intervals_along(observed: StackedSystem, z: Instruments, estimate: Estimate) -> Intervals:
-    """Intervals of an IV estimate, from the rows used or from the blocks of long recordings."""
-    if z.system is None:
-        about = observed.about(z)
-        return intervals_of(about.regression, estimate, about.predicted(estimate), z.used)
-    return intervals_of_blocks(estimate, sums_along(z, estimate))
-
-
-def sums_along(z: Instruments, estimate: Estimate) -> tuple[BlockSums, ...]:
-    """Block sums of an IV estimate of long recordings; none if rows are held."""
-    if z.system is None:
-        return ()
-    indices = np.array([z.system.names.index(name) for name in estimate.names])
-    R = estimate.Q.T @ (z.Z[:, indices] * estimate.weights[z.system.joint_of_row, None])  # of the weighted Z = Q R
-    return sums_of_blocks(estimate, z.time_blocks, np.asarray(np.linalg.inv(R)))
-
-
 def _warnings(observed: StackedSystem) -> tuple[str, ...]:
     """Warnings of the settings and the recordings; several recordings may share one."""
     problems = [observed.observations[k].problem for k in observed.order]
@@ -171,8 +138,8 @@ def assess_iv(
 ) -> Fit:
     """The fit of the pass that is returned; the robot simulated with its estimate validates the direct model."""
     observed, z, estimate, replicas = observed.about(best.z), best.z, best.estimate, best.replicas
-    evidence, system = _evidence_along(observed, best, ls), observed.along(z)
-    tests = _tests(system, estimate, observed.regression.tau - evidence.predicted, z.used)
+    evidence = _evidence_along(observed, best, ls)
+    tests = _tests(evidence.observed.system, estimate, observed.regression.tau - evidence.predicted, z.used)
     status, reason = _status(passes, best, [one.problem.signals.recording for one in observed.observations], tests)
     if reason is not None and best.number != len(passes):
         reason += f"; pass {best.number} is returned: it tracks best"
@@ -194,12 +161,9 @@ def assess_iv(
     )
     evidence = replace(
         evidence,
-        Z=None if observed.regression.reduced else evidence.Z,
         fixed_point=status in ("converged", "not_confirmed"),
         first_stage_F=tests.first_stage_F,
         unconfirmed=None if status == "converged" else f"status {status}: {reason}",
-        factors=z.factors if len(z.factors) > 1 else (),
-        blocks=sums_along(z, estimate),
         beginning=None if beginning is None else _evidence_along(*beginning, ls),
     )
     own = replace(ls, estimate=estimate, intervals=evidence.intervals, tau_predicted=evidence.predicted)
@@ -211,10 +175,11 @@ def assess_iv(
 def _evidence_along(observed: StackedSystem, best: Pass, ls: LeastSquares) -> FitData:
     """Inputs of the trust tests of an IV estimate."""
     observed, z, estimate = observed.about(best.z), best.z, best.estimate
-    within = add_lag_variance(estimate, intervals_along(observed, z, estimate), observed.lags)
+    system = observed.along(z)
+    within = add_lag_variance(estimate, intervals_of(system, estimate), observed.lags)
     return FitData(
         recordings=observed.simulated(best.replicas),
-        observed=observed.regression,
+        observed=replace(observed.regression, system=system),
         method="iv",
         fixed_point=True,
         estimate=estimate,

@@ -20,6 +20,7 @@ from ..estimation import (
     autocorrelation,
     essential_parameters,
     instrumental_variables,
+    intervals_of,
     one_thread,
     torque_errors,
 )
@@ -28,7 +29,7 @@ from ..regression import Overrides, Settings, make_problem, torque_of_recording
 from ..report import Method, TorqueError
 from ..simulation import Instruments
 from ..trust import covariance_of_all
-from .assess import assess_iv, evidence_of_ls, fit_of, intervals_along, intervals_of, position_noise_of
+from .assess import assess_iv, evidence_of_ls, fit_of, position_noise_of
 from .fit import Fit, LeastSquares, Pass
 from .iteration import (
     Iteration,
@@ -170,7 +171,7 @@ def _by_instruments(observed: StackedSystem, iteration: Iteration, *, essential:
         number, coarse = len(passes) + 1, is_coarse(observed.problem, iteration, passes)
         say(f"pass {number}: simulating the robot")
         # Z = IDM(q_sim, dq_sim, ddq_sim)
-        z = lab.instruments(beta, C, weights, rows=rows_of_last(passes), coarse=coarse)
+        z = lab.instruments(beta, C, rows=rows_of_last(passes), coarse=coarse)
         about = observed.about(z)
         W_and_Y = about.along(z)
         try:
@@ -179,7 +180,7 @@ def _by_instruments(observed: StackedSystem, iteration: Iteration, *, essential:
             passes = failed(passes, z, lab.names, error)
             break
         # C = D R D
-        asked, C = C, covariance_of_all(names, estimate, intervals_along(about, z, estimate), ls.full)
+        asked, C = C, covariance_of_all(names, estimate, intervals_of(W_and_Y, estimate), ls.full)
         one_pass = assess_pass(z, estimate, W_and_Y, (asked, C), tolerance_percent=iteration.tolerance_percent)
         passes = [*(before.without_rows() for before in passes), replace(one_pass, number=number, coarse=coarse)]
         beta = next_values(passes, names)
@@ -202,7 +203,7 @@ def solve_least_squares(observed: StackedSystem, full: Estimate, *, essential: b
         predicted = observed.predicted(estimate)
     return LeastSquares(
         estimate=estimate,
-        intervals=intervals_of(rows, estimate, predicted, rows.system.used),
+        intervals=intervals_of(rows.system, estimate),
         full=full,
         essential=reduction,
         tau_predicted=predicted,

@@ -8,13 +8,12 @@ from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..errors import IdentificationError
-from ..estimation import Estimate, System
+from ..estimation import Estimate, System, intervals_of
 from ..model import BaseParameters, InverseModel
 from ..options import IterationOptions
 from ..regression import Problem
 from ..simulation import ClosedLoops, Instruments
 from ..trust import covariance_of_all
-from .assess import intervals_of
 from .fit import LeastSquares, Pass
 from .settled import solve_with_load_friction
 from .system import StackedSystem
@@ -38,12 +37,11 @@ class Iteration(IterationOptions):
 
 def start_values(observed: StackedSystem, iteration: Iteration, ls: LeastSquares) -> tuple[Array, Array | None]:
     """Values of all parameters to simulate first, and their covariance: None for a regular start."""
-    problem, repeated, rows = observed.problem, observed.parameters.repeated, observed.regression
+    problem, repeated, system = observed.problem, observed.parameters.repeated, observed.regression.system
     if iteration.start == "regular" and iteration.values is None:
         return repeated(regular_start(problem.model, problem.base, iteration.inertias)), None
     beta = ls.full.beta if iteration.values is None else repeated(iteration.values(problem.base))
-    found = intervals_of(rows, ls.full, observed.predicted(ls.full), rows.system.used)
-    return beta, covariance_of_all(rows.system.names, ls.full, found, ls.full)
+    return beta, covariance_of_all(system.names, ls.full, intervals_of(system, ls.full), ls.full)
 
 
 def next_values(passes: Sequence[Pass], names: tuple[str, ...]) -> Array:
@@ -126,7 +124,7 @@ def conclude(lab: ClosedLoops, passes: Sequence[Pass], solve: Callable[[Instrume
     if not best.is_last or best.failure is not None:
         best = _best_pass(lab, passes)
     if best.number < len(passes):
-        z = lab.instruments(best.z.beta, best.asked, best.estimate.weights, rows=best.z.moving_rows, coarse=best.coarse)
+        z = lab.instruments(best.z.beta, best.asked, rows=best.z.moving_rows, coarse=best.coarse)
         best = replace(best, z=z, estimate=solve(z))
     return (
         best if best.replicas else replace(best, replicas=lab.replicas(best.estimate.values_of(names), best.covariance))

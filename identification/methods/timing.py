@@ -61,9 +61,9 @@ def correct_lags(
     """
     if not observed.regression.reduced:
         return *_estimate_lags(observed, best, solve), None
-    span, weights = observed.on_span(), best.estimate.weights
+    span = observed.on_span()
     lab, beta = lab_of(span), best.estimate.values_of(observed.parameters.names)
-    z = lab.instruments(beta, best.covariance, weights)
+    z = lab.instruments(beta, best.covariance)
     own = replace(best, z=z, estimate=solve(z, span.along(z)), replicas=lab.replicas(beta, best.covariance))
     span, own = _estimate_lags(span, own, solve)
     lags = lags_of_all(observed, best.estimate, span.lags)
@@ -71,7 +71,7 @@ def correct_lags(
     change = [abs(lag.value_s - at) / max(lag.sd_s, 1e-12) for lag, at in zip(lags, now, strict=True)]
     if any((deviations * lag.moved > MIN_MOVE).any() for deviations, lag in zip(change, lags, strict=True)):
         observed = _with_lags(observed, [lag.value_s for lag in lags])
-        z = lab_of(observed).instruments(best.z.beta, best.asked, weights, rows=best.z.moving_rows)
+        z = lab_of(observed).instruments(best.z.beta, best.asked, rows=best.z.moving_rows)
         best = replace(best, z=z, estimate=solve(z, observed.along(z)))
     return replace(observed, lags=lags), best, (replace(span, lags=lags), own)
 

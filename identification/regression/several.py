@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..errors import IdentificationError
-from ..estimation import combined
+from ..estimation import stacked
 from .problem import Problem
 from .system import Regression
 
@@ -118,30 +118,11 @@ def _stacked(regressions: Sequence[Regression]) -> Regression:
     """The system of several recordings, rows stacked joint by joint, in the order given: all of them reduced, or none."""
     if len(regressions) == 1:
         return regressions[0]
-    n, systems = regressions[0].tau.shape[1], [part.system for part in regressions]
-    if regressions[0].reduced:
-        system, _ = combined((one, None) for one in systems)
-    else:
-        rows = [[s.joint_of_row == j for s in systems] for j in range(n)]
-
-        def by_joint(name: str) -> Array:
-            values = [getattr(s, name) for s in systems]
-            return np.concatenate([x[own] for indices in rows for x, own in zip(values, indices, strict=True)])
-
-        system = replace(
-            systems[0],
-            W=by_joint("W"),
-            Y=by_joint("Y"),
-            joint_of_row=np.sort(np.concatenate([s.joint_of_row for s in systems])),
-            used=by_joint("used"),
-            rows=np.sum([s.rows for s in systems], axis=0),
-        )
     return Regression(
-        system=system,
+        system=stacked([part.system for part in regressions]),
         fast=np.concatenate([part.fast for part in regressions]),
         tau=np.concatenate([part.tau for part in regressions]),
         speed=np.concatenate([part.speed for part in regressions]),
         slip_noise=np.max([part.slip_noise for part in regressions], axis=0),
-        parts=tuple(rows for part in regressions for rows in part.parts),
-        time_blocks=tuple(blocks for part in regressions for blocks in part.time_blocks),
+        reduced=regressions[0].reduced,
     )

@@ -3,13 +3,12 @@
 import math
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..estimation import Factors, System, TimeBlocks, one_thread
+from ..estimation import SpanFactors, Spans, System, one_thread
 from ..model import BaseParameters, InverseModel, direct_model
 from .filtering import Decimation
 from .load import LoadFriction, RigidBodyColumns, load_friction
@@ -17,7 +16,7 @@ from .motion import Motion, differentiate
 from .problem import Problem, RowBlock, motion_blocks, motion_of_block, row_blocks
 from .rows import measured_fast_rows, refuse_slow_joints
 
-_MAX_NUMBERS = 4_000_000  # of W in rows; above, joints are reduced to their QR factors
+_MAX_NUMBERS = 4_000_000  # of W in rows; above, its spans are reduced to their QR factors
 _MAX_NUMBERS_OF_ALL = 16_000_000  # the same of all recordings of a fit
 _MAX_LINK_NUMBERS = 12_000_000  # of all link columns before decimation, 96 MB; above, they are computed again
 ALL_REDUCED, HELD = 10**9, 0  # numbers of recordings that share the memory: all are reduced, or none
@@ -34,12 +33,11 @@ class Regression:
         tau: (rows, n) decimated torques; never reduced.
         speed: (rows, n) joint speeds at the same instants.
         slip_noise: (c,) noise of the speeds of the c directions of Coulomb friction.
-        parts: numbers of decimated samples of the recordings, in sequence.
         links: link columns for load friction, by block; empty if too large or not needed, and in other processes.
-        time_blocks: of a reduced system by recording, for scores and fits of parts; else empty.
+        reduced: whether rows are QR factors rather than samples.
 
-    The system of a long recording is reduced: per joint the rows, at most b + 1, of the QR factor of the rows of [W Y] used by
-    least squares, which have the same normal equations.
+    The system of a long recording is reduced: by joint and span of time the rows, at most b + 1, of the QR factor of the rows
+    of [W Y] used by least squares, which have the same normal equations.
     """
 
     system: System
@@ -47,17 +45,16 @@ class Regression:
     tau: Array
     speed: Array
     slip_noise: Array
-    parts: tuple[int, ...]
     links: tuple[RigidBodyColumns, ...] = ()
-    time_blocks: tuple[TimeBlocks, ...] = ()
+    reduced: bool = False
 
     def __getstate__(self) -> dict[str, object]:
         return {**self.__dict__, "links": ()}  # many times as large as the rows: computed again
 
-    @cached_property
-    def reduced(self) -> bool:
-        """Whether rows are QR factors rather than samples."""
-        return self.tau.size != len(self.system.Y)
+    @property
+    def parts(self) -> tuple[int, ...]:
+        """Numbers of decimated samples of the recordings, in sequence."""
+        return tuple(spans.instants for spans in self.system.spans)
 
     def predicted(self, beta: Array) -> Array:
         """Torque (rows, n) predicted by beta (b,) for rows that are not reduced: tau less the residual Y - W beta."""
@@ -94,18 +91,14 @@ def regression_of_recording(
         refuse_slow_joints(fast, names, problem.signals.recording)
     (rows, n), base = fast.shape, problem.base
     b, most = len(base.names), math.inf if share == HELD else min(_MAX_NUMBERS, _MAX_NUMBERS_OF_ALL // share)
-    factors = Factors(n, b + 1) if rows * n * b > most else None
-    time_blocks = TimeBlocks.none_yet(rows, n, base.names) if factors else None
+    factors = SpanFactors(rows, n, b + 1) if rows * n * b > most else None
     for at in row_blocks(problem):
         (W, Y, tau, speed), links = _block(problem, at, beta)
         if links is not None:
             numbers += links.series.size
             link_blocks = [*link_blocks, links] if numbers <= _MAX_LINK_NUMBERS // max(1, share) else []
-        if factors and time_blocks:
-            counts = fast[at.first : at.last]
-            columns = np.concatenate([W, Y[:, None]], axis=1)
-            factors.add_block(columns, counts)
-            time_blocks.add(at.first, columns, counts)
+        if factors:
+            factors.add(at.first, np.concatenate([W, Y[:, None]], axis=1), fast[at.first : at.last])
             blocks.append((tau, speed))
         else:
             blocks.append((tau, speed, W, Y))
@@ -122,6 +115,7 @@ def regression_of_recording(
             names=base.names,
             used=fast.T.reshape(-1).astype(float),
             rows=fast.sum(axis=0),
+            spans=(Spans(instants=rows, count=rows),),
         )
     return Regression(
         system=system,
@@ -129,9 +123,8 @@ def regression_of_recording(
         tau=tau.T,
         speed=np.ascontiguousarray(speed.T),
         slip_noise=slip_noise,
-        parts=(rows,),
         links=() if factors else tuple(link_blocks),
-        time_blocks=() if time_blocks is None else (time_blocks,),
+        reduced=factors is not None,
     )
 
 

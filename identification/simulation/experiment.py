@@ -68,17 +68,18 @@ class Experiment:
         *,
         gain_update: bool = True,
         rate_per_bandwidth: float = RATE_PER_BANDWIDTH,
-        long: bool = False,
+        spans: int = 0,
     ) -> None:
         """The recorded gains are assumed to suit the inertias of `beta_ls`; with `gain_update` they follow each estimate's.
 
         `slip_noise` (c,) is the speed noise along the directions of Coulomb friction. A period of the bandwidth has at least
-        `rate_per_bandwidth` simulated steps and instrument samples. No whole motion of a `long` recording is stored.
+        `rate_per_bandwidth` simulated steps and instrument samples. A long recording has `spans` of QR factors in place
+        of rows, and no whole motion of it is stored.
 
         Raises `IdentificationError` for an incomplete controller or a reference of another recording.
         """
         signals, robot = problem.signals, problem.signals.robot
-        self.problem, self.slip_noise, self.gain_update, self.long = problem, slip_noise, gain_update, long
+        self.problem, self.slip_noise, self.gain_update, self.spans = problem, slip_noise, gain_update, spans
         self.directions, self.bandwidth_hz = problem.model.coulomb_directions, robot.bandwidth_hz
         self.reference_kind: Literal["recorded", "surrogate"] = "surrogate" if signals.q_ref is None else "recorded"
         self._cutoff_hz = rule_cutoff_hz(self.bandwidth_hz, signals.sample_rate_hz)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..data import Work
-from ..estimation import Factors, System, TimeBlocks, combined, one_thread
+from ..estimation import SpanFactors, System, one_thread, stacked
 from ..model import why_not_positive
 from ..regression import OwnParameters, Problem, decimated_regressor, lowest_nearby, moving_rows_of, rows_of_block
 from .experiment import EARLY_RATE_PER_BANDWIDTH, RATE_PER_BANDWIDTH, Experiment
@@ -37,8 +37,7 @@ class Instruments:
     Attributes:
         beta: (b,) the requested parameters; the nearest consistent ones are simulated.
         Z: (r, b) instruments, rows as those of W; of a long recording as those of `system`.
-        system: of a long recording W and Y about beta, as QR factors of the used rows [Z W Y]; else None.
-        factors, time_blocks: by long recording, `system` and Z, and sums over its blocks of time.
+        system: of a long recording W and Y about beta, as QR factors of the used rows [Z W Y] by span; else None.
         moving_rows: by recording, which rows (rows, n) are used.
         kind, reason: as in `methods.Pass`.
         gains: factors on the controllers' gains, n for each recording.
@@ -49,8 +48,6 @@ class Instruments:
     beta: Array
     Z: Array
     system: System | None = None
-    factors: tuple[tuple[System, Array], ...] = ()
-    time_blocks: tuple[TimeBlocks, ...] = ()
     moving_rows: tuple[NDArray[np.bool_], ...]
     kind: InstrumentKind
     reason: str | None
@@ -65,14 +62,13 @@ class Instruments:
 
     def without_rows(self) -> "Instruments":
         """The same without arrays of a recording's length, except `moving_rows`."""
-        return replace(self, Z=self.Z[:0].copy(), system=None, factors=(), time_blocks=())
+        return replace(self, Z=self.Z[:0].copy(), system=None)
 
 
 def simulate_instruments(
     e: Experiment,
     beta: Array,
     covariance: Array | None,
-    weights: Array,
     rows: NDArray[np.bool_] | None = None,
 ) -> Instruments:
     """Instruments along the closed loop simulated with the physically consistent parameters nearest to `beta` (b,).
@@ -85,7 +81,6 @@ def simulate_instruments(
     ----------
     e : the recorded experiment.
     beta, covariance : of the estimate, (b,) and (b, b); without a covariance beta itself is simulated.
-    weights : (n,) of the joints' rows.
     rows : (rows, n) used rows of a previous pass; None for those at which the simulated robot is fast enough.
     """
     near = beta if covariance is None else nearest(e, beta, covariance)
@@ -93,19 +88,17 @@ def simulate_instruments(
     kind: InstrumentKind = "simulated"
     tracking_percent = None
     try:
-        found, tracking_percent = _along(e, simulated_blocks(e, model, gains, reason), near, beta, weights, rows)
+        found, tracking_percent = _along(e, simulated_blocks(e, model, gains, reason), near, beta, rows)
         if covariance is not None and (reason := why_not_positive(e.model(beta).inertia(e.poses))) is not None:
             kind = "consistent"
     except NotSimulatedError as why:
         kind, reason = "reference", str(why)
-        found, _ = _along(e, reference_blocks(e), near, beta, weights, rows)
-    Z, moving_rows, system, time_blocks = found
+        found, _ = _along(e, reference_blocks(e), near, beta, rows)
+    Z, moving_rows, system = found
     return Instruments(
         beta=beta,
         Z=Z,
         system=system,
-        factors=() if system is None else ((system, Z),),
-        time_blocks=() if time_blocks is None else (time_blocks,),
         moving_rows=(moving_rows,),
         kind=kind,
         reason=reason,
@@ -122,19 +115,12 @@ def stack_instruments(
     if len(each) == 1:
         return replace(each[0], beta=beta)
     n = each[0].moving_rows[0].shape[1]
-    factors = tuple(pair for one in each for pair in one.factors)
-    if factors:
-        system, Z = combined(factors)
-        assert Z is not None
-    else:
-        wide = [parameters.columns(one.Z, k).reshape(n, -1, len(beta)) for k, one in enumerate(each)]
-        system, Z = None, np.concatenate(wide, axis=1).reshape(-1, len(beta))
+    wide = [parameters.columns(one.Z, k).reshape(n, -1, len(beta)) for k, one in enumerate(each)]
+    systems = [one.system for one in each if one.system is not None]
     return Instruments(
         beta=beta,
-        Z=Z,
-        system=system,
-        factors=factors,
-        time_blocks=tuple(blocks for one in each for blocks in one.time_blocks),
+        Z=np.concatenate(wide, axis=1).reshape(-1, len(beta)),
+        system=stacked(systems) if systems else None,
         moving_rows=tuple(rows for one in each for rows in one.moving_rows),
         kind=min((one.kind for one in each), key=WORST_FIRST.index),
         reason=join_reasons([one.reason for one in each], names),
@@ -162,20 +148,19 @@ def _along(
     blocks: MotionBlocks,
     near: Array,
     beta: Array,
-    weights: Array,
     rows: NDArray[np.bool_] | None,
-) -> tuple[tuple[Array, NDArray[np.bool_], System | None, TimeBlocks | None], float]:
-    """Z about `near` along a motion, the used rows, a long recording's system and time blocks; and the tracking error."""
+) -> tuple[tuple[Array, NDArray[np.bool_], System | None], float]:
+    """Z about `near` along a motion, the used rows, a long recording's system; and the tracking error."""
     problem, base = e.problem, e.problem.base
     directions, percent = e.directions, problem.settings.low_speed.iv
-    factors = Factors(len(weights), 2 * base.b + 1) if e.long else None
-    time_blocks = TimeBlocks.none_yet(e.blocks[0].rows, len(weights), base.names, instruments=True) if e.long else None
+    n, rows_of_all = problem.signals.robot.n, e.blocks[0].rows
+    factors = SpanFactors(rows_of_all, n, 2 * base.b + 1, e.spans) if e.spans else None
     error, parts, slip, moving = TrackingError(e), list[Array](), list[Array](), list[NDArray[np.bool_]]()
     for at, motion in blocks:
         error.add(at, motion)
         own = decimated_regressor(motion, problem.model, base, e.decimation, beta=near)[..., at.inside]
         speeds = _slip(e, motion.dq @ directions.T)[at.inside]
-        if factors is None or time_blocks is None:
+        if factors is None:
             parts.append(own)
             slip.append(speeds)
             continue
@@ -185,17 +170,15 @@ def _along(
         else:
             counts = rows[at.first : at.last]
         W, Y = rows_of_block(problem, at, beta)
-        columns = np.concatenate([own, W, Y[:, None]], axis=1)
-        factors.add_block(columns, counts)
-        time_blocks.add(at.first, columns, counts, weights)
+        factors.add(at.first, np.concatenate([own, W, Y[:, None]], axis=1), counts)
         moving.append(counts)
     if factors is not None:
         system, of_system = factors.system(base.names)
         assert of_system is not None
-        return (of_system, np.concatenate(moving), system, time_blocks), error.percent
+        return (of_system, np.concatenate(moving), system), error.percent
     Z = np.ascontiguousarray(np.concatenate(parts, axis=-1).transpose(0, 2, 1)).reshape(-1, base.b)
     counts = moving_rows_of(np.concatenate(slip), e.slip_noise, directions, percent) if rows is None else rows
-    return (Z, counts, None, None), error.percent
+    return (Z, counts, None), error.percent
 
 
 def _slip(e: Experiment, u: Array) -> Array:
@@ -208,13 +191,13 @@ def _slip(e: Experiment, u: Array) -> Array:
 class Simulation:
     """The closed loop of a recording, with gains set for the inertias of `prior` (b,).
 
-    `slip_noise` (c,) is the speed noise along the directions of Coulomb friction; `long`: rows are QR factors.
+    `slip_noise` (c,) is the speed noise along the directions of Coulomb friction; `spans` as of `Experiment`.
     """
 
     problem: Problem
     prior: Array
     slip_noise: Array
-    long: bool
+    spans: int
     gain_update: bool = True
     _experiments: dict[float, Experiment] = field(default_factory=dict)
 
@@ -227,7 +210,7 @@ class Simulation:
                 self.slip_noise,
                 rate_per_bandwidth=rate_per_bandwidth,
                 gain_update=self.gain_update,
-                long=self.long,
+                spans=self.spans,
             )
         return self._experiments[rate_per_bandwidth]
 
@@ -239,12 +222,11 @@ class Simulation:
         self,
         beta: Array,
         covariance: Array | None,
-        weights: Array,
         rows: NDArray[np.bool_] | None,
         rate_per_bandwidth: float,
     ) -> Instruments:
         """See `simulate_instruments`."""
-        return simulate_instruments(self.at(rate_per_bandwidth), beta, covariance, weights, rows)
+        return simulate_instruments(self.at(rate_per_bandwidth), beta, covariance, rows)
 
     @one_thread
     def replica(self, beta: Array, covariance: Array | None) -> Replica:
@@ -268,7 +250,6 @@ class ClosedLoops:
         self,
         beta: Array,
         covariance: Array | None,
-        weights: Array,
         *,
         rows: Sequence[NDArray[np.bool_]] | None = None,
         coarse: bool = False,
@@ -279,7 +260,7 @@ class ClosedLoops:
         """
         rate = EARLY_RATE_PER_BANDWIDTH if coarse else RATE_PER_BANDWIDTH
         each_rows: Sequence[NDArray[np.bool_] | None] = rows or [None] * len(self.simulations)
-        tasks = [(*own, weights, r, rate) for own, r in zip(self._own(beta, covariance), each_rows, strict=True)]
+        tasks = [(*own, r, rate) for own, r in zip(self._own(beta, covariance), each_rows, strict=True)]
         each = tuple(self.work.run(Simulation.instruments, tasks))
         return stack_instruments(each, beta, self.parameters, self.names)
 

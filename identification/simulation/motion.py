@@ -144,7 +144,7 @@ def simulate_replica(e: Experiment, beta: Array, covariance: Array | None = None
             inside, q = error.add(block, x)
             own = (x.t_s[inside], q, x.q[inside], x.dq[inside], x.ddq[inside], x.tau[inside])
             # A long recording keeps only the instants of the rows.
-            parts.append(tuple(map(e.decimation.kept, own)) if e.long else own)
+            parts.append(tuple(map(e.decimation.kept, own)) if e.spans else own)
     except NotSimulatedError as why:
         reason, q = str(why), np.zeros((0, len(e.held)))
         if covariance is not None:
@@ -157,7 +157,7 @@ def simulate_replica(e: Experiment, beta: Array, covariance: Array | None = None
     return Replica(
         motion=motion,
         q=q,
-        decimation=replace(e.decimation, factor=1) if e.long else e.decimation,
+        decimation=replace(e.decimation, factor=1) if e.spans else e.decimation,
         reason=reason,
         tracking_percent=error.percent if reason is None else None,
         direct=error.by_joint if reason is None else (),

@@ -8,15 +8,11 @@ import numpy as np
 
 from ..arrays import Array
 from ..data import PositionSteps
-from ..estimation import BlockSums, Estimate, Intervals, Scores, System, scores_of_recordings, spans_of
+from ..estimation import Estimate, Intervals, Scores, Spans, scores_of_recordings, spans_of
 from ..regression import NOTHING, Decimation, KnownLag, Motion, Problem, Regression, RowStates
 from ..report import Assumed, Level, Method, Verdict
 
 LEVELS: tuple[Level, ...] = ("do not use", "caution", "cannot tell", "not made", "ok")  # worst first
-ILL_CONDITIONED = (
-    "not made: the parameters of this long recording are too ill-conditioned; fit a part of it, or use --essential"
-)
-MAX_SUMS_ERROR = 1e-6  # of the products of orthonormal columns, by sums over blocks
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -156,16 +152,14 @@ class FitData:
 
     Attributes:
         recordings: in the order of the rows.
-        observed: W and Y of all decimated rows; reduced to QR factors for long recordings.
+        observed: W and Y of all decimated rows about the estimate, with its used rows; QR factors for long recordings.
         fixed_point: whether the method ended in a fixed point; always true of least squares.
         unconfirmed: status and reason, where no simulation confirms the fixed point.
         estimate: of the base parameters, or of the essential ones only.
         predicted: (rows, n) predicted torque.
-        used: (n rows,) samples used, joint by joint, 1 and 0: the rows of the system where these are not reduced.
+        used: (n rows,) samples used, joint by joint, 1 and 0.
         least_squares: weighted least squares of all base parameters on the same recordings.
         Z: (r, b) instruments of all base parameters in the rows of W, None after least squares.
-        factors: where rows are reduced and recordings several, the reduced system and instruments of each.
-        blocks: where rows are reduced, sums over the blocks of time of each recording.
         position_noise: whether position noise biases least squares; None for instrumental variables.
         beginning: where rows are reduced, the same data of the beginning of the first recording, with rows.
         lags: one per group of recordings of equal timing.
@@ -184,8 +178,6 @@ class FitData:
     Z: Array | None = None
     first_stage_F: float | None = None
     unconfirmed: str | None = None
-    factors: tuple[tuple[System, Array], ...] = ()
-    blocks: tuple[BlockSums, ...] = ()
     position_noise: TrustLine | None = None
     beginning: "FitData | None" = None
     lags: tuple[Lag, ...] = ()
@@ -203,69 +195,58 @@ class FitData:
 
     @cached_property
     def rows(self) -> "WeightedRows":
-        """W and Y of the estimated parameters, weighted as in the estimate; not for reduced rows."""
-        system = self.observed.system.with_rows(self.used)
+        """W and Y of the estimated parameters, weighted as in the estimate."""
+        system = self.observed.system
         system = system.with_columns(np.array([system.names.index(name) for name in self.estimate.names]))
-        weight = self.estimate.weights[system.joint_of_row] * self.used
+        weight = self.estimate.weights[system.joint_of_row] * system.used
         W, Y = system.W * weight[:, None], system.Y * weight
         return WeightedRows(W=W, Y=Y, rho=Y - W @ self.estimate.beta, weight=weight)
 
     def sums(self, part: slice) -> "PartSums":
-        """Sums over the rows of a span of time of all recordings; of reduced rows over the nearest blocks."""
-        part, estimate, n = self.aligned(part), self.estimate, self.observed.tau.shape[1]
+        """Sums over the rows of a span of time of all recordings."""
+        estimate, n = self.estimate, self.observed.tau.shape[1]
+        part, rows = self.aligned(part)
         counts = part_of(self.used, n, part).reshape(n, -1).T
         rho, tau = (x[part] * counts for x in (self.observed.tau - self.predicted, self.observed.tau))
-        sizes = float(np.sum(rho**2)), float(np.sum(tau**2))
-        if self.blocks:
-            each = [own.total for own in self._blocks(part)]
-            QQ, QW, QY, WW, WY = (sum(arrays) for arrays in zip(*each, strict=True))
-            W_rho = WY - WW @ estimate.beta
-        else:
-            rows = self.rows
-            Q, W, Y, weight = (part_of(x, n, part) for x in (estimate.Q, rows.W, rows.Y, rows.weight))
-            plain = W / np.where(weight > 0, weight, 1.0)[:, None]
-            QQ, QW, QY, WW, W_rho = Q.T @ Q, Q.T @ W, Q.T @ Y, plain.T @ plain, plain.T @ rho.T.reshape(-1)
+        weighted = (estimate.Q, self.rows.W, self.rows.Y, self.rows.rho, self.rows.weight)
+        Q, W, Y, left, weight = (part_of(x, n, rows) for x in weighted)
+        per_weight = np.divide(1.0, weight, out=np.zeros_like(weight), where=weight > 0)
+        plain = W * per_weight[:, None]
         return PartSums(
-            QQ=QQ, QW=QW, QY=QY, WW=WW, W_rho=W_rho, rho_rho=sizes[0], tau_tau=sizes[1], rows=int(counts.sum())
+            QQ=Q.T @ Q,
+            QW=Q.T @ W,
+            QY=Q.T @ Y,
+            WW=plain.T @ plain,
+            W_rho=plain.T @ (left * per_weight),
+            rho_rho=float(np.sum(rho**2)),
+            tau_tau=float(np.sum(tau**2)),
+            rows=int(counts.sum()),
         )
 
     def scores(self, part: slice, beta: Array, bread: Array, basis: Array) -> list[Scores]:
         """Scores, by recording, of an estimate beta (b,) of a span of time with the orthonormal columns Q `basis`."""
-        part, n = self.aligned(part), self.observed.tau.shape[1]
-        if self.blocks:
-            return [own.scores(beta, bread, basis) for own in self._blocks(part) if len(own.QY)]
-        rows = self.rows
-        Q, W, Y = (part_of(x, n, part) for x in (self.estimate.Q, rows.W, rows.Y))
-        instants = [last - first for first, last in self._within(part) if last > first]
-        return scores_of_recordings(Q @ basis, bread, (Y - W @ beta).reshape(n, -1), instants)
+        n, (part, rows) = self.observed.tau.shape[1], self.aligned(part)
+        Q, W, Y = (part_of(x, n, rows) for x in (self.estimate.Q, self.rows.W, self.rows.Y))
+        each = [own.between(part, start) for own, start in zip(self._spans, self._starts, strict=True)]
+        spans = [own for own in each if own.count]
+        return scores_of_recordings(Q @ basis, bread, (Y - W @ beta).reshape(n, -1), spans)
 
-    def aligned(self, part: slice) -> slice:
-        """A span of time rounded to the nearest blocks; unchanged where rows are in memory."""
-        if not self.blocks:
-            return part
-        starts = [whole.start for whole in spans_of(self.observed.parts)]
-        edges = np.concatenate([start + own.edges for start, own in zip(starts, self.blocks, strict=True)])
-        first, last = (int(edges[np.abs(edges - at).argmin()]) for at in (part.start, part.stop))
-        return slice(first, last)
+    def aligned(self, part: slice) -> tuple[slice, slice]:
+        """A span of time rounded to the nearest borders of the recordings' spans, and the rows of a joint in it."""
+        each = list(zip(self._spans, self._starts, strict=True))
+        edges = np.concatenate([start + own.edges for own, start in each])
+        rows = np.cumsum(np.concatenate([np.r_[0, np.full(own.count, own.rows)] for own, _ in each]))
+        first, last = (int(np.abs(edges - at).argmin()) for at in (part.start, part.stop))
+        return slice(int(edges[first]), int(edges[last])), slice(int(rows[first]), int(rows[last]))
 
     @property
-    def sums_accurate(self) -> bool:
-        """Whether sums of squares over blocks are accurate enough for the tests: Q'Q = 1 and Q'W bread = 1."""
-        if not self.blocks:
-            return True
-        QQ, QW, *_ = (sum(arrays) for arrays in zip(*(own.total for own in self.blocks), strict=True))
-        one = np.eye(len(self.estimate.beta))
-        return bool(max(np.abs(QQ - one).max(), np.abs(QW @ self.estimate.bread - one).max()) < MAX_SUMS_ERROR)
+    def _spans(self) -> tuple[Spans, ...]:
+        return self.observed.system.spans
 
-    def _within(self, part: slice) -> list[tuple[int, int]]:
-        """First and last instant of a span of time in each recording, counted from the recording's start."""
-        ends = [
-            np.clip((part.start, part.stop), own.start, own.stop) - own.start for own in spans_of(self.observed.parts)
-        ]
-        return [(int(first), int(last)) for first, last in ends]
-
-    def _blocks(self, part: slice) -> list[BlockSums]:
-        return [own.between(*ends) for own, ends in zip(self.blocks, self._within(part), strict=True)]
+    @property
+    def _starts(self) -> list[int]:
+        """The first instant of each recording."""
+        return [part.start for part in spans_of(self.observed.parts)]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..estimation import spans_of, undetermined_parameters
-from .fit_data import ILL_CONDITIONED, Figure, FitData, TrustLine, part_of
+from .fit_data import Figure, FitData, TrustLine, part_of
 
 BLOCKS = 5
 MAX_HELD_OUT_RATIO_NOT_POSITIVE = 3.0  # the same, where M is not positive
@@ -42,8 +42,6 @@ def held_out_test(evidence: FitData) -> TrustLine:
     name = "held-out blocks"
     if len(evidence.recordings) > 1:
         return _recordings_line(evidence, held_out_recordings(evidence))
-    if not evidence.sums_accurate:
-        return TrustLine(name, "not made", ILL_CONDITIONED)
     edges, estimate = np.linspace(0, len(evidence.observed.tau), BLOCKS + 1).round().astype(int), evidence.estimate
     sums = [evidence.sums(slice(first, last)) for first, last in pairwise(edges)]
     outside, b = sum(one.rows for one in sums) - max(one.rows for one in sums), len(estimate.beta)
@@ -108,12 +106,10 @@ def _rows_of(evidence: FitData, k: int) -> tuple[Array, Array, Array, NDArray[np
     """Z, W (r, b), Y (r,) and joints (r,) of recording k, of the estimated parameters; zero in unused rows."""
     observed, n = evidence.observed, evidence.observed.tau.shape[1]
     indices = np.array([observed.system.names.index(name) for name in evidence.estimate.names])
-    if observed.reduced:
-        system, Z = evidence.factors[k]
-        return Z[:, indices], system.W[:, indices], system.Y, system.joint_of_row
-    part, system = spans_of(observed.parts)[k], observed.system
+    system = observed.system
+    part = spans_of([own.count * own.rows for own in system.spans])[k]
     instruments = system.W if evidence.Z is None else evidence.Z
-    W, Y, Z, used = (part_of(x, n, part) for x in (system.W, system.Y, instruments, evidence.used))
+    W, Y, Z, used = (part_of(x, n, part) for x in (system.W, system.Y, instruments, system.used))
     joints = np.repeat(np.arange(n), part.stop - part.start)
     return Z[:, indices] * used[:, None], W[:, indices] * used[:, None], Y * used, joints
 

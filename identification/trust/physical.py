@@ -18,10 +18,8 @@ from ..estimation import (
     Estimate,
     Intervals,
     chi_squared_quantile,
-    intervals,
-    intervals_of_blocks,
+    intervals_of,
     r_factor,
-    sums_of_blocks,
     weighted_least_squares,
 )
 from ..model import InverseModel, friction_power, nearest_consistent, requirements
@@ -50,22 +48,13 @@ def physical_test(evidence: FitData) -> TrustLine:
     found += _gravity_findings(evidence)
     if evidence.method == "ols" and all(level != "do not use" for level, _ in found):
         weighted = weighted_least_squares(evidence.observed.system)
-        severe, _ = _findings(evidence, weighted, _intervals(evidence, weighted))
+        severe, _ = _findings(evidence, weighted, intervals_of(evidence.observed.system, weighted))
         found += [(level, f"by weighted least squares {text}") for level, text in severe if level == "do not use"]
     if not found:
         text = f"M is positive on the trajectory (lowest eigenvalue {lowest:.3g}), no friction or rotor inertia is below zero"
         return TrustLine("physical", "ok", text, lowest)
     found.sort(key=lambda finding: LEVELS.index(finding[0]))
     return TrustLine("physical", found[0][0], "; ".join(text for _, text in found), lowest)
-
-
-def _intervals(evidence: FitData, estimate: Estimate) -> Intervals:
-    """Intervals of another least squares estimate of these rows."""
-    observed = evidence.observed
-    if observed.time_blocks:
-        return intervals_of_blocks(estimate, sums_of_blocks(estimate, observed.time_blocks))
-    W, Y = observed.system.weighted(estimate.weights)
-    return intervals(estimate, Y - W @ estimate.beta, observed.tau.shape[1], observed.parts)
 
 
 def _findings(evidence: FitData, estimate: Estimate, found: Intervals) -> tuple[list[Finding], float]:

@@ -15,7 +15,7 @@ from ..model import JointTerm
 from ..regression import base_name, standing_joints
 from ..report import Assumed
 from .columns import added_columns_test
-from .fit_data import ILL_CONDITIONED, LEVELS, FitData, RecordingData, Trust, TrustLine
+from .fit_data import LEVELS, FitData, RecordingData, Trust, TrustLine
 from .held_out import held_out_test
 from .lag import lag_test
 from .physical import consistent_test, physical_test
@@ -122,8 +122,6 @@ def halves_test(evidence: FitData) -> TrustLine:
     Its F distribution has the degrees of freedom of the deviations, the cosines of both halves.
     """
     name, T, cuts = "halves", len(evidence.observed.tau), np.cumsum(evidence.observed.parts)[:-1]
-    if not evidence.sums_accurate:
-        return TrustLine(name, "not made", ILL_CONDITIONED)
     cut = int(cuts[np.abs(cuts - T / 2).argmin()]) if len(cuts) else round(T / 2)  # recordings are not cut
     first, second = (_solve_part(evidence, part) for part in (slice(0, cut), slice(cut, T)))
     if first is None or second is None:
