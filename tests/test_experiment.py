@@ -105,14 +105,13 @@ def test_a_pass_whose_inertia_matrix_is_not_positive():
     e = Experiment(problem, true, np.zeros(2))
     wrong = np.where(np.array(problem.base.names) == "ZZ2", -0.002, true)
     spread = np.diag(np.where(wrong == true, 0.01 * np.abs(true) + 1e-4, 0.05) ** 2)
-    weights = np.ones(2)
-    consistent = simulate_instruments(e, wrong, spread, weights)
+    consistent = simulate_instruments(e, wrong, spread)
     assert (consistent.kind, consistent.tracking_percent < 5) == ("consistent", True)
     assert "inertia matrix is not positive" in consistent.reason
     np.testing.assert_array_equal(consistent.beta, wrong)
-    plain = simulate_instruments(e, wrong, None, weights)
+    plain = simulate_instruments(e, wrong, None)
     assert (plain.kind, plain.tracking_percent) == ("reference", None)
-    right = simulate_instruments(e, true, spread, weights)
+    right = simulate_instruments(e, true, spread)
     assert (right.kind, right.reason) == ("simulated", None)
     robot = simulate_replica(e, wrong, spread)
     assert robot.motion is not None

@@ -163,28 +163,3 @@ def test_the_distance_to_the_nearest_robot_is_told():
     assert line.value > 1000
     assert "signs and units" in line.text
     assert identify_ls(signals, Overrides()).trust.line("consistent").level == "ok"
-<<<<<<< HEAD
-=======
-
-
-def test_a_pass_whose_inertia_matrix_is_not_positive():
-    """The SCARA's elbow with an inertia below zero, within its interval: the nearest robot is simulated, and tracks."""
-    signals = load_signals(REPLAY / "scara" / "session.mcap")
-    problem = make_problem(signals, Overrides())
-    dynamics = InverseModel(signals.robot)
-    true = described_parameters(dynamics, base_parameters(dynamics))
-    e = Experiment(problem, true, np.zeros(2))
-    wrong = np.where(np.array(problem.base.names) == "ZZ2", -0.002, true)
-    spread = np.diag(np.where(wrong == true, 0.01 * np.abs(true) + 1e-4, 0.05) ** 2)
-    consistent = simulate_instruments(e, wrong, spread)
-    assert (consistent.kind, consistent.tracking_percent < 5) == ("consistent", True)
-    assert "inertia matrix is not positive" in consistent.reason
-    np.testing.assert_array_equal(consistent.beta, wrong)
-    plain = simulate_instruments(e, wrong, None)
-    assert (plain.kind, plain.tracking_percent) == ("reference", None)
-    right = simulate_instruments(e, true, spread)
-    assert (right.kind, right.reason) == ("simulated", None)
-    robot = simulate_replica(e, wrong, spread)
-    assert robot.motion is not None
-    assert "inertia matrix is not positive" in robot.reason
->>>>>>> spans

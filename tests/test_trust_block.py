@@ -205,7 +205,7 @@ def test_signs_are_judged_by_weighted_rows_only_where_ordinary_least_squares_see
         observed, estimate = evidence.observed, evidence.estimate
         wrong = replace(observed, system=replace(observed.system, Y=-observed.system.Y))
         estimate = replace(estimate, beta=sign_of_beta * estimate.beta)
-        found = physical_test(replace(evidence, observed=wrong, estimate=estimate))
+        found = trust_in(replace(evidence, observed=wrong, estimate=estimate)).line("physical")
         return found.level, "by weighted least squares" in found.text
 
     assert judged("ols", 1) == ("do not use", True)
