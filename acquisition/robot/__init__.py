@@ -15,6 +15,7 @@ from .drives import (
     refuse_out_of_range,
 )
 from .limits import EffortLimits, check_recorded_positions, check_recorded_velocities, effort_limits
+from .payload import Payload, parse_payload
 from .reference import (
     HARMONICS,
     LIMIT_SHARE,

@@ -213,6 +213,13 @@ def low_speed_by_method(percent: float | LowSpeed | None) -> LowSpeed:
     return percent if isinstance(percent, LowSpeed) else LowSpeed(ls=percent, iv=percent)
 
 
+class PayloadFile(TomlTable, frozen=True):
+    """`[payload]`: how the numbers of `--payload` are meant: the frame of the centre of mass, and how well it was weighed."""
+
+    frame: Name | None = None
+    mass_half_width_kg: Annotated[float, msgspec.Meta(ge=0)] = 0.0
+
+
 class RobotFile(TomlTable, frozen=True):
     """`robot.toml` as written in the file."""
 
@@ -226,6 +233,7 @@ class RobotFile(TomlTable, frozen=True):
     motor_matrix: tuple[tuple[float, ...], ...] | None = None
     identification: Identification = Identification()
     parameters: dict[str, float] = msgspec.field(default_factory=dict)
+    payload: PayloadFile = PayloadFile()
     bus: BusFile | None = None
     base_capsule: Capsule | None = None
     ground_m: float | None = None
@@ -238,6 +246,8 @@ class RobotFile(TomlTable, frozen=True):
             self.refuse("bus.drive", f"{len(self.bus.drive)} tables", f"one per motor: {n}")
         if self.urdf_meshes and self.urdf is None:
             self.refuse("urdf_meshes", True, "a urdf that refers to them")
+        if self.payload.frame is not None and self.urdf is None:
+            self.refuse("payload.frame", self.payload.frame, "a urdf with this link")
         for kind, names in (("joint", [j.name for j in self.joint]), ("motor", [m.name for m in self.motor])):
             for i, name in enumerate(names):
                 if name in names[:i]:

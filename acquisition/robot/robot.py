@@ -15,7 +15,7 @@ from ..arrays import Array
 from ..errors import Place
 from ..files import read_meshes
 from .bus import BusFile, dictionary_label
-from .description import Capsule, Controller, Identification, Joint, Motor, RobotFile
+from .description import Capsule, Controller, Identification, Joint, Motor, PayloadFile, RobotFile
 from .toml import RefusedError, parse_toml
 
 SIMULATED_CONTROLLER = "simulated_controller.toml"  # of the drives of a dry run, replaces [controller]
@@ -34,6 +34,7 @@ class Robot:
         zero: (n,) added to inv(R) q_motor, rad or m.
         gravity: (3,) m/s², in the base frame.
         parameters: a-priori standard parameters by name, SI; may be empty.
+        payload: how the numbers of a payload are meant.
         base_capsule, ground_m: a shape about the base; the height of the ground, against gravity.
         bus: `[bus]` of the file, None without it; `resolve` makes the drives.
         files: the files of the description by name (`robot.toml`, the URDF and its meshes, object dictionaries).
@@ -48,6 +49,7 @@ class Robot:
     zero: Array
     gravity: Array
     parameters: Mapping[str, float]
+    payload: PayloadFile
     bus: BusFile | None
     files: Mapping[str, bytes]
     urdf: str | None
@@ -225,6 +227,7 @@ def robot_from_files(files: Mapping[str, bytes], place: str) -> Robot:
         zero=zero,
         gravity=gravity,
         parameters=f.parameters,
+        payload=f.payload,
         bus=f.bus,
         files={name: files[name] for name in names if name in files},
         urdf=urdf,

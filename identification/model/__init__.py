@@ -15,6 +15,7 @@ from .direct import (
 from .inverse import LINK, InverseModel
 from .joint_terms import SHAPES, SLIDING, JointTerm
 from .obstacles import Obstacles, obstacles_of
+from .payload import add_payload, payload_parameters
 from .physical import (
     RESISTING,
     expected_links,

@@ -1,0 +1,149 @@
+"""The payload: its text, `[payload]` of robot.toml, and its parameters in the frame of the last link."""
+
+import math
+
+import numpy as np
+import pytest
+from conftest import REPLAY, robot_named
+from urdfs import ARM, joint, urdf
+
+from acquisition.errors import AcquisitionError
+from acquisition.robot import Payload, Robot, parse_payload, robot_from_files
+from identification.errors import IdentificationError
+from identification.model import InverseModel, add_payload, payload_parameters
+
+TX40 = (REPLAY / "tx40" / "robot.toml").read_text()
+MOUNT = {"mount": joint("mount", "fixed", "beam", "tool", origin="0.05 0.1 0.3")}
+
+
+def arm(table: str = "", **parts: str) -> Robot:
+    """The URDF of three joints with a tool fixed to the last link, and a sensor fixed to the link before."""
+    kinds = ("revolute", "revolute", "prismatic")
+    joints = "".join(f'[[joint]]\nname = "{name}"\ntype = "{kind}"\n' for name, kind in zip(ARM, kinds, strict=True))
+    motors = "".join(f'[[motor]]\nname = "m_{name}"\neffort_unit = "N m"\n' for name in ARM)
+    text = f'name = "arm"\nurdf = "r.urdf"\n{joints}{motors}[controller]\nbandwidth_hz = 5\n{table}'
+    return robot_from_files({"robot.toml": text.encode(), "robot.urdf": urdf(**(MOUNT | parts)).encode()}, "arm.toml")
+
+
+@pytest.mark.parametrize(
+    ("text", "payload", "words"),
+    [
+        ("2.805", Payload(2.805), "2.805 kg, centre of mass not stated"),
+        (
+            "2.805@0.03,0.15,-0.16",
+            Payload(2.805, (0.03, 0.15, -0.16)),
+            "2.805 kg at 0.03, 0.15, -0.16 m in the frame of the last joint",
+        ),
+        (" 1e-3 @ 0, 0 ,5", Payload(0.001, (0.0, 0.0, 5.0)), "0.001 kg at 0, 0, 5 m in the frame of the last joint"),
+        (f"{1 / 3!r}@{0.1 + 0.2!r},0,0", Payload(1 / 3, (0.1 + 0.2, 0.0, 0.0)), None),
+    ],
+)
+def test_a_payload_is_read_and_written(text, payload, words):
+    found = parse_payload(text, robot_named("tx40"))
+    assert found == payload
+    assert parse_payload(found.text, robot_named("tx40")) == payload
+    assert words is None or str(found) == words
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "", "x", "0", "-1", "nan", "inf", "2@", "2@1", "2@1,2", "2@0,0,0,0", "2@0,0,x", "2@0,0,nan", "2@0,inf,0", "@0,0,0",
+        "2@0,0,5.001", "2@3,3,3", "2@0@0", "2 kg", "2,805", "unknown",
+    ],
+)  # fmt: skip
+def test_no_payload(text):
+    with pytest.raises(AcquisitionError) as refused:
+        parse_payload(text, robot_named("tx40"), "--payload")
+    assert (refused.value.key, refused.value.value) == ("--payload", text)
+    assert refused.value.expected.startswith("KG or KG@X,Y,Z")
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "key"),
+    [
+        ((0.0,), "payload.mass_kg"),
+        ((math.inf,), "payload.mass_kg"),
+        ((1.0, (0.0, math.nan, 0.0)), "payload.center_of_mass_m"),
+        ((None, (0.0, 0.0, 6.0)), "payload.center_of_mass_m"),
+        ((1.0, None, None, -0.1), "payload.mass_half_width_kg"),
+        ((1.0, None, None, math.nan), "payload.mass_half_width_kg"),
+    ],
+)
+def test_a_payload_that_none_is_cannot_be_made(arguments, key):
+    with pytest.raises(AcquisitionError) as refused:
+        Payload(*arguments)
+    assert refused.value.key == key
+
+
+def test_the_table_says_how_the_numbers_are_meant():
+    robot = arm('[payload]\nframe = "tool"\nmass_half_width_kg = 0.01\n')
+    assert parse_payload("2@0,0,0.1", robot) == Payload(2.0, (0.0, 0.0, 0.1), "tool", 0.01)
+    assert str(parse_payload("2@0,0,0.1", robot)) == "2 ± 0.01 kg at 0, 0, 0.1 m in tool"
+
+
+@pytest.mark.parametrize(
+    ("table", "key"),
+    [
+        ('frame = "tool0"', "payload.frame"),
+        ("mass_half_width_kg = -1", "payload.mass_half_width_kg"),
+        ("mass = 2", "payload"),
+    ],
+)
+def test_a_table_that_means_nothing_is_refused(table, key):
+    with pytest.raises(AcquisitionError) as refused:
+        robot_from_files({"robot.toml": f"{TX40}\n[payload]\n{table}\n".encode()}, "robot.toml")
+    assert (refused.value.place, refused.value.key) == ("robot.toml", key)
+
+
+def test_parameters_of_a_ball_by_hand():
+    """2 kg at (0.1, 0, 0.3) m of the last joint: J = 2/5 m r² E + m (c·c E − c cᵀ) about the origin of its frame."""
+    J = 0.4 * 2 * 0.1**2
+    expected = [J + 2 * 0.09, 0.0, -2 * 0.03, J + 2 * 0.1, 0.0, J + 2 * 0.01, 0.2, 0.0, 0.6, 2.0]
+    for robot in (robot_named("tx40"), arm()):
+        found = payload_parameters(InverseModel(robot), Payload(2.0, (0.1, 0.0, 0.3)))
+        np.testing.assert_allclose(found, expected, atol=1e-15)
+
+
+def test_the_frame_of_a_fixed_link_gives_the_parameters_of_its_place():
+    """pinocchio merges a tool with this mass and inertia into the last link: the payload in its frame adds the same."""
+    J = 0.4 * 2 * 0.1**2
+    ball = f'<inertia ixx="{J}" ixy="0" ixz="0" iyy="{J}" iyz="0" izz="{J}"/>'
+    body = f'<link name="tool"><inertial><origin xyz="0.02 -0.1 0.3"/><mass value="2"/>{ball}</inertial></link>'
+    robots = [arm(tool='<link name="tool"/>'), arm(tool=body)]
+    empty, full = (InverseModel(robot).link_parameters()[-1] for robot in robots)
+    found = payload_parameters(InverseModel(robots[0]), Payload(2.0, (0.02, -0.1, 0.3), "tool"))
+    np.testing.assert_allclose(found, full - empty, atol=1e-12)
+    at_origin = payload_parameters(InverseModel(robots[0]), Payload(2.0, frame="tool"))
+    np.testing.assert_allclose(at_origin[6:], 2 * np.array([0.05, 0.1, 0.3, 1.0]), atol=1e-12)
+
+
+@pytest.mark.parametrize("frame", ["sensor", "arm", "base", "mount", "nothing"])
+def test_a_frame_that_the_last_joint_does_not_carry_is_refused(frame):
+    with pytest.raises(IdentificationError) as refused:
+        payload_parameters(InverseModel(arm()), Payload(2.0, frame=frame))
+    error = refused.value
+    assert (error.place, error.key, error.value) == ("robot arm", "payload.frame", frame)
+    assert error.expected == "a link that slide carries: beam, tool, left, right"
+
+
+def test_an_unknown_mass_has_no_parameters():
+    with pytest.raises(IdentificationError) as refused:
+        payload_parameters(InverseModel(arm()), Payload(None))
+    assert refused.value.key == "payload"
+
+
+def test_the_torque_of_a_payload_is_that_of_a_mass_on_the_last_link():
+    """At rest it is what gravity does on it: m g · dp/dq, with p by small differences."""
+    model, payload = InverseModel(robot_named("tx40")), Payload(2.0, (0.03, 0.15, -0.16))
+    q, zero, step = np.array([[0.3, -0.5, 0.8, 0.4, -0.7, 1.1]]), np.zeros((1, 6)), 1e-6
+    chi = np.ones(model.p)
+    torque = (model.regressor(q, zero, zero) @ (add_payload(model, chi, payload) - chi))[0]
+
+    def height(q):
+        origins, rotations = model.placements(q)
+        return origins[:, -1, 2] + rotations[:, -1, 2] @ np.array(payload.center_of_mass_m)
+
+    slope = [(height(q + step * e) - height(q - step * e))[0] / (2 * step) for e in np.eye(6)]
+    np.testing.assert_allclose(torque, 2 * 9.81 * np.array(slope), atol=1e-7)
