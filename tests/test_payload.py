@@ -1,14 +1,18 @@
 """The payload: its text, `[payload]` of robot.toml, and its parameters in the frame of the last link."""
 
-import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 from conftest import REPLAY, robot_named
+from made_up_buses import bus_text, robot_of
+from made_up_recordings import some_samples
 from urdfs import ARM, joint, urdf
 
 from acquisition.errors import AcquisitionError
+from acquisition.recording import Header, RecordingWriter, read_recording
 from acquisition.robot import Payload, Robot, parse_payload, robot_from_files
+from acquisition.session.logs import ProcessLog, Role
 from identification.errors import IdentificationError
 from identification.model import InverseModel, add_payload, payload_parameters
 
@@ -49,7 +53,7 @@ def test_a_payload_is_read_and_written(text, payload, words):
     "text",
     [
         "", "x", "0", "-1", "nan", "inf", "2@", "2@1", "2@1,2", "2@0,0,0,0", "2@0,0,x", "2@0,0,nan", "2@0,inf,0", "@0,0,0",
-        "2@0,0,5.001", "2@3,3,3", "2@0@0", "2 kg", "2,805", "unknown",
+        "2@0,0,5.001", "2@0,-5.1,0", "1e7", "2@0@0", "2 kg", "2,805", "unknown",
     ],
 )  # fmt: skip
 def test_no_payload(text):
@@ -58,23 +62,6 @@ def test_no_payload(text):
     assert (refused.value.key, refused.value.value) == ("--payload", text)
     assert refused.value.expected.startswith("KG or KG@X,Y,Z")
     assert "\n" not in str(refused.value)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "key"),
-    [
-        ((0.0,), "payload.mass_kg"),
-        ((math.inf,), "payload.mass_kg"),
-        ((1.0, (0.0, math.nan, 0.0)), "payload.center_of_mass_m"),
-        ((None, (0.0, 0.0, 6.0)), "payload.center_of_mass_m"),
-        ((1.0, None, None, -0.1), "payload.mass_half_width_kg"),
-        ((1.0, None, None, math.nan), "payload.mass_half_width_kg"),
-    ],
-)
-def test_a_payload_that_none_is_cannot_be_made(arguments, key):
-    with pytest.raises(AcquisitionError) as refused:
-        Payload(*arguments)
-    assert refused.value.key == key
 
 
 def test_the_table_says_how_the_numbers_are_meant():
@@ -147,3 +134,63 @@ def test_the_torque_of_a_payload_is_that_of_a_mass_on_the_last_link():
 
     slope = [(height(q + step * e) - height(q - step * e))[0] / (2 * step) for e in np.eye(6)]
     np.testing.assert_allclose(torque, 2 * 9.81 * np.array(slope), atol=1e-7)
+
+
+HEAVY = Payload(2.805, (0.03, 0.15, -0.16), None, 0.01)
+
+
+def recorded(path: Path, payload: Payload | None, /, **metadata: str) -> Path:
+    """A recording of the SCARA."""
+    header = Header(
+        robot=robot_named("scara"),
+        source="",
+        sample_rate_hz=1000.0,
+        effort_provenance="",
+        payload=payload,
+        notes=metadata,
+    )
+    with RecordingWriter(path, header) as writer:
+        writer.samples(some_samples(100))
+    return path
+
+
+@pytest.mark.parametrize("payload", [None, HEAVY, Payload(2.0), Payload(None, (0.1, 0.0, 0.0), "tool0")])
+def test_a_recording_has_its_payload(tmp_path, payload):
+    recording = read_recording(recorded(tmp_path / "a.mcap", payload))
+    assert recording.payload == payload
+    assert ("payload" in recording.metadata) == (payload is not None)
+
+
+def test_later_versions_may_say_more_of_a_payload(tmp_path):
+    text = '{"mass_kg": 2, "inertia_kg_m2": [1, 2, 3], "center_of_mass_m": [0, 0, 1]}'
+    assert read_recording(recorded(tmp_path / "a.mcap", None, payload=text)).payload == Payload(2.0, (0.0, 0.0, 1.0))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        *("", "2.805", "{}", '{"mass_kg": -1}', '{"mass_kg": 0}', '{"mass_kg": "2"}', '{"mass_kg": 1e999}'),
+        '{"mass_kg": 2, "center_of_mass_m": [1, 2]}',
+        '{"mass_kg": 2, "mass_half_width_kg": -1}',
+        '{"mass_kg": 2, "x": ' + "[" * 9999,
+    ],
+)
+def test_a_recording_with_a_payload_that_is_none_is_refused(tmp_path, text):
+    path = recorded(tmp_path / "a.mcap", None, payload=text)
+    with pytest.raises(AcquisitionError) as refused:
+        read_recording(path)
+    assert (refused.value.place, refused.value.key, refused.value.value) == (str(path), "payload", text)
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("passive", [False, True])
+def test_a_real_session_has_the_payload_too(tmp_path, passive):
+    """Its recorder is another process."""
+    robot = robot_of(bus_text(1, interface="udp_multicast", channel="239.74.163.9"))
+    payload = Payload(2.0, (0.0, 0.0, 0.1))
+    log = ProcessLog(tmp_path / "a.mcap", robot, "robot.toml", Role.LISTENER if passive else Role.FED, 0, payload)
+    try:
+        log.finish(10**9)
+    finally:
+        log.close()
+    assert read_recording(tmp_path / "a.mcap").payload == payload

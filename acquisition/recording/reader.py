@@ -15,7 +15,7 @@ import numpy as np
 
 from ..errors import Place
 from ..files import atomic_write
-from ..robot import EffortTiming, Robot, robot_from_files
+from ..robot import EffortTiming, Payload, Robot, robot_from_files
 from .content import Messages, read_content
 from .rows import FRAME, Block, check_frames, check_samples
 from .writer import EFFORT_TIMINGS, FRAMES_TOPIC, SCHEMA_VERSION, Header, RecordingWriter, metadata_crc, sample_layouts
@@ -56,6 +56,7 @@ class Recording:
         samples: rows of `sample_dtype` with strictly increasing stamps, joint side, SI; None without samples.
         frames: rows of `FRAME` by CAN channel.
         attachments: by name; names are labels, never paths.
+        payload: what the robot carried; None: nothing.
         cut: the file has no end; this is what was written before the cut.
     """
 
@@ -66,6 +67,7 @@ class Recording:
     metadata: Mapping[str, str]
     attachments: Mapping[str, bytes]
     robot: Robot
+    payload: Payload | None
     sample_rate_hz: float
     cut: bool
     sha256: str
@@ -106,6 +108,7 @@ class Recording:
             sample_rate_hz=self.sample_rate_hz,
             effort_provenance=self.metadata.get("effort_provenance", ""),
             effort_timing=self.effort_timing,
+            payload=self.payload,
             notes=self.metadata,
             attachments={name: content for name, content in self.attachments.items() if name not in self.robot.files},
         )
@@ -163,6 +166,7 @@ def read_recording(path: str | PathLike[str]) -> Recording:
         metadata=metadata,
         attachments=attachments,
         robot=robot,
+        payload=_payload(metadata, place),
         sample_rate_hz=_rate(metadata, place),
         cut=cut,
         sha256=sha256,
@@ -224,6 +228,14 @@ def _rate(metadata: Mapping[str, str], place: Place) -> float:
     if not 0 < rate_hz < math.inf:
         place.refuse("sample_rate_hz", text, "a positive number")
     return rate_hz
+
+
+def _payload(metadata: Mapping[str, str], place: Place) -> Payload | None:
+    text = metadata.get("payload", "null")
+    try:
+        return msgspec.json.decode(text, type=Payload | None)
+    except (msgspec.MsgspecError, RecursionError) as error:
+        place.refuse("payload", text, text=str(error))
 
 
 def rewrite(

@@ -25,7 +25,7 @@ from mcap.writer import Writer
 
 from ..arrays import Array
 from ..errors import Place
-from ..robot import EffortTiming, Robot, extra_columns
+from ..robot import EffortTiming, Payload, Robot, extra_columns
 from .rows import FRAME, OPTIONAL, Block, check_frames, check_samples, sample_dtype
 
 # Texts of the metadata's key `effort_timing`; a missing key means "unknown".
@@ -52,6 +52,7 @@ class Header:
     Attributes:
         source: origin of the data, as text.
         effort_provenance: object, reference or actual, raw unit, rated value and rule of each effort, as text.
+        payload: what the robot carried; JSON of its fields in the metadata.
         notes: further metadata by key (bus, bitrate); keys of the header itself are overwritten.
         attachments: files by name, in addition to the robot's own.
     """
@@ -61,6 +62,7 @@ class Header:
     sample_rate_hz: float
     effort_provenance: str
     effort_timing: EffortTiming = "unknown"
+    payload: Payload | None = None
     notes: Mapping[str, str] = field(default_factory=dict)
     attachments: Mapping[str, bytes] = field(default_factory=dict)
 
@@ -82,6 +84,8 @@ class Header:
             "effort_provenance": self.effort_provenance,
             "effort_timing": EFFORT_TIMINGS[self.effort_timing],
         }
+        if self.payload is not None:
+            entries["payload"] = msgspec.json.encode(self.payload).decode()
         return entries | {"crc32": metadata_crc(entries)}
 
     @property

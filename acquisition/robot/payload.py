@@ -1,47 +1,39 @@
 """The payload of a recording: a weighed mass that the last link carries, and where its centre of mass is."""
 
-import math
 from dataclasses import dataclass
+from typing import Annotated
+
+import msgspec
 
 from ..errors import AcquisitionError
 from .robot import Robot
 
-MAX_DISTANCE_M = 5.0  # of the centre of mass: a larger number is in another unit
+Mass = Annotated[float, msgspec.Meta(gt=0, le=1e6)]
+Metres = Annotated[float, msgspec.Meta(ge=-5, le=5)]  # a larger number is in another unit
+HalfWidth = Annotated[float, msgspec.Meta(ge=0, le=1e6)]
 
 
 @dataclass(frozen=True)
 class Payload:
-    """A mass fixed to the last link. `str` is for people, `text` is what `parse_payload` reads.
+    """A mass fixed to the last link. Its ranges are checked where it is parsed or read, not where it is made.
 
     Attributes:
         mass_kg: None: unknown.
         center_of_mass_m: None: unknown.
         frame: fixed link of the URDF in which the centre of mass is given; None: frame of the last joint.
         mass_half_width_kg: half-width of the mass's 95 % interval.
-
-    Raises `AcquisitionError` with `key` and `value` for a mass, a centre of mass or a half-width that no payload has.
     """
 
-    mass_kg: float | None
-    center_of_mass_m: tuple[float, float, float] | None = None
+    mass_kg: Mass | None
+    center_of_mass_m: tuple[Metres, Metres, Metres] | None = None
     frame: str | None = None
-    mass_half_width_kg: float = 0.0
-
-    def __post_init__(self) -> None:
-        mass, center, width = self.mass_kg, self.center_of_mass_m, self.mass_half_width_kg
-        if mass is not None and not 0 < mass < math.inf:
-            raise AcquisitionError(key="payload.mass_kg", value=mass, expected="more than 0, and finite")
-        if center is not None and not math.hypot(*center) <= MAX_DISTANCE_M:
-            expected = f"three numbers in m, within {MAX_DISTANCE_M:g} m"
-            raise AcquisitionError(key="payload.center_of_mass_m", value=list(center), expected=expected)
-        if not 0 <= width < math.inf:
-            raise AcquisitionError(key="payload.mass_half_width_kg", value=width, expected="0 or more, and finite")
+    mass_half_width_kg: HalfWidth = 0.0
 
     @property
     def text(self) -> str:
-        """The numbers as of `--payload`: `2.805@0.03,0.15,-0.16`."""
-        center = "" if self.center_of_mass_m is None else "@" + ",".join(map(repr, self.center_of_mass_m))
-        return f"{'unknown' if self.mass_kg is None else repr(self.mass_kg)}{center}"
+        """What `parse_payload` reads, if the mass is known: `2.805@0.03,0.15,-0.16`."""
+        center = ",".join(map(repr, self.center_of_mass_m or ()))
+        return f"{self.mass_kg!r}@{center}" if center else repr(self.mass_kg)
 
     def describe(self, last_joint: str = "the last joint") -> str:
         """For people: `2.805 kg at 0.03, 0.15, -0.16 m in tool0`."""
@@ -52,8 +44,7 @@ class Payload:
         center = ", ".join(f"{x:g}" for x in self.center_of_mass_m)
         return f"{mass} at {center} m in {self.frame or f'the frame of {last_joint}'}"
 
-    def __str__(self) -> str:
-        return self.describe()
+    __str__ = describe
 
 
 def parse_payload(text: str, robot: Robot, key: str = "--payload") -> Payload:
@@ -63,11 +54,9 @@ def parse_payload(text: str, robot: Robot, key: str = "--payload") -> Payload:
     """
     mass, at, center = text.partition("@")
     try:
-        numbers = tuple(float(x) for x in center.split(",")) if at else None
-        if numbers is not None and len(numbers) != 3:
-            raise ValueError("three numbers are a centre of mass")
-        table = robot.payload
-        return Payload(float(mass), numbers, table.frame, table.mass_half_width_kg)
-    except (ValueError, AcquisitionError) as error:
-        expected = f"KG or KG@X,Y,Z: a mass above 0 in kg, and a centre of mass in m within {MAX_DISTANCE_M:g} m"
+        numbers = [float(x) for x in center.split(",")] if at else None
+        given = {"mass_kg": float(mass), "center_of_mass_m": numbers}
+        return msgspec.convert(given | msgspec.structs.asdict(robot.payload), Payload)
+    except ValueError as error:  # of msgspec too
+        expected = "KG or KG@X,Y,Z: a mass above 0 in kg, and a centre of mass in m, each number within 5 m"
         raise AcquisitionError(key=key, value=text, expected=expected) from error

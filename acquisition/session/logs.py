@@ -13,7 +13,7 @@ from typing import Any
 
 from ..bus import Frame, block_of
 from ..errors import AcquisitionError
-from ..robot import Robot
+from ..robot import Payload, Robot
 from .process import BLOCK_S, STOPPING, Role, WatchdogPipe, run
 from .recorder import RecordedSummary, Recorder, Status
 
@@ -79,7 +79,15 @@ class ProcessLog:
     Raises `AcquisitionError` where the process cannot open the bus or the file.
     """
 
-    def __init__(self, path: Path, robot: Robot, place: str, role: Role, offset_ns: int | None = None) -> None:
+    def __init__(
+        self,
+        path: Path,
+        robot: Robot,
+        place: str,
+        role: Role,
+        offset_ns: int | None = None,
+        payload: Payload | None = None,
+    ) -> None:
         """`offset_ns`: the session's clock, used for its events, minus the monotonic clock."""
         context = multiprocessing.get_context("spawn")
         self._connection, other = context.Pipe()
@@ -87,7 +95,7 @@ class ProcessLog:
         self._watchdog_pipe = None if watching is None else WatchdogPipe(watching)
         self._frames: list[Frame] = []
         self.on_status: OnStatus = lambda status, stamp_ns: None
-        arguments = (other, path.absolute(), dict(robot.files), place, role, watched)
+        arguments = ((other, watched), path.absolute(), dict(robot.files), place, role, payload)
         self._process = context.Process(target=run, args=arguments, name="recorder", daemon=True)
         # Signals are blocked while the process starts: a Ctrl-C of the whole group must not end it before it ignores them.
         resource_tracker.ensure_running()  # its first start would unblock the signals

@@ -24,7 +24,7 @@ from ..bus import Receiver, WallClock, command_ids, describe_step, kernel_drops,
 from ..errors import AcquisitionError
 from ..protocol import HEARTBEAT
 from ..recording import FRAME, SENT
-from ..robot import Bus, BusFile, Robot, resolve, robot_from_files
+from ..robot import Bus, BusFile, Payload, Robot, resolve, robot_from_files
 from .recorder import RecordedSummary, Recorder
 
 BLOCK_S = 0.1
@@ -32,6 +32,7 @@ STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)  # han
 SILENT_S = 0.3
 SILENT_PERIODS = 3  # of SYNC, if longer than SILENT_S
 ALIVE, ENDED = b"\1", b"\0"
+Pipes = tuple[Connection, Connection | None]  # to the session, and of its signs of life
 
 
 def silence_s(file: BusFile) -> float:
@@ -135,10 +136,9 @@ class Role(Enum):
     FED = "fed"
 
 
-def run(
-    connection: Connection, path: Path, files: Mapping[str, bytes], place: str, role: Role, watched: Connection | None
-) -> None:
+def run(pipes: Pipes, path: Path, files: Mapping[str, bytes], place: str, role: Role, payload: Payload | None) -> None:
     """The recorder's process. It ignores signals such as Ctrl-C, and ends on request or when the session has died."""
+    connection, watched = pipes
     for number in (*STOPPING, signal.SIGTSTP):  # Ctrl-Z halts the session: its watchdog must still run
         signal.signal(number, signal.SIG_IGN)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, STOPPING)
@@ -149,7 +149,7 @@ def run(
         # The recorder never sends; the watchdog opens the bus again if it must stop the drives.
         bus = None if role is Role.FED else open_bus(robot.bus, passive=True)
         source = "CAN, passive" if role is Role.LISTENER else "CAN, active"
-        recorder = Recorder(path, robot, source=source, place=place)
+        recorder = Recorder(path, robot, source=source, place=place, payload=payload)
         receiver = None if bus is None else Receiver(bus)
         try:
             ours = np.zeros(0, np.int64) if role is Role.LISTENER else _master_ids(robot, place)

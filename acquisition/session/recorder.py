@@ -9,7 +9,7 @@ import numpy as np
 
 from ..errors import AcquisitionError
 from ..recording import FRAME, NO_SAMPLES, Block, Header, RecordingWriter, decode, read_recording, written_by_master
-from ..robot import Bus, Robot, resolve
+from ..robot import Bus, Payload, Robot, resolve
 
 FLUSH_S = 0.5
 MIN_FREE_BYTES = 100 * 2**20  # with less free space on the disk the session ends
@@ -44,7 +44,7 @@ class RecordedSummary:
 class Recorder:
     """Writes the recording `path`; flushed data survives a kill. Raises `AcquisitionError` if it exists or writing fails."""
 
-    def __init__(self, path: Path, robot: Robot, *, source: str, place: str) -> None:
+    def __init__(self, path: Path, robot: Robot, *, source: str, place: str, payload: Payload | None = None) -> None:
         assert robot.bus is not None
         self._path, self._robot, self._place = path, robot, place
         mapped_by_traffic = any(drive.mapping == "traffic" for drive in robot.bus.drive)
@@ -59,6 +59,7 @@ class Recorder:
             sample_rate_hz=1.0 / file.sync_period_s,
             effort_provenance=self._bus.provenance if self._bus else "mapped by another master, see the frames",
             effort_timing=file.effort_timing,
+            payload=payload,
             notes={
                 "bus": f"{file.interface} {file.channel}",
                 "bitrate": str(file.bitrate),

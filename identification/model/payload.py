@@ -26,8 +26,8 @@ def payload_parameters(model: InverseModel, payload: Payload) -> Array:
         n, kind = model.robot.n, pin.FrameType.BODY
         links = {f.name: f.placement for f in model.model.frames if f.parentJoint == n and f.type == kind}
         if payload.frame not in links:
-            expected = f"a link that {model.robot.joints[-1].name} carries: {listed(list(links))}"
-            place = f"robot {model.robot.name}"
+            place, joint = f"robot {model.robot.name}", model.robot.joints[-1].name
+            expected = f"a link that {joint} carries: {listed(list(links))}"
             raise IdentificationError(place=place, key="payload.frame", value=payload.frame, expected=expected)
         placement = links[payload.frame]
     ball = 0.4 * payload.mass_kg * BALL_RADIUS_M**2 * np.eye(3)
