@@ -27,6 +27,10 @@ class RecordOptions:
         Path | None,
         option("MOVES THE ROBOT along this table of time_s and joint positions (rad, m)", "REFERENCE.csv", Path),
     ] = None
+    payload: Annotated[
+        str | None,
+        option("the mass that the robot carries, in kg, and its centre of mass in m; stored", "KG[@X,Y,Z]", str),
+    ] = None
     passive: Annotated[bool, option("never send anything, because another master owns the bus")] = False
     dry_run: Annotated[bool, option("use simulated drives, without a bus")] = False
     duration_s: Annotated[

@@ -1,17 +1,23 @@
 """The payload: its text, `[payload]` of robot.toml, and its parameters in the frame of the last link."""
 
+import json
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 from conftest import REPLAY, robot_named
-from made_up_buses import bus_text, robot_of
+from made_up_buses import bus_text, robot_of, session
 from made_up_recordings import some_samples
 from urdfs import ARM, joint, urdf
 
+from acquisition.commands import main
 from acquisition.errors import AcquisitionError
+from acquisition.importing import decode_recording
+from acquisition.options import RecordOptions
 from acquisition.recording import Header, RecordingWriter, read_recording
 from acquisition.robot import Payload, Robot, parse_payload, robot_from_files
+from acquisition.session import UserInterface, record
 from acquisition.session.logs import ProcessLog, Role
 from identification.errors import IdentificationError
 from identification.model import InverseModel, add_payload, payload_parameters
@@ -181,6 +187,88 @@ def test_a_recording_with_a_payload_that_is_none_is_refused(tmp_path, text):
         read_recording(path)
     assert (refused.value.place, refused.value.key, refused.value.value) == (str(path), "payload", text)
     assert "\n" not in str(refused.value)
+
+
+def test_what_is_written_again_keeps_the_payload(tmp_path, capsys):
+    """A cut recording that is recovered, and one that is decoded with another description."""
+    path = recorded(tmp_path / "a.mcap", HEAVY)
+    cut, whole = tmp_path / "cut.mcap", tmp_path / "whole.mcap"
+    cut.write_bytes(path.read_bytes()[:-300])
+    assert main(["recover", str(cut), "-o", str(whole)]) == 0
+    assert read_recording(whole).payload == HEAVY
+    robot = robot_of(bus_text(2))
+    dry, again = tmp_path / "dry.mcap", tmp_path / "again.mcap"
+    record(robot, "robot.toml", dry, RecordOptions(dry_run=True, duration_s=0.2, payload="2@0,0,0.1"), UserInterface())
+    decode_recording(dry, again, robot_of(bus_text(2, ratio=60.0)), "robot.toml")
+    assert read_recording(again).payload == read_recording(dry).payload == Payload(2.0, (0.0, 0.0, 0.1))
+
+
+def test_info_shows_the_payload(tmp_path, capsys):
+    def info(path, *options):
+        assert main(["info", str(path), *options]) == 0
+        return capsys.readouterr().out
+
+    loaded, empty = recorded(tmp_path / "a.mcap", HEAVY), recorded(tmp_path / "b.mcap", None)
+    words = "2.805 ± 0.01 kg at 0.03, 0.15, -0.16 m in the frame of elbow"
+    assert re.search(rf"^ *payload +{re.escape(words)}$", info(loaded), re.MULTILINE)
+    assert "payload" not in info(empty)
+    found = json.loads(info(loaded, "--json"))
+    assert found["payload"] == {
+        "mass_kg": 2.805,
+        "center_of_mass_m": [0.03, 0.15, -0.16],
+        "frame": None,
+        "mass_half_width_kg": 0.01,
+    }
+    assert found["payload_text"] == words
+    assert json.loads(info(empty, "--json"))["payload"] is None
+
+
+@pytest.mark.parametrize("kind", ["table", "log", "bag"])
+def test_imports_take_a_payload(tmp_path, kind, capsys):
+    toml, out = tmp_path / "robot.toml", tmp_path / "out.mcap"
+    options = ["--robot", str(toml), "-o", str(out), "--payload"]
+    toml.write_text((REPLAY / "scara" / "robot.toml").read_text())
+    if kind == "table":
+        map_text = '[position]\ncolumns = [1, 2]\nunit = "rad"\n[effort]\ncolumns = [3, 4]\nunit = "N m"\n'
+        (tmp_path / "map.toml").write_text(f"sample_rate_hz = 1000\n{map_text}")
+        np.savetxt(tmp_path / "a.csv", np.random.default_rng(0).normal(size=(300, 4)) * 1e-3, delimiter=",")
+        command = ["import", str(tmp_path / "a.csv"), "--map", str(tmp_path / "map.toml"), *options]
+    elif kind == "log":
+        toml.write_text(bus_text(2))
+        log = tmp_path / "a.log"
+        rows = [row for rows in session(2, 60) for row in rows]
+        log.write_text(
+            "".join(f"({t * 1e-9:.6f}) can0 {i:03X}#{d.tobytes()[:k].hex().upper()}\n" for t, i, k, _, d in rows)
+        )
+        command = ["import", str(log), *options]
+    else:
+        assert main(["export", str(recorded(tmp_path / "a.mcap", HEAVY)), "--bag", str(tmp_path / "bag")]) == 0
+        bag = ["--topic", "/joint_states", "--effort-unit", "N m"]
+        command = ["import", str(tmp_path / "bag"), *bag, *options]
+    capsys.readouterr()
+    assert main([*command, "2@x"]) == 1
+    assert capsys.readouterr().err.startswith("robot-acquire: --payload = '2@x': expected KG or KG@X,Y,Z")
+    assert not out.exists()
+    assert main([*command, "2.5@0,0,0.1"]) == 0, capsys.readouterr().err
+    assert read_recording(out).payload == Payload(2.5, (0.0, 0.0, 0.1))
+
+
+@pytest.mark.parametrize("command", ["record", "check"])
+def test_commands_refuse_what_is_no_payload_before_anything_else(tmp_path, command, capsys):
+    toml, out = tmp_path / "robot.toml", tmp_path / "a.mcap"
+    toml.write_text(bus_text(2))
+    options = ["-o", str(out), "--duration", "0.1"] if command == "record" else []
+    assert main([command, str(toml), "--payload", "2@0,0", *options]) == 1
+    assert capsys.readouterr().err.startswith("robot-acquire: --payload = '2@0,0': expected KG or KG@X,Y,Z")
+    assert not out.exists()
+
+
+def test_check_shows_the_payload(tmp_path, capsys):
+    toml = tmp_path / "robot.toml"
+    toml.write_text(bus_text(1))
+    assert main(["check", str(toml), "--payload", "2@0,0,0.1"]) == 1  # no drive answers
+    assert "ok  payload" in (printed := capsys.readouterr().out)
+    assert "2 kg at 0, 0, 0.1 m in the frame of joint_1" in printed
 
 
 @pytest.mark.parametrize("passive", [False, True])

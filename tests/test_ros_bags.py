@@ -12,7 +12,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from acquisition.commands import main
 from acquisition.errors import AcquisitionError
-from acquisition.importing import import_bag
+from acquisition.importing import BagOptions, import_bag
 from acquisition.recording import Header, RecordingWriter, read_recording, sample_dtype
 from identification.data import load_signals
 from identification.regression import Overrides, make_problem
@@ -26,6 +26,7 @@ Q = np.stack([0.5 * np.sin(2 * T), 0.3 * np.sin(3 * T)], axis=1)
 DQ = np.stack([np.cos(2 * T), 0.9 * np.cos(3 * T)], axis=1)
 EFFORT = np.stack([np.cos(5 * T), 2 + np.sin(T)], axis=1)
 NAMES = ("shoulder", "elbow")
+OPTIONS = BagOptions(topic="/joint_states", effort_unit=["N m"])
 
 
 def message(k, *, names=NAMES, frame="", stamp_ns=None, **parts):
@@ -276,7 +277,7 @@ def in_turns(every=1, **other):
 def test_two_publishers_with_the_same_names_are_refused(tmp_path, key, other):
     path = bag(tmp_path / "two", in_turns(**other))
     with pytest.raises(AcquisitionError) as refused:
-        import_bag(path, robot_named("scara"), tmp_path / "out.mcap", topic="/joint_states", effort_unit=["N m"])
+        import_bag(path, robot_named("scara"), tmp_path / "out.mcap", OPTIONS)
     assert refused.value.key.startswith(key)
     assert "one publisher" in refused.value.expected
     assert not (tmp_path / "out.mcap").exists()
@@ -313,9 +314,7 @@ def test_several_publishers_are_told(tmp_path):
         states = w.add_connection("/joint_states", STATE, typestore=STORE, offered_qos_profiles=[qos, qos])
         for k in range(N):
             w.write(states, FIRST_NS + k * 10_000_000, STORE.serialize_cdr(message(k), STATE))
-    found = import_bag(
-        tmp_path / "a", robot_named("scara"), tmp_path / "out.mcap", topic="/joint_states", effort_unit=["N m"]
-    )
+    found = import_bag(tmp_path / "a", robot_named("scara"), tmp_path / "out.mcap", OPTIONS)
     assert [text for text in found.warnings if text.startswith("/joint_states has 2 publishers")]
 
 

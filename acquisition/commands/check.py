@@ -3,21 +3,26 @@
 import argparse
 
 from ..errors import AcquisitionError
-from .command_line import add_path
+from ..options import RecordOptions
+from .command_line import add_options, add_path
 
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_path(parser, "robot", "ROBOT.toml")
+    add_options(parser, RecordOptions, "payload")
 
 
 def run(options: argparse.Namespace) -> None:
     """Print the findings as a table. A finding that forbids a session is an error."""
-    from ..robot import load_robot, resolve
-    from .checking import check, refusal, table
+    from ..robot import load_robot, parse_payload, resolve
+    from .checking import Finding, check, refusal, table
 
     robot = load_robot(options.robot)
+    payload = None if options.payload is None else parse_payload(options.payload, robot)
     findings = check(robot, resolve(robot, str(options.robot)))
+    if payload is not None:
+        findings.insert(0, Finding("payload", payload.describe(robot.joints[-1].name)))
     print(*table(findings), sep="\n")
     if failed := refusal(findings):
         raise AcquisitionError(failed)

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ..errors import AcquisitionError
-from .command_line import Progress, add_overwrite, add_path
+from ..options import RecordOptions
+from .command_line import Progress, add_options, add_overwrite, add_path
 from .decode import print_imported
 
 
@@ -18,6 +19,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     add_path(inputs, "tables", "FILE", text, nargs="+")
     add_path(inputs, "--robot", "ROBOT.toml", "the robot's description", required=True)
     add_path(inputs, "--map", "MAP.toml", "meaning of the columns; only for tables")
+    add_options(inputs, RecordOptions, "payload")
     bag = parser.add_argument_group("ROS 2 bag")
     bag.add_argument("--topic", metavar="NAME", help="topic of sensor_msgs/msg/JointState, such as /joint_states")
     text = (
@@ -38,22 +40,23 @@ def run(options: argparse.Namespace) -> None:
 
     refuse_clash([options.robot, options.map, *options.tables], options.output, overwrite=options.overwrite)
     with Progress("importing"):
-        from ..importing import import_bag, import_log, import_tables
-        from ..robot import load_robot
+        from ..importing import BagOptions, import_bag, import_log, import_tables
+        from ..robot import load_robot, parse_payload
 
-        out, tables = options.output, options.tables
+        out, tables, robot = options.output, options.tables, load_robot(options.robot)
+        payload = None if options.payload is None else parse_payload(options.payload, robot)
         if options.topic is not None:
             _refuse_as_bag(options)
             units = [unit.strip() for unit in options.effort_unit.split(",")]
-            bag = {"topic": options.topic, "effort_unit": units, "resample_hz": options.resample_hz}
-            found = import_bag(tables[0], load_robot(options.robot), out, **bag)
+            bag = BagOptions(topic=options.topic, effort_unit=units, resample_hz=options.resample_hz)
+            found = import_bag(tables[0], robot, out, bag, payload)
         else:
             _refuse_bag_options(options)
             if options.map is not None:
-                found = import_tables(tables, load_robot(options.robot), options.map, out)
+                found = import_tables(tables, robot, options.map, out, payload)
             else:
                 _refuse_as_log(tables)
-                found = import_log(tables[0], out, load_robot(options.robot), str(options.robot))
+                found = import_log(tables[0], out, robot, str(options.robot), payload)
     print_imported(found, sys.stderr if options.topic is None and options.map is None else sys.stdout)
 
 

@@ -22,7 +22,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     add_path(inputs, "robot", "ROBOT.toml")
     add_options(inputs, RecordOptions, "track")
     session = parser.add_argument_group("session")
-    add_options(session, RecordOptions, "passive", "dry_run", "duration_s", "speed")
+    add_options(session, RecordOptions, "payload", "passive", "dry_run", "duration_s", "speed")
     add_flag(session, "--yes", "start --track without asking whether the joint positions are right")
     add_options(session, RecordOptions, "reset_faults", "unsupervised_drives")
     outputs = parser.add_argument_group("outputs")
@@ -31,12 +31,15 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Record, show the status, and print what was recorded; 1 when the session ended with a fault."""
-    from ..robot import load_robot
+    from ..robot import load_robot, parse_payload
     from ..session import Stop, UserInterface, record, stop_on_signals
 
     if options.duration_s is not None and not 0 < options.duration_s < float("inf"):
         raise AcquisitionError(key="--duration", value=options.duration_s, expected="more than 0, and finite")
     robot = load_robot(options.robot)
+    if options.payload is not None:
+        payload = parse_payload(options.payload, robot).describe(robot.joints[-1].name)
+        print(f"payload {payload}: no limit of robot.toml counts it; is it within the rated payload?", file=sys.stderr)
     moves = options.track is not None and not options.dry_run
     if moves and not options.yes and not sys.stdin.isatty():
         text = "nobody can confirm the joint positions"

@@ -1,7 +1,7 @@
 """Imports the joint states of a ROS 2 bag into a recording."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -10,7 +10,7 @@ import numpy as np
 from ..arrays import Array, Ints
 from ..errors import AcquisitionError, Place, listed
 from ..recording import JOINT_STATE, Header
-from ..robot import Robot
+from ..robot import Payload, Robot
 from .quantities import EFFORT_UNITS, effort_at_joint, effort_side, position_side, si_units
 from .stamps import smallest_difference
 from .time_base import ImportSummary, resample, with_warnings, write_samples
@@ -27,8 +27,21 @@ def is_bag(path: Path) -> bool:
     return path.is_dir() or path.suffix.lower() in SUFFIXES
 
 
+@dataclass(frozen=True, kw_only=True)
+class BagOptions:
+    """Topic of the joint states; unit of the effort, one for all joints or one for each; rate of the grid.
+
+    N m and N are at the joints; A, V and their fractions are of the motors, in the order of the joints. Without a rate that
+    of the stamps is taken, rounded within their scatter.
+    """
+
+    topic: str
+    effort_unit: Sequence[str]
+    resample_hz: float | None = None
+
+
 def import_bag(
-    bag: Path, robot: Robot, out: Path, *, topic: str, effort_unit: Sequence[str], resample_hz: float | None = None
+    bag: Path, robot: Robot, out: Path, options: BagOptions, payload: Payload | None = None
 ) -> ImportSummary:
     """Write the recording `out` from joint states of a ROS 2 bag; joints are assigned by their names in robot.toml.
 
@@ -38,10 +51,7 @@ def import_bag(
     Parameters
     ----------
     bag : a folder, .mcap or .db3.
-    topic : of the joint states.
-    effort_unit : one for all joints or one for each. N m and N are at the joints; A, V and their fractions are of the motors,
-        in the order of the joints.
-    resample_hz : rate of the grid; None: the rate of the stamps, rounded within their scatter.
+    payload : what the robot carried.
 
     Raises
     ------
@@ -49,19 +59,19 @@ def import_bag(
         With `place`, `key`, `value` and `expected`: the bag or its topic cannot be read, efforts are missing, zero, not finite
         or in other units than those of robot.toml, stamps do not grow or have gaps. Nothing is written then.
     """
-    joints = [joint.name for joint in robot.joints]
+    joints, topic = [joint.name for joint in robot.joints], options.topic
     place = Place(f"{bag}: {topic}")
     position_side(robot, "joint", "position", place)
     stamps_ns, received, parts, warnings = _joint_states(bag, topic, joints)
     position = parts["position"]
-    parts["effort"], provenance = _effort(robot, parts.get("effort"), effort_unit, place)
+    parts["effort"], provenance = _effort(robot, parts.get("effort"), options.effort_unit, place)
     _refuse_several_publishers(position, parts["effort"], joints, place)
     if "velocity" in parts and not np.isfinite(parts["velocity"]).all():
         del parts["velocity"]
         warnings.append("velocities that are not finite numbers are left out")
     first_ns = int(stamps_ns[0])
     time_s = np.asarray((stamps_ns - first_ns) * np.float64(1e-9))
-    grid = resample(time_s, parts, rate_hz=resample_hz, place=place)
+    grid = resample(time_s, parts, rate_hz=options.resample_hz, place=place)
     clock = "times of reception" if received else "header stamps"
     way_out = "record a topic that the robot's own clock stamps, or import a table whose map states sample_rate_hz"
     grid = replace(with_warnings(grid, time_s, position, clock, way_out), first_ns=first_ns)
@@ -71,6 +81,7 @@ def import_bag(
         sample_rate_hz=grid.rate_hz,
         effort_provenance=provenance,
         effort_timing="measured",
+        payload=payload,
         notes=grid.notes,
     )
     return write_samples(header, grid, warnings, str(place), out)

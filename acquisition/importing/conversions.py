@@ -22,7 +22,7 @@ from ..recording import (
     rewrite,
     written_by_master,
 )
-from ..robot import Robot, check_recorded_positions, resolve
+from ..robot import Payload, Robot, check_recorded_positions, resolve
 from ..session import RecordedSummary, write_decoded
 from .time_base import ImportSummary
 
@@ -123,7 +123,7 @@ def is_log(path: Path) -> bool:
     return path.suffix.lower() in SUFFIXES
 
 
-def import_log(log: Path, out: Path, robot: Robot, place: str) -> ImportSummary:
+def import_log(log: Path, out: Path, robot: Robot, place: str, payload: Payload | None = None) -> ImportSummary:
     """Write the recording `out` from another tool's CAN log.
 
     Parameters
@@ -132,6 +132,7 @@ def import_log(log: Path, out: Path, robot: Robot, place: str) -> ImportSummary:
     out : written whole or not at all.
     robot : its drives decode the frames.
     place : the name of the description in errors.
+    payload : what the robot carried.
 
     Raises
     ------
@@ -143,7 +144,7 @@ def import_log(log: Path, out: Path, robot: Robot, place: str) -> ImportSummary:
     decoded = _decode_checked(frames, robot, str(log), place)
     decoded = replace(decoded, warnings=left_out + decoded.warnings)
     notes = {"left_out": "; ".join(left_out)} if left_out else {}
-    header = Header(source=f"log {log.name}", notes=notes, **_bus_header(decoded))
+    header = Header(source=f"log {log.name}", payload=payload, notes=notes, **_bus_header(decoded))
     with atomic_write(out) as partial, RecordingWriter(partial, header) as writer:
         writer.frames("log", frames)
         decoded.write(writer, int(frames["time_ns"][-1]))

@@ -15,7 +15,7 @@ from ..arrays import Array
 from ..errors import Place
 from ..files import read_columns
 from ..recording import OPTIONAL, Header
-from ..robot import EffortTiming, Positive, Robot, parse_toml
+from ..robot import EffortTiming, Payload, Positive, Robot, parse_toml
 from .quantities import Quantity, Source, TableNumber
 from .stamps import ticks_from_velocity
 from .time_base import MAX_GAP_PERIODS, GridValues, ImportSummary, resample, uniform_grid, with_warnings, write_samples
@@ -66,13 +66,16 @@ class TableMap(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     effort_timing: EffortTiming = "unknown"
 
 
-def import_tables(tables: Sequence[Path], robot: Robot, map_path: Path, out: Path) -> ImportSummary:
+def import_tables(
+    tables: Sequence[Path], robot: Robot, map_path: Path, out: Path, payload: Payload | None = None
+) -> ImportSummary:
     """Write the recording `out` from tables.
 
     Parameters
     ----------
     tables : CSV or MAT files.
     map_path : `map.toml`, which assigns columns, units and sides (motor or joint), and says how times are read.
+    payload : what the robot carried.
 
     Raises
     ------
@@ -100,6 +103,7 @@ def import_tables(tables: Sequence[Path], robot: Robot, map_path: Path, out: Pat
         sample_rate_hz=grid.rate_hz,
         effort_provenance=provenance,
         effort_timing=table_map.effort_timing,
+        payload=payload,
         notes=grid.notes,
     )
     return write_samples(header, grid, (), names, out)

@@ -59,6 +59,8 @@ def overview(recording: Recording, row_warnings: str = "") -> dict[str, Any]:
         "row_doubts": row_warnings,
         "effort_provenance": metadata.get("effort_provenance", ""),
         "times": metadata.get("times", ""),
+        "payload": recording.payload,
+        "payload_text": recording.payload and recording.payload.describe(robot.joints[-1].name),
         "gaps": () if samples is None else gaps(samples, recording.sample_rate_hz, _own_syncs(recording)),
         "frames": [
             {
@@ -179,6 +181,8 @@ def _facts(found: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     if found["times"]:
         yield "times", found["times"]
     yield "effort", found["effort_provenance"]
+    if found["payload_text"]:
+        yield "payload", found["payload_text"]
     for count in found["frames"]:
         text = f"{count['frames']} frames, {count['sent']} of them sent, {count['duration_s']:g} s"
         yield f"CAN {count['channel']}", text

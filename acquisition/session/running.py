@@ -27,7 +27,7 @@ from ..errors import AcquisitionError
 from ..options import RecordOptions
 from ..protocol import ANSWER, EMERGENCY, HEARTBEAT
 from ..recording import ERROR, EXTENDED, REMOTE_REQUEST, Block, Recording, read_recording, written_by_master
-from ..robot import Bus, BusFile, Robot, check_limits, refuse_load, resolve, table_reference
+from ..robot import Bus, BusFile, Payload, Robot, check_limits, parse_payload, refuse_load, resolve, table_reference
 from ..simulated import LockStepLink, SimulatedDrives, describe_loops, driven_plant
 from .logs import InlineLog, ProcessLog
 from .process import STOPPING, Role
@@ -70,12 +70,14 @@ def record(
     if mapped_by_traffic and not options.passive:
         expected = "'table' or 'dictionary' in an active session"
         raise AcquisitionError(place=place, key="mapping", value="traffic", expected=expected)
+    payload = None if options.payload is None else parse_payload(options.payload, robot)
     task = _task_of(robot, robot.bus.sync_period_s, options, operator)
     bus = None if mapped_by_traffic else resolve(robot, place)  # before anything is opened
     if bus is None or options.passive:
-        return _listen(robot, place, out, task, operator)
+        return _listen(robot, place, out, task, operator, payload)
     refuse_load(bus, place)
-    opened = _simulated(bus, robot, out, place) if options.dry_run else _on_bus(bus, robot, out, place, options)
+    dry = options.dry_run
+    opened = _simulated(bus, robot, out, place, payload) if dry else _on_bus(bus, robot, out, place, options, payload)
     with opened as (link, log):
         started_ns = link.now_ns()
         whole_s = task.duration_s if task.reference is None else len(task.reference) * bus.file.sync_period_s
@@ -119,11 +121,13 @@ def _task_of(robot: Robot, period_s: float, options: RecordOptions, operator: Us
 
 
 @contextmanager
-def _simulated(bus: Bus, robot: Robot, out: Path, place: str) -> Iterator[tuple[LockStepLink, InlineLog]]:
+def _simulated(
+    bus: Bus, robot: Robot, out: Path, place: str, payload: Payload | None
+) -> Iterator[tuple[LockStepLink, InlineLog]]:
     """Link to simulated drives in simulated time, and its log."""
     mechanism = driven_plant(robot, bus)
     described = describe_loops(robot, mechanism.loops)
-    log = InlineLog(Recorder(out, described, source="dry run on simulated drives", place=place))
+    log = InlineLog(Recorder(out, described, source="dry run on simulated drives", place=place, payload=payload))
     with closing(log):
         link = LockStepLink(SimulatedDrives(robot, bus, mechanism), tap=log.tap)
         if mechanism.warning is not None:
@@ -132,12 +136,14 @@ def _simulated(bus: Bus, robot: Robot, out: Path, place: str) -> Iterator[tuple[
 
 
 @contextmanager
-def _on_bus(bus: Bus, robot: Robot, out: Path, place: str, options: RecordOptions) -> Iterator[tuple[Link, ProcessLog]]:
+def _on_bus(
+    bus: Bus, robot: Robot, out: Path, place: str, options: RecordOptions, payload: Payload | None
+) -> Iterator[tuple[Link, ProcessLog]]:
     """Link to the drives, and the recorder in a separate process. The link comes first: without a bus no file is written."""
     shared = bus.file.interface in SHARED
     with closing(open_link(bus.file, passive=False, tap=None if shared else lambda frame: log.tap(frame))) as link:
         role = Role.FED if not shared else Role.OBSERVER if options.track is None else Role.GUARD
-        log = ProcessLog(out, robot, place, role, link.now_ns() - time.monotonic_ns())
+        log = ProcessLog(out, robot, place, role, link.now_ns() - time.monotonic_ns(), payload)
         with closing(log):
             yield link, log
 
@@ -158,11 +164,11 @@ def _before_motion(robot: Robot, master: Master, options: RecordOptions, confirm
 
 
 def _listen(
-    robot: Robot, place: str, out: Path, task: Task, operator: UserInterface
+    robot: Robot, place: str, out: Path, task: Task, operator: UserInterface, payload: Payload | None
 ) -> tuple[Outcome, RecordedSummary]:
     """Record the frames of the bus. Only the recorder's process opens it, and cannot send."""
     stop, clock = operator.stop, WallClock()
-    log = ProcessLog(out, robot, place, Role.LISTENER, clock.now_ns() - time.monotonic_ns())
+    log = ProcessLog(out, robot, place, Role.LISTENER, clock.now_ns() - time.monotonic_ns(), payload)
     try:
         started_s = time.monotonic()
         log.event(clock.now_ns(), "phase", "record")
