@@ -2,8 +2,10 @@
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 from conftest import REPLAY, robot_named
@@ -16,11 +18,12 @@ from acquisition.errors import AcquisitionError
 from acquisition.importing import decode_recording
 from acquisition.options import RecordOptions
 from acquisition.recording import Header, RecordingWriter, read_recording
-from acquisition.robot import Payload, Robot, parse_payload, robot_from_files
+from acquisition.robot import Payload, Robot, load_robot, parse_payload, robot_from_files
 from acquisition.session import UserInterface, record
 from acquisition.session.logs import ProcessLog, Role
 from identification.errors import IdentificationError
 from identification.model import InverseModel, add_payload, payload_parameters
+from identification.simulation import described_robot
 
 TX40 = (REPLAY / "tx40" / "robot.toml").read_text()
 MOUNT = {"mount": joint("mount", "fixed", "beam", "tool", origin="0.05 0.1 0.3")}
@@ -282,3 +285,59 @@ def test_a_real_session_has_the_payload_too(tmp_path, passive):
     finally:
         log.close()
     assert read_recording(tmp_path / "a.mcap").payload == payload
+
+
+def pendulum(folder: Path, table: str = "") -> Path:
+    """One joint that turns about z, level, without friction, with gravity along -y; at rest it holds 3 N m cos q."""
+    text = bus_text(1, ratio=50.0).replace("[controller]", "gravity_m_s2 = [0.0, -9.81, 0.0]\n[controller]")
+    (folder / "robot.toml").write_text(f"{text}\n[parameters]\nZZ1 = 2.0\nMX1 = {3 / 9.81}\n{table}")
+    np.savetxt(
+        folder / "ref.csv", np.arange(300)[:, None] * [0.002, 0.0], delimiter=",", header="time_s,joint_1", comments=""
+    )
+    return folder / "robot.toml"
+
+
+@pytest.mark.parametrize(
+    ("payload", "torque_nm"),
+    [(None, 3.0), ("1.5", 3.0), ("1.5@0.4,0.3,-0.2", 3.0 + 1.5 * 9.81 * 0.4), ("0.5@-1,0,0", 3.0 - 0.5 * 9.81)],
+)
+def test_record_says_the_payload_and_a_dry_run_carries_it(tmp_path, capsys, payload, torque_nm):
+    command = ["record", str(pendulum(tmp_path)), "--track", str(tmp_path / "ref.csv"), "--dry-run"]
+    out = tmp_path / "a.mcap"
+    assert main([*command, "-o", str(out), *([] if payload is None else ["--payload", payload])]) == 0
+    said = capsys.readouterr().err
+    recording = read_recording(out)
+    if payload is None:
+        assert (said, recording.payload) == ("", None)
+    else:
+        assert said.startswith(f"payload {recording.payload.describe('joint_1')}: no limit of robot.toml counts it")
+    stop_ns = next(e.stamp_ns for e in recording.events if e.text == "stop")
+    still = recording.samples[recording.samples["stamp_ns"] < stop_ns][-50:]
+    assert np.abs(still["position"]).max() < 0.02
+    np.testing.assert_allclose(still["effort"].mean(), torque_nm, atol=0.1)
+
+
+def test_the_drives_of_a_dry_run_have_the_gains_of_the_unloaded_robot(tmp_path):
+    """Real drives are not tuned again for a payload; its inertia, about its centre of mass too, is that of a ball."""
+    robot = load_robot(pendulum(tmp_path))
+    (plant, loops), (loaded, same) = described_robot(robot), described_robot(robot, Payload(1.5, (0.4, 0.3, -0.2)))
+    np.testing.assert_array_equal(same.velocity, loops.velocity)
+    torque, free = np.array([20.0]), np.zeros(1, bool)
+    for each in (plant, loaded):
+        each.step(torque, free, 1e-3)
+    accelerations = np.array([each.state()[1][0] / 1e-3 for each in (plant, loaded)])
+    inertia = 2.0 + 1.5 * 0.25 + 0.4 * 1.5 * 0.1**2
+    np.testing.assert_allclose(accelerations, [17 / 2, (17 - 1.5 * 9.81 * 0.4) / inertia], rtol=2e-3)
+
+
+def test_a_dry_run_refuses_a_frame_that_the_last_link_does_not_carry():
+    robot = replace(arm(), parameters={"M1": 1.0, "XX1": 1.0, "YY1": 1.0, "ZZ1": 1.0, "M2": 1.0, "M3": 1.0})
+    with pytest.raises(AcquisitionError, match=r"payload.frame = 'sensor': expected a link that slide carries: beam"):
+        described_robot(robot, Payload(1.0, frame="sensor"))
+
+
+def test_a_dry_run_in_amperes_refuses_a_payload():
+    motors = tuple(msgspec.structs.replace(m, effort_unit="A") for m in arm().motors)
+    with pytest.raises(AcquisitionError) as refused:
+        described_robot(replace(arm(), motors=motors, parameters={"M1": 1.0}), Payload(1.0))
+    assert (refused.value.place, refused.value.key) == ("robot arm", "payload")

@@ -125,7 +125,7 @@ def _simulated(
     bus: Bus, robot: Robot, out: Path, place: str, payload: Payload | None
 ) -> Iterator[tuple[LockStepLink, InlineLog]]:
     """Link to simulated drives in simulated time, and its log."""
-    mechanism = driven_plant(robot, bus)
+    mechanism = driven_plant(robot, bus, payload)
     described = describe_loops(robot, mechanism.loops)
     log = InlineLog(Recorder(out, described, source="dry run on simulated drives", place=place, payload=payload))
     with closing(log):

@@ -1,8 +1,8 @@
 """Plants and control loops of simulated drives: the described robot, a recorded table, or independent joints instead.
 
 This package does not know the dynamics of `[parameters]`. Another package provides them by an entry point of the group
-`robot_idim.plants`: a function of the robot that returns the plant and control loops that suit its inertias. It raises
-`AcquisitionError` where the description cannot be simulated.
+`robot_idim.plants`: a function of the robot and its payload that returns the plant and control loops that suit the inertias
+of the unloaded robot. It raises `AcquisitionError` where the description cannot be simulated.
 """
 
 from collections.abc import Callable
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ..arrays import Array
 from ..errors import AcquisitionError, Place
 from ..recording import Block
-from ..robot import SIMULATED_CONTROLLER, Bus, Controller, Robot, robot_from_files
+from ..robot import SIMULATED_CONTROLLER, Bus, Controller, Payload, Robot, robot_from_files
 
 Mask = NDArray[np.bool_]
 
@@ -178,7 +178,7 @@ def cubic(share: float, travel: Array, first: Array, last: Array) -> tuple[Array
 
 
 GROUP = "robot_idim.plants"
-PlantOf = Callable[[Robot], tuple[Plant, LoopGains]]
+PlantOf = Callable[[Robot, Payload | None], tuple[Plant, LoopGains]]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -190,8 +190,11 @@ class DrivenPlant:
     warning: str | None = None
 
 
-def driven_plant(robot: Robot, bus: Bus) -> DrivenPlant:
-    """The robot of `[parameters]`; without them, or if no package provides dynamics: independent joints and a warning."""
+def driven_plant(robot: Robot, bus: Bus, payload: Payload | None = None) -> DrivenPlant:
+    """The robot of `[parameters]` with its payload.
+
+    Without parameters, or if no package provides dynamics: independent joints and a warning; they carry no payload.
+    """
     if not robot.parameters:
         return _independent_joints(robot, bus, "robot.toml has no [parameters]")
     plants = list(entry_points(group=GROUP))
@@ -203,7 +206,7 @@ def driven_plant(robot: Robot, bus: Bus) -> DrivenPlant:
         plant_of: PlantOf = plants[0].load()
     except (ImportError, AttributeError) as error:
         Place(f"entry point {GROUP} {plants[0].value}").refuse(text=f"cannot be loaded: {error}")
-    plant, loops = plant_of(robot)
+    plant, loops = plant_of(robot, payload)
     return DrivenPlant(plant=plant, loops=loops)
 
 

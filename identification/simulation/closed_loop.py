@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.errors import AcquisitionError
-from acquisition.robot import Robot
+from acquisition.robot import Payload, Robot
 from acquisition.simulated import SUBSTEPS, LoopGains, cascaded_loops, middle_of_range
 
 from ..arrays import Array
@@ -16,6 +16,7 @@ from ..errors import IdentificationError
 from ..model import (
     DirectModel,
     InverseModel,
+    add_payload,
     base_parameters,
     described_parameters,
     direct_model,
@@ -251,16 +252,23 @@ class RigidBodyPlant:
             self._q, self._dq = middle + 0.5 * self._step_s * after, after
 
 
-def described_robot(robot: Robot) -> tuple[RigidBodyPlant, LoopGains]:
-    """The plant of `robot-acquire record --dry-run`, with the description's `[parameters]`, and loops for its inertias.
+def described_robot(robot: Robot, payload: Payload | None = None) -> tuple[RigidBodyPlant, LoopGains]:
+    """The plant of `robot-acquire record --dry-run`, with the description's `[parameters]` and a payload, and loops for the
+    inertias of the robot without it, as those of real drives.
 
-    The robot is at rest in the middle of its ranges. Raises `AcquisitionError` if the parameters are not of this robot or its
-    inertia matrix is not positive.
+    The robot is at rest in the middle of its ranges. Raises `AcquisitionError` if the parameters are not of this robot, its
+    inertia matrix is not positive, the payload's frame is not on its last link, or `[parameters]` are not in kg and N m.
     """
+    if payload is not None and not robot.gain_known:
+        expected = "drive gains of the motors: in A or V a mass has no weight"
+        raise AcquisitionError(place=f"robot {robot.name}", key="payload", value=str(payload), expected=expected)
     try:
         dynamics = InverseModel(robot)
         base = base_parameters(dynamics)
-        model = direct_model(dynamics, base.standard_parameters(described_parameters(dynamics, base)))
+        parameters = base.standard_parameters(described_parameters(dynamics, base))
+        model = loaded = direct_model(dynamics, parameters)
+        if payload is not None:
+            loaded = direct_model(dynamics, add_payload(dynamics, parameters, payload))
     except IdentificationError as error:
         raise AcquisitionError(str(error)) from error
     ranges = np.array([joint.si("position") or (-POSES_RANGE, POSES_RANGE) for joint in robot.joints])
@@ -271,7 +279,7 @@ def described_robot(robot: Robot) -> tuple[RigidBodyPlant, LoopGains]:
         raise AcquisitionError(f"robot {robot.name}: [parameters] cannot be simulated: {reason}")
     period_s = robot.bus.sync_period_s if robot.bus is not None else SUBSTEPS * MAX_PLANT_STEP_S
     plant = RigidBodyPlant(
-        model,
+        loaded,
         middle_of_range(robot),
         speed_scale=np.array([joint.si("speed") or 1.0 for joint in robot.joints]),
         step_s=min(period_s / SUBSTEPS, MAX_PLANT_STEP_S),
