@@ -93,6 +93,12 @@ def test_a_table_that_means_nothing_is_refused(table, key):
     assert (refused.value.place, refused.value.key) == ("robot.toml", key)
 
 
+def test_a_frame_that_the_urdf_does_not_name_is_refused_before_anything_is_recorded():
+    with pytest.raises(AcquisitionError) as refused:
+        arm('[payload]\nframe = "tool0"\n')
+    assert (refused.value.place, refused.value.key, refused.value.value) == ("arm.toml", "payload.frame", "tool0")
+
+
 def test_parameters_of_a_ball_by_hand():
     """2 kg at (0.1, 0, 0.3) m of the last joint: J = 2/5 m r² E + m (c·c E − c cᵀ) about the origin of its frame."""
     J = 0.4 * 2 * 0.1**2
@@ -171,8 +177,13 @@ def test_a_recording_has_its_payload(tmp_path, payload):
 
 
 def test_later_versions_may_say_more_of_a_payload(tmp_path):
+    """What this version does not know stays in copies."""
     text = '{"mass_kg": 2, "inertia_kg_m2": [1, 2, 3], "center_of_mass_m": [0, 0, 1]}'
-    assert read_recording(recorded(tmp_path / "a.mcap", None, payload=text)).payload == Payload(2.0, (0.0, 0.0, 1.0))
+    path = recorded(tmp_path / "a.mcap", None, payload=text)
+    assert read_recording(path).payload == Payload(2.0, (0.0, 0.0, 1.0))
+    path.write_bytes(path.read_bytes()[:-300])
+    assert main(["recover", str(path), "-o", str(tmp_path / "b.mcap")]) == 0
+    assert read_recording(tmp_path / "b.mcap").metadata["payload"] == text
 
 
 @pytest.mark.parametrize(

@@ -108,8 +108,7 @@ class Recording:
             sample_rate_hz=self.sample_rate_hz,
             effort_provenance=self.metadata.get("effort_provenance", ""),
             effort_timing=self.effort_timing,
-            payload=self.payload,
-            notes=self.metadata,
+            notes=self.metadata,  # with the payload, and what later versions say of it
             attachments={name: content for name, content in self.attachments.items() if name not in self.robot.files},
         )
 

@@ -208,6 +208,8 @@ def robot_from_files(files: Mapping[str, bytes], place: str) -> Robot:
         if "robot.urdf" not in files:
             at.refuse("urdf", f.urdf, text="the URDF is missing next to the description")
         urdf = files["robot.urdf"].decode("utf-8", errors="replace")
+        if f.payload.frame is not None and f.payload.frame not in urdf:  # a typing error; the model looks at the tree
+            at.refuse("payload.frame", f.payload.frame, "a link of the URDF")
     R = np.diag([1.0 if m.ratio is None else m.ratio for m in f.motor])
     if f.motor_matrix is not None:
         R = np.array(f.motor_matrix, dtype=float)
