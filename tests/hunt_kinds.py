@@ -231,7 +231,7 @@ def payload_midway(s: SetUp, rng: Rng) -> SetUp:
     part, body = rng.uniform(0.1, 0.4), plant(REPLAY / s.name / "robot.toml", smooth=SMOOTH, closed_form=False)
     if s.name == "emps":
         return replace(s, later=with_payload(body, part * s.robot.parameters["M1"]))
-    return replace(s, later=with_payload(body, part * s.robot.parameters["ZZ2"] / 0.25**2, 0.25))
+    return replace(s, later=with_payload(body, part * s.robot.parameters["ZZ2"] / 0.25**2, (0.25, 0.0, 0.0)))
 
 
 def no_reference(s: SetUp, rng: Rng) -> SetUp:

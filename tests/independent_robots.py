@@ -7,7 +7,7 @@ States are batches (S, n): one row for each run that is simulated at the same ti
 """
 
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -274,13 +274,16 @@ def plant(robot_toml: Path, *, smooth: float = 0.01, tilt_rad: float = 0.0, clos
     )
 
 
-def with_payload(body: Plant, mass: float, radius: float = 0.0) -> Plant:
-    """The same arm with a point mass at (radius, 0, 0) of its last link's frame; its rigid bodies are a `Chain`."""
-    chain, at = body.rigid, np.array([radius, 0.0, 0.0])
+def with_payload(body: Plant, mass: float, at: Sequence[float] = (0.0, 0.0, 0.0), about: Array | float = 0.0) -> Plant:
+    """The same arm with a body in its last link, whose rigid bodies are a `Chain`.
+
+    `at` (3,): the centre of mass in that link's frame; `about` (3, 3): inertia about the centre of mass, none for a point.
+    """
+    chain, c = body.rigid, np.array(at)
     assert isinstance(chain, Chain)
     inertia, moment, masses = chain.inertia.copy(), chain.moment.copy(), chain.mass.copy()
-    inertia[-1] += mass * (at @ at * np.eye(3) - np.outer(at, at))
-    moment[-1] += mass * at
+    inertia[-1] += mass * (c @ c * np.eye(3) - np.outer(c, c)) + about
+    moment[-1] += mass * c
     masses[-1] += mass
     return replace(body, rigid=replace(chain, inertia=inertia, moment=moment, mass=masses))
 

@@ -318,7 +318,8 @@ def test_cogging_has_a_potential():
 def test_a_payload_is_a_point_mass():
     """The inertia matrix grows by m JᵀJ, J that of the point; gravity by m g at it. From the middle of a run on it is there."""
     before = plant(toml("tx40"))
-    after, at, q = with_payload(before, 2.0, 0.1), np.array([0.1, 0.0, 0.0]), states(6)[0]
+    at, q = np.array([0.1, 0.02, -0.05]), states(6)[0]
+    after = with_payload(before, 2.0, at)
 
     def point(q: np.ndarray) -> np.ndarray:
         _, origin, rotation = before.rigid._frames(q)
@@ -338,6 +339,19 @@ def test_a_payload_is_a_point_mass():
     np.testing.assert_array_equal(changed[:, :501], plain[:, :501])
     assert np.abs(changed - plain)[:, 600:].max() > 1e-6
     np.testing.assert_allclose(changed[:, -100:], heavy[:, -100:], atol=1e-6)
+
+
+@pytest.mark.slow
+def test_a_payload_that_is_a_body_is_many_points():
+    """Six points on the axes of a body have its mass, centre and inertia: torques are the same, one by one or as a body."""
+    before, centre, arms = plant(toml("tx40")), np.array([0.03, 0.02, 0.08]), np.diag([0.05, 0.03, 0.04])
+    points, m = np.concatenate([centre + arms, centre - arms]), 2.0 / 6
+    one_by_one = before
+    for point in points:
+        one_by_one = with_payload(one_by_one, m, point)
+    squares = 2 * m * np.diag(arms) ** 2
+    body = with_payload(before, 2.0, centre, np.diag(squares.sum() - squares))
+    np.testing.assert_allclose(body.inverse(*states(6)), one_by_one.inverse(*states(6)), rtol=1e-10)
 
 
 def coupled_motion(body, state: tuple, force: float, ticks: int) -> np.ndarray:
