@@ -28,7 +28,10 @@ from independent_simulator import (
 )
 
 from acquisition.robot import Robot, robot_from_files
-from identification.data import Signals
+from identification.data import Recordings, Signals
+from identification.estimation import one_thread
+from identification.methods import Fit, identify
+from identification.regression import Overrides
 
 Array = np.ndarray
 RobotName = Literal["tx40", "emps", "scara", "axis"]
@@ -77,6 +80,11 @@ class GainCase:
     torques: bool = False
 
     @property
+    def most_bias(self) -> float:
+        """How far the mean of many pairs may be from the truth, in percent."""
+        return 4.0 if self.coloured else 1.0 if self.white else 0.5
+
+    @property
     def name(self) -> str:
         return f"{self.robot.upper()}, {self.mass_kg:g} kg, {self.what}"
 
@@ -103,9 +111,10 @@ class GainCase:
         return self.mass_kg / 12 * np.diag((SIDES**2).sum() - SIDES**2)
 
 
+TRIED_WITH = GainCase(what="5 % white", white=5.0)
 CASES = (
     GainCase(what="no noise"),
-    GainCase(what="5 % white", white=5.0),
+    TRIED_WITH,
     GainCase(what="5 % white, centre of mass known", white=5.0, centre_known=True),
     GainCase(what="5 % white, no catalogue", white=5.0, catalogue=False),
     GainCase(what="5 % white, control law described", white=5.0, law=True),
@@ -116,6 +125,8 @@ CASES = (
     GainCase(robot="emps", what="5 % white", white=5.0, mass_kg=20.0, law=True),
     GainCase(robot="scara", what="5 % white", white=5.0, law=True),
 )
+WEIGHED = GainCase(what="another payload on another day", mass_kg=1.4, white=5.0)
+OTHER_DAY = 1000  # seeds from here on are of other references
 
 
 class Pair(NamedTuple):
@@ -155,8 +166,8 @@ def with_stated(signals: Signals, mass_kg: float | None, centre: Sequence[float]
     return replace(signals, payload=stated)
 
 
-def with_gains(signals: Signals, gains: Array, half: Array) -> Signals:
-    """The recording with a description that has these gains, known to half-widths (n,)."""
+def with_gains(signals: Signals, gains: Array, half: Array | None) -> Signals:
+    """The recording with a description that has these gains, and their half-widths (n,) if any."""
     before, unit = signals.robot, signals.robot.motors[0].recorded_unit
     torque = "N" if unit == "V" else "N m"
     robot = robot_of(with_motors(before.files["robot.toml"].decode(), f"{torque}/{unit}", gains, half))
@@ -165,6 +176,47 @@ def with_gains(signals: Signals, gains: Array, half: Array) -> Signals:
 
 def toml_of(robot: RobotName) -> Path:
     return ROOT / "tests" / "lone_axis.toml" if robot == "axis" else REPLAY / robot / "robot.toml"
+
+
+class Fitted(NamedTuple):
+    """Gains of a pair as identified (n,): values and half-widths in N m/A or N/V, and whether each is determined."""
+
+    values: Array
+    half: Array
+    determined: Array
+
+
+@one_thread
+def fitted_gains(cases: Sequence[GainCase], seeds: range) -> list[list[Fitted]]:
+    """By case the gains of each pair; the cases have one simulation in common."""
+    found = []
+    for case in cases:
+        fits = [fit_with_gains(pair.free, pair.loaded).gains for pair in pairs_of(case, seeds)]
+        found.append([Fitted(gains.values, gains.half, gains.determined) for gains in fits])
+    return found
+
+
+def fit_with_gains(*signals: Signals) -> Fit:
+    """By the method that the package takes where none is asked for, with the gains of all motors."""
+    motors = tuple(motor.name for motor in signals[0].robot.motors)
+    return identify(Recordings(sources=signals), Overrides(gains=motors))
+
+
+@one_thread
+def weighed_masses(seeds: range) -> list[tuple[float, float]]:
+    """Mass and half-width in kg of the payload of `WEIGHED`, by the gains of one pair and their half-widths."""
+    found = []
+    others = pairs_of(WEIGHED, range(OTHER_DAY + seeds.start, OTHER_DAY + seeds.stop))
+    for pair, other in zip(pairs_of(TRIED_WITH, seeds), others, strict=True):
+        gains = fit_with_gains(pair.free, pair.loaded).gains
+        what = with_stated(other.loaded, None)
+        fit = identify(
+            Recordings(sources=tuple(with_gains(one, gains.values, gains.half) for one in (other.free, what))),
+            Overrides(),
+        )
+        place = next(k for k, name in enumerate(fit.estimate.names) if name.startswith("M:"))
+        found.append((float(fit.estimate.beta[place]), float(fit.intervals.half[place])))
+    return found
 
 
 def controller_of(robot: RobotName, body: Plant) -> Controller:
