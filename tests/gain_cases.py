@@ -61,15 +61,16 @@ SIDES = np.array([0.10, 0.14, 0.06])  # m, of the box that a payload is
 class GainCase:
     """How pairs of a robot are made.
 
-    loop: what the controller and the robot feel. white, coloured: noise of the current in percent of each motor's rms, white
-    and AR(0.98). lag: samples by which the current is late, which nobody states. centre_known: the centre of mass is stated
-    with the mass. catalogue: the description has a catalogue's gains, else none. law: it has the control law, in the unit of
-    the current. torques: the efforts are the motors' torques, only said to be in A.
+    duration_s: of each recording. loop: what the controller and the robot feel. white, coloured: noise of the current in
+    percent of each motor's rms, white and AR(0.98). lag: samples by which the current is late, which nobody states.
+    centre_known: the centre of mass is stated with the mass. catalogue: the description has a catalogue's gains, else none.
+    law: it has the control law, in the unit of the current. torques: the efforts are the motors' torques, only said to be in A.
     """
 
     robot: RobotName = "tx40"
     what: str
     mass_kg: float = 2.0
+    duration_s: float = 10.0
     loop: Imperfections = QUIET
     white: float = 0.0
     coloured: float = 0.0
@@ -140,7 +141,7 @@ class Pair(NamedTuple):
 
 def pairs_of(case: GainCase, seeds: range) -> list[Pair]:
     """A pair for each seed, all of them simulated side by side: 1.4 s each of 40, 20 s one alone."""
-    simulated = _simulated(case.robot, case.mass_kg, case.loop, seeds)
+    simulated = _simulated(case.robot, case.mass_kg, case.duration_s, case.loop, seeds)
     robot = described_robot(case)
     found = []
     for k, seed in enumerate(seeds):
@@ -225,12 +226,14 @@ def controller_of(robot: RobotName, body: Plant) -> Controller:
 
 
 @lru_cache(maxsize=6)
-def _simulated(robot: RobotName, mass_kg: float, loop: Imperfections, seeds: range) -> tuple[Runs, Runs]:
+def _simulated(
+    robot: RobotName, mass_kg: float, duration_s: float, loop: Imperfections, seeds: range
+) -> tuple[Runs, Runs]:
     """Without and with the payload, under one controller and along the same references; their efforts are torques."""
     toml, case = toml_of(robot), GainCase(robot=robot, what="", mass_kg=mass_kg)
     free = plant(toml)
     controller = controller_of(robot, free)
-    reference = references(free, seeds, duration_s=10.0, rate_hz=controller.rate_hz)
+    reference = references(free, seeds, duration_s=duration_s, rate_hz=controller.rate_hz)
     if robot == "emps":
         loaded = replace(free, rigid=level_axis(free.description["parameters"]["M1"] + mass_kg))
     else:
@@ -302,7 +305,9 @@ def exchanged(pair: Pair, other: Pair) -> tuple[Signals, Signals]:
 
 
 def half_the_mass(pair: Pair, other: Pair) -> tuple[Signals, Signals]:
-    return pair.free, with_stated(pair.loaded, pair.payload[-1] / 2)
+    """The description has the true gains: all come out at half of them."""
+    free, loaded = (with_gains(one, pair.gains, None) for one in (pair.free, pair.loaded))
+    return free, with_stated(loaded, float(pair.payload[-1]) / 2)
 
 
 def nothing_mounted(pair: Pair, other: Pair) -> tuple[Signals, Signals]:

@@ -15,7 +15,7 @@ from identification.regression import Overrides
 @pytest.mark.parametrize(("robot", "catalogue"), [("emps", True), ("scara", False), ("tx40", True), ("axis", False)])
 def test_the_true_gains_give_the_robot_and_its_payload(robot, catalogue, monkeypatch):
     monkeypatch.setattr(gain_cases, "with_stated", lambda signals, *_: signals)
-    case = GainCase(robot=robot, what="", catalogue=catalogue, mass_kg=20.0 if robot == "emps" else 2.0)
+    case = GainCase(robot=robot, what="", catalogue=catalogue, duration_s=5.0, mass_kg=20.0 if robot == "emps" else 2.0)
     pair = pairs_of(case, range(1))[0]
     fits = [identify_ls(with_gains(x, pair.gains, None), Overrides()) for x in (pair.free, pair.loaded)]
     base, model = fits[0].base, InverseModel(fits[0].problem.signals.robot)
