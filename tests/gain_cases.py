@@ -215,8 +215,8 @@ def weighed_masses(seeds: range) -> list[tuple[float, float]]:
             Recordings(sources=tuple(with_gains(one, gains.values, gains.half) for one in (other.free, what))),
             Overrides(),
         )
-        place = next(k for k, name in enumerate(fit.estimate.names) if name.startswith("M:"))
-        found.append((float(fit.estimate.beta[place]), float(fit.intervals.half[place])))
+        (payload,) = fit.payloads
+        found.append((float(payload.values[-1]), float(payload.half[-1])))
     return found
 
 
