@@ -96,6 +96,17 @@ class Overrides:
         ),
     ] = None
 
+    gains: Annotated[
+        tuple[str, ...] | None,
+        option(
+            "identify the drive gains of all motors, or of these, from recordings with and without a weighed payload",
+            "MOTOR,MOTOR",
+            list_of_names,
+            nargs="?",
+            const=("all",),
+        ),
+    ] = None
+
     def over(self, others: "Overrides") -> "Overrides":
         """These options; those that are None come from `others`."""
         return replace(others, **{name: value for name, value in vars(self).items() if value is not None})

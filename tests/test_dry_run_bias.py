@@ -179,7 +179,7 @@ def dry_tx40(tmp_path_factory):
     """Twelve seconds of the simulated TX40 without noise, its drives reporting actual values."""
     text = (REPLAY / "tx40" / "robot.toml").read_text().replace('reference = "6074"', 'actual = "6077"')
     robot, out = robot_of(text), tmp_path_factory.mktemp("dry") / "a.mcap"
-    record_simulated_session(robot, "robot.toml", out, lambda text: None, noise_percent=0.0)
+    record_simulated_session(robot, "robot.toml", out, noise_percent=0.0)
     return robot, out
 
 

@@ -12,6 +12,7 @@ from fits_of_records import iv_of, signals_of
 from identification.commands import main
 from identification.data import load_signals
 from identification.model import InverseModel, base_parameters, described_parameters
+from identification.study.demo import CATALOGUE, PAYLOAD, TRUE_FACTORS
 
 
 @pytest.mark.slow
@@ -81,6 +82,27 @@ def test_demo_goes_from_the_bus_to_the_picture(capsys, tmp_path):
     assert error(iv) < 0.01
     assert error(ls) < 2.0 * error(iv)  # of all rows it is 18 times
     compare_with_shipped("tx40", tmp_path / "out" / "session.mcap")
+
+
+@pytest.mark.slow
+def test_demo_finds_the_gains_of_drives_in_amperes(capsys, tmp_path):
+    """Drives whose gains differ from the catalogue's by motor; the second recording states 2 kg."""
+    assert main(["demo", "--gains", "--out", str(tmp_path)]) == 0
+    out = capsys.readouterr().out
+    assert len(out.splitlines()) <= 40
+    assert {p.name for p in tmp_path.iterdir()} == {"free.mcap", "loaded.mcap", "k.json"}
+    gains = json.loads((tmp_path / "k.json").read_text())["gains"]
+    for gain, stated, factor in zip(gains, CATALOGUE, TRUE_FACTORS, strict=True):
+        assert gain["described"] == pytest.approx(stated)
+        assert abs(gain["value"] - stated * factor) < 1.5 * gain["half_width"]
+        assert gain["half_width"] < 0.02 * gain["value"]
+    within = int(re.search(r"(\d) of 6 in their 95 % interval; verdict of the fit: trust", out)[1])
+    assert within >= 4
+    signals = [load_signals(tmp_path / f"{name}.mcap") for name in ("free", "loaded")]
+    assert [one.payload for one in signals] == [None, PAYLOAD]
+    assert signals[1].robot.gain.tolist() == list(CATALOGUE)  # recordings know no other
+    assert main(["demo", "--gains", "--out", str(tmp_path)]) == 1
+    assert "--overwrite" in capsys.readouterr().err
 
 
 def compare_with_shipped(name: str, made: Path) -> None:

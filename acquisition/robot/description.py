@@ -141,6 +141,7 @@ class Motor(TomlTable, frozen=True):
     effort_unit: EffortUnit | None = None
     drive_gain: float | None = None
     drive_gain_unit: GainUnit | None = None
+    drive_gain_half_width: Positive | None = None
     saturation: Positive | None = None
 
     def __post_init__(self) -> None:

@@ -36,6 +36,7 @@ class Robot:
         parameters: a-priori standard parameters by name, SI; may be empty.
         payload: how the numbers of a payload are meant.
         base_capsule, ground_m: a shape about the base; the height of the ground, against gravity.
+        identified_gain: (n,) drive gains, motor torque per unit of recorded effort, that replace those of the motors.
         bus: `[bus]` of the file, None without it; `resolve` makes the drives.
         files: the files of the description by name (`robot.toml`, the URDF and its meshes, object dictionaries).
     """
@@ -55,6 +56,7 @@ class Robot:
     urdf: str | None
     base_capsule: Capsule | None = None
     ground_m: float | None = None
+    identified_gain: Array | None = None
 
     def __repr__(self) -> str:
         return f"Robot({self.name}: {self.n} joints{'' if self.bus is None else f', {len(self.bus.drive)} drives'})"
@@ -79,11 +81,13 @@ class Robot:
     @cached_property
     def gain_known(self) -> bool:
         """Whether efforts are torques and forces; otherwise they are in A or V."""
-        return all(m.gain is not None for m in self.motors)
+        return self.identified_gain is not None or all(m.gain is not None for m in self.motors)
 
     @cached_property
     def gain(self) -> Array:
         """Drive gains (n,), motor torque per unit of recorded effort; ones if not known."""
+        if self.identified_gain is not None:
+            return self.identified_gain
         gain = np.array([m.gain if m.gain is not None else 1.0 for m in self.motors])
         gain.flags.writeable = False
         return gain

@@ -88,6 +88,10 @@ def add_recordings(inputs: "argparse._ArgumentGroup") -> None:
     """The recordings, and an optional description instead of their own."""
     add_path(inputs, "recordings", "LOG.mcap", "one or more recordings of one robot", nargs="+")
     add_path(inputs, "--robot", "ROBOT.toml", "use this description instead of the recording's own")
+    text = (
+        "what the robot carried in a recording, instead of what that says: kg and centre of mass in m, none, or unknown"
+    )
+    inputs.add_argument("--payload", metavar="NAME=KG[@X,Y,Z]", action="append", default=[], help=text)
 
 
 def add_settings(parser: argparse.ArgumentParser, *, method: bool = False) -> "argparse._ArgumentGroup":
@@ -110,8 +114,17 @@ def sources(options: argparse.Namespace) -> list["RecordingFile"]:
 
     from ..data import RecordingFile
 
-    robot = load_robot(options.robot) if options.robot else None
-    return [RecordingFile.at(path, robot) for path in options.recordings]
+    robot, payloads = load_robot(options.robot) if options.robot else None, dict[str, str]()
+    for text in options.payload:
+        name, _, payload = text.partition("=")
+        names = [x for path in options.recordings for x in (path.name, path.stem)]
+        if not payload or name not in names:
+            expected = f"NAME=KG[@X,Y,Z], NAME=none or NAME=unknown with a NAME of {', '.join(names[1::2])}"
+            raise IdentificationError(key="--payload", value=text, expected=expected)
+        payloads[name] = payload
+    return [
+        RecordingFile.at(path, robot, payloads.get(path.name, payloads.get(path.stem))) for path in options.recordings
+    ]
 
 
 def add_work(parser: argparse.ArgumentParser) -> None:

@@ -31,6 +31,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_recordings(parser.add_argument_group("inputs"))
     settings = add_settings(parser, method=True)
+    add_options(settings, Overrides, "gains")
     add_flag(settings, "--essential", "fit only the essential (well-determined) parameters")
     consistent = parser.add_argument_group("physically consistent parameters")
     add_flag(consistent, "--consistent", "also compute physically possible standard parameters of all links")
@@ -106,7 +107,8 @@ def _prior(options: argparse.Namespace) -> "Prior":
 
     path = options.prior
     robot = sources(options)[0].load().robot
-    refuse_unknown_gain(robot)
+    if not options.gains:
+        refuse_unknown_gain(robot)
     if path is None:
         return Prior()
     if path.suffix.lower() == ".toml":

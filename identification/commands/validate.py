@@ -68,10 +68,15 @@ def signals_as_fitted(
 
     `chosen`: the user gave the description. `place` names the fit in the warnings.
     """
+    from dataclasses import replace
+
     from ..data import load_signals
-    from ..methods import other_meaning, stored_robot
+    from ..methods import other_meaning, stored_robot, with_stored_gains
     from ..model import InverseModel, base_parameters
 
+    gained = with_stored_gains(stored, signals.robot)
+    effort = gained.joint_effort(signals.robot.motor_effort(signals.effort))
+    signals = replace(signals, robot=gained, effort=effort)
     other = other_meaning(stored, base_parameters(InverseModel(signals.robot)))
     if not other:
         return signals, []

@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from os import PathLike
 from pathlib import Path
 from typing import Any, get_args
@@ -12,7 +12,16 @@ from numpy.typing import NDArray
 
 from acquisition.files import field_of
 from acquisition.recording import OPTIONAL, Recording, read_recording
-from acquisition.robot import SIMULATED_CONTROLLER, FrictionTerm, Joint, Robot, extra_columns, robot_from_files
+from acquisition.robot import (
+    SIMULATED_CONTROLLER,
+    FrictionTerm,
+    Joint,
+    Payload,
+    Robot,
+    extra_columns,
+    parse_payload,
+    robot_from_files,
+)
 
 from ..arrays import Array
 from ..errors import IdentificationError
@@ -92,6 +101,7 @@ def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signa
         extras=extras,
         effort_timing=recording.effort_timing,
         provenance=recording.metadata.get("effort_provenance", ""),
+        payload=recording.payload,
         began=recording.began,
         off_grid=off_grid,
         **columns,
@@ -184,15 +194,18 @@ class RecordingFile:
     Attributes:
         path: of the file.
         description: files, by name, of a description that replaces the recording's own; None for its own.
+        payload: as of `--payload`, `none` or `unknown`, in place of the recording's own; None for its own.
     """
 
     path: str
     description: tuple[tuple[str, bytes], ...] | None = None
+    payload: str | None = None
 
     @classmethod
-    def at(cls, path: Path, robot: Robot | None = None) -> "RecordingFile":
-        """The recording at `path`, with the description `robot` if given."""
-        return cls(path=str(path.absolute()), description=None if robot is None else tuple(robot.files.items()))
+    def at(cls, path: Path, robot: Robot | None = None, payload: str | None = None) -> "RecordingFile":
+        """The recording at `path`, with the description `robot` and the `payload` if given."""
+        description = None if robot is None else tuple(robot.files.items())
+        return cls(path=str(path.absolute()), description=description, payload=payload)
 
     @property
     def found(self) -> bool:
@@ -202,13 +215,19 @@ class RecordingFile:
     def load(self) -> Signals:
         """The signals of the recording. Raises as `load_signals`."""
         robot = None if self.description is None else robot_from_files(dict(self.description), self.path)
-        return load_signals(self.path, robot)
+        signals = load_signals(self.path, robot)
+        if self.payload is None:
+            return signals
+        stated = {"none": None, "unknown": Payload(mass_kg=None, frame=signals.robot.payload.frame)}
+        if self.payload in stated:
+            return replace(signals, payload=stated[self.payload])
+        return replace(signals, payload=parse_payload(self.payload, signals.robot))
 
     @property
     def key(self) -> str:
         """The key of the signals in a cache."""
         described = hashlib.sha256(repr(self.description).encode()).hexdigest()
-        return f"{self.path} {described}"
+        return f"{self.path} {described} {self.payload}"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

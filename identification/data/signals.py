@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from acquisition.files import release_pages
 from acquisition.recording import OPTIONAL
-from acquisition.robot import EffortTiming, ExtraColumn, Robot, check_recorded_velocities
+from acquisition.robot import EffortTiming, ExtraColumn, Payload, Robot, check_recorded_velocities
 
 from ..arrays import Array
 from ..errors import IdentificationError
@@ -49,6 +49,7 @@ class Signals:
         velocity: (N, n) measured speeds of the joints, rad/s or m/s, or None.
         known_torque: (N, n) known external torques on the joints, N m or N, or None.
         feedforward: (N, n) feedforward added to the controller's output, by motor in the unit of the recorded effort, or None.
+        payload: what the robot carried, None for nothing.
         began: when the recording began, None if unknown.
         off_grid: largest offset of a sample's time from the grid, in periods; above `ON_GRID` samples are interpolated.
     """
@@ -70,6 +71,7 @@ class Signals:
     velocity: Array | None = None
     known_torque: Array | None = None
     feedforward: Array | None = None
+    payload: Payload | None = None
     began: datetime | None = None
     off_grid: float = 0.0
 

@@ -254,6 +254,6 @@ def friction_of_joints(fit: Fit) -> tuple[JointFriction, ...]:
 
 def _rows_of(fit: Fit, one: FittedRecording) -> tuple[Array, Array, Array, Array]:
     """Speeds, torques of the links and residuals (rows, n) of a recording, and which parameters (b,) it has."""
-    dq, rigid = rigid_torque_at_rows(one.problem, fit.estimate.values_of(one.parameters))
+    dq, rigid = rigid_torque_at_rows(one.problem, one.parameters.values(fit.estimate))
     residual = (fit.tau - fit.tau_predicted)[one.rows][: len(dq)]
-    return dq, rigid, residual, np.array([name in one.parameters for name in fit.estimate.names], dtype=float)
+    return dq, rigid, residual, np.array([name in one.parameters.names for name in fit.estimate.names], dtype=float)

@@ -114,7 +114,7 @@ def parts_of(observed: StackedSystem, names: Sequence[str]) -> tuple[Part, ...]:
     """Fifths of a single recording, or each of several; `names` of the recordings in the order of their rows."""
     parameters, lengths = observed.parameters, observed.regression.parts
     instants, edges = np.arange(sum(lengths)), np.cumsum([0, *lengths])
-    owned = [["@" in name and name in of for name in parameters.names] for of in parameters.of]
+    owned = [[name in of.own for name in parameters.names] for of in parameters.of]
     if len(lengths) == 1:
         edges = np.linspace(0, len(instants), FIFTHS + 1).round().astype(int)
         names, owned = [f"fifth {k + 1}" for k in range(FIFTHS)], [[False] * len(parameters.names)] * FIFTHS

@@ -5,10 +5,11 @@ Lazarus, Lewis, Stock and Watson, HAR Inference: Recommendations for Practice, J
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..arrays import Array
 from .diagnostics import t_quantile
@@ -42,6 +43,11 @@ class Intervals:
     freedom: int
     reach: float
     covariance: Array
+
+    def part(self, indices: NDArray[np.intp]) -> "Intervals":
+        """The intervals of some of the parameters."""
+        of = {name: getattr(self, name)[indices] for name in ("low", "high", "sigma")}
+        return replace(self, covariance=self.covariance[np.ix_(indices, indices)], **of)
 
     @cached_property
     def half(self) -> Array:

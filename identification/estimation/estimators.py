@@ -74,6 +74,16 @@ class Estimate:
         """The same without Q, which is as large as W."""
         return replace(self, Q=self.Q[:0].copy())
 
+    def part(self, indices: NDArray[np.intp]) -> "Estimate":
+        """The estimate of some of the parameters, of which the others remain estimated."""
+        return replace(
+            self,
+            names=tuple(self.names[i] for i in indices),
+            beta=self.beta[indices],
+            covariance=self.covariance[np.ix_(indices, indices)],
+            bread=self.bread[indices],
+        )
+
     def values_of(self, names: tuple[str, ...]) -> Array:
         """Values of `names`, zero for those not estimated."""
         values = dict(zip(self.names, self.beta, strict=True))

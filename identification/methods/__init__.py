@@ -24,6 +24,7 @@ from .parameters import (
     stored_robot,
     stored_settings,
     true_parameters,
+    with_stored_gains,
 )
 from .recording_report import Validated, recording_document, validation_document
 from .settled import leave_out_collinear_terms, load_passes, most_collinear, solve_with_load_friction

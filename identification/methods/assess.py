@@ -21,6 +21,7 @@ from ..report import DirectModelError, FTest, Method, Status
 from ..simulation import Replica, join_reasons, max_or_none
 from ..trust import FitData, Lag, TrustLine, held_out_recordings, trust_in
 from .fit import Fit, FittedRecording, InstrumentEvidence, LeastSquares, Pass, essential_names
+from .gains import add_scale_variance, results_of
 from .observation import position_noise_line
 from .recording_report import gain_warnings, recording_warnings, ripple_warnings
 from .system import StackedSystem
@@ -50,7 +51,7 @@ def evidence_of_ls(observed: StackedSystem, method: Method, ls: LeastSquares, la
 
 def position_noise_of(observed: StackedSystem, method: Method, ls: LeastSquares) -> TrustLine:
     """Bias of least squares by the position noise of the first recording, of its beginning if it is long."""
-    first, alone = observed.problems()[0].with_samples(), len(observed.observations) == 1 and not observed.load
+    first, alone = observed.problems()[0].with_samples(), observed.parameters.plain and not observed.load
     return position_noise_line(first, method, ls, alone=alone)
 
 
@@ -68,7 +69,7 @@ def fit_of(observed: StackedSystem, evidence: FitData, solved: LeastSquares, rep
     fitted = [
         FittedRecording(
             problem=one.problem,
-            parameters=observed.parameters.of[k],
+            parameters=observed.parameters.of[k].settled(solved.estimate),
             rows=part,
             errors=torque_errors(measured.tau[own], of_model[own], measured.speed[own], names),
             held_out=held,
@@ -79,13 +80,13 @@ def fit_of(observed: StackedSystem, evidence: FitData, solved: LeastSquares, rep
             zip(observed.observations, observed.parts, filtered.parts, held_out, strict=True)
         )
     ]
-    return Fit(
+    fit = Fit(
         recordings=tuple(fitted[k] for k in observed.order),
         method=evidence.method,
         status="solved",
         estimate=solved.estimate,
         intervals=solved.intervals,
-        least_squares=solved,
+        least_squares=solved.of_base(),
         t_s=np.concatenate([one.t_s for one in observed.observations]),
         tau=rows.tau,
         tau_predicted=predicted,
@@ -94,8 +95,9 @@ def fit_of(observed: StackedSystem, evidence: FitData, solved: LeastSquares, rep
         lags=evidence.lags,
         warnings=_warnings(observed),
         trust=trust,
-        own=own_test(observed, solved.full),
+        own=own_test(observed.with_motors(()), solved.full),
     )
+    return fit if observed.parameters.plain else replace(fit, **results_of(observed, evidence))
 
 
 def own_test(observed: StackedSystem, full: Estimate) -> FTest | None:
@@ -144,7 +146,8 @@ def assess_iv(
     if reason is not None and best.number != len(passes):
         reason += f"; pass {best.number} is returned: it tracks best"
     with np.errstate(divide="ignore", invalid="ignore"):
-        contrast = np.nan_to_num(np.abs(ls.full.values_of(estimate.names) - estimate.beta) / evidence.intervals.half)
+        off = np.abs(ls.full.values_of(estimate.names) - estimate.beta) / evidence.intervals.half
+        contrast = np.nan_to_num(np.where(np.isin(estimate.names, ls.full.names), off, 0.0))
     iv = InstrumentEvidence(
         start=start,
         reference="recorded" if all(one.reference_kind == "recorded" for one in replicas) else "surrogate",
@@ -169,7 +172,7 @@ def assess_iv(
     own = replace(ls, estimate=estimate, intervals=evidence.intervals, tau_predicted=evidence.predicted)
     fit = fit_of(observed, evidence, own, replicas)
     warnings = (*fit.warnings, *_iv_warnings(replicas, tests))
-    return replace(fit, status=status, iv=iv, least_squares=ls, warnings=warnings)
+    return replace(fit, status=status, iv=iv, least_squares=ls.of_base(), warnings=warnings)
 
 
 def _evidence_along(observed: StackedSystem, best: Pass, ls: LeastSquares) -> FitData:
@@ -177,6 +180,7 @@ def _evidence_along(observed: StackedSystem, best: Pass, ls: LeastSquares) -> Fi
     observed, z, estimate = observed.about(best.z), best.z, best.estimate
     system = observed.along(z)
     within = add_lag_variance(estimate, intervals_of(system, estimate), observed.lags)
+    within = add_scale_variance(observed, estimate, within, z.used)
     return FitData(
         recordings=observed.simulated(best.replicas),
         observed=replace(observed.regression, system=system),

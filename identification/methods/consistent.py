@@ -57,10 +57,10 @@ def with_consistent(fit: Fit, prior: Prior) -> Fit:
     problem, full = fit.problem, fit.least_squares.full
     covariance = covariance_of_all(full.names, fit.estimate, fit.intervals, full)
     # of own parameters those of one recording
-    first = np.array([full.names.index(name) for name in fit.recordings[0].parameters])
+    first = np.array([full.names.index(name) for name in fit.recordings[0].parameters.names])
     covariance = covariance[np.ix_(first, first)]
     known = Known(beta=fit.beta, covariance=covariance, reach=fit.intervals.reach)
-    alike = [one for one in fit.recordings if one.parameters == fit.recordings[0].parameters]
+    alike = [one for one in fit.recordings if one.parameters.names == fit.recordings[0].parameters.names]
     power = recorded_power([(one.problem, one.states) for one in alike], fit.beta)
     found = consistent_set(problem.model, fit.base, known, prior=prior, power=power)
     if any(not len(one.problem.signals.q) for one in fit.recordings):  # several, too long to be held
@@ -68,7 +68,11 @@ def with_consistent(fit: Fit, prior: Prior) -> Fit:
         raise IdentificationError(
             text, place=problem.signals.robot.name, expected="a larger --decimate, or one recording"
         )
-    each = [torque_of_recording(one.problem, found.beta) for one in fit.recordings]
+    carried = [one.parameters.payload for one in fit.recordings]
+    each = [
+        torque_of_recording(one.problem, found.beta if payload is None else found.beta + payload.known)
+        for one, payload in zip(fit.recordings, carried, strict=True)
+    ]
     tau, predicted, speed = (np.concatenate(x) for x in zip(*each, strict=True))
     names = tuple(joint.name for joint in problem.signals.robot.joints)
     return replace(fit, consistent=found, consistent_errors=torque_errors(tau, predicted, speed, names))
@@ -117,7 +121,7 @@ def consistent_set(
 def refuse_unknown_gain(robot: Robot) -> None:
     """Refuse a fit in A or V: joints have unknown gains of their own, and a link's parameters would mix them."""
     for k, motor in enumerate(robot.motors):
-        if motor.gain is None:
+        if motor.gain is None and not robot.gain_known:
             raise IdentificationError(
                 f"the fit is in {motor.recorded_unit}; link parameters need N m",
                 place=f"robot {robot.name}",

@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 from ..arrays import Array
 from ..estimation import Estimate, InstrumentTests, Intervals, Reduction
 from ..model import BaseParameters
-from ..regression import Problem, RowStates, Settings
+from ..regression import Problem, RecordingParameters, RowStates, Settings, base_places
 from ..report import DirectModelError, FTest, Method, Status, TorqueError
 from ..simulation import Instruments, Replica
 from ..trust import HeldOut, Lag, Trust
+from .gain_results import EstimatedPayload, Gains
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -111,6 +112,21 @@ class LeastSquares:
     essential: Reduction
     tau_predicted: Array
 
+    def of_base(self) -> "LeastSquares":
+        """The same of the base parameters alone, without those of payloads."""
+        one, all_ = (base_places(e.names) for e in (self.estimate, self.full))
+        if len(all_) == len(self.full.names):
+            return self
+        essential = self.essential.estimate
+        essential = essential.part(base_places(essential.names))
+        return replace(
+            self,
+            estimate=self.estimate.part(one),
+            intervals=self.intervals.part(one),
+            full=self.full.part(all_),
+            essential=replace(self.essential, estimate=essential),
+        )
+
     def without_rows(self) -> "LeastSquares":
         """The same without the Q of the estimates, each as large as W."""
         essential = replace(self.essential, estimate=self.essential.estimate.without_rows())
@@ -120,7 +136,8 @@ class LeastSquares:
 def essential_names(essential: Reduction, estimate: Estimate, found: Intervals) -> tuple[str, ...]:
     """The essential parameters of an estimate whose 95 % interval is narrower than their value."""
     reduced, narrow = set(essential.estimate.names), found.half < np.abs(estimate.beta)
-    return tuple(name for name, n in zip(estimate.names, narrow, strict=True) if n and name in reduced)
+    names = (estimate.names[i] for i in base_places(estimate.names) if narrow[i])
+    return tuple(name for name in names if name in reduced)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -176,7 +193,7 @@ class FittedRecording:
 
     Attributes:
         problem: recording, settings and model; without samples if the recordings are too long to be held.
-        parameters: (b,) names of its base parameters in the fit.
+        parameters: its base parameters in those of the fit.
         rows: its decimated samples in those of the fit.
         errors: its torque errors, one entry per joint and, last, all joints together.
         held_out: its torque predicted by the fit of the other recordings; None if there are none.
@@ -185,7 +202,7 @@ class FittedRecording:
     """
 
     problem: Problem
-    parameters: tuple[str, ...]
+    parameters: RecordingParameters
     rows: slice
     errors: tuple[TorqueError, ...]
     held_out: HeldOut | None
@@ -209,6 +226,7 @@ class Fit:
         consistent: the nearest physically consistent parameters, if requested; `consistent_errors`: their torque errors, as
             `errors`.
         lags: of the recorded torques, corrected; the intervals include their deviations.
+        gains: of the drives, if identified; `payloads`: of the recordings that have one.
         own: the test of parameters of single recordings; None if all are shared.
     """
 
@@ -231,6 +249,8 @@ class Fit:
     own: FTest | None = None
     method_reason: str = "asked for"
     lags: tuple[Lag, ...] = ()
+    gains: Gains | None = None
+    payloads: tuple[EstimatedPayload, ...] = ()
     _repr_html_: ClassVar[Callable[["Fit"], str]]  # bound in `identification.notebook`: the report is a room above
 
     def on(self, one: FittedRecording) -> "Fit":
@@ -285,7 +305,7 @@ class Fit:
     @property
     def beta(self) -> Array:
         """(b,) values of all base parameters, of the first recording; zero if left out."""
-        return self.estimate.values_of(self.recordings[0].parameters)
+        return self.estimate.values_of(self.recordings[0].parameters.names)
 
     @property
     def distrust(self) -> tuple[str, ...]:

@@ -6,19 +6,23 @@ from importlib.metadata import version
 from typing import Any
 
 import msgspec
+import numpy as np
 from msgspec import UNSET
 
 from ..data import Signals
+from ..model import LINK
 from ..regression import Settings, forward_backward_3db_hz
 from ..report import (
     ConsistentFile,
     Covariance,
+    DriveGain,
     FitFile,
     FTest,
     KnownLagFile,
     LagFile,
     LeftOut,
     PassFile,
+    PayloadOfFit,
     PhysicalWarning,
     Provenance,
     RecordingOfFit,
@@ -29,6 +33,7 @@ from ..report import (
 )
 from ..trust import HeldOut
 from .fit import Fit, InstrumentEvidence
+from .gain_results import EstimatedPayload, Gains
 from .parameters import fitted_parameters
 from .recording_report import Validated
 
@@ -78,6 +83,8 @@ def fit_file(fit: Fit) -> FitFile:
             msgspec.structs.replace(parameter, sigma_percent=float(percent))
             for parameter, percent in zip(fitted_parameters(fit).parameters.values(), e.sigma_percent, strict=True)
         ],
+        gains=_gains(fit.gains) if fit.gains else UNSET,
+        payloads=[_payload(one) for one in fit.payloads] or UNSET,
         **consistent_keys(fit),
         essential=FTest(
             names=fit.essential_names,
@@ -90,6 +97,29 @@ def fit_file(fit: Fit) -> FitFile:
         },
         **(_iv_keys(fit.iv) if fit.iv else {}),
     )
+
+
+def _gains(g: Gains) -> list[DriveGain]:
+    columns = zip(g.motors, g.units, g.described, g.values, g.half, g.determined, strict=True)
+    return [
+        DriveGain(
+            motor=motor,
+            unit=unit,
+            described=None if np.isnan(described) else float(described),
+            value=float(value),
+            half_width=float(half),
+            determined=bool(determined),
+        )
+        for motor, unit, described, value, half, determined in columns
+    ]
+
+
+def _payload(one: EstimatedPayload) -> PayloadOfFit:
+    units = (*["kg m²"] * 6, *["kg m"] * 3, "kg")
+    columns = zip(LINK, one.values.tolist(), units, one.from_prior.tolist(), one.half.tolist(), strict=True)
+    parameters = [StandardParameter(*column) for column in columns]
+    stated = "unknown" if one.payload.mass_kg is None else one.payload.text
+    return PayloadOfFit(recording=one.recording, stated=stated, parameters=parameters)
 
 
 def validation_file(

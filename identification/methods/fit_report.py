@@ -2,8 +2,11 @@
 
 import math
 
+import numpy as np
+
 from ..data import Signals
 from ..estimation import relative_error_percent
+from ..model import LINK
 from ..regression import base_name
 from ..report import NO_FIXED_POINT, Document, Number, Row, Section, Table, columns, value_form
 from .fit import Fit, InstrumentEvidence
@@ -28,6 +31,8 @@ def fit_document(signals: Signals, fit: Fit, *, everything: bool = False) -> Doc
         sections=(
             _verdict_section(fit),
             _trust_section(fit),
+            *_gains(fit),
+            *_payloads(fit),
             _parameters(fit, everything=everything),
             *_consistent(fit, everything=everything),
             *(_iv_sections(fit.iv) if fit.iv else ()),
@@ -84,6 +89,58 @@ def _essential_line(fit: Fit) -> str:
         f"{line}; {left_out} left out: F test p = {reduction.p_value:.2g} "
         f"(corrected for correlation p = {reduction.p_effective:.2g})"
     )
+
+
+def _gains(fit: Fit) -> list[Section]:
+    """Identified drive gains beside those of the description."""
+    g = fit.gains
+    if g is None:
+        return []
+    rows = zip(g.motors, g.described, g.values, g.half, g.determined, g.units, strict=True)
+    table = Table(
+        columns=columns("motor", numbers=("described", "identified", "±95%", "in %")) + columns("unit", ""),
+        rows=tuple(
+            (
+                name,
+                Number(described if np.isfinite(described) else None, ".4g"),
+                Number(value, ".4g"),
+                Number(half, ".2g"),
+                Number(100 * half / abs(value) if value else math.inf, ".2f", most=1000),
+                unit,
+                "" if determined else "not determined",
+            )
+            for name, described, value, half, determined, unit in rows
+        ),
+    )
+    line = f"smallest Cragg-Donald eigenvalue {g.cragg_donald:.3g}: how well the payload tells the gains apart from the arm"
+    return [Section(title="drive gains", table=table, lines=(line,))]
+
+
+def _payloads(fit: Fit) -> list[Section]:
+    """The payloads as the nearest bodies of positive density."""
+    found, joint = list[Section](), fit.problem.signals.robot.joints[-1].name
+    heads = columns("", numbers=("value", "±95%")) + columns("unit", "mostly from")
+    for one in fit.payloads:
+        (x, y, z), of_center = one.center_of_mass_m
+        names = ("mass", "centre of mass x", "y", "z", *LINK[:6])
+        values, prior = (one.values[9], x, y, z, *one.values[:6]), (*one.from_prior[[9, 6, 7, 8]], *one.from_prior[:6])
+        weighed = one.payload.mass_half_width_kg or None if one.payload.mass_kg else one.half[9]
+        halves, units = (weighed, *of_center, *one.half[:6]), ("kg", "m", "m", "m", *["kg m²"] * 6)
+        stated = [one.payload.mass_kg is not None, *[one.payload.center_of_mass_m is not None] * 3, *[False] * 6]
+        rows: list[Row] = [
+            (
+                name,
+                Number(float(v), ".4g"),
+                Number(half, ".2g"),
+                unit,
+                "stated" if s else "prior" if p else "recording",
+            )
+            for name, v, half, unit, p, s in zip(names, values, halves, units, prior, stated, strict=True)
+        ]
+        line = f"stated: {one.payload.describe(joint)}; values in the frame of {joint}, inertia about its origin"
+        table = Table(columns=heads, rows=tuple(rows))
+        found.append(Section(title=f"payload of {one.recording}", table=table, lines=(line,)))
+    return found
 
 
 def _parameters(fit: Fit, *, everything: bool) -> Section:

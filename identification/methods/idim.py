@@ -25,12 +25,21 @@ from ..estimation import (
     torque_errors,
 )
 from ..model import BaseParameters
-from ..regression import Overrides, Settings, make_problem, torque_of_recording
+from ..regression import Overrides, Settings, base_places, make_problem, payload_of, torque_of_recording
 from ..report import Method, TorqueError
 from ..simulation import Instruments
-from ..trust import covariance_of_all
+from ..trust import FitData, covariance_of_all
 from .assess import assess_iv, evidence_of_ls, fit_of, position_noise_of
-from .fit import Fit, LeastSquares, Pass
+from .fit import Fit, LeastSquares, Pass, essential_names
+from .gains import (
+    add_scale_variance,
+    extended,
+    factors_of,
+    joint_weights_of,
+    measured_instruments,
+    motors_of,
+    solve_with_gains,
+)
 from .iteration import (
     Iteration,
     assess_pass,
@@ -87,12 +96,15 @@ def identify(
     """
     # (2): tau = IDM(q, dq, ddq) beta; (5), (6): Y(tau) = W(q, dq, ddq) beta + rho
     observed = correct_known_lags(stack_of(signals, overrides, say))
-    chosen, reason = (method, "asked for") if method is not None else observed.default_method
-    if chosen == "iv":
+    chosen, reason = (method, "asked for") if method is not None else _default_method(observed)
+    if observed.overrides.gains and chosen != "iv" and method is not None:
+        text = "least squares is biased towards drive gains of 0"
+        raise IdentificationError(text, key="method", value=chosen, expected="iv with --gains")
+    if chosen == "iv" or observed.overrides.gains:
         try:
             fit = _by_instruments(observed, iteration or Iteration(), essential=essential, say=say)
         except IdentificationError as error:
-            if method is not None:
+            if method is not None or motors_of(observed):
                 raise
             raise IdentificationError(f"{error}; least squares: --method wls") from error
     else:
@@ -102,6 +114,15 @@ def identify(
             )
         fit = _by_least_squares(observed, chosen, essential=essential)
     return replace(fit, method_reason=reason)
+
+
+def _default_method(observed: StackedSystem) -> tuple[Literal["iv", "wls"], str]:
+    """The default method and its reason: instruments if every recording has its reference."""
+    without = [one.problem.signals for one in observed.observations if one.problem.signals.q_ref is None]
+    if not without:
+        return "iv", "reference recorded"
+    where = f" in {without[0].recording}" if len(observed.observations) > 1 else ""
+    return "wls", f"no reference{where}"
 
 
 def identify_ls(
@@ -141,7 +162,9 @@ def _by_least_squares(observed: StackedSystem, method: Literal["ols", "wls"], *,
     lags = (
         lags_of_ls(observed, ls.estimate) if beginning is None else lags_of_all(observed, ls.estimate, beginning.lags)
     )
-    ls = replace(ls, intervals=add_lag_variance(ls.estimate, ls.intervals, lags))
+    found = add_lag_variance(ls.estimate, ls.intervals, lags)
+    used = observed.regression.fast.T.reshape(-1).astype(float)
+    ls = replace(ls, intervals=add_scale_variance(observed, ls.estimate, found, used))
     noise = position_noise_of(observed, method, ls)  # once: it looks at the beginning of a long recording anyway
     evidence = replace(evidence_of_ls(observed, method, ls, lags), beginning=beginning, position_noise=noise)
     return fit_of(observed, evidence, ls)
@@ -154,18 +177,29 @@ def _by_instruments(observed: StackedSystem, iteration: Iteration, *, essential:
     W and Y are those of IDIM-LS. Each pass simulates the closed loop with beta_k (same reference, same controller, gains
     updated by beta_k), evaluates Z = IDM of the simulated q, dq, ddq, decimated as W, and solves for beta_k+1.
     """
+    if motors := motors_of(observed):
+        free, first, settled = solve_with_gains(observed)
+        if not settled or _default_method(free)[0] != "iv" or not (factors_of(free, first) > 0).all():
+            return _by_measured_motion(free, first, settled=settled, essential=essential)
+        observed = free.with_gains(factors_of(free, first)).with_motors(())
+        iteration = replace(iteration, start="ls") if iteration.values is None else iteration
     observed, full = solve_with_load_friction(observed)
     ls = solve_least_squares(observed, full, essential=essential)
-    names, weights = observed.regression.system.names, full.weights
-    fitted = ls.essential.kept if essential else np.arange(len(names))
     prior = inertia_prior(observed, ls)
+    beta, C = start_values(observed, iteration, ls)
+    if motors:
+        observed = observed.with_motors(motors)
+        (prior, _), (beta, C) = extended(observed, prior, None), extended(observed, beta, C)
+    names, weights = observed.regression.system.names, full.weights
+    fitted = np.arange(len(names))
+    if essential:
+        fitted = np.union1d(ls.essential.kept, np.delete(fitted, base_places(names)))
     lab = observed.lab(prior, gain_update=iteration.gain_update)
 
     def solve(z: Instruments, system: System) -> Estimate:  # beta = (ZᵀW)⁻¹ ZᵀY
         columns = np.setdiff1d(fitted, observed.load_places()) if z.load_unknown else fitted
         return instrumental_variables(system.with_columns(columns), z.Z[:, columns], weights)
 
-    beta, C = start_values(observed, iteration, ls)
     ls, passes = ls.without_rows(), list[Pass]()
     while not (passes and passes[-1].is_last) and len(passes) < iteration.max_iterations:
         number, coarse = len(passes) + 1, is_coarse(observed.problem, iteration, passes)
@@ -184,12 +218,52 @@ def _by_instruments(observed: StackedSystem, iteration: Iteration, *, essential:
         one_pass = assess_pass(z, estimate, W_and_Y, (asked, C), tolerance_percent=iteration.tolerance_percent)
         passes = [*(before.without_rows() for before in passes), replace(one_pass, number=number, coarse=coarse)]
         beta = next_values(passes, names)
+    if motors:
+        observed = observed.with_gains(factors_of(observed, passes[-1].estimate))
+        lab = observed.lab(prior, gain_update=iteration.gain_update)
     best = conclude(lab, passes, lambda z: solve(z, observed.along(z)))
     passes = [one.without_rows() for one in passes]
+    if motors:
+        best = replace(best, estimate=solve(best.z, observed.along(best.z)))
     # Y(tau(t + L)) with the lag L that the same instruments find: no further simulation
     lab_of = partial(StackedSystem.lab, prior=prior, gain_update=iteration.gain_update)
     observed, best, beginning = correct_lags(observed, best, solve, lab_of)
+    if motors:  # once more, with the gains about which the lag was found
+        observed = observed.with_gains(factors_of(observed, best.estimate))
+        best = replace(best, estimate=solve(best.z, observed.along(best.z)))
     return assess_iv(observed, best, beginning, ls, passes, iteration.start)
+
+
+def _by_measured_motion(observed: StackedSystem, first: Estimate, *, settled: bool, essential: bool) -> Fit:
+    """Drive gains and parameters by the fixed point of `solve_with_gains`, where no robot can be simulated."""
+    observed, x = observed.with_gains(factors_of(observed, first)), first.values_of(observed.parameters.names)
+    x[observed.parameters.gains] = 1.0
+    observed = observed.at(x)
+    rows, Z = observed.regression, measured_instruments(observed, x)
+    estimate = instrumental_variables(rows.system, Z, joint_weights_of(observed, x))
+    fixed, full = solve_with_load_friction(observed.with_motors(()))
+    ls, used = solve_least_squares(fixed, full, essential=essential), rows.system.used
+    predicted, lags = observed.predicted(estimate), lags_of_ls(observed, estimate)
+    without = "with these" if _default_method(observed)[0] == "iv" else "without a recorded reference"
+    found = add_lag_variance(estimate, intervals_of(rows.system, estimate), lags)
+    found = add_scale_variance(observed, estimate, found, used)
+    evidence = FitData(
+        recordings=observed.observations,
+        observed=rows,
+        method="iv",
+        fixed_point=settled,
+        estimate=estimate,
+        predicted=predicted,
+        used=used,
+        intervals=found,
+        least_squares=ls.full,
+        Z=Z,
+        unconfirmed=f"drive gains by the measured motion: no robot is simulated {without}",
+        lags=lags,
+        essential=essential_names(ls.essential, estimate, found),
+    )
+    fit = fit_of(observed, evidence, replace(ls, estimate=estimate, intervals=found, tau_predicted=predicted))
+    return replace(fit, least_squares=ls.of_base())
 
 
 def solve_least_squares(observed: StackedSystem, full: Estimate, *, essential: bool) -> LeastSquares:
@@ -238,7 +312,7 @@ def validate_all(
     each, parts = [], []
     for signals, overrides in recordings:
         problem = make_problem(signals, overrides)
-        parts.append(torque_of_recording(problem, values(problem.base)))
+        parts.append(torque_of_recording(problem, values(problem.base) + payload_of(problem)))
         each.append(Validated(signals, problem.settings, torque_errors(*parts[-1], names)))
     tau, predicted, speed = (np.concatenate(x) for x in zip(*parts, strict=True))
     return tuple(each), torque_errors(tau, predicted, speed, names)

@@ -1,5 +1,6 @@
 """Parameters of a fit, known values, and those of a stored fit for another recording or robot, with its settings."""
 
+from dataclasses import replace
 from typing import Literal
 
 import msgspec
@@ -88,7 +89,16 @@ def stored_settings(stored: FitFile, signals: Signals) -> Overrides:
 def stored_robot(stored: FitFile, place: str) -> Robot | None:
     """The robot by the description in a fit's file, `place`; None if it has none."""
     files = {name: text.encode() for name, text in stored.description.items()}
-    return robot_from_files(files, place) if files else None
+    return with_stored_gains(stored, robot_from_files(files, place)) if files else None
+
+
+def with_stored_gains(stored: FitFile, robot: Robot) -> Robot:
+    """The robot with the drive gains that a fit identified."""
+    if stored.gains is UNSET:
+        return robot
+    found = {one.motor: one.value for one in stored.gains}
+    gains = [found.get(motor.name, gain) for motor, gain in zip(robot.motors, robot.gain, strict=True)]
+    return replace(robot, identified_gain=np.array(gains))
 
 
 def other_meaning(stored: FitFile, base: BaseParameters) -> list[str]:

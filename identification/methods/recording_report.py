@@ -226,10 +226,12 @@ def _known_lines(signals: Signals) -> list[str]:
 
 
 def recording_lines(signals: Signals) -> tuple[str, ...]:
-    """The final counters of the recorder, if any, and the digest of the file."""
+    """The final counters of the recorder and the payload, if any, and the digest of the file."""
     known = {name: counts[np.isfinite(counts)] for name, (_, counts) in signals.health.items()}
     last = [f"{name} {counts[-1]:.6g}" for name, counts in known.items() if len(counts)]
     counted = [f"recorder: {', '.join(last)}"] if last else []
+    if signals.payload is not None:
+        counted.append(f"payload of {signals.recording}: {signals.payload.describe(signals.robot.joints[-1].name)}")
     return (*counted, f"{signals.recording} has sha256 {signals.sha256}")
 
 

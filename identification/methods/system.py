@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,12 +19,14 @@ from ..regression import (
     OwnParameters,
     Problem,
     Regression,
+    known_torque_rows,
     load_columns,
     load_friction,
     make_problem,
     own_parameters,
     reduced_regression,
     refuse_slow_joints,
+    regained,
     retimed,
     rule_cutoff_hz,
     torque_of_recording,
@@ -93,7 +94,7 @@ class StackedSystem:
             simulations=tuple(
                 Simulation(
                     problem=problem,
-                    prior=prior[self.parameters.places(k)],
+                    prior=self.parameters.base(prior, k),
                     slip_noise=one.regression.slip_noise,
                     spans=SPANS_OF_IV if one.regression.reduced else 0,
                     gain_update=gain_update,
@@ -120,7 +121,7 @@ class StackedSystem:
         if load is None or (load is self.load and self.beta is not None and np.array_equal(beta, self.beta)):
             return self
         run, problems = self.recordings.work.run, self.problems()
-        of_each = [beta[self.parameters.places(k)] for k in range(len(problems))]
+        of_each = [self.parameters.base(beta, k) for k in range(len(problems))]
         if self.regression.reduced:
             each = list(run(reduced_regression, list(zip(problems, of_each, strict=True))))
         else:
@@ -133,7 +134,9 @@ class StackedSystem:
         return replace(
             self,
             observations=tuple(replace(one, regression=regression) for one, regression in whole),
-            regression=self.parameters.stacked(each),
+            regression=self.parameters.stacked(
+                each, drive_torques(self.observations) if self.parameters.motors else []
+            ),
             beta=beta.copy() if load is self.load else None,
         )
 
@@ -147,7 +150,7 @@ class StackedSystem:
 
     def _of(self, observations: Sequence[RecordingData]) -> "StackedSystem":
         """The same recordings with other observations; columns of load friction are zero."""
-        system = stack_recordings(self.recordings, self.overrides, observations, self.order)
+        system = stack_recordings(self.recordings, self.overrides, observations, self.order, self.parameters.motors)
         return replace(system, left_out=self.left_out)
 
     def along(self, z: Instruments) -> System:
@@ -189,6 +192,25 @@ class StackedSystem:
             return self.at_cutoff(min(rule_cutoff_hz(s.robot.bandwidth_hz, s.sample_rate_hz) for s in signals))
         return None
 
+    def with_motors(self, motors: tuple[int, ...]) -> "StackedSystem":
+        """The same recordings with the gains of these motors as parameters."""
+        if motors == self.parameters.motors:
+            return self
+        found = stack_recordings(self.recordings, self.overrides, self._plain(), self.order, motors)
+        return replace(found, left_out=self.left_out, lags=self.lags)
+
+    def with_gains(self, factors: Array) -> "StackedSystem":
+        """The same recordings with drive gains times `factors` (n,)."""
+        found = list[RecordingData]()
+        for one in self._plain():
+            regression = regained(one.problem, one.regression, factors)
+            found.append(replace(one, problem=one.problem.with_gains(factors), regression=regression))
+        return replace(self._of(found), lags=self.lags)
+
+    def _plain(self) -> list[RecordingData]:
+        """The recordings with columns of load friction zero."""
+        return [replace(one, regression=plain) for one, plain in zip(self.observations, self.plain, strict=True)]
+
     def on_span(self) -> "StackedSystem":
         """Unchanged if rows are held; else the beginning of the first recording, with rows, at most three minutes."""
         if not self.regression.reduced:
@@ -214,29 +236,29 @@ class StackedSystem:
     def predicted(self, estimate: Estimate) -> Array:
         """Decimated torque (rows, n) that an estimate predicts."""
         if self.regression.reduced:
-            beta = estimate.values_of(self.problem.base.names)
-            tasks = [(problem, beta) for problem in self.problems()]
+            of = self.parameters.of
+            tasks = [(problem, own.values(estimate)) for problem, own in zip(self.problems(), of, strict=True)]
             return np.concatenate(
                 [predicted for _, predicted, _ in self.recordings.work.run(torque_of_recording, tasks)]
             )
         return self.regression.predicted(estimate.values_of(self.parameters.names))
 
-    @property
-    def default_method(self) -> tuple[Literal["iv", "wls"], str]:
-        """The default method and its reason: instruments if every recording has its reference."""
-        without = [one.problem.signals for one in self.observations if one.problem.signals.q_ref is None]
-        if not without:
-            return "iv", "reference recorded"
-        where = f" in {without[0].recording}" if len(self.observations) > 1 else ""
-        return "wls", f"no reference{where}"
+
+def drive_torques(observations: Sequence[RecordingData]) -> list[Array]:
+    """By recording the torques (rows, n) of the drives at the joints, by the gains of its problem, decimated."""
+    return [one.regression.tau - known_torque_rows(one.problem) for one in observations]
 
 
 def stack_recordings(
-    recordings: Recordings, overrides: Overrides, observations: Sequence[RecordingData], order: tuple[int, ...]
+    recordings: Recordings,
+    overrides: Overrides,
+    observations: Sequence[RecordingData],
+    order: tuple[int, ...],
+    motors: tuple[int, ...] = (),
 ) -> StackedSystem:
-    """The stacked system of recordings, columns of load friction zero."""
+    """The stacked system of recordings, columns of load friction zero; the gains of `motors` are parameters."""
     problems, each = [one.problem for one in observations], tuple(one.regression for one in observations)
-    parameters = own_parameters(problems)
+    parameters = own_parameters(problems, motors)
     return StackedSystem(
         recordings=recordings,
         overrides=overrides,
@@ -244,7 +266,7 @@ def stack_recordings(
         order=order,
         plain=each,
         parameters=parameters,
-        regression=parameters.stacked(each),
+        regression=parameters.stacked(each, drive_torques(observations) if motors else []),
         load=load_friction(problems[0].model, problems[0].base),
     )
 

@@ -1,6 +1,6 @@
 """The robot's models: inverse and direct dynamics, friction and rotors, base parameters. Only this room imports pinocchio."""
 
-from .base import BaseParameters, base_parameters, described_parameters, load_parameters
+from .base import BaseParameters, base_parameters, described_parameters, known_parameters, load_parameters
 from .direct import (
     DirectModel,
     direct_model,

@@ -3,6 +3,7 @@
 from .filtering import Decimation, forward_backward_3db_hz
 from .load import LoadFriction, load_columns, load_friction
 from .motion import BLOCK_SAMPLES, SPLINE_REACH, FilteredMotion, Motion, differentiate, sampled_at
+from .payload import PayloadColumns, payload_of
 from .problem import Problem, RowBlock, make_problem, row_blocks
 from .rows import (
     RowStates,
@@ -28,7 +29,7 @@ from .settings import (
     rule_cutoff_hz,
     standing_joints,
 )
-from .several import OwnParameters, base_name, own_parameters
+from .several import OwnParameters, RecordingParameters, base_name, base_places, own_parameters
 from .system import (
     ALL_REDUCED,
     HELD,
@@ -37,6 +38,7 @@ from .system import (
     known_torque_rows,
     predicted_torque,
     reduced_regression,
+    regained,
     regression_of_recording,
     retimed,
     rows_of_block,

@@ -2,11 +2,15 @@
 
 import math
 from collections import OrderedDict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+import numpy as np
+
+from ..arrays import Array
 from ..data import RecordingFile, Signals
+from ..errors import IdentificationError
 from ..model import BaseParameters, InverseModel, base_parameters
 from .filtering import decimation_reach
 from .motion import FilteredMotion, Motion, later
@@ -24,6 +28,7 @@ class Problem:
         signals: the recording with corrected torque lag; `recorded`: as recorded.
         motion: low-passed motion of the recording.
         source: where a task reads the recording, if the samples are left out.
+        gains: (n,) factors on the described drive gains, in `signals` and `recorded`; None for those described.
     """
 
     signals: Signals
@@ -33,6 +38,7 @@ class Problem:
     base: BaseParameters
     motion: FilteredMotion
     source: Signals | RecordingFile | None = None
+    gains: Array | None = None
 
     @cached_property
     def series(self) -> int:
@@ -60,7 +66,7 @@ class Problem:
             return self
         if isinstance(self.source, Signals):
             return self._of(self.source)
-        key = f"{self.source.key} {self.settings.torque_lag_s}"
+        key = f"{self.source.key} {self.settings.torque_lag_s} {self.gains}"
         if key not in _cache:
             _cache[key] = self._of(self.source.load())
             while len(_cache) > 1 and sum(p.signals.q.size for p in _cache.values()) > MAX_CACHED_NUMBERS:
@@ -70,7 +76,15 @@ class Problem:
         return replace(self, signals=found.signals, recorded=found.recorded, motion=found.motion)
 
     def _of(self, signals: Signals) -> "Problem":
+        if self.gains is not None:
+            signals = with_gains(signals, self.gains)
         found = replace(self, signals=signals, recorded=signals, motion=FilteredMotion(signals))
+        return found.corrected(self.settings.torque_lag_s)
+
+    def with_gains(self, factors: Array) -> "Problem":
+        """The same with drive gains times `factors` (n,)."""
+        signals, gains = with_gains(self.recorded, factors), factors if self.gains is None else self.gains * factors
+        found = replace(self, signals=signals, recorded=signals, gains=gains)
         return found.corrected(self.settings.torque_lag_s)
 
     def without_terms(self, left_out: dict[str, str]) -> "Problem":
@@ -86,7 +100,29 @@ class Problem:
         return replace(self, signals=signals, settings=settings, motion=self.motion.with_torque_of(signals))
 
 
+def with_gains(signals: Signals, factors: Array) -> Signals:
+    """The signals with drive gains times `factors` (n,), by motor; they count as known."""
+    motors = signals.robot.motor_effort(signals.effort)
+    robot = replace(signals.robot, identified_gain=signals.robot.gain * factors)
+    return replace(signals, robot=robot, effort=robot.joint_effort(motors))
+
+
 _cache: OrderedDict[str, Problem] = OrderedDict()  # of this process, in order of use
+
+
+def _refuse_unknown_motors(signals: Signals, gains: Sequence[str]) -> None:
+    """Refuse names in `gains` that are no motors, and motors that are not named and whose gain is not known."""
+    names = {motor.name: motor.gain for motor in signals.robot.motors}
+    for name in gains:
+        if name not in names:
+            expected = f"one of {', '.join(names)}"
+            raise IdentificationError(place=f"robot {signals.robot.name}", key="gains", value=name, expected=expected)
+    for name, gain in names.items():
+        if gain is None and name not in gains:
+            expected = f"drive_gain, or {name} among the gains to identify"
+            raise IdentificationError(
+                place=f"robot {signals.robot.name}", key=f"motor {name}: drive_gain", value=None, expected=expected
+            )
 
 
 def make_problem(signals: Signals, overrides: Overrides) -> Problem:
@@ -94,6 +130,12 @@ def make_problem(signals: Signals, overrides: Overrides) -> Problem:
 
     Raises `IdentificationError` if the settings do not suit the recording, or the robot cannot be modelled.
     """
+    gains = None
+    if overrides.gains:
+        if "all" not in overrides.gains:
+            _refuse_unknown_motors(signals, overrides.gains)
+        gains = np.ones(signals.robot.n)
+        signals = with_gains(signals, gains)
     motion, model = FilteredMotion(signals), InverseModel(signals.robot)
     settings = make_settings(signals, overrides, motion)
     problem = Problem(
@@ -103,6 +145,7 @@ def make_problem(signals: Signals, overrides: Overrides) -> Problem:
         model=model,
         base=base_parameters(model),
         motion=motion,
+        gains=gains,
     )
     return problem.corrected(settings.torque_lag_s)
 

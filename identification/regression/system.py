@@ -166,6 +166,15 @@ def retimed(problem: Problem, regression: Regression, lag_s: float) -> Regressio
     return replace(regression, tau=tau, system=replace(regression.system, Y=Y))
 
 
+def regained(problem: Problem, regression: Regression, factors: Array) -> Regression:
+    """The regression of a recording with drive gains times `factors` (n,)."""
+    R, known = problem.signals.robot.R, known_torque_rows(problem)
+    drives = (np.linalg.solve(R.T, (regression.tau - known).T).T * factors) @ R
+    tau = drives + known
+    Y = regression.system.Y + (tau - regression.tau).T.reshape(-1)
+    return replace(regression, tau=tau, system=replace(regression.system, Y=Y))
+
+
 def known_torque_rows(problem: Problem) -> Array:
     """Known torques (rows, n) of the span used, decimated as the torques; zeros if there are none."""
     settings, known = problem.settings, problem.signals.known_torque

@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 
 from ..errors import IdentificationError
 from .document import Document, Number, ResultFile, Row, Section, Table, columns, value_form
-from .fit_file import FitFile, Parameter
+from .fit_file import FitFile
+from .parameters import Parameter
 
 
 @dataclass(frozen=True, kw_only=True)

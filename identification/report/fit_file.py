@@ -12,15 +12,24 @@ from msgspec import UNSET, UnsetType
 
 from ..errors import IdentificationError
 from .document import FORMAT, ResultFile
+from .parameters import (
+    AboveZero,
+    ConsistentFile,
+    Covariance,
+    DriveGain,
+    LeftOut,
+    Parameter,
+    PayloadOfFit,
+    PhysicalWarning,
+    StandardParameter,
+)
 
-AboveZero = Annotated[float, msgspec.Meta(gt=0)]
 Method = Literal["ols", "wls", "iv"]
 Status = Literal["solved", "converged", "not_confirmed", "max_iterations", "diverged"]
 Verdict = Literal["trust", "caution", "do not use"]
 Level = Literal["do not use", "caution", "cannot tell", "not made", "ok"]
 
 NO_FIXED_POINT: tuple[Status, ...] = ("max_iterations", "diverged")
-PER_INTERVAL = 1.96  # deviations in half a 95 % interval
 
 
 class TorqueError(msgspec.Struct, frozen=True, kw_only=True):
@@ -44,83 +53,6 @@ class TorqueError(msgspec.Struct, frozen=True, kw_only=True):
         """Of the moving rows, or else of all."""
         moving = self.moving_relative_error_percent
         return self.relative_error_percent if moving is None else moving
-
-
-class Parameter(msgspec.Struct, frozen=True, kw_only=True):
-    """A parameter with its 95 % interval and its deviation `sigma` by the formula, 0 for an exact value.
-
-    `low`, `high` and `expression`, its sum of standard parameters, are None in a file of an earlier version.
-    """
-
-    name: str
-    value: float
-    low: float | None = None
-    high: float | None = None
-    unit: str
-    expression: str | None = None
-    sigma: float = 0.0
-    sigma_hac: float | UnsetType | None = UNSET  # of a file of an earlier version
-    sigma_percent: float | UnsetType | None = UNSET
-    essential: bool = False
-
-    @property
-    def half(self) -> float:
-        """Half the 95 % interval; without one, 1.96 of the larger deviation."""
-        if self.low is None or self.high is None:
-            return PER_INTERVAL * max(self.sigma, self.sigma_hac or 0.0)
-        return 0.5 * (self.high - self.low)
-
-    @property
-    def spread(self) -> float:
-        """The deviation by the interval: its half-width / 1.96."""
-        return self.half / PER_INTERVAL
-
-
-class PhysicalWarning(msgspec.Struct, frozen=True):
-    """A physically impossible value of a fit, in files of every version; `severe` beyond chance."""
-
-    text: str
-    severe: bool
-
-
-class Covariance(msgspec.Struct, frozen=True, kw_only=True):
-    """Covariance (b, b) of the parameters `names`: deviations of the intervals, correlations of the formula."""
-
-    names: list[str]
-    values: list[list[float]]
-
-
-class LeftOut(msgspec.Struct, frozen=True, kw_only=True):
-    """A base parameter that `--essential` leaves out, with its deviation by least squares of all parameters."""
-
-    name: str
-    sigma: float
-
-
-class StandardParameter(msgspec.Struct, frozen=True):
-    """A parameter of the consistent set; `from_prior`: mostly from the prior; `move`: in half-widths of the fit."""
-
-    name: str
-    value: float
-    unit: str
-    from_prior: bool
-    half_width: float | UnsetType = UNSET
-    move: float | UnsetType = UNSET
-
-
-class ConsistentFile(msgspec.Struct, frozen=True, kw_only=True):
-    """The consistent set: the prior, the distance from the estimate (chi², largest move in half-widths), the torque error, and
-    the Newton decrement. Files of earlier versions may have another weight of the prior.
-    """
-
-    prior: str
-    prior_weight: AboveZero = 1.0
-    chi2: float
-    largest_move: float
-    moved_most: str
-    certificate: float
-    relative_error_percent: float | None
-    base_parameters: list[StandardParameter] | UnsetType = UNSET
 
 
 class FTest(msgspec.Struct, frozen=True, kw_only=True):
@@ -270,6 +202,8 @@ class FitFile(OnRecording, frozen=True, kw_only=True):
     trust: list[TrustLineFile] | UnsetType = UNSET
     held_out_error_percent: float | UnsetType | None = UNSET
     own_parameters: FTest | UnsetType = UNSET
+    gains: list[DriveGain] | UnsetType = UNSET
+    payloads: list[PayloadOfFit] | UnsetType = UNSET
     reason: str | UnsetType | None = UNSET
     pass_returned: int | UnsetType = UNSET
     start: str | UnsetType = UNSET

@@ -11,8 +11,16 @@ from numpy.typing import NDArray
 from ..arrays import Array
 from ..data import Work
 from ..estimation import SpanFactors, System, one_thread, stacked
-from ..model import why_not_positive
-from ..regression import OwnParameters, Problem, decimated_regressor, lowest_nearby, moving_rows_of, rows_of_block
+from ..model import load_parameters, why_not_positive
+from ..regression import (
+    OwnParameters,
+    Problem,
+    decimated_regressor,
+    known_torque_rows,
+    lowest_nearby,
+    moving_rows_of,
+    rows_of_block,
+)
 from .experiment import EARLY_RATE_PER_BANDWIDTH, RATE_PER_BANDWIDTH, Experiment
 from .motion import (
     MotionBlocks,
@@ -109,13 +117,18 @@ def simulate_instruments(
 
 
 def stack_instruments(
-    each: Sequence[Instruments], beta: Array, parameters: OwnParameters, names: Sequence[str]
+    each: Sequence[Instruments],
+    beta: Array,
+    parameters: OwnParameters,
+    names: Sequence[str],
+    drives: Sequence[Array | None],
 ) -> Instruments:
-    """Instruments of several recordings, in the columns of all parameters beta (b,)."""
-    if len(each) == 1:
+    """Instruments of several recordings, in the columns of all parameters beta (b,); `drives` as of `columns`."""
+    if len(each) == 1 and parameters.plain:
         return replace(each[0], beta=beta)
     n = each[0].moving_rows[0].shape[1]
-    wide = [parameters.columns(one.Z, k).reshape(n, -1, len(beta)) for k, one in enumerate(each)]
+    of_all = [parameters.columns(one.Z, k, tau) for k, (one, tau) in enumerate(zip(each, drives, strict=True))]
+    wide = [Z.reshape(n, -1, len(beta)) for Z in of_all]
     systems = [one.system for one in each if one.system is not None]
     return Instruments(
         beta=beta,
@@ -128,6 +141,13 @@ def stack_instruments(
         tracking_percent=max_or_none([one.tracking_percent for one in each]),
         load_unknown=any(one.load_unknown for one in each),
     )
+
+
+def _drive_torques(problem: Problem, one: Instruments) -> Array:
+    """Torques (rows, n) of the drives that the instruments of a recording predict."""
+    base, n = problem.base, len(problem.signals.robot.joints)
+    beta = np.where(np.isin(base.names, load_parameters(base)), 0.0, one.beta)  # Z is linearised: the links have it
+    return np.asarray((one.Z @ beta).reshape(n, -1).T - known_torque_rows(problem))
 
 
 def max_or_none(figures: Sequence[float | None]) -> float | None:
@@ -191,6 +211,7 @@ def _slip(e: Experiment, u: Array) -> Array:
 class Simulation:
     """The closed loop of a recording, with gains set for the inertias of `prior` (b,).
 
+    `payload` (b,) is the part of the simulated parameters that a payload adds, which stays as it is;
     `slip_noise` (c,) is the speed noise along the directions of Coulomb friction; `spans` as of `Experiment`.
     """
 
@@ -199,6 +220,7 @@ class Simulation:
     slip_noise: Array
     spans: int
     gain_update: bool = True
+    payload: Array | float = 0.0
     _experiments: dict[float, Experiment] = field(default_factory=dict)
 
     def at(self, rate_per_bandwidth: float) -> Experiment:
@@ -212,7 +234,7 @@ class Simulation:
                 gain_update=self.gain_update,
                 spans=self.spans,
             )
-        return self._experiments[rate_per_bandwidth]
+        return self._experiments[rate_per_bandwidth].carrying(self.payload)
 
     def __getstate__(self) -> dict[str, object]:
         return {**self.__dict__, "_experiments": {}}  # each process prepares its own
@@ -262,7 +284,10 @@ class ClosedLoops:
         each_rows: Sequence[NDArray[np.bool_] | None] = rows or [None] * len(self.simulations)
         tasks = [(*own, r, rate) for own, r in zip(self._own(beta, covariance), each_rows, strict=True)]
         each = tuple(self.work.run(Simulation.instruments, tasks))
-        return stack_instruments(each, beta, self.parameters, self.names)
+        drives: list[Array | None] = [None] * len(each)
+        if self.parameters.motors:
+            drives = [_drive_torques(s.problem, one) for s, one in zip(self.simulations, each, strict=True)]
+        return stack_instruments(each, beta, self.parameters, self.names, drives)
 
     def replicas(self, beta: Array, covariance: Array | None) -> tuple[Replica, ...]:
         """The robot simulated with beta (b,) in each recording, as `simulate_replica`."""
@@ -270,8 +295,5 @@ class ClosedLoops:
 
     def _own(self, beta: Array, covariance: Array | None) -> list[tuple[Simulation, Array, Array | None]]:
         """By recording: its simulation, its base parameters and their covariance."""
-        places = [self.parameters.places(k) for k in range(len(self.simulations))]
-        return [
-            (simulation, beta[at], None if covariance is None else covariance[np.ix_(at, at)])
-            for simulation, at in zip(self.simulations, places, strict=True)
-        ]
+        own = zip(self.simulations, self.parameters.simulated(beta, covariance), strict=True)
+        return [(replace(one, payload=carried), x, C) for one, (x, C, carried) in own]

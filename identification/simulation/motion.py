@@ -170,8 +170,9 @@ def simulate_replica(e: Experiment, beta: Array, covariance: Array | None = None
 
 
 def nearest(e: Experiment, beta: Array, covariance: Array) -> Array:
-    """Consistent base parameters (b,) nearest to beta; beta itself if none are found."""
+    """Consistent base parameters (b,) nearest to beta, of which the payload is; beta itself if none are found."""
     try:
-        return nearest_consistent(e.problem.model, e.problem.base, beta, covariance).beta
+        arm = nearest_consistent(e.problem.model, e.problem.base, beta - e.payload, covariance)
+        return arm.beta + e.payload
     except IdentificationError:
         return beta

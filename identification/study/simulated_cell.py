@@ -13,7 +13,7 @@ import numpy as np
 
 from acquisition.files import allocate, atomic_write, release_pages
 from acquisition.recording import OPTIONAL, Header, RecordingWriter, sample_dtype
-from acquisition.robot import FourierReference, Robot, fourier_reference
+from acquisition.robot import FourierReference, Payload, Robot, fourier_reference
 
 from ..arrays import Array
 from ..data import Signals
@@ -22,10 +22,12 @@ from ..model import (
     BaseParameters,
     DirectModel,
     InverseModel,
+    add_payload,
     base_parameters,
     described_parameters,
     direct_model,
     inertias,
+    known_parameters,
     poses_of,
 )
 from ..options import CellOptions
@@ -126,11 +128,13 @@ def study_truth(robot: Robot) -> tuple[BaseParameters, Array]:
     return base, described_parameters(idm, base)
 
 
-def true_model(robot: Robot) -> DirectModel:
-    """The direct model with the values of the description."""
+def true_model(robot: Robot, payload: Payload | None = None) -> DirectModel:
+    """The direct model with the values of the description, and a payload."""
     idm = InverseModel(robot)
-    base = base_parameters(idm)
-    return direct_model(idm, base.standard_parameters(described_parameters(idm, base)))
+    base, chi = base_parameters(idm), known_parameters(idm)
+    if payload is not None:
+        chi = add_payload(idm, chi, payload)
+    return direct_model(idm, base.standard_parameters(base.K @ chi))
 
 
 def periodic_reference(robot: Robot, *, duration_s: float, seed: int, period_s: float = PERIOD_S) -> FourierReference:
@@ -171,7 +175,9 @@ def random_reference(
     return q
 
 
-def closed_loop(robot: Robot, q_ref: Array, sample_rate_hz: float, *, noise: Noise, seed: int) -> Signals:
+def closed_loop(
+    robot: Robot, q_ref: Array, sample_rate_hz: float, *, noise: Noise, seed: int, payload: Payload | None = None
+) -> Signals:
     """Signals of the simulated robot tracking a reference.
 
     The controller sees encoder noise and counts.
@@ -182,12 +188,13 @@ def closed_loop(robot: Robot, q_ref: Array, sample_rate_hz: float, *, noise: Noi
     q_ref : (N, n) reference positions, rad or m.
     sample_rate_hz : rate of reference, recording and controller.
     noise, seed : imperfections of the cell.
+    payload : that the robot carries.
 
     Raises
     ------
     IdentificationError : if the description has no values or another rate, or the robot does not follow.
     """
-    model = true_model(robot)
+    model = true_model(robot, payload)
     loop = _loop(robot, model, q_ref, sample_rate_hz, noise)
     if abs(loop.period_s * sample_rate_hz - 1) > 1e-9:
         raise IdentificationError(
@@ -224,6 +231,7 @@ def closed_loop(robot: Robot, q_ref: Array, sample_rate_hz: float, *, noise: Noi
         robot=robot,
         recording="simulated",
         sha256="",
+        payload=payload,
         effort_timing="mean" if noise.recorded == "mean" else "command",
     )
 
@@ -273,6 +281,7 @@ def write_signals(
         sample_rate_hz=signals.sample_rate_hz,
         effort_provenance=provenance,
         effort_timing=signals.effort_timing,
+        payload=signals.payload,
         notes={"simulated": "true", **cell, **(notes or {})},
     )
     with atomic_write(path) as partial, RecordingWriter(partial, header) as writer:

@@ -18,8 +18,9 @@ from ..estimation import deviations_of_sums
 from ..model import DirectModel, JointTerm, direct_model
 from ..regression import Decimation, Motion, known_torque_rows
 from ..report import Method
-from .fit_data import FitData, RecordingData, TrustLine
+from .fit_data import FitData, RecordingData
 from .lag import simulated_rates
+from .lines import TrustLine
 
 MIN_T = 5.0  # deviations, above chance
 MIN_TAKEN_PERCENT = 2.0  # of the residual's square
@@ -154,7 +155,7 @@ def motion_of(part: RecordingData, method: Method) -> tuple[Motion, Decimation]:
 def _columns(evidence: FitData) -> Iterator[MissingTerm]:
     problem, robot, idm = evidence.problem, evidence.problem.signals.robot, evidence.problem.model
     chi, joints, n, efforts = np.zeros(idm.p), robot.joints, len(robot.joints), robot.effort_units
-    chi[problem.base.columns] = evidence.estimate.values_of(evidence.recordings[0].parameters)
+    chi[problem.base.columns] = evidence.recordings[0].parameters.values(evidence.estimate)
     links = direct_model(idm, np.where(idm.of_links, chi, 0.0))
     time = np.concatenate([np.linspace(0.0, 1.0, rows) for rows in evidence.observed.parts])
     speed, slow, position, root, load = (np.concatenate(x) for x in zip(*_series(evidence, links), strict=True))
@@ -200,7 +201,7 @@ def _columns(evidence: FitData) -> Iterator[MissingTerm]:
         late = np.concatenate([(-1e-3 * rate * fast).T for rate, fast in map(simulated_rates, evidence.recordings)])
         advice = "check how its effort is filtered and stamped"
         yield from (of_joint(j, LAG, late[:, j], "ms", advice) for j in range(n))
-    if n > 1 and robot.gain_known:
+    if n > 1 and robot.gain_known and not evidence.gains:
         # The predicted torque of a drive: the coefficient is its gain relative to the others, less 1.
         drives = evidence.observed.predicted(evidence.estimate.values_of(evidence.observed.system.names))
         drives = drives - np.concatenate([known_torque_rows(part.problem) for part in evidence.recordings])

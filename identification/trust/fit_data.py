@@ -1,81 +1,33 @@
-"""Inputs of the trust tests, their result lines, and the verdict."""
+"""Inputs of the trust tests."""
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..data import PositionSteps
 from ..estimation import Estimate, Intervals, Scores, Spans, scores_of_recordings, spans_of
-from ..regression import NOTHING, Decimation, KnownLag, Motion, Problem, Regression, RowStates
-from ..report import Assumed, Level, Method, Verdict
+from ..regression import (
+    NOTHING,
+    Decimation,
+    KnownLag,
+    Motion,
+    Problem,
+    RecordingParameters,
+    Regression,
+    RowStates,
+    base_places,
+)
+from ..report import Method
+from .lines import TrustLine
 
-LEVELS: tuple[Level, ...] = ("do not use", "caution", "cannot tell", "not made", "ok")  # worst first
+Span = slice | NDArray[np.intp]  # of time: instants of the recordings in sequence
 
-
-@dataclass(frozen=True, kw_only=True)
-class Figure:
-    """The result of a test at one joint, motor or block of time: value, half-width of the 95 % interval, expected value."""
-
-    name: str
-    value: float
-    half_width: float = 0.0
-    expected: float = 0.0
-
-
-@dataclass(frozen=True)
-class TrustLine:
-    """One test of a fit.
-
-    Attributes:
-        test: its name, such as `lag`.
-        level: `not made` where the test could not be made, `cannot tell` where it is inconclusive.
-        text: one sentence with the figure, and what to do.
-        value: its figure, None where there is none.
-        finding: the same in a few words, for the first line of a report.
-        figures: figures by joint, motor or block, for a plot, in `unit`.
-        fails_held_out: whether held-out errors are so large that, with M not positive, the fit is not to be used.
-    """
-
-    test: str
-    level: Level
-    text: str
-    value: float | None = None
-    finding: str = ""
-    figures: tuple[Figure, ...] = ()
-    unit: str = ""
-    fails_held_out: bool = False
-
-
-@dataclass(frozen=True, kw_only=True)
-class Trust:
-    """All tests of a fit, worst first, and the assumptions that no test covers. A test that was not made does not count."""
-
-    lines: tuple[TrustLine, ...]
-    assumed: tuple[Assumed, ...] = ()
-
-    def line(self, test: str) -> TrustLine:
-        """The line of a test."""
-        return next(line for line in self.lines if line.test == test)
-
-    @property
-    def severe(self) -> tuple[str, ...]:
-        """Texts of the tests that forbid using the result."""
-        return tuple(line.text for line in self.lines if line.level == "do not use")
-
-    @property
-    def verdict(self) -> Verdict:
-        """The worst level."""
-        levels = {line.level for line in self.lines}
-        return "do not use" if "do not use" in levels else "caution" if "caution" in levels else "trust"
-
-    @property
-    def finding(self) -> str:
-        """The worst finding in a few words; empty where there is none."""
-        worst = self.lines[0]
-        return (worst.finding or worst.test) if worst.level in ("do not use", "caution") else ""
+NO_PARAMETERS = RecordingParameters(names=())  # until recordings are stacked
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -90,7 +42,7 @@ class RecordingData:
         steps: of its positions, to find missing rows.
         t_s: (rows,) instants of its decimated rows, s.
         states: rows at which friction power is tested; None if there is viscous and Coulomb friction only.
-        parameters: (b,) names of its base parameters in the system, in the order of the base parameters.
+        parameters: its base parameters in those of the system.
         simulated: simulated motion, at a multiple of the rows' rate, with `decimation` to the rows.
         reference: of the simulation; `surrogate`: the measured position replaces it.
     """
@@ -103,7 +55,7 @@ class RecordingData:
     steps: PositionSteps
     t_s: Array
     states: RowStates | None
-    parameters: tuple[str, ...] = ()
+    parameters: RecordingParameters = NO_PARAMETERS
     simulated: Motion | None = None
     decimation: Decimation | None = None
     reference: Literal["recorded", "surrogate"] | None = None
@@ -188,6 +140,24 @@ class FitData:
         """The first recording's: robot, model and base parameters are common to all."""
         return self.recordings[0].problem
 
+    @cached_property
+    def gains(self) -> tuple[str, ...]:
+        """Names of the estimated gains; one is 1 where the drive gain of the problem's robot is the identified one."""
+        return tuple(name for name in self.estimate.names if name.startswith("K:"))
+
+    @cached_property
+    def base(self) -> NDArray[np.intp]:
+        """Places of the base parameters in the estimate, which may have payloads and gains too."""
+        return base_places(self.estimate.names)
+
+    def spans(self, count: int) -> list["Span"]:
+        """Equal spans of time of the recordings together; of each recording, if a span alone must tell drive gains."""
+        parts = spans_of(self.observed.parts) if self.gains else [slice(0, len(self.observed.tau))]
+        edges = [np.linspace(one.start, one.stop, count + 1).round().astype(int) for one in parts]
+        if len(parts) == 1:
+            return [slice(int(first), int(last)) for first, last in pairwise(edges[0])]
+        return [np.concatenate([np.arange(own[k], own[k + 1]) for own in edges]) for k in range(count)]
+
     @property
     def with_rows(self) -> "FitData":
         """The data with rows: of a long recording its beginning."""
@@ -202,7 +172,7 @@ class FitData:
         W, Y = system.W * weight[:, None], system.Y * weight
         return WeightedRows(W=W, Y=Y, rho=Y - W @ self.estimate.beta, weight=weight)
 
-    def sums(self, part: slice) -> "PartSums":
+    def sums(self, part: Span) -> "PartSums":
         """Sums over the rows of a span of time of all recordings."""
         estimate, n = self.estimate, self.observed.tau.shape[1]
         part, rows = self.aligned(part)
@@ -223,16 +193,22 @@ class FitData:
             rows=int(counts.sum()),
         )
 
-    def scores(self, part: slice, beta: Array, bread: Array, basis: Array) -> list[Scores]:
+    def scores(self, part: Span, beta: Array, bread: Array, basis: Array) -> list[Scores]:
         """Scores, by recording, of an estimate beta (b,) of a span of time with the orthonormal columns Q `basis`."""
         n, (part, rows) = self.observed.tau.shape[1], self.aligned(part)
         Q, W, Y = (part_of(x, n, rows) for x in (self.estimate.Q, self.rows.W, self.rows.Y))
-        each = [own.between(part, start) for own, start in zip(self._spans, self._starts, strict=True)]
+        if isinstance(part, slice):
+            each = [own.between(part, start) for own, start in zip(self._spans, self._starts, strict=True)]
+        else:
+            counts = np.bincount(np.searchsorted(self._starts, part, side="right") - 1)
+            each = [Spans(instants=int(count), count=int(count)) for count in counts]
         spans = [own for own in each if own.count]
         return scores_of_recordings(Q @ basis, bread, (Y - W @ beta).reshape(n, -1), spans)
 
-    def aligned(self, part: slice) -> tuple[slice, slice]:
+    def aligned(self, part: Span) -> tuple[Span, Span]:
         """A span of time rounded to the nearest borders of the recordings' spans, and the rows of a joint in it."""
+        if not isinstance(part, slice):
+            return part, part
         each = list(zip(self._spans, self._starts, strict=True))
         edges = np.concatenate([start + own.edges for own, start in each])
         rows = np.cumsum(np.concatenate([np.r_[0, np.full(own.count, own.rows)] for own, _ in each]))
@@ -283,7 +259,7 @@ class PartSums:
         return max(0.0, float(self.rho_rho - 2 * difference @ self.W_rho + difference @ self.WW @ difference))
 
 
-def part_of(x: Array, n: int, part: slice) -> Array:
+def part_of(x: Array, n: int, part: Span) -> Array:
     """Rows of a span of time, of all joints: x (r, ...) -> (n T_k, ...)."""
     return np.asarray(x.reshape(n, -1, *x.shape[1:])[:, part].reshape(-1, *x.shape[1:]))
 
@@ -293,7 +269,8 @@ def covariance_of_all(names: tuple[str, ...], estimate: Estimate, intervals: Int
 
     Parameters that are not in the estimate are zero with the deviations of `full`, least squares of all parameters.
     """
-    covariance = np.diag(np.diag(full.covariance))
+    variances = dict(zip(full.names, np.diag(full.covariance), strict=True))
+    covariance = np.diag([variances.get(name, 0.0) for name in names])
     indices = np.array([names.index(name) for name in estimate.names])
     covariance[np.ix_(indices, indices)] = intervals.covariance
     return covariance

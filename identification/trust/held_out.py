@@ -6,14 +6,14 @@ parameters undetermined, so they are factored again.
 """
 
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..estimation import spans_of, undetermined_parameters
-from .fit_data import Figure, FitData, TrustLine, part_of
+from .fit_data import FitData, part_of
+from .lines import Figure, TrustLine
 
 BLOCKS = 5
 MAX_HELD_OUT_RATIO_NOT_POSITIVE = 3.0  # the same, where M is not positive
@@ -40,10 +40,9 @@ class HeldOut:
 def held_out_test(evidence: FitData) -> TrustLine:
     """Held-out and training error, in percent, of five blocks of time or of several recordings."""
     name = "held-out blocks"
-    if len(evidence.recordings) > 1:
+    if len(evidence.recordings) > 1 and not evidence.gains:
         return _recordings_line(evidence, held_out_recordings(evidence))
-    edges, estimate = np.linspace(0, len(evidence.observed.tau), BLOCKS + 1).round().astype(int), evidence.estimate
-    sums = [evidence.sums(slice(first, last)) for first, last in pairwise(edges)]
+    estimate, sums = evidence.estimate, [evidence.sums(part) for part in evidence.spans(BLOCKS)]
     outside, b = sum(one.rows for one in sums) - max(one.rows for one in sums), len(estimate.beta)
     if outside <= b:
         text = f"not made: {outside} rows outside a block for {b} parameters; record longer"
@@ -67,17 +66,19 @@ def held_out_test(evidence: FitData) -> TrustLine:
 def held_out_recordings(evidence: FitData) -> tuple[HeldOut | None, ...]:
     """Each of several recordings predicted by the fit of the others; None for a single one.
 
+    None also with drive gains, which no recording tells alone.
+
     Its own parameters are fitted to the recording itself, as the others do not contain them.
     """
-    if len(evidence.recordings) == 1:
-        return (None,)
+    if len(evidence.recordings) == 1 or evidence.gains:
+        return (None,) * len(evidence.recordings)
     names, weights = evidence.estimate.names, evidence.estimate.weights
     n, parts = evidence.observed.tau.shape[1], spans_of(evidence.observed.parts)
     rows = [_rows_of(evidence, k) for k in range(len(parts))]
     factors = [np.linalg.qr(np.c_[Z, W, Y] * weights[joint][:, None], mode="r") for Z, W, Y, joint in rows]
     found = []
     for k, (_, W, Y, _) in enumerate(rows):
-        own = np.array(["@" in name and name in evidence.recordings[k].parameters for name in names])
+        own = np.array([name in evidence.recordings[k].parameters.own for name in names])
         shared, others = ~np.r_[own, own, False], [R for i, R in enumerate(factors) if i != k]
         beta, undetermined = _solve(
             np.concatenate(others)[:, shared], tuple(name for name, o in zip(names, own, strict=True) if not o)

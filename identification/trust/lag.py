@@ -19,7 +19,8 @@ from ..errors import IdentificationError
 from ..estimation import Estimate, System, instrumental_variables, intervals, whitened
 from ..regression import KnownLag, Regression, differentiate, moving_rows_of, torque_rate
 from ..report import Level
-from .fit_data import Figure, FitData, Lag, RecordingData, TrustLine
+from .fit_data import FitData, Lag, RecordingData
+from .lines import Figure, TrustLine
 
 MAX_DEVIATIONS_FROM_PRIOR = 3.0  # joint ones; beyond, only the data are used
 MAX_DEVIATIONS_FROM_STATED = 4.0  # between the data and a lag that the user states
@@ -32,7 +33,7 @@ Groups = Sequence[Sequence[int]]  # indices of recordings whose torques have one
 
 def lag_columns(parts: Sequence[RecordingData], groups: Groups, estimate: Estimate) -> Array:
     """-d/dt(W beta) (r, K): torque per second of lag of each group of recordings, in the rows of the system."""
-    rates = [torque_rate(part.problem, estimate.values_of(part.parameters)).T for part in parts]
+    rates = [torque_rate(part.problem, part.parameters.values(estimate)).T for part in parts]
     return _by_group(rates, groups)
 
 

@@ -26,7 +26,8 @@ from ..model import InverseModel, friction_power, nearest_consistent, requiremen
 from ..regression import base_name, friction_states, recorded_power
 from ..report import Level
 from .columns import motion_of
-from .fit_data import LEVELS, FitData, TrustLine, covariance_of_all
+from .fit_data import FitData, covariance_of_all
+from .lines import LEVELS, TrustLine
 
 MAX_HALF_WIDTHS = 2.0  # below zero; beyond, it is not chance
 MIN_HALF_WIDTH = 1e-300  # avoids division by zero
@@ -44,7 +45,8 @@ def physical_test(evidence: FitData) -> TrustLine:
     Ordinary least squares weights all rows equally, so its deviations hide wrong signs of joints with small torques:
     weighted least squares is tested as well.
     """
-    found, lowest = _findings(evidence, evidence.estimate, evidence.intervals)
+    base = evidence.base
+    found, lowest = _findings(evidence, evidence.estimate.part(base), evidence.intervals.part(base))
     found += _gravity_findings(evidence)
     if evidence.method == "ols" and all(level != "do not use" for level, _ in found):
         weighted = weighted_least_squares(evidence.observed.system)
@@ -68,7 +70,7 @@ def _findings(evidence: FitData, estimate: Estimate, found: Intervals) -> tuple[
     beyond: dict[int, dict[str, tuple[float, str]]] = {}  # by joint and kind: half-widths, and a text
     by_base = np.linalg.pinv(base.K)
     for part in evidence.recordings if own else evidence.recordings[:1]:
-        of_part = np.array([name in part.parameters for name in estimate.names])
+        of_part = np.array([name in part.parameters.names for name in estimate.names])
         for matrix, first, of in requirements(idm, shaped=False):
             G = matrix @ by_base  # of base parameters, which do not separate rotors regrouped with links
             if not np.allclose(G @ base.K, matrix, atol=1e-9) or not (G := G[..., indices] * of_part).any():
@@ -115,10 +117,10 @@ def _driving_findings(
     idm, robot = evidence.problem.model, evidence.problem.model.robot
     worst: dict[int, tuple[float, float, float, float]] = {}  # by joint: in half-widths, speed, power, half-width
     for part in evidence.recordings:
-        of_part = np.array([name in part.parameters for name in estimate.names])
+        of_part = np.array([name in part.parameters.names for name in estimate.names])
         if part.states is None:
             continue
-        dq, load = friction_states(part.problem, estimate.values_of(part.parameters), part.states)
+        dq, load = friction_states(part.problem, estimate.values_of(part.parameters.names), part.states)
         G = friction_power(idm, columns, dq, load) * of_part
         for g, v in zip(G, dq, strict=True):
             j, power, half = int(np.abs(v).argmax()), float(g @ estimate.beta), float(_half(g, found))
@@ -200,10 +202,10 @@ def consistent_test(evidence: FitData) -> TrustLine:
     if not problem.signals.robot.gain_known:
         text = "links cannot be compared: the drive gains are not known: state drive_gain"
         return TrustLine("consistent", "not made", text)
-    all_names, names = evidence.observed.system.names, evidence.recordings[0].parameters
+    all_names, names = evidence.observed.system.names, evidence.recordings[0].parameters.names
     covariance = covariance_of_all(all_names, estimate, evidence.intervals, evidence.least_squares)
     first = np.array([all_names.index(name) for name in names])  # of own parameters those of one recording
-    moved = [(part.problem, part.states) for part in evidence.recordings if part.parameters == names]
+    moved = [(part.problem, part.states) for part in evidence.recordings if part.parameters.names == names]
     beta = estimate.values_of(names)
     try:
         power = recorded_power(moved, beta)

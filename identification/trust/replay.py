@@ -16,7 +16,8 @@ from ..errors import IdentificationError
 from ..model import direct_model
 from ..regression import KnownLag, Problem, differentiate, sampled_at
 from ..simulation import Control, ControlLaw, Reference, recorded_loop
-from .fit_data import LEVELS, Figure, FitData, TrustLine
+from .fit_data import FitData
+from .lines import LEVELS, Figure, TrustLine
 
 DRIVE_DELAY_S = 0.0005  # deviation of the delay from command to torque
 MAX_GAIN_ERROR, MAX_ERROR_PERCENT = 0.02, 5.0  # beyond: caution

@@ -15,9 +15,11 @@ from ..model import JointTerm
 from ..regression import base_name, standing_joints
 from ..report import Assumed
 from .columns import added_columns_test
-from .fit_data import LEVELS, FitData, RecordingData, Trust, TrustLine
+from .fit_data import FitData, RecordingData, Span
+from .gains import gains_test, payload_assumptions
 from .held_out import held_out_test
 from .lag import lag_test
+from .lines import LEVELS, Trust, TrustLine
 from .physical import consistent_test, physical_test
 from .replay import replay_test
 
@@ -47,7 +49,12 @@ def fixed_point_test(evidence: FitData) -> TrustLine:
         text = f"{why or 'no fixed point'}: check signs, gains, bandwidth_hz; record faster motion"
         return TrustLine(name, "do not use", text)
     if why is not None:
-        return TrustLine(name, "caution", f"{why}: check [controller]; compare with least squares")
+        advice = (
+            "record the reference, check [controller]"
+            if evidence.gains
+            else "check [controller]; compare with least squares"
+        )
+        return TrustLine(name, "caution", f"{why}: {advice}")
     if evidence.method != "iv":
         return TrustLine(name, "ok", "least squares has one solution")
     return TrustLine(name, "ok", "converged, and the simulated robot confirms it")
@@ -79,6 +86,7 @@ def units_test(evidence: FitData) -> TrustLine:
     if not shared:
         return TrustLine(name, "ok", "drive gains are not known, but no joints share a parameter")
     text = f"{', '.join(shared[:5])} act at several joints, and the drive gains are not known: state drive_gain"
+    text += ", or record with and without a weighed payload and fit with --gains"
     return TrustLine(name, "do not use", text, finding="drive gains not known")
 
 
@@ -88,7 +96,7 @@ def essential_test(evidence: FitData) -> TrustLine:
     rows = [base.names.index(base_name(one)) for one in evidence.essential]
     sources = [idm.sources[c] for c in np.flatnonzero(base.K[rows].any(axis=0))]
     if any(not isinstance(x, JointTerm) or x.kind == "rotor" for x in sources):
-        return TrustLine(name, "ok", f"{len(evidence.essential)} of {len(evidence.estimate.names)}")
+        return TrustLine(name, "ok", f"{len(evidence.essential)} of {len(evidence.base)}")
     text = "no inertia has an interval narrower than its value: record faster, longer motion"
     return TrustLine(name, "caution", text, finding="no inertia is determined")
 
@@ -123,7 +131,8 @@ def halves_test(evidence: FitData) -> TrustLine:
     """
     name, T, cuts = "halves", len(evidence.observed.tau), np.cumsum(evidence.observed.parts)[:-1]
     cut = int(cuts[np.abs(cuts - T / 2).argmin()]) if len(cuts) else round(T / 2)  # recordings are not cut
-    first, second = (_solve_part(evidence, part) for part in (slice(0, cut), slice(cut, T)))
+    parts = evidence.spans(2) if evidence.gains else [slice(0, cut), slice(cut, T)]
+    first, second = (_solve_part(evidence, part) for part in parts)
     if first is None or second is None:
         text = "not made: a half alone does not determine the parameters; record longer"
         return TrustLine(name, "not made", text)
@@ -144,7 +153,7 @@ def halves_test(evidence: FitData) -> TrustLine:
     return TrustLine(name, "ok", finding, wald)
 
 
-def _solve_part(evidence: FitData, part: slice) -> tuple[Array, Array, int] | None:
+def _solve_part(evidence: FitData, part: Span) -> tuple[Array, Array, int] | None:
     """Parameters (b,) of a span of time, covariance D R D (b, b), degrees of freedom; None where they are undetermined."""
     sums = evidence.sums(part)
     values, vectors = np.linalg.eigh(sums.QQ)
@@ -260,7 +269,8 @@ def list_assumptions(evidence: FitData, lines: Mapping[str, TrustLine]) -> Itera
     """Assumptions that no test of `lines` covers."""
     signals, settings = evidence.problem.signals, evidence.problem.settings
     robot, motors, several = signals.robot, signals.robot.motors, len(signals.robot.joints) > 1
-    if robot.gain_known:
+    yield from payload_assumptions(evidence)
+    if robot.gain_known and not evidence.gains:
         gains = [f"{m.drive_gain:g} {m.drive_gain_unit}" for m in motors if m.drive_gain is not None]
         value = ", ".join(gains) or f"torques recorded in {' and '.join(sorted({m.recorded_unit for m in motors}))}"
         why = "a wrong gain scales all parameters, and fits equally well"
@@ -286,7 +296,7 @@ def list_assumptions(evidence: FitData, lines: Mapping[str, TrustLine]) -> Itera
 
 # A test is a function of the fit's data, None where it does not apply. A new one is a line here.
 TESTS: tuple[Callable[[FitData], TrustLine | None], ...] = (
-    *(fixed_point_test, physical_test, units_test, replay_test, added_columns_test, lag_test),
+    *(gains_test, fixed_point_test, physical_test, units_test, replay_test, added_columns_test, lag_test),
     *(held_out_test, halves_test, consistent_test, ends_test, essential_test, instruments_test),
     *(prewhitened_test, position_noise_test, motion_test, rows_test),
 )

@@ -62,7 +62,9 @@ def _decimate(signals: Signals, settings: Settings | None, fit: Fit | None) -> d
             m = Motion(**{name: x[::stride] for name, x in vars(m).items()})
         series = {"q": m.q, "dq": m.dq, "ddq": m.ddq}
         if fit is not None:
-            series["tau"] = predicted_torque(m, fit.problem.model, fit.base, fit.beta)
+            series["tau"] = predicted_torque(
+                m, fit.problem.model, fit.base, fit.recordings[0].parameters.values(fit.estimate)
+            )
         elif settings is None:
             series["tau"] = m.tau
         for quantity, x in series.items():

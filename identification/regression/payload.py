@@ -1,0 +1,136 @@
+"""The payload of a recording as an addition to the base parameters of its robot.
+
+A payload fixed to the last link adds its ten standard parameters phi to those of the link, so it adds K_n phi to the base
+parameters beta = K chi: its columns are L = W K_n. What is weighed and measured of phi is known, the rest is estimated.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.robot import Payload
+
+from ..arrays import Array
+from ..errors import IdentificationError
+from ..estimation import Estimate, PhysicalParameters, consistent_parameters, parameter_certainty, pseudo_inertia
+from ..model import LINK, InverseModel, link_columns, payload_parameters
+from .problem import Problem
+
+MASS = LINK.index("M")
+MOMENTS = tuple(LINK.index(name) for name in ("MX", "MY", "MZ"))
+ORDER = (MASS, *MOMENTS, *(i for i in range(len(LINK)) if i not in (MASS, *MOMENTS)))
+TOLERANCE = 1e-9  # of the largest column: less of one is a combination of those before it
+KNOWN_SHARE = 1e-4  # deviation of what is known, in the step to the nearest body
+PRIOR_SHARE = 0.5  # of the variance by the prior alone: with more a value comes from the prior
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PayloadColumns:
+    """A payload in the base parameters of its robot: K_n phi = known + columns phi_f.
+
+    Attributes:
+        payload: as stated; `model`: of the robot.
+        names: (f,) of the parameters phi_f that are estimated, such as MX:loaded; with R if others are regrouped into it.
+        grouping: (f, 10) phi_f = grouping phi.
+        known: (b,) base parameters of what is known, `fixed` (10,).
+        columns: (b, f) base parameters per unit of phi_f; `whole`: (b, 10) K_n.
+    """
+
+    payload: Payload
+    model: InverseModel
+    names: tuple[str, ...]
+    grouping: Array
+    fixed: Array
+    known: Array
+    columns: Array
+    whole: Array
+
+    def values(self, estimate: Estimate) -> Array:
+        """(b,) base parameters of the payload by an estimate."""
+        return self.known + self.columns @ estimate.values_of(self.names)
+
+    def nearest_body(self, phi: Array, covariance: Array | None) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """The body of positive density nearest to phi_f (f,) of this covariance (f, f), by the prior of a ball.
+
+        Returns XX XY XZ YY YZ ZZ MX MY MZ M (10,), their deviations, and which come from the prior.
+        """
+        given, stated = dict(zip(self.names, phi, strict=True)), np.flatnonzero(self.fixed)
+        by_place = [
+            next((x for n, x in given.items() if n.partition(":")[0] == LINK[i]), self.fixed[i]) for i in range(10)
+        ]
+        mass = self.payload.mass_kg or (by_place[MASS] if by_place[MASS] > 0 else 1.0)
+        x, y, z = (float(by_place[i] / mass) for i in MOMENTS)
+        try:
+            ball = payload_parameters(self.model, Payload(mass, (x, y, z)))
+            K = np.concatenate([self.grouping, np.eye(len(LINK))[stated]])
+            sd = np.maximum(KNOWN_SHARE * np.abs(self.fixed[stated]), 1e-9)
+            C = np.diag(np.r_[np.full(len(phi), 1e-12), sd**2])
+            if covariance is None or not len(phi):
+                return np.where(self.fixed != 0, self.fixed, ball), np.zeros(len(LINK)), np.ones(len(LINK), dtype=bool)
+            C[: len(phi), : len(phi)] = covariance
+            body = PhysicalParameters(
+                links=np.arange(len(LINK))[None],
+                prior=pseudo_inertia(ball[None]),
+                combinations=np.zeros((0, len(LINK))),
+                start=ball,
+            )
+            found = consistent_parameters(np.r_[phi, self.fixed[stated]], C, K, body)
+            (sigma, share), _ = parameter_certainty(found, C, K, body)
+        except (IdentificationError, np.linalg.LinAlgError):  # no body is near: what is known
+            return self.fixed, np.zeros(len(LINK)), np.ones(len(LINK), dtype=bool)
+        return found.chi, sigma, share > PRIOR_SHARE
+
+
+def payload_columns(problems: Sequence[Problem], labels: Sequence[str]) -> list[PayloadColumns | None]:
+    """The payload of each recording, None for none; equal payloads have the same parameters.
+
+    If no recording is without payload, the unknown part of the lightest is left out: the base parameters are those of the
+    robot that carries it.
+    """
+    payloads, found = [problem.signals.payload for problem in problems], dict[Payload, PayloadColumns]()
+    stated = [payload for payload in payloads if payload is not None]
+    lightest = None
+    if len(stated) == len(payloads):
+        lightest = min(stated, key=lambda payload: np.inf if payload.mass_kg is None else payload.mass_kg)
+    for problem, payload, label in zip(problems, payloads, labels, strict=True):
+        if payload is not None and payload not in found:
+            found[payload] = _columns(problem, payload, label, estimated=payload != lightest)
+    return [None if payload is None else found[payload] for payload in payloads]
+
+
+def _columns(problem: Problem, payload: Payload, label: str, *, estimated: bool) -> PayloadColumns:
+    model, base, fixed = problem.model, problem.base, np.zeros(len(LINK))
+    P, known = base.K[:, link_columns(model)[-1]], list[int]()
+    if payload.mass_kg is not None:
+        known = [MASS, *(MOMENTS if payload.center_of_mass_m is not None else ())]
+        fixed[known] = payload_parameters(model, payload)[known]
+    places, basis = list[int](), np.zeros((base.b, 0))
+    for place in ORDER if estimated else ():
+        rest = P[:, place] - basis @ (basis.T @ P[:, place])
+        if place not in known and np.linalg.norm(rest) > TOLERANCE * np.abs(P).max():
+            places.append(place)
+            basis = np.linalg.qr(P[:, places])[0]
+    grouping: Array = np.asarray(np.linalg.lstsq(P[:, places], P)[0]) if places else np.zeros((0, len(LINK)))
+    grouping[np.abs(grouping) < TOLERANCE] = 0.0
+    grouping[:, known] = 0.0
+    regrouped = np.count_nonzero(grouping, axis=1) > 1
+    return PayloadColumns(
+        payload=payload,
+        model=model,
+        names=tuple(f"{LINK[place]}{'R' * int(r)}:{label}" for place, r in zip(places, regrouped, strict=True)),
+        grouping=grouping,
+        fixed=fixed,
+        known=P @ fixed,
+        columns=P[:, places],
+        whole=P,
+    )
+
+
+def payload_of(problem: Problem) -> Array:
+    """(b,) base parameters of the payload of a recording as stated, a ball; zero without one."""
+    payload = problem.signals.payload
+    if payload is None:
+        return np.zeros(problem.base.b)
+    return np.asarray(problem.base.K[:, link_columns(problem.model)[-1]] @ payload_parameters(problem.model, payload))

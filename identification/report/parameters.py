@@ -1,0 +1,108 @@
+"""The parameters in the JSON file of a fit: base and standard parameters, drive gains, payloads."""
+
+from typing import Annotated
+
+import msgspec
+from msgspec import UNSET, UnsetType
+
+AboveZero = Annotated[float, msgspec.Meta(gt=0)]
+PER_INTERVAL = 1.96  # deviations in half a 95 % interval
+
+
+class Parameter(msgspec.Struct, frozen=True, kw_only=True):
+    """A parameter with its 95 % interval and its deviation `sigma` by the formula, 0 for an exact value.
+
+    `low`, `high` and `expression`, its sum of standard parameters, are None in a file of an earlier version.
+    """
+
+    name: str
+    value: float
+    low: float | None = None
+    high: float | None = None
+    unit: str
+    expression: str | None = None
+    sigma: float = 0.0
+    sigma_hac: float | UnsetType | None = UNSET  # of a file of an earlier version
+    sigma_percent: float | UnsetType | None = UNSET
+    essential: bool = False
+
+    @property
+    def half(self) -> float:
+        """Half the 95 % interval; without one, 1.96 of the larger deviation."""
+        if self.low is None or self.high is None:
+            return PER_INTERVAL * max(self.sigma, self.sigma_hac or 0.0)
+        return 0.5 * (self.high - self.low)
+
+    @property
+    def spread(self) -> float:
+        """The deviation by the interval: its half-width / 1.96."""
+        return self.half / PER_INTERVAL
+
+
+class PhysicalWarning(msgspec.Struct, frozen=True):
+    """A physically impossible value of a fit, in files of every version; `severe` beyond chance."""
+
+    text: str
+    severe: bool
+
+
+class Covariance(msgspec.Struct, frozen=True, kw_only=True):
+    """Covariance (b, b) of the parameters `names`: deviations of the intervals, correlations of the formula."""
+
+    names: list[str]
+    values: list[list[float]]
+
+
+class LeftOut(msgspec.Struct, frozen=True, kw_only=True):
+    """A base parameter that `--essential` leaves out, with its deviation by least squares of all parameters."""
+
+    name: str
+    sigma: float
+
+
+class StandardParameter(msgspec.Struct, frozen=True):
+    """A parameter of the consistent set; `from_prior`: mostly from the prior; `move`: in half-widths of the fit."""
+
+    name: str
+    value: float
+    unit: str
+    from_prior: bool
+    half_width: float | UnsetType = UNSET
+    move: float | UnsetType = UNSET
+
+
+class ConsistentFile(msgspec.Struct, frozen=True, kw_only=True):
+    """The consistent set: the prior, the distance from the estimate (chi², largest move in half-widths), the torque error, and
+    the Newton decrement. Files of earlier versions may have another weight of the prior.
+    """
+
+    prior: str
+    prior_weight: AboveZero = 1.0
+    chi2: float
+    largest_move: float
+    moved_most: str
+    certificate: float
+    relative_error_percent: float | None
+    base_parameters: list[StandardParameter] | UnsetType = UNSET
+
+
+class DriveGain(msgspec.Struct, frozen=True, kw_only=True):
+    """An identified gain of a drive, such as N m/A, with the half-width of its 95 % interval.
+
+    `described`: that of the description, null without one; `determined`: known to better than 10 %.
+    """
+
+    motor: str
+    unit: str
+    described: float | None
+    value: float
+    half_width: float
+    determined: bool
+
+
+class PayloadOfFit(msgspec.Struct, frozen=True, kw_only=True):
+    """A payload as `stated`, and the body nearest to its estimate; `recording`: the first one with it."""
+
+    recording: str
+    stated: str
+    parameters: list[StandardParameter]

@@ -1,0 +1,74 @@
+"""Drive gains and payloads: what identified gains look like when something is wrong, and what they assume."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from ..report import Assumed, Level
+from .fit_data import FitData
+from .lines import Figure, TrustLine
+
+MAX_HALF_PERCENT = 10.0  # of a gain; with more it is not determined
+MAX_USABLE_PERCENT = 50.0  # the same of the best gain; with more no gain is usable
+MAX_SPREAD_PERCENT, MIN_FACTOR_PERCENT = 5.0, 10.0  # of gains that differ from the described ones by one factor
+MAX_OFF_ONE_PERCENT = 2.0  # of gains that are 1 N m/A, by themselves or with their ratio
+
+
+def gains_test(evidence: FitData) -> TrustLine | None:
+    """Whether identified gains are positive, determined, and not all off by one factor."""
+    if not evidence.gains:
+        return None
+    name, robot, names = "gains", evidence.problem.signals.robot, evidence.estimate.names
+    motors = [m for m, motor in enumerate(robot.motors) if f"K:{motor.name}" in evidence.gains]
+    half = 100 * evidence.intervals.half[[names.index(f"K:{robot.motors[m].name}") for m in motors]]
+    K, labels = robot.gain[motors], [robot.motors[m].name for m in motors]
+    figures = tuple(
+        Figure(name=n, value=k, half_width=abs(k) * h / 100) for n, k, h in zip(labels, K, half, strict=True)
+    )
+    unsure = [f"{n} ±{h:.2g} %" for n, h in zip(labels, half, strict=True) if h >= MAX_HALF_PERCENT]
+    worst = float(half.max())
+
+    def line(level: Level, text: str, finding: str = "") -> TrustLine:
+        return TrustLine(name, level, text, worst, finding=finding, figures=figures, unit="N m per unit of effort")
+
+    if (K < 0).all() and half.min() <= MAX_USABLE_PERCENT:
+        text = "all drive gains are negative: the recordings are exchanged, the payload belongs to another"
+        return line("do not use", text, "recordings exchanged")
+    if (K <= 0).any() or half.min() > MAX_USABLE_PERCENT:
+        text = (
+            f"no drive gain is usable ({', '.join(unsure) or 'one is negative'}): check which recording has the payload"
+        )
+        return line("do not use", text, "drive gains not determined")
+    described = np.array([np.nan if (g := robot.motors[m].gain) is None else g for m in motors])
+    factor = K / described
+    if len(unsure) == len(motors):
+        text = f"no drive gain is known to {MAX_HALF_PERCENT:g} % ({', '.join(unsure)}): use a heavier payload"
+        return line("caution", text, "drive gains not determined")
+    same = np.ptp(factor) <= 0.01 * MAX_SPREAD_PERCENT * factor.mean() if np.isfinite(factor).all() else False
+    if len(motors) > 1 and same and abs(factor.mean() - 1) > 0.01 * MIN_FACTOR_PERCENT:
+        text = f"all drive gains are {factor.mean():.3g} times those described: check the payload's mass, or peak against rms"
+        return line("caution", text, "drive gains off by one factor")
+    text = f"known to {half.min():.2g} to {worst:.2g} %"
+    text += f"; not determined: {', '.join(unsure)}" if unsure else ""
+    ratios = np.abs(np.diag(robot.R))[motors]
+    if any((np.abs(np.abs(K * by) - 1) < 0.01 * MAX_OFF_ONE_PERCENT).all() for by in (np.ones(len(K)), ratios)):
+        text += "; all are 1 N m per unit: the recorded effort is a torque already"
+    return line("ok", text)
+
+
+def payload_assumptions(evidence: FitData) -> Iterator[Assumed]:
+    """Mass and frame of the payloads, which no test covers."""
+    found = dict.fromkeys(one.parameters.payload for one in evidence.recordings)
+    joint = evidence.problem.signals.robot.joints[-1].name
+    for one in found:
+        if one is None:
+            continue
+        whys = list[str]()
+        if one.payload.mass_kg is not None:
+            whys.append(
+                "drive gains and all parameters scale with its mass" if evidence.gains else "it is taken off the arm"
+            )
+        if None not in found:
+            whys.append("no recording is without payload: the parameters include what is not stated of the lightest")
+        if whys:
+            yield Assumed("payload", one.payload.describe(joint), "; ".join(whys))

@@ -1,0 +1,70 @@
+"""Result lines of the trust tests, and the verdict."""
+
+from dataclasses import dataclass
+
+from ..report import Assumed, Level, Verdict
+
+LEVELS: tuple[Level, ...] = ("do not use", "caution", "cannot tell", "not made", "ok")  # worst first
+
+
+@dataclass(frozen=True, kw_only=True)
+class Figure:
+    """The result of a test at one joint, motor or block of time: value, half-width of the 95 % interval, expected value."""
+
+    name: str
+    value: float
+    half_width: float = 0.0
+    expected: float = 0.0
+
+
+@dataclass(frozen=True)
+class TrustLine:
+    """One test of a fit.
+
+    Attributes:
+        test: its name, such as `lag`.
+        level: `not made` where the test could not be made, `cannot tell` where it is inconclusive.
+        text: one sentence with the figure, and what to do.
+        value: its figure, None where there is none.
+        finding: the same in a few words, for the first line of a report.
+        figures: figures by joint, motor or block, for a plot, in `unit`.
+        fails_held_out: whether held-out errors are so large that, with M not positive, the fit is not to be used.
+    """
+
+    test: str
+    level: Level
+    text: str
+    value: float | None = None
+    finding: str = ""
+    figures: tuple[Figure, ...] = ()
+    unit: str = ""
+    fails_held_out: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trust:
+    """All tests of a fit, worst first, and the assumptions that no test covers. A test that was not made does not count."""
+
+    lines: tuple[TrustLine, ...]
+    assumed: tuple[Assumed, ...] = ()
+
+    def line(self, test: str) -> TrustLine:
+        """The line of a test."""
+        return next(line for line in self.lines if line.test == test)
+
+    @property
+    def severe(self) -> tuple[str, ...]:
+        """Texts of the tests that forbid using the result."""
+        return tuple(line.text for line in self.lines if line.level == "do not use")
+
+    @property
+    def verdict(self) -> Verdict:
+        """The worst level."""
+        levels = {line.level for line in self.lines}
+        return "do not use" if "do not use" in levels else "caution" if "caution" in levels else "trust"
+
+    @property
+    def finding(self) -> str:
+        """The worst finding in a few words; empty where there is none."""
+        worst = self.lines[0]
+        return (worst.finding or worst.test) if worst.level in ("do not use", "caution") else ""
