@@ -9,19 +9,23 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from conftest import REPLAY, robot_named
+from gain_cases import CASES, CENTRE, pair_of
 from test_friction_terms import ALL, USUAL, described, upright
 from test_limits import URDF_ARM, URDF_TOML
 from test_viewer import Written
 
 from acquisition.errors import AcquisitionError
-from acquisition.robot import check_limits, fourier_reference, load_robot, robot_from_files, table_reference
+from acquisition.robot import Payload, check_limits, fourier_reference, load_robot, robot_from_files, table_reference
 from identification.commands import main
+from identification.data import Recordings
 from identification.design import ExcitationSettings, excitation_document, excite, prior_information, search
 from identification.design.information import Information, earlier_information, torque_noise
 from identification.design.limits import Series, limits_of, motion_of
 from identification.errors import IdentificationError
+from identification.methods import identify
 from identification.model import (
     InverseModel,
+    add_payload,
     base_parameters,
     described_parameters,
     direct_model,
@@ -140,7 +144,7 @@ def test_a_gradient_of_the_regressor_needs_no_physical_parameters():
 @pytest.mark.parametrize("robot", [TX40, ASYMMETRIC], ids=["tx40", "asymmetric"])
 def test_the_jacobian_of_the_limits_is_that_of_differences(robot):
     *_, direct = modelled(robot)
-    limits, basis, x = limits_of(robot, direct, 0.8, "here"), SERIES.basis(40), random_x(robot)
+    limits, basis, x = limits_of(robot, (direct,), 0.8, "here"), SERIES.basis(40), random_x(robot)
     every = np.tile(np.arange(40)[:, None], (1, 24))
     J = limits.jacobian(limits.shares_and_slopes(motion_of(x, basis))[1], basis, every)
     assert J.shape == (40 * (18 + 6), x.size)
@@ -166,7 +170,7 @@ def test_torque_without_coulomb_friction_is_that_of_the_direct_model():
 def test_efforts_count_friction_at_its_full_size():
     robot = with_text("tx40", "following_error_deg = 15", "following_error_deg = 15\neffort_nm = 60", 1)
     *_, direct = modelled(robot)
-    limits = limits_of(robot, direct, 0.5, "here")
+    limits = limits_of(robot, (direct,), 0.5, "here")
     assert limits.coulomb[0] == pytest.approx(6.9822)
     assert limits.allowed[0] == pytest.approx(30 - 6.9822)
     # Motor 5 gives (tau5 - tau6) / 45: the friction of joint 5, of joint 6 and, at both, of motor 6.
@@ -241,7 +245,7 @@ def test_the_same_seed_gives_the_same_reference():
 
 def test_what_leaves_the_limits_is_drawn_to_what_keeps_them_even_if_its_rest_does_not():
     """The position at the ends is a hair beyond its limit: drawn to rest there nothing would be left of the motion."""
-    limits = limits_of(SCARA, None, 0.8, "here")
+    limits = limits_of(SCARA, (), 0.8, "here")
     start = random_x(SCARA, share=0.4)
     x = 2.5 * start
     x[0, 0] = limits.middle[0] + limits.maximum[0, 0] * (1 + 1e-9)
@@ -263,7 +267,7 @@ def test_a_search_that_makes_no_parameter_worse_goes_before_one_of_less_criterio
     monkeypatch.setattr(search, "_random_start", lambda problem, seed: starts[seed - 4])
     monkeypatch.setattr(search, "best_series", lambda problem, start, say: start)
     information = SimpleNamespace(sigma=lambda motion: next(sigmas))
-    limits = limits_of(SCARA, None, 0.8, "here")
+    limits = limits_of(SCARA, (), 0.8, "here")
     problem = search.SearchProblem(series=SERIES, information=information, limits=limits, plain=np.ones(2))
     x, sigma = search.best_of_searches(problem, 1, "here", lambda text: None)
     assert x is starts[2]
@@ -444,7 +448,7 @@ def test_the_largest_share_counts_distances_within_a_margin():
     """Link b folded back towards the base, 0.1 m of capsule and 0.95 m of base: to touch at 1.05 m."""
     robot = capsules("", 0.95)
     obstacles = obstacles_of(InverseModel(robot), lambda name: None, np.zeros((1, 2)), 0.02)
-    limits = limits_of(robot, None, 0.8, "here", obstacles)
+    limits = limits_of(robot, (), 0.8, "here", obstacles)
     still = np.zeros((1, 2))
     for bend in np.deg2rad([80, 110, 112, 114, 116, 118]):
         s = np.linspace(0.2, 1.0, 8001)
@@ -461,7 +465,7 @@ def test_the_largest_share_counts_distances_within_a_margin():
 def test_a_search_starts_where_the_links_are_far_apart():
     robot = capsules("", 0.95)
     obstacles = obstacles_of(InverseModel(robot), lambda name: None, np.zeros((1, 2)), 0.02)
-    limits = limits_of(robot, None, 0.8, "here", obstacles)
+    limits = limits_of(robot, (), 0.8, "here", obstacles)
 
     def most(pose):
         used = np.abs(limits.shares((pose[None], np.zeros((1, 2)), np.zeros((1, 2))))).max()
@@ -559,6 +563,85 @@ def test_the_report_has_the_intervals_and_the_limits_in_use(tx40_excitation):
     assert limits.table.rows[0][4].exact == pytest.approx(80.0, abs=0.5)
 
 
+PAYLOAD = Payload(2.0, (0.03, 0.02, 0.08))
+
+
+def loaded(robot, payload=PAYLOAD):
+    """The direct model with the payload."""
+    model, base, _ = modelled(robot)
+    chi = base.standard_parameters(described_parameters(model, base))
+    return direct_model(model, add_payload(model, chi, payload))
+
+
+@pytest.mark.parametrize("robot", [SCARA, TX40], ids=["scara", "tx40"])
+def test_limits_with_a_payload_are_those_of_both_robots(robot):
+    *_, direct = modelled(robot)
+    both, basis, x = limits_of(robot, (direct, loaded(robot)), 0.8, "here"), SERIES.basis(20), random_x(robot)
+    free, heavy = (limits_of(robot, (m,), 0.8, "here") for m in (direct, loaded(robot)))
+    n, motion = 3 * robot.n, motion_of(x, basis)
+    for name in ("shares", "share_of_whole"):
+        found, alone, other = (getattr(limits, name)(motion) for limits in (both, free, heavy))
+        assert found == pytest.approx(np.concatenate([alone, other[..., n:]], axis=-1))
+        assert np.abs(other - alone).max() > 1e-3
+    slopes = [limits.shares_and_slopes(motion)[1] for limits in (both, free, heavy)]
+    assert slopes[0] == pytest.approx(np.concatenate(slopes[1:], axis=2))
+    assert len(both.names) == both.shares(motion).shape[1]
+
+
+def test_a_reference_for_a_payload_keeps_the_efforts_with_and_without_it(monkeypatch):
+    monkeypatch.setattr(search, "STARTS", 1)
+    robot = with_text("scara", "following_error_deg = 15\n", "following_error_deg = 15\neffort_nm = 40\n", 1)
+    found = excite(
+        robot, ExcitationSettings(period_s=4.0, harmonics=4), prior_information(robot, payload=PAYLOAD), "here"
+    )
+    motion = found.reference.at(np.linspace(0, 4, 2001))
+    *_, direct = modelled(robot)
+    without, carrying = (np.abs(model.torque(*motion))[:, 0].max() for model in (direct, loaded(robot)))
+    assert without < carrying
+    assert 0.9 * 32 < carrying <= 0.8 * 40
+    expected, limits = excitation_document(found).sections
+    assert expected.lines[-1].startswith("drive gains by a run without and a run with 2 kg at 0.03, 0.02, 0.08 m")
+    assert [row[0] for row in limits.table.rows][-2:] == ["shoulder with the payload", "elbow with the payload"]
+
+
+@pytest.mark.slow
+def test_the_half_widths_of_gains_are_those_of_a_fit():
+    case = next(c for c in CASES if c.robot == "scara")
+    pair = pair_of(case, 1)
+    fit = identify(Recordings(sources=(pair.free, pair.loaded)), Overrides(gains=("all",)))
+    model, base = fit.problem.model, fit.base
+    arm = direct_model(model, base.standard_parameters(fit.beta))
+    carried = direct_model(model, add_payload(model, base.standard_parameters(fit.beta), Payload(2.0, CENTRE["scara"])))
+    q = pair.free.q_ref
+    motion = q, np.gradient(q, 1e-3, axis=0), np.gradient(np.gradient(q, 1e-3, axis=0), 1e-3, axis=0)
+    information = Information(
+        model=model,
+        base=base,
+        noise=np.std(fit.tau - fit.tau_predicted, axis=0),
+        rows=len(fit.tau) / 2,
+        earlier=np.zeros((base.b, base.b)),
+        creep=np.zeros(2),
+    )
+    found = 1.96 * information.gain_deviations(
+        motion, (arm, carried), Payload(2.0)
+    )  # as the fit, without centre of mass
+    ratio = fit.gains.half / fit.gains.values / found  # the fit leaves out slow rows, and counts correlation
+    assert ((ratio > 1.0) & (ratio < 1.3)).all()
+    known = information.gain_deviations(motion, (arm, carried), Payload(2.0, CENTRE["scara"]))
+    assert (known < found / 1.96).all()
+
+
+def test_a_payload_without_torques_is_refused(tmp_path, capsys):
+    text = (REPLAY / "scara" / "robot.toml").read_text().split("# Orders of magnitude")[0]
+    (tmp_path / "robot.toml").write_text(text)
+    command = ["excite", str(tmp_path / "robot.toml"), "-o", str(tmp_path / "ref.csv"), "--payload"]
+    assert main([*command, "2@0,0,0.1"]) == 1
+    assert "--payload = '2.0@0.0,0.0,0.1'" in (err := capsys.readouterr().err)
+    assert "without parameters and drive gains" in err
+    assert main([*command, "two"]) == 1
+    assert "KG@X,Y,Z" in capsys.readouterr().err
+
+
 # Load friction: limits of efforts count it, the criterion leaves it out
 
 
@@ -578,7 +661,7 @@ LOADED = {"scara": loaded_scara(), "tx40": loaded_tx40()}
 @pytest.mark.parametrize("robot", LOADED.values(), ids=LOADED)
 def test_efforts_count_load_friction_against_the_motion(robot):
     model, base, direct = modelled(robot)
-    limits, basis, x = limits_of(robot, direct, 0.8, "here"), SERIES.basis(40), random_x(robot, share=0.3)
+    limits, basis, x = limits_of(robot, (direct,), 0.8, "here"), SERIES.basis(40), random_x(robot, share=0.3)
     motion = motion_of(x, basis)
     n = robot.n
     of_links = torque_of_links(direct, motion)

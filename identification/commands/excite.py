@@ -14,6 +14,8 @@ def add(parser: argparse.ArgumentParser) -> None:
     add_path(inputs, "--fit", "FIT.json", "take parameters and noise from this fit (default: [parameters])")
     text = "earlier recordings of the robot, whose information is added to that of the trajectory"
     add_path(inputs, "--after", "LOG.mcap", text, nargs="+", default=[])
+    text = "payload in kg, and its centre of mass in m: of a second run of the reference, to identify drive gains"
+    inputs.add_argument("--payload", metavar="KG[@X,Y,Z]", help=text)
     text = (
         "standard deviation of the torque noise per row of the fit, one value or one per joint (default: of FIT.json, "
         "else 2 %% of the rms torque)"
@@ -32,13 +34,15 @@ def run(options: argparse.Namespace) -> None:
         import numpy as np
 
         from acquisition.files import write_columns
+        from acquisition.robot import parse_payload
 
         from ..design import ExcitationSettings, excitation_document, excite, prior_information
 
         robot = robot_of(options, moves=True)
+        payload = parse_payload(options.payload, robot) if options.payload else None
         settings = from_options(ExcitationSettings, options)
         prior = prior_information(
-            robot, options.robot.parent, fit=options.fit, noise=options.noise, after=options.after
+            robot, options.robot.parent, fit=options.fit, noise=options.noise, after=options.after, payload=payload
         )
         found = excite(robot, settings, prior, str(options.robot), progress.say)
     document = excitation_document(found)

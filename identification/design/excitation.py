@@ -8,15 +8,21 @@ from functools import partial
 import numpy as np
 
 from acquisition.files import find_mesh
-from acquisition.robot import HARMONICS, FourierReference, Robot, refuse_out_of_range, resolve
+from acquisition.robot import HARMONICS, FourierReference, Payload, Robot, refuse_out_of_range, resolve
 
 from ..arrays import Array
 from ..errors import IdentificationError
 from ..estimation import one_thread
-from ..model import BaseParameters, InverseModel, base_parameters, direct_model, load_parameters, obstacles_of
+from ..model import (
+    BaseParameters,
+    InverseModel,
+    base_parameters,
+    load_parameters,
+    obstacles_of,
+)
 from ..options import ReferenceOptions
 from ..report import Document, Number, Row, Section, Table, columns
-from .information import Information, PriorInformation, earlier_information, rows_per_s, torque_noise
+from .information import Information, PriorInformation, earlier_information, loads_of, rows_per_s, torque_noise
 from .limits import FAR_M, KINDS, MARGIN_M, Limits, Series, limits_of, motion_of
 from .search import CHECKS_PER_SAMPLE, SAMPLES_PER_PERIOD, SearchProblem, best_of_searches, random_within
 
@@ -49,6 +55,7 @@ class Excitation:
         limits, used: the limits, and (L,) the largest share used of each; 1 is the whole limit.
         nearest: the closest pair of links, or link and ground, and its distance in m, at most `FAR_M`; None without shapes.
         beta, beta_from: parameters for the torque, and their origin; None where torque was not checked.
+        payload: carried in a second recording; `gains` (n,): half-widths of the drive gains from both, in percent.
         warnings: lines.
     """
 
@@ -65,6 +72,8 @@ class Excitation:
     nearest: tuple[str, float] | None
     beta: Array | None
     beta_from: str
+    payload: Payload | None
+    gains: Array
     warnings: tuple[str, ...]
 
     @property
@@ -107,7 +116,7 @@ def excite(
     _refuse_fast(robot, settings, place)
     model = InverseModel(robot)
     every = base_parameters(model)
-    direct = None if knowledge.beta is None else direct_model(model, every.standard_parameters(knowledge.beta))
+    loads = loads_of(model, every, knowledge, place)
     # The columns of load friction depend on the parameters: limits count its torque, the criterion leaves it out.
     mus = load_parameters(every)
     base = every.without(mus)
@@ -115,14 +124,14 @@ def excite(
     ranges = np.array([joint.si("position") or (0.0, 0.0) for joint in robot.joints])
     poses = np.random.default_rng(0).uniform(ranges[:, 0], ranges[:, 1], (SAMPLE_POSES, robot.n))
     obstacles = obstacles_of(model, partial(find_mesh, folder=knowledge.folder), poses, MARGIN_M)
-    limits = limits_of(robot, direct, settings.limits_percent / 100, place, obstacles)
+    limits = limits_of(robot, loads, settings.limits_percent / 100, place, obstacles)
     _refuse_rest(limits, place)
     series = Series(period_s=settings.period_s, harmonics=settings.harmonics)
     samples = SAMPLES_PER_PERIOD * settings.harmonics
     t_s = np.arange(samples, dtype=np.float64) * (settings.period_s / samples)
     plain_series = Series(period_s=settings.period_s, harmonics=settings.plain_harmonics)
     plain = [random_within(limits, plain_series, seed).at(t_s) for seed in range(PLAIN_REFERENCES)]
-    noise, noise_from = torque_noise(robot, direct, knowledge, plain)
+    noise, noise_from = torque_noise(robot, loads[-1] if loads else None, knowledge, plain)
     information = Information(
         model=model,
         base=base,
@@ -139,6 +148,10 @@ def excite(
     if limits.obstacles is not None and limits.obstacles.pairs:
         apart, names = limits.obstacles.nearest(fine[0], FAR_M)
         nearest = names[int(apart.argmin())], float(apart.min())
+    gains = np.zeros(0)
+    if knowledge.payload is not None:
+        at_samples = motion_of(x, series.basis(samples))
+        gains = 100 * NORMAL_QUANTILE * information.gain_deviations(at_samples, loads, knowledge.payload)
     excitation = Excitation(
         robot=robot,
         base=base,
@@ -153,6 +166,8 @@ def excite(
         nearest=nearest,
         beta=None if knowledge.beta is None else knowledge.beta[known],
         beta_from=knowledge.beta_from,
+        payload=knowledge.payload,
+        gains=gains,
         warnings=(*_warnings(limits, mus), *knowledge.warnings),
     )
     if robot.bus is not None:
@@ -184,11 +199,12 @@ def _refuse_rest(limits: Limits, place: str) -> None:
     middle = limits.middle[None]
     used = np.abs(limits.shares((middle, np.zeros((1, n)), np.zeros((1, n)))))[0]
     if used.max() > 1:
-        worst = int(used.argmax()) - 3 * n
-        effort = limits.effort
-        held = limits.coulomb[worst] + used[worst + 3 * n] * limits.allowed[worst]
+        most, effort = int(used.argmax()), limits.effort
+        worst = (most - 3 * n) % len(effort.names)
+        held = limits.coulomb[worst] + used[most] * limits.allowed[worst]
+        name = limits.names[most].removeprefix("effort of ")
         raise IdentificationError(
-            f"{effort.names[worst]} needs {held:.4g} {effort.units[worst]} to leave rest in the middle of the ranges",
+            f"{name} needs {held:.4g} {effort.units[worst]} to leave rest in the middle of the ranges",
             place=place,
             expected=f"at most {100 * limits.share:g} % of the effort limit of {effort.limits[worst]:.4g}",
         )
@@ -233,7 +249,7 @@ def excitation_document(excitation: Excitation) -> Document:
     headings = (("value",) if known else ()) + ("±95 %", "plain\n±95 %", "times\nsmaller")
     expected = Table(columns=(*columns("parameter", numbers=headings), *columns("unit")), rows=rows)
     noise = ", ".join(f"{x:.3g}" for x in e.noise)
-    lines = (
+    lines: tuple[str, ...] = (
         f"intervals: {np.median(smaller):.2f} times smaller than with the plain reference (median), at least "
         f"{smaller.min():.2f} times",
         f"plain reference: geometric mean of {PLAIN_REFERENCES} random ones with {s.plain_harmonics} harmonics and the same "
@@ -241,13 +257,23 @@ def excitation_document(excitation: Excitation) -> Document:
         f"torque noise per row of the fit: {noise} ({', '.join(dict.fromkeys(e.robot.effort_units))}): {e.noise_from}",
         f"torque from {e.beta_from}" if known else "torque unknown",
     )
+    if e.payload is not None:
+        gains = (
+            f"{m.name} ±{x:.2g} %" if x < 100 else f"{m.name} not" for m, x in zip(e.robot.motors, e.gains, strict=True)
+        )
+        lines += (
+            f"drive gains by a run without and a run with {e.payload}: {', '.join(gains)}; expected by this noise",
+        )
     n, percents = e.robot.n, [Number(100 * float(x), ".1f") for x in e.used]
     efforts = dict(zip(e.limits.names[3 * n : len(e.used)], percents[3 * n :], strict=True))
     table: list[Row] = [
         (joint.name, *percents[j : 3 * n : n], efforts.pop(f"effort of joint {joint.name}", ""))
         for j, joint in enumerate(e.robot.joints)
     ]
-    table += [(name.removeprefix("effort of "), "", "", "", percent) for name, percent in efforts.items()]
+    table += [
+        (name.removeprefix("effort of ").removeprefix("joint "), "", "", "", percent)
+        for name, percent in efforts.items()
+    ]
     apart: tuple[str, ...] = ()
     if e.nearest is not None:
         near = "more than " if e.nearest[1] >= FAR_M else ""

@@ -12,20 +12,24 @@ from pathlib import Path
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from acquisition.robot import Robot
+from acquisition.robot import Payload, Robot
 
 from ..arrays import Array
 from ..data import Signals, load_signals
 from ..errors import IdentificationError
 from ..methods import stored_beta
 from ..model import (
+    LINK,
     SLIDING,
     BaseParameters,
     DirectModel,
     InverseModel,
     JointTerm,
+    add_payload,
     base_parameters,
     described_parameters,
+    direct_model,
+    link_columns,
     load_parameters,
     regressor_gradient,
 )
@@ -34,6 +38,7 @@ from ..report import read_fit
 from .limits import Motion
 
 NOISE_SHARE = 0.02  # of a joint's rms torque, if the noise is unknown
+RANK_SHARE = 1e-9  # of the largest: a smaller singular value is zero
 SAMPLE_RATE_HZ = 1000.0  # of a recording, if none is stated
 
 
@@ -46,6 +51,7 @@ class PriorInformation:
         beta_from: their origin, in words.
         noise: (n,) stated deviation of the torque, or None.
         noise_share: (n,) deviation in a fit's rows over the rms torque; None without a fit.
+        payload: that a second recording of the motion will carry, to identify drive gains; None: none.
         recordings: earlier ones, whose information is added.
         folder: of the description, searched first for meshes of its URDF.
         warnings: about the fit.
@@ -55,6 +61,7 @@ class PriorInformation:
     beta_from: str = ""
     noise: Array | None = None
     noise_share: Array | None = None
+    payload: Payload | None = None
     recordings: Sequence[Signals] = ()
     folder: Path | None = None
     warnings: tuple[str, ...] = ()
@@ -67,6 +74,7 @@ def prior_information(
     fit: Path | None = None,
     noise: Sequence[float] | None = None,
     after: Sequence[Path] = (),
+    payload: Payload | None = None,
 ) -> PriorInformation:
     """Information from files and options: a fit's parameters, else those of the description.
 
@@ -81,6 +89,7 @@ def prior_information(
         beta=described_parameters(model, base) if fit is None and robot.parameters else None,
         beta_from="[parameters]",
         noise=None if noise is None else np.ones(robot.n) * noise,
+        payload=payload,
         recordings=[load_signals(path) for path in after],
         folder=folder,
     )
@@ -99,6 +108,27 @@ def prior_information(
         noise_share=share,
         warnings=tuple(stored.warnings_of(str(fit))),
     )
+
+
+def loads_of(
+    model: InverseModel, base: BaseParameters, knowledge: PriorInformation, place: str
+) -> tuple[DirectModel, ...]:
+    """The robot with its parameters, then the same with the payload; empty without parameters.
+
+    Raises `IdentificationError` for a payload whose torque cannot be known.
+    """
+    payload = knowledge.payload
+    if payload is not None and (knowledge.beta is None or not model.robot.gain_known):
+        problem, expected = (
+            "its torque is unknown without parameters and drive gains",
+            "--fit or [parameters], and drive_gain",
+        )
+        raise IdentificationError(problem, place=place, key="--payload", value=payload.text, expected=expected)
+    if knowledge.beta is None:
+        return ()
+    chi = base.standard_parameters(knowledge.beta)
+    carried = () if payload is None else (add_payload(model, chi, payload),)
+    return tuple(direct_model(model, x) for x in (chi, *carried))
 
 
 def torque_noise(
@@ -187,6 +217,25 @@ class Information:
         for (c, term), slope in zip(self._sliding, slopes, strict=True):
             by_dq += (slope * (G[:, :, c] @ term.direction))[:, None] * term.direction
         return float(np.log(total / len(D))), (by_q, by_dq, by_ddq)
+
+    def gain_deviations(self, motion: Motion, loads: Sequence[DirectModel], payload: Payload) -> Array:
+        """(n,) relative deviations of all drive gains, from runs of the motion without and with the payload.
+
+        X = [W L -E] of both runs: E from the torques of the robot with each of the two `loads`, L of what is not stated of the
+        payload. Earlier recordings do not count.
+        """
+        stated = {"M"} | ({"MX", "MY", "MZ"} if payload.center_of_mass_m is not None else set())
+        columns = zip(link_columns(self.model)[-1], LINK, strict=True)
+        free = self.base.K[:, [column for column, name in columns if name not in stated]]
+        W = (self._regressor(motion) / self.noise[:, None]).reshape(-1, self.base.b)
+        others, R = np.block([[W, np.zeros((len(W), free.shape[1]))], [W, W @ free]]), self.model.robot.R
+        of_motors = [np.linalg.solve(R.T, model.torque(*motion).T).T for model in loads]
+        E = np.concatenate([(x[:, None] * R.T / self.noise[:, None]).reshape(-1, len(R)) for x in of_motors])
+        others /= np.maximum(np.linalg.norm(others, axis=0), 1e-300)
+        left = E - others @ np.linalg.lstsq(others, E, rcond=RANK_SHARE)[0]
+        _, s, V = np.linalg.svd(left, full_matrices=False)
+        s = np.maximum(s, RANK_SHARE * np.linalg.norm(E))
+        return np.asarray(np.linalg.norm(V / s[:, None], axis=0) * np.sqrt(len(motion[0]) / self.rows))
 
     def _regressor(self, motion: Motion) -> Array:
         """W (N, n, b)."""

@@ -1,5 +1,6 @@
 """Motions as Fourier series from rest to rest, and their limits: position, speed, acceleration, effort, distances."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -79,7 +80,7 @@ class Limits:
     Attributes:
         middle: (n,) of the joints' ranges.
         maximum: (3, n) half the range, the speed, the acceleration, each times the share that may be used.
-        model: with the parameters for the torque; None if unknown.
+        models: with the parameters for the torque, one for each load that the robot carries; empty if unknown.
         coulomb: (m,) most that signed friction takes of each effort: Coulomb, Stribeck, root of speed.
         share: that may be used of all limits.
         obstacles: pairs of shapes that must keep a margin, or None.
@@ -88,11 +89,16 @@ class Limits:
     robot: Robot
     middle: Array
     maximum: Array
-    model: DirectModel | None
+    models: tuple[DirectModel, ...]
     effort: EffortLimits
     coulomb: Array
     share: float
     obstacles: Obstacles | None = None
+
+    @property
+    def model(self) -> DirectModel | None:
+        """That of the robot without load; None if its parameters are unknown."""
+        return next(iter(self.models), None)
 
     @property
     def allowed(self) -> Array:
@@ -102,15 +108,14 @@ class Limits:
     @cached_property
     def load(self) -> Array:
         """(n,) load friction of the joints per torque of the links."""
-        assert self.model is not None
-        return np.abs(self.model.load_friction)
+        return np.abs(self.models[0].load_friction)
 
     @property
     def names(self) -> tuple[str, ...]:
-        """(L,) the limited quantities: position, speed and acceleration of each joint, efforts."""
-        efforts = self.effort.names if self.model is not None else ()
+        """(L,) the limited quantities: position, speed and acceleration of each joint, efforts by load."""
         names = [f"{kind} of joint {joint.name}" for kind in KINDS for joint in self.robot.joints]
-        return (*names, *(f"effort of {name}" for name in efforts))
+        loads = ("", " with the payload")[: len(self.models)]
+        return (*names, *(f"effort of {name}{load}" for load in loads for name in self.effort.names))
 
     def largest(self, motion: Motion) -> tuple[float, str]:
         """The largest share used of a limit, and its name; of distances 1 is the margin, smaller is farther."""
@@ -130,29 +135,32 @@ class Limits:
     def share_of_whole(self, motion: Motion) -> Array:
         """(L,) the largest share that a motion uses of each whole limit, with Coulomb friction."""
         n, used = self.robot.n, np.abs(self.shares(motion)).max(axis=0)
-        m = len(self.effort.limits) if self.model is not None else 0
-        efforts = (used[3 * n : 3 * n + m] * self.allowed[:m] + self.coulomb[:m]) / self.effort.limits[:m]
-        return np.concatenate([self.share * used[: 3 * n], efforts])
+        by_load = used[3 * n :].reshape(len(self.models), len(self.effort.limits))
+        efforts = (by_load * self.allowed + self.coulomb) / self.effort.limits
+        return np.concatenate([self.share * used[: 3 * n], efforts.ravel()])
 
     def shares_and_slopes(self, motion: Motion) -> tuple[Array, Array]:
         """The shares (N, L), and derivatives (3, N, m, n) of the m shares of efforts by q, dq and ddq."""
-        if self.model is None:
-            return self.shares(motion), np.zeros((3, len(motion[0]), 0, self.robot.n))
-        links = torque_of_links(self.model, motion)
-        tau, by_joint = torque_without_sliding(self.model, motion, links)
-        scaled = self.effort.directions / self.allowed[:, None]
-        sides = _sides(tau @ scaled.T)
-        by_load = (self.load * np.sign(links[0]))[..., None] * links[1]
-        return self.shares(motion), scaled @ by_joint + sides[..., None] * (np.abs(scaled) @ by_load)
+        scaled, slopes = (
+            self.effort.directions / self.allowed[:, None],
+            [np.zeros((3, len(motion[0]), 0, self.robot.n))],
+        )
+        for model in self.models:
+            links = torque_of_links(model, motion)
+            tau, by_joint = torque_without_sliding(model, motion, links)
+            sides = _sides(tau @ scaled.T)
+            by_load = (self.load * np.sign(links[0]))[..., None] * links[1]
+            slopes.append(scaled @ by_joint + sides[..., None] * (np.abs(scaled) @ by_load))
+        return self.shares(motion), np.concatenate(slopes, axis=2)
 
     def shares(self, motion: Motion) -> Array:
         """Shares (N, L), signed, along a motion q, dq, ddq (N, n)."""
         q, dq, ddq = motion
         parts = [(q - self.middle) / self.maximum[0], dq / self.maximum[1], ddq / self.maximum[2]]
-        if self.model is not None:
-            rigid = self.model.torques_of_links(*motion)
-            scaled = self.effort.directions / self.allowed[:, None]
-            shares = (rigid + self.model.without_sliding(dq, ddq)) @ scaled.T
+        scaled = self.effort.directions / self.allowed[:, None]
+        for model in self.models:
+            rigid = model.torques_of_links(*motion)
+            shares = (rigid + model.without_sliding(dq, ddq)) @ scaled.T
             parts.append(shares + _sides(shares) * ((self.load * np.abs(rigid)) @ np.abs(scaled).T))
         return np.concatenate(parts, axis=1)
 
@@ -178,11 +186,11 @@ def _sides(shares: Array) -> Array:
 
 
 def limits_of(
-    robot: Robot, model: DirectModel | None, share: float, place: str, obstacles: Obstacles | None = None
+    robot: Robot, models: Sequence[DirectModel], share: float, place: str, obstacles: Obstacles | None = None
 ) -> Limits:
     """The limits of a robot, of which a reference may use a `share` in (0, 1].
 
-    The torque is limited if the `model` with its parameters is known; `place` names the description in errors.
+    The torque is limited by each of the `models`, with the same friction; `place` names the description in errors.
 
     Raises `IdentificationError`: where a joint states no limit, or friction alone needs more than a joint's or motor's
     effort. Raises `AcquisitionError`: where the bus is described wrongly.
@@ -196,7 +204,7 @@ def limits_of(
     ranges = np.array([joint.si("position") for joint in robot.joints])
     limits = effort_limits(robot, place)
     coulomb = np.zeros(len(limits.limits))
-    if model is not None:
+    for model in models[:1]:
         fastest = np.abs(model.directions) @ np.array([joint.si("speed") for joint in robot.joints])
         sliding = np.maximum(np.abs(model.up), np.abs(model.down)) + model.largest_shape(fastest)
         coulomb = np.abs(limits.directions @ model.directions.T) @ sliding
@@ -212,7 +220,7 @@ def limits_of(
         robot=robot,
         middle=ranges.mean(axis=1),
         maximum=maximum,
-        model=model,
+        models=tuple(models),
         effort=limits,
         coulomb=coulomb,
         share=share,
