@@ -548,3 +548,75 @@ def test_files_are_written_all_or_none(fits, tmp_path, capsys):
     assert main(["export", str(fits["consistent"]), "--toml", str(fits["consistent"])]) == 1
     assert capsys.readouterr().err.count("\n") == 3
     assert [p.name for p in tmp_path.iterdir()] == ["folder.xml"]
+
+
+GAINS = [
+    {"motor": "j1", "unit": "N m/A", "described": 0.5, "value": 0.61, "half_width": 0.01, "determined": True},
+    {"motor": "j2", "unit": "N m/A", "described": 0.3, "value": 0.9, "half_width": 0.4, "determined": False},
+]
+MOTORS = """[[motor]]  # shoulder
+name = "{}"
+drive_gain = 0.5  # catalogue
+drive_gain_unit = "N m/A"
+
+# the elbow
+[[motor]]
+name = "{}"
+drive_gain = 0.3
+drive_gain_unit = "N m/A"
+"""
+
+
+def in_amperes(content, motors=MOTORS, gains=GAINS):
+    """The fit's description with efforts in A by these [[motor]] tables, and identified gains."""
+    text = content["description"]["robot.toml"]
+    names = [motor["name"] for motor in tomllib.loads(text)["motor"]]
+    head, _, rest = text.partition("[[motor]]")
+    rest = rest[rest.index("\n[controller]") :]
+    content["description"]["robot.toml"] = head + motors.format(*names) + rest
+    content["gains"] = [gain | {"motor": name} for gain, name in zip(gains, names, strict=True)]
+
+
+def test_a_toml_has_the_drive_gains_that_are_determined(fits, tmp_path, capsys):
+    path = changed(fits["consistent"], tmp_path, in_amperes)
+    assert main(["export", str(path), "--toml", str(tmp_path / "x.toml"), "--urdf", str(tmp_path / "x.urdf")]) == 0
+    text, was = (tmp_path / "x.toml").read_text(), json.loads(path.read_text())["description"]["robot.toml"]
+    motors = tomllib.loads(text)["motor"]
+    assert [(m["drive_gain"], m.get("drive_gain_half_width")) for m in motors] == [(0.61, 0.01), (0.3, None)]
+    assert {"drive_gain = 0.61  # catalogue", "drive_gain_half_width = 0.01"} <= set(text.splitlines()) - set(
+        was.splitlines()
+    )
+    assert "[[motor]]  # shoulder\n" in text
+    assert "\n\n# the elbow\n[[motor]]\n" in text
+    out = " ".join(capsys.readouterr().out.split())
+    assert "as described; not determined: 0.9 ± 0.4 N m/A" in out
+
+
+def test_a_gain_that_nobody_describes_is_written_with_its_interval(fits, tmp_path, capsys):
+    unknown = re.sub(r"(?m)^drive_gain = .*\ndrive_gain_unit = .*$", 'effort_unit = "A"', MOTORS)
+    undescribed = [gain | {"described": None} for gain in GAINS]
+    path = changed(fits["consistent"], tmp_path, lambda c: in_amperes(c, unknown, undescribed))
+    assert main(["export", str(path), "--toml", str(tmp_path / "x.toml")]) == 0
+    robot = load_robot(tmp_path / "x.toml")
+    assert [m.drive_gain for m in robot.motors] == [0.61, 0.9]
+    assert [m.drive_gain_half_width for m in robot.motors] == [0.01, 0.4]
+    assert "as identified, since none is described; not determined: 0.9 ± 0.4 N m/A" in " ".join(
+        capsys.readouterr().out.split()
+    )
+
+
+@pytest.mark.parametrize(
+    "motors", ["motor = [{{name = '{}', effort_unit = 'A'}}, {{name = '{}', effort_unit = 'A'}}]\n"]
+)
+def test_motors_that_cannot_be_replaced_by_lines_are_refused(motors, fits, tmp_path, capsys):
+    def inline(content):
+        in_amperes(content)
+        text = content["description"]["robot.toml"]
+        names = [motor["name"] for motor in tomllib.loads(text)["motor"]]
+        start, end = text.index("[[motor]]"), text.index("\n[controller]")
+        content["description"]["robot.toml"] = motors.format(*names) + text[:start] + text[end:]
+
+    path = changed(fits["consistent"], tmp_path, inline)
+    assert main(["export", str(path), "--toml", str(tmp_path / "x.toml")]) == 1
+    assert "[[motor]]" in capsys.readouterr().err
+    assert not (tmp_path / "x.toml").exists()

@@ -9,6 +9,7 @@ from ..methods import Known, Prior, consistent_set, refuse_unknown_gain, stored_
 from ..model import InverseModel, base_parameters
 from ..report import FitFile
 from .exported_model import ExportedModel, split_parameters
+from .motors import with_gains
 
 
 def distrust(stored: FitFile, place: str) -> list[str]:
@@ -19,10 +20,11 @@ def distrust(stored: FitFile, place: str) -> list[str]:
 
 
 def model_of_fit(stored: FitFile, place: str) -> tuple[ExportedModel, tuple[str, ...]]:
-    """The robot of a fit, by the fit's own description, with all standard parameters, and lines on their origin.
+    """The robot of a fit, by the fit's own description and drive gains, with all standard parameters; lines on their origin.
 
     Raises `IdentificationError`: a fit in A or V, without a description or a covariance, or with impossible parameters.
     """
+    stored, of_gains = with_gains(stored, place)
     robot = stored_robot(stored, place)
     if robot is None:
         expected = "a fit as `robot-identify fit --json` writes it"
@@ -31,13 +33,13 @@ def model_of_fit(stored: FitFile, place: str) -> tuple[ExportedModel, tuple[str,
     model = InverseModel(robot)
     if stored.standard_parameters is UNSET:
         chi, line = _make_consistent(stored, model, place)
-        return split_parameters(model, chi, place), (line,)
+        return split_parameters(model, chi, place), (*of_gains, line)
     parameters, names = stored.standard_parameters, list(zip(model.names, model.units, strict=True))
     if [(p.name, p.unit) for p in parameters] != names:
         other = next((f"{p.name} in {p.unit}" for p in parameters if (p.name, p.unit) not in names), None)
         expected = f"the {len(names)} of the description"
         raise IdentificationError(place=place, key="standard_parameters", value=other, expected=expected)
-    lines = []
+    lines = list(of_gains)
     if (c := stored.consistent) is not UNSET:
         lines.append(
             f"the consistent parameters of {place}: prior {c.prior}, weight {c.prior_weight:g}; chi² {c.chi2:.3g}, largest "
