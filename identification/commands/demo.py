@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from acquisition.commands import Progress, add_overwrite, add_path
+from acquisition.commands import Progress, add_flag, add_overwrite, add_path
 
 from ..options import not_negative
 from .arguments import make_folder, print_results
@@ -16,11 +16,16 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--noise", type=not_negative, default=3.0, metavar="P", help="torque noise, %% of rms (default 3)"
     )
+    text = "the same with drives in A and a second run with 2 kg: the drive gains, beside the true ones"
+    add_flag(parser, "--gains", text)
     add_overwrite(parser)
 
 
 def run(options: argparse.Namespace) -> None:
-    """Record, fit by both methods, draw, and print both fits beside the true values."""
+    """Record, fit by both methods, draw, and print both fits beside the true values; or drive gains alone."""
+    if options.gains:
+        _identify_gains(options)
+        return
     with Progress("starting") as progress:
         from acquisition.files import atomic_write, refuse_clash
         from acquisition.robot import load_robot
@@ -37,7 +42,8 @@ def run(options: argparse.Namespace) -> None:
         robot = load_robot(place)
         make_folder(out)
         with atomic_write(out / "session.mcap") as recording:
-            record_simulated_session(robot, str(place), recording, progress.say, noise_percent=options.noise)
+            progress.say("simulated drives")
+            record_simulated_session(robot, str(place), recording, noise_percent=options.noise)
         signals = load_signals(out / "session.mcap")
         base, true = study_truth(robot)
         write_json(out / "truth.json", base_file(base, robot, true))
@@ -52,3 +58,28 @@ def run(options: argparse.Namespace) -> None:
         write_fit_rrd(out / "demo.rrd", signals, fits["iv"], truth=true)
     print_results(*reports.values(), truth_document(robot.name, list(fits.values()), true))
     print_results(f"look at it: rerun --bind 127.0.0.1 {out / 'demo.rrd'}")
+
+
+def _identify_gains(options: argparse.Namespace) -> None:
+    """Record without and with a payload, identify the drive gains, and print them beside the true ones."""
+    out, paths = options.out, (options.out / "free.mcap", options.out / "loaded.mcap")
+    with Progress("starting") as progress:
+        from acquisition.files import refuse_clash
+        from acquisition.robot import load_robot
+
+        from ..data import RecordingFile, Recordings
+        from ..methods import fit_file, identify
+        from ..regression import Overrides
+        from ..report import write_json
+        from ..study import description, gains_document, record_gain_pair
+
+        place = description(options.robot)
+        refuse_clash([], *paths, overwrite=options.overwrite, option="--out")
+        make_folder(out)
+        progress.say("simulated drives")
+        true = record_gain_pair(load_robot(place), str(place), paths, options.noise)
+        recordings = Recordings(sources=tuple(RecordingFile.at(path) for path in paths))
+        fit = identify(recordings, Overrides(gains=("all",)), say=progress.say)
+        write_json(out / "k.json", fit_file(fit))
+    print_results(gains_document(fit, true))
+    print_results(f"the whole fit: robot-identify fit {paths[0]} {paths[1]} --gains")

@@ -1,6 +1,6 @@
 """Simulated robots with known parameters: recordings, Monte-Carlo studies, the demo; fits of whole fleets."""
 
-from .demo import description, record_simulated_session
+from .demo import description, gains_document, record_gain_pair, record_simulated_session
 from .fleet import FleetSettings, Row, Value, found_recordings, method_of, run_fleet
 from .fleet_report import ControlChart, Drift, control_limits, drifts, fleet_document, write_table
 from .simulated_cell import Noise, closed_loop, random_reference, study_truth, write_signals

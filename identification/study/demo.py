@@ -4,58 +4,73 @@ Simulated CiA 402 drives on an in-process CAN bus move the rigid robot in simula
 `identification` gives an object to `acquisition`: the plant that the drives move.
 """
 
-from collections.abc import Callable
+import re
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from acquisition.bus import Master
-from acquisition.robot import Robot, resolve
+from acquisition.files import atomic_write
+from acquisition.robot import Payload, Robot, resolve, robot_from_files
 from acquisition.session import InlineLog, Recorder, Stop, Task, run_active
 from acquisition.simulated import SUBSTEPS, DrivenPlant, LockStepLink, SimulatedDrives, describe_loops
 
 from ..arrays import Array
 from ..errors import IdentificationError
+from ..methods import Fit
 from ..model import inertias
+from ..report import Document, Number, Section, Table, columns, value_form
 from ..simulation import RigidBodyPlant, drive_loops
 from .simulated_cell import periodic_reference, true_model
 
 DURATION_S, SEED = 12.0, 1  # of the session; of reference and noise
+CATALOGUE = (0.32, 0.32, 0.40, 0.33, 0.30, 0.32)  # gains by motor, N m/A
+TRUE_FACTORS = (1.25, 0.88, 1.40, 0.70, 1.15, 0.80)  # of the simulated drives
+RATED_NM_PER_A = 0.3  # of all motors, to make rated currents
+PAYLOAD = Payload(2.0, (0.03, 0.02, 0.08))
 
 
 def record_simulated_session(
-    robot: Robot, place: str, out: Path, say: Callable[[str], None], *, noise_percent: float = 3.0
+    robot: Robot,
+    place: str,
+    out: Path,
+    *,
+    noise_percent: float = 3.0,
+    payload: Payload | None = None,
+    described: Robot | None = None,
 ) -> None:
     """Record a session: simulated drives track a random exciting reference with the robot of `[parameters]`.
 
-    `noise_percent` is the noise of the torque, of each joint's rms.
+    `noise_percent` is the noise of the torque, of each joint's rms. The drives are those of `robot`; the recording has
+    `described`, by default the same.
 
     Raises `IdentificationError` or `AcquisitionError`: if the description lacks `[bus]` or values, or the session
     fails.
     """
     if robot.bus is None:
         raise IdentificationError(place=place, key="[bus]", value=None, expected="the drives to simulate")
-    model = true_model(robot)
+    model, described = true_model(robot), described or robot
     period_s = robot.bus.sync_period_s
     t_s: Array = np.arange(round(DURATION_S / period_s) + 1, dtype=np.float64) * period_s
     q_ref, dq_ref, ddq_ref = periodic_reference(robot, duration_s=DURATION_S, seed=SEED).at(t_s)
     tau = model.torque(q_ref, dq_ref, ddq_ref)
     plant = RigidBodyPlant(
-        model,
+        true_model(robot, payload),
         q_ref[0],
         speed_scale=np.abs(dq_ref).max(axis=0),
         step_s=period_s / SUBSTEPS,
         disturbance=0.01 * noise_percent * np.sqrt(np.mean(tau**2, axis=0)),
-        seed=SEED,
+        seed=SEED if payload is None else SEED + 1,
     )
     mechanism = DrivenPlant(plant=plant, loops=drive_loops(robot, inertias(model.inertia(q_ref[::50]))))
     bus = resolve(robot, place)
     source = "simulated drives with the rigid robot of [parameters]"
-    log = InlineLog(Recorder(out, describe_loops(robot, mechanism.loops), source=source, place=place))
+    recorded = describe_loops(described, mechanism.loops)
+    log = InlineLog(Recorder(out, recorded, source=source, place=place, payload=payload))
     simulated = LockStepLink(SimulatedDrives(robot, bus, mechanism), tap=log.tap)
     try:
-        say(f"simulated drives: {DURATION_S:g} s on the bus")
-        outcome = run_active(robot, Master(simulated, bus), log, Task(reference=q_ref, place="reference"), Stop())
+        outcome = run_active(described, Master(simulated, bus), log, Task(reference=q_ref, place="reference"), Stop())
         log.finish(simulated.now_ns())
     finally:
         log.close()
@@ -67,3 +82,47 @@ def description(name: str) -> Path:
     """The description of a robot of this project: `scara` or `tx40`."""
     installed = Path(__file__).parents[1] / "robots" / name / "robot.toml"
     return installed if installed.exists() else Path(__file__).parents[2] / "replay_data" / name / "robot.toml"
+
+
+def record_gain_pair(robot: Robot, place: str, paths: tuple[Path, Path], noise_percent: float) -> list[float]:
+    """Record sessions without and with the payload, of drives whose gains are not those described; returns the true ones."""
+    described = CATALOGUE[: robot.n]
+    true = [gain * factor for gain, factor in zip(described, TRUE_FACTORS, strict=False)]
+    drives, stated = in_amperes(robot, true), in_amperes(robot, described)
+    for path, payload in zip(paths, (None, PAYLOAD), strict=True):
+        with atomic_write(path) as recording:
+            record_simulated_session(
+                drives, place, recording, noise_percent=noise_percent, payload=payload, described=stated
+            )
+    return true
+
+
+def in_amperes(robot: Robot, gains: Sequence[float]) -> Robot:
+    """A robot of this project whose drives report their current, with these gains in N m/A."""
+    text, each = robot.files["robot.toml"].decode(), iter(gains)
+    text = re.sub(
+        "effort_unit = .*", lambda _: f'drive_gain = {next(each):.4g}\ndrive_gain_unit = "N m/A"', text
+    ).replace('reference = "6074"', 'actual = "6078"')
+    text = re.sub(
+        r"rated_torque_nm = ([\d.]+)", lambda found: f"rated_current_a = {float(found[1]) / RATED_NM_PER_A:.4g}", text
+    )
+    return robot_from_files({**robot.files, "robot.toml": text.encode()}, f"{robot.name} in A")
+
+
+def gains_document(fit: Fit, true: Sequence[float]) -> Document:
+    """Identified drive gains beside those described and the true ones, each with its error in half-widths."""
+    assert fit.gains is not None
+    g, rows = fit.gains, []
+    for name, unit, *values, half in zip(g.motors, g.units, g.described, true, g.values, g.half, strict=True):
+        form = value_form(float(half) / 2)
+        off = Number(float((values[2] - values[1]) / half), "+.2f")
+        rows.append((name, *(Number(float(x), form) for x in (*values, half)), off, unit))
+    within = int((np.abs(g.values - true) <= g.half).sum())
+    names = ", ".join(one.problem.signals.recording for one in fit.recordings)
+    lines = (
+        f"{within} of {len(true)} in their 95 % interval; verdict of the fit: {fit.trust.verdict}",
+        f"loaded: {fit.payloads[0].payload}",
+    )
+    headings = ("catalogue", "true", "identified", "±95%", "off by,\n±95%")
+    table = Table(columns=columns("motor", numbers=headings) + columns("unit"), rows=tuple(rows))
+    return Document(title=f"drive gains of {names}", sections=(Section(table=table, lines=lines),))
