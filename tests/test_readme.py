@@ -17,7 +17,13 @@ from acquisition.recording import read_recording
 from acquisition.robot import BusFile, RobotFile
 
 FIRST, ACQUISITION, IDENTIFICATION = (ROOT / folder / "README.md" for folder in (".", "acquisition", "identification"))
-ALL = [FIRST, ACQUISITION, IDENTIFICATION, *sorted(REPLAY.rglob("README.md"))]
+ALL = [
+    FIRST,
+    ACQUISITION,
+    IDENTIFICATION,
+    ROOT / "identification" / "effort_in_nm.md",
+    *sorted(REPLAY.rglob("README.md")),
+]
 TEXT = {path: path.read_text() for path in ALL}
 # In blocks and in sentences. What follows " #" is a remark.
 COMMAND = re.compile(
@@ -32,7 +38,7 @@ PROGRAMS = {program.name: program for program in (ACQUIRE, IDENTIFY)}
 
 
 def test_the_readmes_have_commands():
-    assert len(ALL) == 7
+    assert len(ALL) == 8
     assert len(COMMANDS) >= 35
     assert {command.split()[0] for command in COMMANDS} == set(PROGRAMS)
 
