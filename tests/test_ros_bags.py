@@ -242,7 +242,7 @@ ONE_PUBLISHER = "one publisher; record the topic of the arm's own driver"
 def test_what_is_wrong_with_a_bag_is_told(tmp_path, robot, change, place, key, value, expected):
     folder, out = bag(tmp_path / "bag", edited(**change)), tmp_path / "out.mcap"
     with pytest.raises(AcquisitionError) as caught:
-        import_bag(folder, robot, out, topic="/joint_states", effort_unit=["N m"])
+        import_bag(folder, robot, out, OPTIONS)
     assert not out.exists()
     error = caught.value
     assert (error.place, error.key, repr(error.value)) == (f"{folder}: /joint_states{place}", key, repr(value))
