@@ -84,7 +84,7 @@ def test_the_report_has_intervals_and_names_what_left_the_fits(consistent, tx40)
     moves = c.moves.copy()
     moves[3] = 1.7
     far = dataclasses.replace(consistent, consistent=dataclasses.replace(c, deviations=moves * c.reach))
-    sections = {s.title: s for s in fit_document(signals_of(tx40), far, everything=True).sections}
+    sections = {s.title: s for s in fit_document(signals_of(tx40), far).sections}
     standard = sections["physically consistent standard parameters"]
     assert [heading for heading, _ in standard.table.columns] == [
         "parameter",

@@ -303,7 +303,7 @@ def refused(capsys, *arguments) -> str:
 @pytest.mark.slow
 def test_command_line(capsys, tmp_path):
     session, out = SCARA, tmp_path / "iv.json"
-    assert main(["fit", str(session), "--method", "iv", "--json", str(out)]) == 0
+    assert main(["fit", str(session), "--method", "iv", "--all", "--json", str(out)]) == 0
     text = capsys.readouterr().out
     assert "passes from start: regular" in text
     assert "status: converged" in text

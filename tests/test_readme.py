@@ -79,7 +79,7 @@ def test_commands_without_hardware_run_as_they_stand(tmp_path, monkeypatch, caps
     # The beginning of the report that the first README shows; " ..." stands for the rest of a line.
     shown = TEXT[FIRST].split("the recording of the demo prints:\n\n")[1].split("\n\n")[0].splitlines()
     for line, now in zip(shown, printed[FIRST_FIT].splitlines(), strict=False):
-        (words, numbers), (words_now, numbers_now) = masked(line.strip().removesuffix(" ...")), masked(now)
+        (words, numbers), (words_now, numbers_now) = masked(line.strip().removesuffix(" ...")), masked(now.strip())
         assert words == words_now if not line.endswith(" ...") else words_now.startswith(words)
         assert numbers_now[: len(numbers)] == pytest.approx(numbers, rel=0.05)
 

@@ -7,6 +7,7 @@ from conftest import REPLAY
 from fits_of_records import iv_of, ls_of, signals_of
 
 from identification.methods import Validated, fit_document, recording_document, validation_document
+from identification.report import Section
 
 SCARA = REPLAY / "scara" / "session.mcap"
 
@@ -41,7 +42,9 @@ def test_the_verdict_comes_first_and_is_of_the_rows_that_move():
 def test_the_table_has_the_essential_parameters_or_all(everything):
     essential = ("ZZ1R", "Fc2")
     signals, fit = signals_of(SCARA), with_essential(ls_of(SCARA), essential)
-    section = fit_document(signals, fit, everything=everything).sections[2]
+    document = fit_document(signals, fit)
+    document = document if everything else document.short
+    section = document.sections[2]
     rows = {row[0]: row for row in section.table.rows}
     assert tuple(rows) == (fit.estimate.names if everything else essential)
     for name, row in rows.items():
@@ -53,9 +56,28 @@ def test_the_table_has_the_essential_parameters_or_all(everything):
             assert row[6] == ("yes" if name in essential else "")
         else:
             assert len(row) == 5
-    assert any(line.startswith("6 poorly") and "--all" in line for line in section.lines) == (not everything)
-    last = fit_document(signals, fit, everything=everything).sections[-1]
-    assert ("ZZ1R = ZZ1 + 0.25 M2" in last.lines) == everything
+    assert any(line.endswith("; 6 others: --all") for line in section.lines) == (not everything)
+    assert ("ZZ1R = ZZ1 + 0.25 M2" in document.sections[-1].lines) == everything
+
+
+def test_the_short_report_has_the_ten_largest_essential_parameters_and_what_the_tests_found():
+    fit = ls_of(SCARA)
+    finding, *others = fit.trust.lines
+    lines = (replace(finding, level="caution"), replace(others[0], level="not made"), *others[1:])
+    fit = replace(fit, trust=replace(fit.trust, lines=lines), warnings=tuple(f"warning {k}" for k in range(6)))
+    verdict, trust, parameters, errors, *rest = (s for s in fit_document(signals_of(SCARA), fit).short.sections)
+    assert verdict.warnings == fit.warnings[:4]
+    assert verdict.lines[-1] == "2 more warnings (--all)"
+    assert not any(line.startswith("status") for line in verdict.lines), "the title has it"
+    assert trust.lines[0].startswith(f"caution: {finding.test}: ")
+    levels = [line.level for line in lines]
+    assert trust.lines[1].startswith(f"{levels.count('ok')} tests ok, ")
+    assert f"{levels.count('not made')} not made" in trust.lines[1]
+    assert len(trust.lines) == 2
+    essential = {name: abs(fit.estimate.values_of([name])[0]) for name in fit.essential_names}
+    assert {row[0] for row in parameters.table.rows} == set(sorted(essential, key=lambda x: -essential[x])[:10])
+    assert [row[0] for row in errors.table.rows] == ["shoulder", "elbow"]
+    assert rest == [Section()] * len(rest), "all else needs --all"
 
 
 def test_a_validation_and_a_recording_say_what_they_are():

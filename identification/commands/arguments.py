@@ -170,11 +170,11 @@ def refuse_outputs(
             raise IdentificationError(f"no folder {output.parent}", place=str(output), expected="an existing folder")
 
 
-def print_results(*items: "Document | str") -> None:
-    """Print reports and lines without cutting them to the width of the terminal."""
-    from ..report import print_whole
+def print_results(*items: "Document | str", everything: bool = True) -> None:
+    """Print reports and lines without cutting them to the width of the terminal; reports in short, or `everything`."""
+    from ..report import print_short, print_whole
 
-    print_whole(*items)
+    (print_whole if everything else print_short)(*items)
 
 
 def trust_status(reasons: Sequence[str]) -> int:

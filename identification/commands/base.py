@@ -2,7 +2,7 @@
 
 import argparse
 
-from acquisition.commands import Progress, add_path
+from acquisition.commands import Progress, add_flag, add_path
 
 from .arguments import add_robot, print_results, refuse_outputs, robot_of
 
@@ -10,6 +10,7 @@ from .arguments import add_robot, print_results, refuse_outputs, robot_of
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_robot(parser, "its geometry and joints")
+    add_flag(parser, "--all", "print all parameters, not only the regrouped ones")
     add_path(parser, "--json", "FILE", "write the parameters as JSON")
 
 
@@ -25,4 +26,4 @@ def run(options: argparse.Namespace) -> None:
         base = base_parameters(InverseModel(robot))
     if options.json:
         write_json(options.json, base_file(base, robot))
-    print_results(base_document(base, robot))
+    print_results(base_document(base, robot), everything=options.all)

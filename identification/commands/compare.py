@@ -2,7 +2,7 @@
 
 import argparse
 
-from acquisition.commands import add_path
+from acquisition.commands import add_flag, add_path
 
 from .arguments import print_results, refuse_outputs
 
@@ -12,6 +12,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     add_path(parser, "a", "A.json", "a fit, as `fit --json` writes it")
     add_path(parser, "b", "B.json", "another fit")
     add_path(parser, "--json", "FILE", "write the comparison as JSON")
+    add_flag(parser, "--all", "print all parameters, not only the largest differences")
     add_path(parser, "--rrd", "FILE", "write the comparison as a Rerun file")
 
 
@@ -33,4 +34,4 @@ def run(options: argparse.Namespace) -> None:
         from ..view import write_comparison_rrd
 
         write_comparison_rrd(options.rrd, a, b)
-    print_results(document)
+    print_results(document, everything=options.all)

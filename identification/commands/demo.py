@@ -1,12 +1,22 @@
 """`robot-identify demo`: record simulated drives, fit, and compare with the true parameters."""
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 
 from acquisition.commands import Progress, add_flag, add_overwrite, add_path
 
 from ..options import not_negative
 from .arguments import make_folder, print_results
+
+NEXT = (
+    "next, with your own robot:",
+    "describe it, or copy a robot.toml of replay_data: robot-identify init arm.urdf -o robot.toml",
+    "check drives and bus: robot-acquire check robot.toml",
+    "record; this moves the robot, so first --dry-run: robot-acquire record robot.toml -o log.mcap --track ref.csv",
+    "or import: robot-acquire import log.csv --robot robot.toml --map map.toml -o log.mcap",
+    "fit: robot-identify fit log.mcap --json fit.json --rrd fit.rrd",
+)
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -18,6 +28,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     )
     text = "the same with drives in A and a second run with 2 kg: the drive gains, beside the true ones"
     add_flag(parser, "--gains", text)
+    add_flag(parser, "--all", "print both fits whole, and all parameters")
     add_overwrite(parser)
 
 
@@ -31,7 +42,7 @@ def run(options: argparse.Namespace) -> None:
         from acquisition.robot import load_robot
 
         from ..data import load_signals
-        from ..methods import Iteration, fit_document, fit_file, identify_iv, identify_ls
+        from ..methods import PARAMETERS, Iteration, fit_document, fit_file, identify_iv, identify_ls
         from ..regression import Overrides
         from ..report import write_json
         from ..study import base_file, description, record_simulated_session, study_truth, truth_document
@@ -51,13 +62,18 @@ def run(options: argparse.Namespace) -> None:
         progress.say("least squares")
         fits["ls"] = identify_ls(signals, Overrides())
         fits["iv"] = identify_iv(signals, Overrides(), Iteration(), say=progress.say)
-        reports = {name: fit_document(signals, fit) for name, fit in fits.items()}
+        reports = [fit_document(signals, fit) for fit in fits.values()]
         for name, fit in fits.items():
             write_json(out / f"{name}.json", fit_file(fit))
         progress.say("writing the Rerun file")
         write_fit_rrd(out / "demo.rrd", signals, fits["iv"], truth=true)
-    print_results(*reports.values(), truth_document(robot.name, list(fits.values()), true))
-    print_results(f"look at it: rerun --bind 127.0.0.1 {out / 'demo.rrd'}")
+    compared = truth_document(robot.name, list(fits.values()), true)
+    if options.all:
+        print_results(*reports, compared)
+    else:  # the true values in place of the table of parameters
+        sections = (compared.sections[0] if s.title == PARAMETERS else s for s in reports[-1].sections)
+        print_results(replace(reports[-1], sections=tuple(sections)), everything=False)
+    print_results(f"look at it: rerun --bind 127.0.0.1 {out / 'demo.rrd'}", *NEXT)
 
 
 def _identify_gains(options: argparse.Namespace) -> None:

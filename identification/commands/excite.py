@@ -2,7 +2,7 @@
 
 import argparse
 
-from acquisition.commands import Progress, add_options, add_path, from_options
+from acquisition.commands import Progress, add_flag, add_options, add_path, from_options
 
 from ..options import ReferenceOptions, list_of_factors
 from .arguments import add_robot, print_results, refuse_outputs, robot_of
@@ -24,6 +24,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     add_options(parser.add_argument_group("reference"), ReferenceOptions)
     outputs = parser.add_argument_group("outputs")
     add_path(outputs, "-o --out", "REF.csv", "the reference, for `robot-acquire record --track`", required=True)
+    add_flag(outputs, "--all", "print the intervals of all parameters, not only the widest")
     add_path(outputs, "--rrd", "FILE", "draw the reference and the intervals as a Rerun file")
 
 
@@ -54,4 +55,4 @@ def run(options: argparse.Namespace) -> None:
 
             write_excitation_rrd(options.rrd, found, document)
     finally:
-        print_results(document)
+        print_results(document, everything=options.all)

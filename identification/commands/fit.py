@@ -41,9 +41,9 @@ def add(parser: argparse.ArgumentParser) -> None:
     add_work(parser)
     outputs = parser.add_argument_group("outputs")
     outputs.add_argument("--require", choices=["trust"], help="exit status 3 if the verdict is worse, for scripts")
-    add_flag(outputs, "--all", "print all parameters, not only the essential ones")
+    add_flag(outputs, "--all", "print everything: all parameters, tests, passes, settings")
     add_path(outputs, "--json", "FILE", "write the fit as JSON")
-    add_path(outputs, "--report", "FILE", "write the printed report, as .md or .html")
+    add_path(outputs, "--report", "FILE", "write the whole report, as .md or .html")
     add_path(outputs, "--rrd", "FILE", "write trajectories and fit as a Rerun file")
 
 
@@ -80,7 +80,7 @@ def run(options: argparse.Namespace) -> int:
 
             fit = with_consistent(fit, prior)
     signals = fit.problem.signals
-    document = fit_document(signals, fit, everything=options.all)
+    document, written = fit_document(signals, fit), list[Path]()
     try:
         if options.json:
             write_json(options.json, fit_file(fit))
@@ -91,8 +91,13 @@ def run(options: argparse.Namespace) -> int:
                 from ..view import write_fit_rrd
 
                 write_fit_rrd(picture, one.problem.signals, fit.on(one))
+            written.append(picture)
     finally:  # print the fit even if a file cannot be written
-        print_results(document)
+        print_results(document, everything=options.all)
+    if options.report:
+        print_results(f"report: {options.report}")
+    if written:
+        print_results(f"look at it: rerun --bind 127.0.0.1 {' '.join(map(str, written))}")
     verdict, reasons = fit.trust.verdict, fit.distrust
     if options.require and not reasons and verdict != options.require:
         reasons = tuple(line.text for line in fit.trust.lines if line.level == verdict)

@@ -231,7 +231,7 @@ def _warnings(limits: Limits, mus: Sequence[str]) -> tuple[str, ...]:
 
 
 def excitation_document(excitation: Excitation) -> Document:
-    """Expected intervals of a reference, and the limits that it uses."""
+    """Expected intervals of a reference, in short the widest, and the limits that it uses."""
     e, s = excitation, excitation.settings
     smaller = e.plain / e.sigma
     known = e.beta is not None
@@ -264,6 +264,7 @@ def excitation_document(excitation: Excitation) -> Document:
         lines += (
             f"drive gains by a run without and a run with {e.payload}: {', '.join(gains)}; expected by this noise",
         )
+    intervals = Section(title="expected intervals", table=expected, lines=lines)
     n, percents = e.robot.n, [Number(100 * float(x), ".1f") for x in e.used]
     efforts = dict(zip(e.limits.names[3 * n : len(e.used)], percents[3 * n :], strict=True))
     table: list[Row] = [
@@ -286,7 +287,7 @@ def excitation_document(excitation: Excitation) -> Document:
     return Document(
         title=title,
         sections=(
-            Section(title="expected intervals", table=expected, lines=lines),
+            intervals.with_short_table(np.argsort(-e.half).tolist()),
             Section(
                 title="limits in use, % of the whole limit",
                 table=limits,

@@ -12,8 +12,12 @@ from ..report import NO_FIXED_POINT, Document, Number, Row, Section, Table, colu
 from .fit import Fit, InstrumentEvidence
 from .recording_report import error_line, errors_section, headline, recording_lines, recordings_section, settings_lines
 
+MAX_SHORT_PARAMETERS, MAX_SHORT_WARNINGS = 10, 4
+HIDDEN = Section()  # the `short` of what only `--all` prints
+PARAMETERS = "parameters"  # title of the section of all values
 
-def fit_document(signals: Signals, fit: Fit, *, everything: bool = False) -> Document:
+
+def fit_document(signals: Signals, fit: Fit) -> Document:
     """A fit as a report, the verdict first."""
     settings = Section(
         title="settings and tests",
@@ -24,6 +28,7 @@ def fit_document(signals: Signals, fit: Fit, *, everything: bool = False) -> Doc
             *(_iv_lines(fit.iv) if fit.iv else ()),
             *(recording_lines(signals) if len(fit.recordings) == 1 else ()),
         ),
+        short=HIDDEN,
     )
     several = [recordings_section(fit.recordings, fit.own)] if len(fit.recordings) > 1 else []
     return Document(
@@ -33,13 +38,13 @@ def fit_document(signals: Signals, fit: Fit, *, everything: bool = False) -> Doc
             _trust_section(fit),
             *_gains(fit),
             *_payloads(fit),
-            _parameters(fit, everything=everything),
-            *_consistent(fit, everything=everything),
+            _parameters(fit),
+            *_consistent(fit),
             *(_iv_sections(fit.iv) if fit.iv else ()),
             errors_section(fit.errors, signals.robot.effort_units),
             *several,
             settings,
-            *(_expressions(fit) if everything else ()),
+            *_expressions(fit),
         ),
     )
 
@@ -60,11 +65,16 @@ def first_line(fit: Fit) -> str:
 def _verdict_section(fit: Fit) -> Section:
     reason = f": {fit.iv.reason}" if fit.iv and fit.iv.reason else ""
     lines = [f"assumed: {', '.join(one.what for one in fit.trust.assumed)}"] if fit.trust.assumed else []
-    lines += [f"status: {fit.status}{reason}", error_line(fit.errors)]
+    status = f"status: {fit.status}{reason}"
+    lines += [status, error_line(fit.errors)]
     if fit.status in NO_FIXED_POINT:
         error = relative_error_percent(fit.tau, fit.tau - fit.least_squares.tau_predicted)
         lines.append(f"least squares has a torque error of {_percent(error)} of all rows: --method wls")
-    return Section(lines=(*lines, _essential_line(fit)), warnings=fit.warnings)
+    left_out = len(fit.warnings) - MAX_SHORT_WARNINGS
+    more = [f"{left_out} more warnings (--all)"] if left_out > 0 else []
+    stated = [line for line in lines if reason or line != status]  # the title has the status
+    short = Section(lines=(*stated, *more), warnings=fit.warnings[:MAX_SHORT_WARNINGS])
+    return Section(lines=(*lines, _essential_line(fit)), warnings=fit.warnings, short=short)
 
 
 def trust_document(fit: Fit) -> Document:
@@ -73,9 +83,18 @@ def trust_document(fit: Fit) -> Document:
 
 
 def _trust_section(fit: Fit) -> Section:
-    """Every test of the fit, worst first."""
+    """Every test of the fit, worst first; in short those that found something."""
     lines = tuple(f"{line.level}: {line.test}: {line.text.removeprefix('not made: ')}" for line in fit.trust.lines)
-    return Section(title=f"verdict: {fit.trust.verdict}", lines=lines)
+    levels = [line.level for line in fit.trust.lines]
+    found = levels.count("do not use") + levels.count("caution")
+    others = {
+        "ok": levels.count("ok"),
+        "cannot tell": levels.count("cannot tell"),
+        "not made": levels.count("not made"),
+    }
+    counts = ", ".join(f"{count} {level}" for level, count in others.items() if count)
+    short = Section(lines=(*lines[:found], f"{counts.replace(' ', ' tests ', 1)} (--all)"))
+    return Section(title=f"verdict: {fit.trust.verdict}", lines=lines, short=short)
 
 
 def _essential_line(fit: Fit) -> str:
@@ -113,7 +132,9 @@ def _gains(fit: Fit) -> list[Section]:
         ),
     )
     line = f"smallest Cragg-Donald eigenvalue {g.cragg_donald:.3g}: how well the payload tells the gains apart from the arm"
-    return [Section(title="drive gains", table=table, lines=(line,))]
+    values = [f"{n} {v:.4g} ± {h:.2g} {u}" for n, v, h, u in zip(g.motors, g.values, g.half, g.units, strict=True)]
+    short = Section(lines=(f"drive gains: {', '.join(values)}",))
+    return [Section(title="drive gains", table=table, lines=(line,), short=short)]
 
 
 def _payloads(fit: Fit) -> list[Section]:
@@ -139,46 +160,40 @@ def _payloads(fit: Fit) -> list[Section]:
         ]
         line = f"stated: {one.payload.describe(joint)}; values in the frame of {joint}, inertia about its origin"
         table = Table(columns=heads, rows=tuple(rows))
-        found.append(Section(title=f"payload of {one.recording}", table=table, lines=(line,)))
+        mass = f"payload of {one.recording}: mass {one.values[9]:.4g} kg"
+        title, short = f"payload of {one.recording}", Section(lines=(mass,))
+        found.append(Section(title=title, table=table, lines=(line,), short=short))
     return found
 
 
-def _parameters(fit: Fit, *, everything: bool) -> Section:
+def _parameters(fit: Fit) -> Section:
     e, essential = fit.estimate, set(fit.essential_names)
     units = dict(zip(fit.base.names, fit.base.units, strict=True))
     rows: list[Row] = []
     for k, name in enumerate(e.names):
-        if everything or name in essential:
-            value, half, sigma = float(e.beta[k]), float(fit.intervals.half[k]), float(e.sigma[k])
-            form = value_form(sigma)
-            percent = 100 * half / abs(value) if value else math.inf
-            row = (
-                name,
-                Number(value, form),
-                Number(half, form),
-                Number(percent, ".2f", most=1000),
-                units[base_name(name)],
-            )
-            more = (Number(sigma, form), "yes" if name in essential else "")
-            rows.append((*row, *more) if everything else row)
-    left_out = len(e.names) - len(rows)
+        value, half, sigma = float(e.beta[k]), float(fit.intervals.half[k]), float(e.sigma[k])
+        form, percent = value_form(sigma), 100 * half / abs(value) if value else math.inf
+        numbers = Number(value, form), Number(half, form), Number(percent, ".2f", most=1000)
+        unit, mark = units[base_name(name)], "yes" if name in essential else ""
+        rows.append((name, *numbers, unit, Number(sigma, form), mark))
+    heads = columns("parameter", numbers=("value", "±95%", "in %")) + columns("unit")
+    places = sorted(range(len(rows)), key=lambda k: (e.names[k] not in essential, -abs(float(e.beta[k]))))
+    places = sorted(places[: min(MAX_SHORT_PARAMETERS, len(essential))])
+    left_out = f"; {len(rows) - len(places)} others: --all" if len(places) < len(rows) else ""
+    meaning = "±95%: half-width of the 95 % interval"
     return Section(
-        title="parameters" if everything else "essential parameters",
-        table=Table(
-            columns=columns("parameter", numbers=("value", "±95%", "in %"))
-            + columns("unit", numbers=("sigma",) if everything else ())
-            + columns(*(["essential"] if everything else [])),
-            rows=tuple(rows),
-        ),
-        lines=(
-            "±95%: half-width of the 95 % interval",
-            *(["sigma assumes a white residual, the interval does not"] if everything else []),
-            *([f"{left_out} poorly determined parameters hidden (--all)"] if left_out else []),
+        title=PARAMETERS,
+        table=Table(columns=heads + columns(numbers=("sigma",)) + columns("essential"), rows=tuple(rows)),
+        lines=(meaning, "sigma assumes a white residual, the interval does not"),
+        short=Section(
+            title=f"the {len(places)} largest of {len(essential)} essential parameters",
+            table=Table(columns=heads, rows=tuple(rows[k][:5] for k in places)),
+            lines=(meaning + left_out,),
         ),
     )
 
 
-def _consistent(fit: Fit, *, everything: bool) -> list[Section]:
+def _consistent(fit: Fit) -> list[Section]:
     """The physically consistent parameters and their moves from the estimate."""
     c = fit.consistent
     if c is None:
@@ -204,19 +219,15 @@ def _consistent(fit: Fit, *, everything: bool) -> list[Section]:
         f"{int(c.from_prior.sum())} of {len(c.names)} values come from the prior",
     )
     heads = columns("parameter", numbers=("value", "±95%")) + columns("unit", "mostly from")
-    found = [
-        Section(
-            title="physically consistent standard parameters", table=Table(columns=heads, rows=tuple(rows)), lines=lines
-        )
+    title = "physically consistent standard parameters"
+    table, short = Table(columns=heads, rows=tuple(rows)), Section(title=title, lines=lines)
+    of_base = (c.base_names, c.beta.tolist(), c.base_half.tolist(), fit.base.units, c.base_from_prior.tolist())
+    moved = [(*cells, Number(move, "+.2g")) for cells, move in zip(map(row, *of_base), c.moves.tolist(), strict=True)]
+    base = Table(columns=heads + columns(numbers=("moved, half-widths",)), rows=tuple(moved))
+    return [
+        Section(title=title, table=table, lines=lines, short=short),
+        Section(title="physically consistent base parameters", table=base, short=HIDDEN),
     ]
-    if everything:
-        of_base = (c.base_names, c.beta.tolist(), c.base_half.tolist(), fit.base.units, c.base_from_prior.tolist())
-        moved = [
-            (*cells, Number(move, "+.2g")) for cells, move in zip(map(row, *of_base), c.moves.tolist(), strict=True)
-        ]
-        table = Table(columns=heads + columns(numbers=("moved, half-widths",)), rows=tuple(moved))
-        found.append(Section(title="physically consistent base parameters", table=table))
-    return found
 
 
 def _percent(error: float | None) -> str:
@@ -255,7 +266,7 @@ def _iv_sections(iv: InstrumentEvidence) -> list[Section]:
             for number, p in enumerate(iv.passes, 1)
         ),
     )
-    sections = [Section(title=f"passes from start: {iv.start}", table=passes)]
+    sections = [Section(title=f"passes from start: {iv.start}", table=passes, short=HIDDEN)]
     if iv.direct:
         direct = Table(
             columns=columns("joint", numbers=("position", "torque")),
@@ -264,7 +275,7 @@ def _iv_sections(iv: InstrumentEvidence) -> list[Section]:
                 for d in iv.direct
             ),
         )
-        sections.append(Section(title="simulated robot against the recording, %", table=direct))
+        sections.append(Section(title="simulated robot against the recording, %", table=direct, short=HIDDEN))
     return sections
 
 
@@ -285,4 +296,4 @@ def _expressions(fit: Fit) -> list[Section]:
         for name, expression in zip(fit.base.names, fit.base.expressions, strict=True)
         if expression != name and name in fit.estimate.names
     )
-    return [Section(title="regrouped parameters", lines=lines)] if lines else []
+    return [Section(title="regrouped parameters", lines=lines, short=HIDDEN)] if lines else []

@@ -102,19 +102,20 @@ def recordings_section(recordings: Sequence[FittedRecording], own: FTest | None)
         if held is not None and error is None:
             why = f"{', '.join(held.undetermined)} undetermined" if held.undetermined else "it has no torque"
             lines.append(f"{signals.recording} cannot be predicted by the others: {why}")
-    lines.append("held out: predicted by a fit of the other recordings, over the rows used")
     if own is not None:
         lines.append(
             f"own parameters {', '.join(own.names)} against shared ones: F test p = {Number(own.p_value, '.2g').text} "
             f"(corrected for correlation p = {Number(own.p_effective, '.2g').text})"
         )
+    short = Section(lines=tuple(lines))
     fs, settings = recordings[0].problem.signals.sample_rate_hz, recordings[0].problem.settings
     cutoff = "no low-pass" if settings.cutoff_hz is None else f"low-pass {settings.cutoff_hz:g} Hz"
+    lines.append("held out: predicted by a fit of the other recordings, over the rows used")
     lines.append(f"common to all: {cutoff}, {fs / settings.decimation:g} rows a second")
     lines += [line for one in recordings for line in recording_lines(one.problem.signals)]
     numbers = ("Hz", "from, s", "to, s", *ERROR_COLUMNS, "held out")
     table = Table(columns=columns("recording", numbers=numbers), rows=tuple(rows))
-    return Section(title="recordings: relative torque error, %", table=table, lines=tuple(lines))
+    return Section(title="recordings: relative torque error, %", table=table, lines=tuple(lines), short=short)
 
 
 def _error_cells(error: TorqueError) -> tuple[Number, ...]:
@@ -142,24 +143,19 @@ def error_line(errors: tuple[TorqueError, ...]) -> str:
 
 def errors_section(errors: tuple[TorqueError, ...], units: tuple[str, ...]) -> Section:
     """Relative torque errors by joint: whole, moving, standing; all joints together last."""
-    numbers = (*ERROR_COLUMNS, "rows moving", "rows standing", "residual lag-1")
+    title, heads = "relative torque error, %", columns("joint", "unit", numbers=ERROR_COLUMNS)
+    rows: list[Row] = [
+        (error.name, unit, *_error_cells(error)) for error, unit in zip(errors, (*units, ""), strict=True)
+    ]
+    more = [
+        (Number(e.moving_rows, "d"), Number(e.standing_rows, "d"), Number(e.autocorrelation, ".2f")) for e in errors
+    ]
+    wide = heads + columns(numbers=("rows moving", "rows standing", "residual lag-1"))
+    whole = tuple((*row, *cells) for row, cells in zip(rows, more, strict=True))
     return Section(
-        title="relative torque error, %",
-        table=Table(
-            columns=columns("joint", "unit", numbers=numbers),
-            rows=tuple(
-                (
-                    error.name,
-                    unit,
-                    *_error_cells(error),
-                    Number(error.moving_rows, "d"),
-                    Number(error.standing_rows, "d"),
-                    Number(error.autocorrelation, ".2f"),
-                )
-                for error, unit in zip(errors, (*units, ""), strict=True)
-            ),
-            total=True,
-        ),
+        title=title,
+        table=Table(columns=wide, rows=whole, total=True),
+        short=Section(title=title, table=Table(columns=heads, rows=tuple(rows[:-1]))),  # a line above has all joints
     )
 
 

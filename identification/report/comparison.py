@@ -105,12 +105,14 @@ def difference_lines(a: ParameterSet, b: ParameterSet, rows: list[Difference]) -
 
 
 def comparison_document(a: ParameterSet, b: ParameterSet, warnings: tuple[str, ...] = ()) -> Document:
-    """A comparison as a report, with `warnings`.
+    """A comparison as a report, with `warnings`; in short the largest differences in sigma.
 
     Raises `IdentificationError`: as `differences` does.
     """
-    section = comparison_section(a, b)
-    return Document(title=section.title, sections=(replace(section, title="", warnings=warnings),))
+    section, rows = comparison_section(a, b), differences(a, b)
+    largest = sorted(range(len(rows)), key=lambda k: -abs(rows[k].off_sigma or 0.0))
+    shown = replace(section, title="", warnings=warnings).with_short_table(largest)
+    return Document(title=section.title, sections=(shown,))
 
 
 def comparison_section(a: ParameterSet, b: ParameterSet) -> Section:

@@ -2,6 +2,7 @@
 
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import msgspec
 from acquisition.files import atomic_write
 
 FORMAT = 1  # of all JSON files
+MAX_SHORT_ROWS = 20  # of a table that a terminal prints whole without `--all`
 
 
 @dataclass(frozen=True)
@@ -59,12 +61,24 @@ class Table:
 
 @dataclass(frozen=True, kw_only=True)
 class Section:
-    """A section of a report: a title, a table, lines, warnings; each may be missing."""
+    """A section of a report: a title, a table, lines, warnings; each may be missing.
+
+    `short` is what a terminal prints of it without `--all`; None for all of it.
+    """
 
     title: str = ""
     table: Table | None = None
     lines: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
+    short: "Section | None" = None
+
+    def with_short_table(self, order: Sequence[int], most: int = 10) -> "Section":
+        """The section, of whose table, if long, a terminal prints only the `most` rows that come first in `order`."""
+        if self.table is None or len(self.table.rows) <= MAX_SHORT_ROWS:
+            return self
+        table = replace(self.table, rows=tuple(self.table.rows[k] for k in sorted(order[:most])))
+        lines = (*self.lines, f"{len(self.table.rows) - len(table.rows)} rows hidden (--all)")
+        return replace(self, short=replace(self, table=table, lines=lines))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,6 +87,11 @@ class Document:
 
     title: str
     sections: tuple[Section, ...]
+
+    @property
+    def short(self) -> "Document":
+        """What a terminal prints of the report without `--all`."""
+        return replace(self, sections=tuple(section.short or section for section in self.sections))
 
     def followed_by(self, *sections: Section) -> "Document":
         """The report with `sections` appended."""

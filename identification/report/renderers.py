@@ -5,7 +5,7 @@ A new renderer to a file is a function from a `Document` to text, and a line in 
 
 import re
 import textwrap
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from html import escape
 from pathlib import Path
 
@@ -25,6 +25,7 @@ from .document import Document, Section, Table, cell_text
 
 _MAX_WORD = 16  # characters; longer words, such as a file's name, are broken
 _MAX_WIDTH = 10_000  # characters, for measuring
+SHORT_WIDTH = 120  # characters of a line of a short report in a pipe
 
 
 def print_whole(*items: Document | str) -> None:
@@ -33,31 +34,55 @@ def print_whole(*items: Document | str) -> None:
     A table too wide for the terminal is compacted, with headings over several lines; if it is still too wide, the terminal
     breaks its lines. A pipe or file gets whole lines.
     """
+    _print(_console(), items, _MAX_WIDTH)
+
+
+def print_short(*items: Document | str) -> None:
+    """Print what a terminal shows of reports without `--all`, and lines.
+
+    As by `print_whole`, but tables have no frames, and a pipe or file gets lines of reports broken between words.
+    """
+    console, shorts = _console(), [item if isinstance(item, str) else item.short for item in items]
+    _print(console, shorts, console.width if console.is_terminal else SHORT_WIDTH)
+
+
+def _console() -> Console:
     console = Console(markup=False, emoji=False)
     if not console.is_terminal:
         console.width = _MAX_WIDTH
+    return console
+
+
+def _print(console: Console, items: Sequence[Document | str], width: int) -> None:
+    """Print reports with lines of at most `width` characters but for longer words; framed tables in whole lines only."""
     for item in items:
         if isinstance(item, str):
             _print_line(console, item)
         else:
-            _print_line(console, item.title, "bold")
+            _print_line(console, item.title, "bold", width)
             for section in item.sections:
-                _print_section(console, section)
+                _print_section(console, section, width)
 
 
-def _print_section(console: Console, section: Section) -> None:
+def _print_section(console: Console, section: Section, width: int) -> None:
     if section.title:
-        _print_line(console, section.title, "italic")
+        _print_line(console, section.title, "italic", width)
     if section.table is not None:
-        _print_table(console, _rich_table(section.table))
+        drawn = _rich_table(section.table)
+        if width != _MAX_WIDTH:
+            _remove_frame(drawn)
+        _print_table(console, drawn)
     for line in section.lines:
-        _print_line(console, line)
+        _print_line(console, line, width=width)
     for warning in section.warnings:
-        _print_line(console, f"warning: {warning}", "yellow")
+        _print_line(console, f"warning: {warning}", "yellow", width)
 
 
-def _print_line(console: Console, text: str, style: str = "") -> None:
-    console.print(Text(one_line(text), style=style))
+def _print_line(console: Console, text: str, style: str = "", width: int = _MAX_WIDTH) -> None:
+    whole = one_line(text).replace(" %", "\0%")  # no break between a number and its unit; a line has no NUL
+    lines = textwrap.wrap(whole, width, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
+    for line in lines or [""]:
+        console.print(Text(line.replace("\0", " "), style=style))
 
 
 def _rich_table(table: Table) -> RichTable:
@@ -74,12 +99,16 @@ def _rich_table(table: Table) -> RichTable:
 def _print_table(console: Console, table: RichTable) -> None:
     unbounded = console.options.update(max_width=_MAX_WIDTH)
     if Measurement.get(console, unbounded, table).maximum > console.width:
-        table.box, table.padding, table.show_edge = box.SIMPLE_HEAD, (0, 1, 0, 0), False
+        _remove_frame(table)
         for column in table.columns:
             _compact(column)
     least = Measurement.get(console, unbounded, table).minimum
     # Rich prints no line wider than its console.
     Console(markup=False, emoji=False, width=max(console.width, least)).print(table, crop=False)
+
+
+def _remove_frame(table: RichTable) -> None:
+    table.box, table.padding, table.show_edge = box.SIMPLE_HEAD, (0, 1, 0, 0), False
 
 
 def _compact(column: Column) -> None:

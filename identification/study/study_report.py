@@ -198,7 +198,7 @@ def _run_json(run: Run, b: int) -> dict[str, Any]:
 
 
 def base_document(base: BaseParameters, robot: Robot, true: Array | None = None) -> Document:
-    """The base parameters of a robot as sums of standard parameters, and its joints by number."""
+    """The base parameters of a robot as sums of standard parameters, in short the regrouped ones; its joints by number."""
     names = zip(base.names, base.expressions, base.units, strict=True)
     values: list[tuple[Number, ...]] = [()] * base.b if true is None else [(Number(float(x), ".6g"),) for x in true]
     table = Table(
@@ -209,7 +209,9 @@ def base_document(base: BaseParameters, robot: Robot, true: Array | None = None)
         columns=columns("number", "joint", "type"),
         rows=tuple((str(j + 1), joint.name, joint.type) for j, joint in enumerate(robot.joints)),
     )
-    sections = (Section(table=table), Section(title="joints, by the number at the end of a name", table=joints))
+    sums_first = sorted(range(base.b), key=lambda k: base.expressions[k] == base.names[k])
+    parameters = Section(table=table).with_short_table(sums_first, 20)
+    sections = (parameters, Section(title="joints, by the number at the end of a name", table=joints))
     return Document(title=f"{robot.name}: {base.b} base parameters", sections=sections)
 
 
@@ -236,9 +238,12 @@ def truth_document(robot: str, fits: Sequence[Fit], true: Array) -> Document:
         )
     headings = (heading for fit in fits for heading in (fit.method, "±95%", "off by,\n±95%"))
     table = Table(columns=columns("parameter", numbers=("true", *headings)), rows=tuple(rows))
+    section = Section(title="compared with the simulated values", table=table, lines=tuple(lines))
+    essential = np.isin(fits[-1].base.names, fits[-1].essential_names)
+    largest = np.lexsort((-np.abs(true), ~essential)).tolist()
     return Document(
         title=f"{robot}: {len(true)} estimated parameters and their true values",
-        sections=(Section(title="compared with the simulated values", table=table, lines=tuple(lines)),),
+        sections=(section.with_short_table(largest),),
     )
 
 

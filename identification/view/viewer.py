@@ -206,7 +206,7 @@ def _fit_pages(show: Show, signals: Signals, fit: Fit, truth: Array | None) -> l
     height = parameters.size[1] + 40
     compared = (comparison_section(own, other) for other in others)
     sections = (numbers_of_plots(signals, fit), *compared, legend(signals, fit.settings, fit))
-    report = _report(fit_document(signals, fit, everything=True).followed_by(*sections))
+    report = _report(fit_document(signals, fit).followed_by(*sections))
     side = rrb.Vertical(show(parameters), show(report), row_shares=[height, max(350.0, 1000.0 - height)])
     deviations = [show(deviation_drawing(own, others)), *([show(passes_drawing(fit))] if fit.iv else [])]
     tests = trust_drawing(fit.trust)

@@ -1,0 +1,143 @@
+"""What a command prints into a pipe without `--all`: at most a screen; names, paths and errors are whole."""
+
+import json
+import shlex
+import shutil
+
+import pytest
+from conftest import ACQUIRE, IDENTIFY, REPLAY
+
+from identification.report import Document, Section, Table, columns, print_short, print_whole
+
+MAX_LINES, MAX_WIDTH = 40, 120
+NARROW = ("fit", "demo")  # their lines are of at most MAX_WIDTH characters
+# Data for other programs in place of a report: `schema`, `init` without -o, `info --json`.
+DATA = {"robot-identify": {"schema"}, "robot-acquire": set()}
+NEEDS_A_BUS = {"disable", "simulate", "replay", "record"}
+PREPARED = "robot-identify fit log.mcap --json fit.json", "robot-identify fit log.mcap --method wls --json ls.json"
+COMMANDS = (
+    "robot-identify fit log.mcap --report fit.md",
+    "robot-identify fit log.mcap --consistent",
+    "robot-identify compare fit.json ls.json",
+    "robot-identify validate fit.json log.mcap",
+    "robot-identify base robot.toml",
+    "robot-identify export fit.json --urdf a.urdf --mjcf a.xml --toml a.toml",
+    "robot-identify friction log.mcap",
+    "robot-identify fleet . -o fleet.parquet",
+    "robot-identify view log.mcap",
+    "robot-identify excite robot.toml -o ref.csv --periods 1",
+    "robot-identify simulate robot.toml -o made.mcap --duration-s 3",
+    "robot-identify study robot.toml --runs 1",
+    "robot-acquire info log.mcap",
+    "robot-acquire decode log.mcap -o decoded.mcap",
+    "robot-acquire recover log.mcap -o recovered.mcap",
+    "robot-acquire export log.mcap -o log.csv",
+)
+PROGRAMS = {program.name: program for program in (ACQUIRE, IDENTIFY)}
+
+
+def printed(capsys, command):
+    """The lines that a command prints; none of its errors is of more than one line."""
+    program, *arguments = shlex.split(command)
+    status = PROGRAMS[program].main(arguments)
+    out, err = capsys.readouterr()
+    assert status in (0, 1), err
+    assert status == 0 or err.count("\n") == 1, err
+    return out.splitlines()
+
+
+def check(command, lines):
+    """Within the budget; the command with its figures."""
+    assert len(lines) <= MAX_LINES, command
+    if command.split()[1] in NARROW:
+        # But for words, such as paths, that are longer than a line themselves.
+        wide = [line for line in lines if len(line) > MAX_WIDTH and max(map(len, line.split())) < MAX_WIDTH - 20]
+        assert wide == [], command
+    return f"{command}: {len(lines)} lines, the longest {max(map(len, lines), default=0)}"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["scara", "tx40"])
+def test_every_command_prints_at_most_a_screen(name, tmp_path, monkeypatch, capsys):
+    shutil.copy(REPLAY / name / "session.mcap", tmp_path / "log.mcap")
+    shutil.copy(REPLAY / name / "robot.toml", tmp_path / "robot.toml")
+    monkeypatch.chdir(tmp_path)
+    found = [check(command, printed(capsys, command)) for command in (*PREPARED, *COMMANDS)]
+    command = f"robot-identify demo --robot {name} --out session"
+    lines = printed(capsys, command)
+    found.append(check(command, lines))
+    assert "look at it: rerun --bind 127.0.0.1 session/demo.rrd" in lines
+    assert any("robot-identify fit log.mcap" in line for line in lines), "what to do next"
+    print("\n".join(found))
+
+
+def test_no_command_is_left_out():
+    tried = {(command.split()[0], command.split()[1]) for command in COMMANDS}
+    tried |= {("robot-identify", "demo"), ("robot-identify", "init"), ("robot-acquire", "import")}  # print a few lines
+    tried |= {("robot-acquire", name) for name in NEEDS_A_BUS | {"check"}}
+    assert tried == {
+        (name, command)
+        for name, program in PROGRAMS.items()
+        for command in program.commands
+        if command not in DATA[name]
+    }
+
+
+LONG = "x" * 150
+WIDE = Document(
+    title="a title of words " * 12,
+    sections=(
+        Section(lines=("word " * 60, f"/a/{LONG}/log.mcap in a sentence of some words"), warnings=("12 % " * 40,)),
+        Section(title="hidden", lines=("only with --all",), short=Section(lines=("3 tests ok (--all)",))),
+        Section(table=Table(columns=columns("name"), rows=((LONG,),))),
+    ),
+)
+
+
+def test_lines_of_a_short_report_are_broken_between_words_and_no_name_is_cut(capsys):
+    print_short(WIDE, f"look at it: rerun /a b/{LONG} {LONG}")
+    out = capsys.readouterr().out
+    lines = out.splitlines()
+    assert out.count(LONG) == 4
+    assert max(len(line.strip()) for line in lines if LONG not in line and "─" not in line) <= MAX_WIDTH
+    assert f"look at it: rerun /a b/{LONG} {LONG}" in lines, "a command is one line"
+    assert out.count("word") == 60 + 12 + 1
+    assert not any(line.strip().startswith("%") for line in lines), "a number and its unit stay together"
+    assert "only with --all" not in out
+    assert "3 tests ok (--all)" in lines
+    assert not set("┃│") & set(out)
+
+
+def test_with_all_lines_are_whole_and_nothing_is_hidden(capsys):
+    print_whole(WIDE)
+    lines = capsys.readouterr().out.splitlines()
+    assert ("word " * 60).strip() in lines
+    assert "only with --all" in lines
+    assert "3 tests ok (--all)" not in lines
+
+
+def test_all_prints_what_the_short_report_hides(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    log = REPLAY / "scara" / "session.mcap"
+    short, whole = (printed(capsys, f"robot-identify fit {log} --method wls {option}") for option in ("", "--all"))
+    assert len(short) < len(whole)
+    assert sum(line.startswith("ok: ") for line in short) == 0
+    oks = sum(line.startswith("ok: ") for line in whole)
+    assert any(line.startswith(f"{oks} tests ok") and line.endswith("(--all)") for line in short)
+    for hidden in ("regrouped parameters", "settings and tests"):
+        assert hidden in whole
+        assert hidden not in short
+    assert f"sha256 {json.loads((REPLAY / 'scara' / 'fit.json').read_text())['provenance']['sha256']}" in " ".join(
+        whole
+    )
+
+
+def test_a_short_table_counts_its_hidden_rows():
+    rows = tuple((f"p{k}",) for k in range(21))
+    section = Section(table=Table(columns=columns("name"), rows=rows), lines=("a line",), warnings=("a warning",))
+    short = section.with_short_table([5, 2]).short
+    assert short.table.rows == (("p2",), ("p5",))
+    assert short.lines == ("a line", "19 rows hidden (--all)")
+    assert short.warnings == ("a warning",)
+    few = Section(table=Table(columns=columns("name"), rows=rows[:20]))
+    assert few.with_short_table([1]) is few
