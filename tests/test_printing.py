@@ -11,7 +11,7 @@ from fits_of_records import signals_of
 from identification.commands import main
 from identification.methods import fit_document, identify
 from identification.regression import Overrides
-from identification.report import Document, Section, Table, columns, print_short, print_whole
+from identification.report import Document, Section, Table, columns, print_whole
 from identification.study import FALSE_ERROR, Noise, Study, study_document
 
 SESSION = REPLAY / "scara" / "session.mcap"
@@ -45,7 +45,7 @@ def test_a_narrow_terminal_loses_no_digit_of_a_fit(narrow, capsys, tmp_path):
 @pytest.mark.slow
 def test_the_readme_shows_the_real_record_as_it_is_printed(emps, capsys):
     """Its tables are without their frames there."""
-    print_short(fit_document(signals_of(emps), identify(signals_of(emps), Overrides())))
+    print_whole(fit_document(signals_of(emps), identify(signals_of(emps), Overrides())), short=True)
     printed = [re.findall(r"[^\s│┃]+", line) for line in capsys.readouterr().out.splitlines()]
     section = (ROOT / "identification" / "README.md").read_text().split("\n## The report of a fit\n")[1]
     shown = [line.split() for line in section.split("\n- ")[0].splitlines() if line.startswith("    ")]

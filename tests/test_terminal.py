@@ -7,7 +7,7 @@ import shutil
 import pytest
 from conftest import ACQUIRE, IDENTIFY, REPLAY
 
-from identification.report import Document, Section, Table, columns, print_short, print_whole
+from identification.report import Document, Section, Table, columns, print_whole
 
 MAX_LINES, MAX_WIDTH = 40, 120
 NARROW = ("fit", "demo")  # their lines are of at most MAX_WIDTH characters
@@ -25,6 +25,7 @@ COMMANDS = (
     "robot-identify friction log.mcap",
     "robot-identify fleet . -o fleet.parquet",
     "robot-identify view log.mcap",
+    "robot-identify sensitivity log.mcap --position-noise 1e-6 --workers 1",
     "robot-identify excite robot.toml -o ref.csv --periods 1",
     "robot-identify simulate robot.toml -o made.mcap --duration-s 3",
     "robot-identify study robot.toml --runs 1",
@@ -95,7 +96,7 @@ WIDE = Document(
 
 
 def test_lines_of_a_short_report_are_broken_between_words_and_no_name_is_cut(capsys):
-    print_short(WIDE, f"look at it: rerun /a b/{LONG} {LONG}")
+    print_whole(WIDE, f"look at it: rerun /a b/{LONG} {LONG}", short=True)
     out = capsys.readouterr().out
     lines = out.splitlines()
     assert out.count(LONG) == 4

@@ -172,9 +172,9 @@ def refuse_outputs(
 
 def print_results(*items: "Document | str", everything: bool = True) -> None:
     """Print reports and lines without cutting them to the width of the terminal; reports in short, or `everything`."""
-    from ..report import print_short, print_whole
+    from ..report import print_whole
 
-    (print_whole if everything else print_short)(*items)
+    print_whole(*items, short=not everything)
 
 
 def trust_status(reasons: Sequence[str]) -> int:

@@ -32,4 +32,4 @@ from .parameters import (
     PhysicalWarning,
     StandardParameter,
 )
-from .renderers import check_report_file, print_short, print_whole, to_html, to_markdown, write_report
+from .renderers import check_report_file, print_whole, to_html, to_markdown, write_report

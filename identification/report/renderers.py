@@ -5,7 +5,7 @@ A new renderer to a file is a function from a `Document` to text, and a line in 
 
 import re
 import textwrap
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from html import escape
 from pathlib import Path
 
@@ -28,39 +28,23 @@ _MAX_WIDTH = 10_000  # characters, for measuring
 SHORT_WIDTH = 120  # characters of a line of a short report in a pipe
 
 
-def print_whole(*items: Document | str) -> None:
+def print_whole(*items: Document | str, short: bool = False) -> None:
     """Print reports and lines. No cell is truncated, and names are not interpreted as markup.
 
     A table too wide for the terminal is compacted, with headings over several lines; if it is still too wide, the terminal
-    breaks its lines. A pipe or file gets whole lines.
+    breaks its lines. A pipe or file gets whole lines. In `short`, what a report hides without `--all` is left out, tables have
+    no frames, and also a pipe or file gets lines of reports broken between words; longer words stay whole.
     """
-    _print(_console(), items, _MAX_WIDTH)
-
-
-def print_short(*items: Document | str) -> None:
-    """Print what a terminal shows of reports without `--all`, and lines.
-
-    As by `print_whole`, but tables have no frames, and a pipe or file gets lines of reports broken between words.
-    """
-    console, shorts = _console(), [item if isinstance(item, str) else item.short for item in items]
-    _print(console, shorts, console.width if console.is_terminal else SHORT_WIDTH)
-
-
-def _console() -> Console:
     console = Console(markup=False, emoji=False)
+    width = _MAX_WIDTH if not short else console.width if console.is_terminal else SHORT_WIDTH
     if not console.is_terminal:
         console.width = _MAX_WIDTH
-    return console
-
-
-def _print(console: Console, items: Sequence[Document | str], width: int) -> None:
-    """Print reports with lines of at most `width` characters but for longer words; framed tables in whole lines only."""
     for item in items:
         if isinstance(item, str):
             _print_line(console, item)
         else:
             _print_line(console, item.title, "bold", width)
-            for section in item.sections:
+            for section in item.short.sections if short else item.sections:
                 _print_section(console, section, width)
 
 

@@ -1,5 +1,6 @@
 """Rerun files of recordings, fits and fleets. The only room that imports rerun."""
 
+from .sensitivity import write_sensitivity_rrd
 from .viewer import (
     write_comparison_rrd,
     write_excitation_rrd,

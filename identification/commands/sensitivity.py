@@ -1,0 +1,39 @@
+"""`robot-identify sensitivity`: how LS and IV of a recording depend on filter, decimation, position noise and start."""
+
+import argparse
+
+from acquisition.commands import Progress, add_flag, add_path
+
+from ..options import list_of_factors
+from .arguments import add_work, print_results, refuse_outputs, sources, work_of
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    add_path(parser, "recordings", "LOG.mcap", "the recording", nargs=1)
+    add_path(parser, "--robot", "ROBOT.toml", "use this description instead of the recording's own")
+    text = "white noise to add to the recorded position, rad or m rms (default: 1e-6,1e-5,2e-5)"
+    parser.add_argument("--position-noise", type=list_of_factors, metavar="A,B", default=(1e-6, 1e-5, 2e-5), help=text)
+    add_flag(parser, "--all", "also print the values and intervals of all fits")
+    add_path(parser, "--rrd", "FILE", "draw them as a Rerun file, one chart per parameter")
+    add_work(parser)
+
+
+def run(options: argparse.Namespace) -> None:
+    """Fit the recording in all variants, and print how far the estimates move."""
+    refuse_outputs([*options.recordings, options.robot], picture=options.rrd)
+    with Progress("fitting"):
+        from ..study import sensitivity_document, vary
+
+        with work_of(options, len(options.position_noise) + 8) as work:
+            fits = vary(sources(options)[0], options.position_noise, work)
+        document = sensitivity_document(options.recordings[0].name, fits)
+    try:
+        if options.rrd:
+            from ..view import write_sensitivity_rrd
+
+            write_sensitivity_rrd(options.rrd, options.recordings[0].name, fits, document)
+    finally:  # print the result even if a file cannot be written
+        print_results(document, everything=options.all)
+    if options.rrd:
+        print_results(f"look at it: rerun --bind 127.0.0.1 {options.rrd}")

@@ -1,0 +1,59 @@
+"""Charts of how the estimates of one recording depend on filter, decimation, position noise and start."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rerun.blueprint as rrb
+
+from ..report import Document, to_markdown
+from ..study import VariedFit
+from .panels import GREY, LIGHT, ORANGE, PURPLE, Chart, Note, Scale
+from .rerun_panels import Show, write_pages
+
+CHARTS_OF_PAGE = 6
+
+
+def write_sensitivity_rrd(path: Path, recording: str, fits: Sequence[VariedFit], document: Document) -> None:
+    """Write a chart per essential parameter as a Rerun file: entities `sensitivity/<parameter>` and `report`.
+
+    Raises `AcquisitionError`: the file cannot be written.
+    """
+
+    def pages(show: Show) -> list[Any]:
+        report = show(Note(path=("report",), title="report", text=to_markdown(document.short)))
+        charts = [show(sensitivity_drawing(fits, name)) for name in fits[0].essential or fits[0].values]
+        starts = range(0, len(charts), CHARTS_OF_PAGE)
+        grids = [rrb.Grid(*charts[k : k + CHARTS_OF_PAGE], grid_columns=2, name=f"from {k + 1}") for k in starts]
+        return [rrb.Horizontal(rrb.Tabs(*grids, active_tab=0), report, column_shares=[5, 2], name="sensitivity")]
+
+    write_pages(path, f"{recording} sensitivity", repr(fits), f"{recording}, sensitivity", pages)
+
+
+def sensitivity_drawing(fits: Sequence[VariedFit], name: str) -> Chart:
+    """A parameter in all variants by both methods with 95 % intervals; grey lines at that of IV by the rules."""
+    title = f"{name} ± 95 %: × purple LS, orange IV; grey lines: interval of IV by the rules"
+    chart = Chart(path=("sensitivity", name), title=title, size=(720.0, 420.0))
+    values = np.array([fit.values.get(name, (np.nan,) * 4) for fit in fits])  # (fits, 4)
+    middle, half = values[:, [0, 2]], values[:, [1, 3]]
+    low, high = float(np.nanmin(middle - half)), float(np.nanmax(middle + half))
+    up, across = Scale(left=340, right=20, low=low, high=high), Scale(left=90, right=710, low=0, high=len(fits))
+    _, _, iv, of_iv = values[0].tolist()
+    chart.ticks_up(up, {x: f"{x:.4g}" for x in (low, high)}, (85, 710), 42)
+    chart.ticks_up(up, dict.fromkeys((iv - of_iv, iv + of_iv), ""), (85, 710), 42)
+    changed = [fit.variant.changed for fit in fits]
+    for kind in dict.fromkeys(changed[1:]):
+        first, count = changed.index(kind), changed.count(kind)
+        chart.line(across(first), 20, across(first), 380)
+        chart.label(across(first + 0.5 * count), 395, kind, LIGHT)
+    for k, (fit, row) in enumerate(zip(fits, values.tolist(), strict=True)):
+        chart.label(across(k + 0.5), 350 + 22 * (k % 2), fit.variant.to.split(" ")[-1 if not k else 0], GREY)
+        for place, value, size, color, ends in (
+            (k + 0.38, *row[:2], PURPLE, chart.crosses),
+            (k + 0.62, *row[2:], ORANGE, chart.dots),
+        ):
+            if np.isfinite(value):
+                chart.line(across(place), up(value - size), across(place), up(value + size), color, 1.0)
+                ends.append((across(place), up(value), color))
+    return chart

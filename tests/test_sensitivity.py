@@ -1,0 +1,138 @@
+"""How far settings, noise of the position and the start move least squares and instrumental variables."""
+
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import REPLAY
+
+from identification.commands import main
+from identification.data import RecordingFile, Serial
+from identification.errors import IdentificationError
+from identification.study import VariedFit, moves_of, sensitivity_document, vary
+from identification.study.sensitivity import Variant, fit_variant
+from identification.view import write_sensitivity_rrd
+from identification.view.sensitivity import sensitivity_drawing
+
+SCARA = REPLAY / "scara" / "session.mcap"
+
+
+class Tasks:
+    """Records the tasks, and answers each with the same values."""
+
+    remote = False
+
+    def __init__(self, values):
+        self.variants, self.values = [], values
+
+    def run(self, function, tasks):
+        assert function is fit_variant
+        self.variants = [variant for _, variant in tasks]
+        return (VariedFit(variant=variant, ended="converged", values=self.values) for variant in self.variants)
+
+
+@pytest.mark.slow
+def test_noise_of_the_real_record_moves_least_squares_and_not_instrumental_variables(emps):
+    """10 µm behind the rule's filter: LS by over 5 half-widths, IV by less than 1; any start gives the same digits."""
+    began = time.process_time()
+    fits = vary(RecordingFile.at(emps), (1e-6, 1e-5, 2e-5), Serial())
+    spent = time.process_time() - began
+    moves = {
+        fit.variant.to: np.max([moves_of(fits, name)[k] for name in fits[0].values], axis=0)
+        for k, fit in enumerate(fits)
+    }
+    ls, iv = moves["1e-05 m rms"]
+    print(f"{spent:.1f} s of CPU; 10 µm: LS {ls:.2g}, IV {iv:.2g}; 20 µm: {moves['2e-05 m rms']}")
+    assert (ls > 5, iv < 1) == (True, True)
+    for start in ("0.001", "1000"):
+        assert moves[start][1] < 1e-9
+    assert {fit.ended for fit in fits} == {"converged"}
+    assert spent < 60
+
+
+def test_each_variant_changes_one_thing():
+    work = Tasks({"M1": (1.0, 0.1, 1.0, 0.1)})
+    vary(RecordingFile.at(SCARA), (1e-6, 2e-6), work)
+    rules, *variants = work.variants
+    assert rules == Variant(changed="none", to="the rules")
+    cutoffs = [v.overrides.cutoff_hz for v in variants if v.changed == "cut-off"]
+    assert cutoffs == [12.5, 50.0, 0.0], "of a bandwidth of 5 Hz"
+    assert [v.overrides.decimation for v in variants if v.changed == "decimation"] == [20, 80], "of 40"
+    assert [v.noise for v in variants if v.changed == "position noise"] == [1e-6, 2e-6]
+    assert [v.start for v in variants if v.changed == "start"] == [0.001, 1000.0]
+    assert variants[5].to == "1e-06 rad rms"
+    for variant in variants:
+        changed = [variant.overrides != rules.overrides, variant.noise != rules.noise, variant.start != rules.start]
+        assert sum(changed) == 1
+
+
+def test_noise_and_settings_reach_the_fit():
+    source, rules = RecordingFile.at(SCARA), Variant(changed="none", to="the rules")
+    one, noisy, again = (
+        fit_variant(source, v) for v in (rules, replace(rules, noise=1e-3), replace(rules, noise=1e-3))
+    )
+    assert noisy == again
+    assert set(one.essential) <= set(one.values)
+    assert all(one.values[name][0] != noisy.values[name][0] for name in one.values)
+    decimated = fit_variant(source, replace(rules, overrides=replace(rules.overrides, decimation=20)))
+    assert decimated.values != one.values
+    refused = fit_variant(source, replace(rules, overrides=replace(rules.overrides, cutoff_hz=600.0)))
+    assert refused.values == {}
+    assert "600" in refused.ended
+
+
+def made_up():
+    rules = VariedFit(
+        variant=Variant(changed="none", to="the rules"),
+        ended="converged",
+        values={"M1": (10.0, 2.0, 10.5, 0.5), "Fc1": (3.0, 1.0, 3.0, 1.0), "Off1": (0.0, 1.0, 0.0, 1e-9)},
+        essential=("M1", "Fc1"),
+    )
+    noise, cut = Variant(changed="position noise", to="1e-05 m rms"), Variant(changed="cut-off", to="none")
+    moved = {"M1": (14.0, 2.0, 10.25, 0.5), "Fc1": (3.0, 1.0, 3.75, 1.0), "Off1": (9.0, 1.0, 9.0, 1.0)}
+    return [
+        rules,
+        VariedFit(variant=cut, ended="too short"),
+        VariedFit(variant=noise, ended="max_iterations", values=moved),
+    ]
+
+
+def test_moves_are_in_half_widths_of_iv_by_the_rules_and_of_essential_parameters():
+    fits = made_up()
+    np.testing.assert_array_equal(moves_of(fits, "M1"), [[0, 0], [np.nan, np.nan], [8, 0.5]])
+    document = sensitivity_document("log.mcap", fits)
+    assert document.title == ("log.mcap: LS moves by up to 8 half-widths with position noise 1e-05 m rms, IV by 0.75")
+    cut, noise = ([x if isinstance(x, str) else x.text for x in row] for row in document.sections[0].table.rows)
+    assert noise == ["position noise", "1e-05 m rms", "8", "M1", "0.75", "Fc1", "max_iterations"]
+    assert cut[2] == cut[4] == "-"
+    assert cut[-1] == "too short"
+    assert [row[0] for row in document.sections[1].table.rows] == ["M1", "Fc1", "M1", "Fc1"]
+    assert document.short.sections[1].table is None
+
+
+def test_a_chart_has_both_methods_in_every_variant_that_has_a_fit(tmp_path):
+    fits = made_up()
+    chart = sensitivity_drawing(fits, "M1")
+    assert len(chart.crosses) == len(chart.dots) == 2
+    (_, ls_rule, _), (_, ls_noise, _) = chart.crosses
+    assert ls_noise < ls_rule, "upwards, as the value"
+    assert {"cut-off", "position noise"} <= {text for _, _, text, _ in chart.labels}
+    write_sensitivity_rrd(tmp_path / "a.rrd", "log.mcap", fits, sensitivity_document("log.mcap", fits))
+    assert (tmp_path / "a.rrd").stat().st_size > 1000
+
+
+def test_a_recording_that_cannot_be_fitted_by_the_rules_is_refused():
+    with pytest.raises(IdentificationError, match="converged"):
+        vary(RecordingFile.at(SCARA), (1e-6,), Tasks({}))
+
+
+@pytest.mark.slow
+def test_the_command_prints_one_line_of_conclusion_and_draws(tmp_path, capsys):
+    out = tmp_path / "a.rrd"
+    assert main(["sensitivity", str(SCARA), "--position-noise", "1e-4", "--rrd", str(out)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith("session.mcap: LS moves by up to ")
+    assert lines[-1] == f"look at it: rerun --bind 127.0.0.1 {out}"
+    assert len(lines) <= 40
+    assert out.exists()
