@@ -5,11 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import REPLAY
+from conftest import REPLAY, ROOT
 
 from identification.commands import main
 from identification.data import RecordingFile, Serial
 from identification.errors import IdentificationError
+from identification.report import print_whole
 from identification.study import VariedFit, moves_of, sensitivity_document, vary
 from identification.study.sensitivity import Variant, fit_variant
 from identification.view import write_sensitivity_rrd
@@ -33,7 +34,7 @@ class Tasks:
 
 
 @pytest.mark.slow
-def test_noise_of_the_real_record_moves_least_squares_and_not_instrumental_variables(emps):
+def test_noise_of_the_real_record_moves_least_squares_and_not_instrumental_variables(emps, capsys):
     """10 µm behind the rule's filter: LS by over 5 half-widths, IV by less than 1; any start gives the same digits."""
     began = time.process_time()
     fits = vary(RecordingFile.at(emps), (1e-6, 1e-5, 2e-5), Serial())
@@ -49,6 +50,15 @@ def test_noise_of_the_real_record_moves_least_squares_and_not_instrumental_varia
         assert moves[start][1] < 1e-9
     assert {fit.ended for fit in fits} == {"converged"}
     assert spent < 60
+    print_whole(sensitivity_document("emps.mcap", fits), short=True)
+    printed = [line.split() for line in capsys.readouterr().out.splitlines()]
+    section = (ROOT / "identification" / "README.md").read_text().split("      emps.mcap: LS moves")[1].split("\n\n")[0]
+    shown = [line.split() for line in f"emps.mcap: LS moves{section}".splitlines()]
+    assert len(shown) == 12
+    # Moves by a start are rounding errors: their digits are of one machine.
+    assert [line for line in shown if line not in printed and line[0] != "start"] == [], (
+        "the README shows the real record"
+    )
 
 
 def test_each_variant_changes_one_thing():

@@ -3,11 +3,22 @@
 import json
 import shlex
 import shutil
+from dataclasses import replace
 
+import msgspec
 import pytest
 from conftest import ACQUIRE, IDENTIFY, REPLAY
 
-from identification.report import Document, Section, Table, columns, print_whole
+from identification.report import (
+    Document,
+    ParameterSet,
+    Section,
+    Table,
+    columns,
+    comparison_document,
+    print_whole,
+    read_fit,
+)
 
 MAX_LINES, MAX_WIDTH = 40, 120
 NARROW = ("fit", "demo")  # their lines are of at most MAX_WIDTH characters
@@ -84,11 +95,14 @@ def test_no_command_is_left_out():
     }
 
 
-LONG = "x" * 150
+LONG, MANY = "x" * 150, "12 % " * 40
 WIDE = Document(
     title="a title of words " * 12,
     sections=(
-        Section(lines=("word " * 60, f"/a/{LONG}/log.mcap in a sentence of some words"), warnings=("12 % " * 40,)),
+        Section(
+            lines=("word " * 60, f"/a/{LONG}/log.mcap in a sentence of some words"),
+            warnings=tuple(f"{'a' * k} {MANY}" for k in range(5)),
+        ),
         Section(title="hidden", lines=("only with --all",), short=Section(lines=("3 tests ok (--all)",))),
         Section(table=Table(columns=columns("name"), rows=((LONG,),))),
     ),
@@ -142,3 +156,17 @@ def test_a_short_table_counts_its_hidden_rows():
     assert short.warnings == ("a warning",)
     few = Section(table=Table(columns=columns("name"), rows=rows[:20]))
     assert few.with_short_table([1]) is few
+
+
+def test_a_comparison_in_short_has_the_largest_differences_and_its_warnings():
+    a, b = (ParameterSet.of_file(read_fit(REPLAY / "tx40" / "fit.json"), label) for label in "ab")
+    moved = dict(b.parameters)
+    for name in ("Fv1", "Ia6"):
+        moved[name] = msgspec.structs.replace(moved[name], value=moved[name].value + 5 * moved[name].sigma)
+    document = comparison_document(a, replace(b, parameters=moved), ("a warning",)).short
+    (section,) = document.sections
+    assert (document.title, section.title) == ("a and b", ""), "its title once"
+    assert section.warnings == ("a warning",)
+    assert len(section.table.rows) == 10
+    assert {"Fv1", "Ia6"} <= {row[0] for row in section.table.rows}
+    assert section.lines[-1] == "50 rows hidden (--all)"

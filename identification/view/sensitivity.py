@@ -41,7 +41,8 @@ def sensitivity_drawing(fits: Sequence[VariedFit], name: str) -> Chart:
     up, across = Scale(left=340, right=20, low=low, high=high), Scale(left=90, right=710, low=0, high=len(fits))
     _, _, iv, of_iv = values[0].tolist()
     chart.ticks_up(up, {x: f"{x:.4g}" for x in (low, high)}, (85, 710), 42)
-    chart.ticks_up(up, dict.fromkeys((iv - of_iv, iv + of_iv), ""), (85, 710), 42)
+    for edge in (iv - of_iv, iv + of_iv):
+        chart.line(85, up(edge), 710, up(edge))
     changed = [fit.variant.changed for fit in fits]
     for kind in dict.fromkeys(changed[1:]):
         first, count = changed.index(kind), changed.count(kind)
