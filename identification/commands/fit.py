@@ -80,7 +80,7 @@ def run(options: argparse.Namespace) -> int:
 
             fit = with_consistent(fit, prior)
     signals = fit.problem.signals
-    document, written = fit_document(signals, fit), list[Path]()
+    document = fit_document(signals, fit)
     try:
         if options.json:
             write_json(options.json, fit_file(fit))
@@ -91,13 +91,12 @@ def run(options: argparse.Namespace) -> int:
                 from ..view import write_fit_rrd
 
                 write_fit_rrd(picture, one.problem.signals, fit.on(one))
-            written.append(picture)
     finally:  # print the fit even if a file cannot be written
         print_results(document, everything=options.all)
     if options.report:
         print_results(f"report: {options.report}")
-    if written:
-        print_results(f"look at it: rerun --bind 127.0.0.1 {' '.join(map(str, written))}")
+    if pictures:
+        print_results(f"look at it: rerun --bind 127.0.0.1 {' '.join(map(str, pictures))}")
     verdict, reasons = fit.trust.verdict, fit.distrust
     if options.require and not reasons and verdict != options.require:
         reasons = tuple(line.text for line in fit.trust.lines if line.level == verdict)

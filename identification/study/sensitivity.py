@@ -16,10 +16,8 @@ from ..methods import Iteration, identify_iv
 from ..regression import Overrides, make_settings
 from ..report import Document, Number, Row, Section, Table, columns, value_form
 
-CUTOFFS, DECIMATIONS = (
-    (2.5, 10.0, 0.0),
-    (0.5, 2.0),
-)  # times the bandwidth, 0 for none; times the decimation of the rules
+CUTOFFS = {"2.5 x bandwidth": 2.5, "10 x bandwidth": 10.0, "none": 0.0}  # times the bandwidth
+DECIMATIONS = (0.5, 2.0)  # times that of the rules
 STARTS = (0.001, 1000.0)  # inertias of the first pass, kg m² or kg
 Values = tuple[float, float, float, float]  # LS and its half-width of the 95 % interval, IV and its half-width
 
@@ -57,11 +55,8 @@ def vary(source: RecordingFile, noises: Sequence[float], work: Work) -> list[Var
     signals = source.load()
     robot, decimation = signals.robot, make_settings(signals, Overrides()).decimation
     variants = [Variant(changed="none", to="the rules")]
-    for factor in CUTOFFS:
-        overrides, to = (
-            Overrides(cutoff_hz=factor * robot.bandwidth_hz),
-            f"{factor:g} x bandwidth" if factor else "none",
-        )
+    for to, factor in CUTOFFS.items():
+        overrides = Overrides(cutoff_hz=factor * robot.bandwidth_hz)
         variants.append(Variant(changed="cut-off", to=to, overrides=overrides))
     for factor in DECIMATIONS:
         overrides = Overrides(decimation=max(1, round(factor * decimation)))
@@ -115,9 +110,8 @@ def sensitivity_document(recording: str, fits: Sequence[VariedFit]) -> Document:
                 form = value_form(fit.values[name][3] / 2)
                 values.append((name, *what, *(Number(x, form) for x in fit.values[name])))
     worst = fits[k := int(largest[:, 0].argmax())].variant
-    moved = (
-        f"LS moves by up to {largest[k, 0]:.2g} half-widths with {worst.changed} {worst.to}, IV by {largest[k, 1]:.2g}"
-    )
+    ls, iv = (f"{x:.2g}" for x in largest[k])
+    title = f"{recording}: LS moves by up to {ls} half-widths with {worst.changed} {worst.to}, IV by {iv}"
     heads = columns("changed", "to", numbers=("LS moves",)) + columns("at", numbers=("IV moves",))
     lines = (
         f"moves from the fit by the rules, in half-widths of its 95 % interval of IV: the largest of {len(names)} essential "
@@ -125,8 +119,7 @@ def sensitivity_document(recording: str, fits: Sequence[VariedFit]) -> Document:
         "position noise is added to the recording, after the control loop; start: inertias of the first pass",
     )
     moves_table = Table(columns=heads + columns("at", "iv ended"), rows=tuple(rows))
-    table = Table(
-        columns=columns("parameter", "changed", "to", numbers=("LS", "±95%", "IV", "±95%")), rows=tuple(values)
-    )
+    whole = columns("parameter", "changed", "to", numbers=("LS", "±95%", "IV", "±95%"))
+    table = Table(columns=whole, rows=tuple(values))
     sections = Section(table=moves_table, lines=lines), Section(title="values", table=table, short=Section())
-    return Document(title=f"{recording}: {moved}", sections=sections)
+    return Document(title=title, sections=sections)
