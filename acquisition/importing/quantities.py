@@ -14,7 +14,7 @@ import numpy as np
 from ..arrays import Array
 from ..errors import Place
 from ..files import read_columns
-from ..robot import Robot
+from ..robot import Robot, note
 
 Units = Mapping[str, tuple[str, float]]
 Side = Literal["motor", "joint"]
@@ -52,16 +52,14 @@ ONE_SIDE: Mapping[str, tuple[Side, str]] = {
 
 
 class Quantity(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """`[position]`, `[effort]` and others: the columns, one per motor or joint, with unit and side.
+    """`[position]`, `[effort]` and others: the columns, one per motor or joint, with unit and side."""
 
-    `table` is the place of the file on the command line, from 1, as for numbers of columns. `side` may be omitted if it makes
-    no difference or follows from the unit.
-    """
-
-    columns: Annotated[tuple[str | int, ...], msgspec.Meta(min_length=1)]
-    unit: str | tuple[str, ...]
-    table: TableNumber = 1
-    side: Side | None = None
+    columns: Annotated[
+        tuple[str | int, ...], msgspec.Meta(min_length=1, description="by name or number, one per motor or joint")
+    ]
+    unit: Annotated[str | tuple[str, ...], note("unit of all columns, or one for each")]
+    table: Annotated[TableNumber, note("file with the columns, 1: the first on the command line")] = 1
+    side: Annotated[Side | None, note("motor or joint (default: by the unit)")] = None
 
 
 @dataclass(frozen=True, kw_only=True)

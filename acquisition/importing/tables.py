@@ -15,7 +15,7 @@ from ..arrays import Array
 from ..errors import Place
 from ..files import read_columns
 from ..recording import OPTIONAL, Header
-from ..robot import EffortTiming, Payload, Positive, Robot, parse_toml
+from ..robot import EffortTiming, Payload, Positive, Robot, note, parse_toml
 from .quantities import Quantity, Source, TableNumber
 from .stamps import ticks_from_velocity
 from .time_base import MAX_GAP_PERIODS, GridValues, ImportSummary, resample, uniform_grid, with_warnings, write_samples
@@ -29,41 +29,31 @@ FROM_VELOCITY = "from velocity"  # instead of the column of a counter
 
 
 class Time(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """`[time]`: the column of times or of a counter, and the uniform grid.
+    """`[time]`: the column of times or of a counter, and the uniform grid."""
 
-    Attributes:
-        column, unit: times of the rows.
-        ticks, tick_s: a counter, which then gives the times, and the time of one count; `column` is only compared with it.
-            Ticks `FROM_VELOCITY` are counted by positions and recorded speeds.
-        resample_hz: rate of the grid that all values are interpolated to.
-        largest_gap_periods: longest step between two rows that is interpolated, in periods of the rows.
-    """
-
-    column: str | int | None = None
-    unit: str = "s"
-    table: TableNumber = 1
-    ticks: str | int | None = None
-    tick_s: Positive | None = None
-    resample_hz: Positive | None = None
-    largest_gap_periods: Periods = MAX_GAP_PERIODS
+    column: Annotated[str | int | None, note("column of the times, by name or number")] = None
+    unit: Annotated[str, note("unit of the times: s, ms, us or ns")] = "s"
+    table: Annotated[TableNumber, note("file with the column, 1: the first on the command line")] = 1
+    ticks: Annotated[str | int | None, note('column of a counter, which is the time; or "from velocity"')] = None
+    tick_s: Annotated[Positive | None, note("time of one count, s; with ticks")] = None
+    resample_hz: Annotated[Positive | None, note("rate to interpolate all values to, Hz")] = None
+    largest_gap_periods: Annotated[Periods, note("longest step that is interpolated, in periods")] = MAX_GAP_PERIODS
 
 
 class TableMap(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """`map.toml`: columns of positions, efforts and other quantities, and the rate or the times of the samples.
+    """`map.toml`: columns of positions, efforts and other quantities, and the rate or the times of the samples."""
 
-    `effort_timing`: efforts are commands held until the next sample, means over the period around it, or measured at its
-    instant.
-    """
-
-    position: Quantity
-    effort: Quantity
-    reference: Quantity | None = None
-    velocity: Quantity | None = None
-    known_torque: Quantity | None = None
-    feedforward: Quantity | None = None
-    time: Time | None = None
-    sample_rate_hz: Positive | None = None
-    effort_timing: EffortTiming = "unknown"
+    position: Annotated[Quantity, note("columns of the positions")]
+    effort: Annotated[Quantity, note("columns of currents, voltages, torques or forces")]
+    reference: Annotated[Quantity | None, note("columns of the position reference")] = None
+    velocity: Annotated[Quantity | None, note("columns of measured speeds")] = None
+    known_torque: Annotated[Quantity | None, note("columns of known torques on the joints")] = None
+    feedforward: Annotated[Quantity | None, note("columns of what is added to the controller's output")] = None
+    time: Annotated[Time | None, note("column of times or of a counter; in place of sample_rate_hz")] = None
+    sample_rate_hz: Annotated[Positive | None, note("rate of the rows, Hz; in place of [time]")] = None
+    effort_timing: Annotated[
+        EffortTiming, note("instants of the efforts: command held to the next row, mean about it, measured at it")
+    ] = "unknown"
 
 
 def import_tables(

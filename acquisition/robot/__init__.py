@@ -28,4 +28,4 @@ from .reference import (
 )
 from .resolving import resolve
 from .robot import SIMULATED_CONTROLLER, Robot, load_robot, robot_from_files
-from .toml import Positive, parse_toml
+from .toml import Positive, note, parse_toml

@@ -1,6 +1,6 @@
 """`[bus]` of robot.toml: the CAN interface, SYNC and the drives, as written in the file.
 
-`drives` resolves it with the object dictionaries. acquisition/README.md explains every key.
+`drives` resolves it with the object dictionaries.
 """
 
 import math
@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 import msgspec
 
 from ..protocol import BITS, RATED_UNITS, RULES
-from .toml import Positive, TomlTable
+from .toml import Positive, TomlTable, note
 
 Node = Annotated[int, msgspec.Meta(ge=1, le=127)]
 CanId = Annotated[int, msgspec.Meta(ge=1, le=0x7FF)]
@@ -21,6 +21,10 @@ HomedName = Annotated[str, msgspec.Meta(pattern=r"\A[0-9A-Fa-f]{4}(:[0-9]{1,3})?
 Counts = Annotated[float, msgspec.Meta(gt=0, le=1e12)]  # per turn or metre
 Word = Annotated[str, msgspec.Meta(min_length=1, max_length=64, pattern=r"\A[A-Za-z0-9_.:/\-]+\Z")]
 
+UnitText = Annotated[str, msgspec.Meta(max_length=16)]
+Int32 = Annotated[int, msgspec.Meta(ge=-(2**31), lt=2**31)]
+Sign = Literal[1, -1]
+Mapping = Literal["table", "dictionary", "traffic"]
 EffortTiming = Literal["command", "mean", "measured", "unknown"]  # the instants that recorded efforts belong to
 
 MAX_DEMAND_RIPPLE = 0.002  # of the inertia
@@ -35,18 +39,20 @@ BITRATES = (10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000,
 class PdoFile(TomlTable, frozen=True):
     """A PDO: its objects in order; `can_id` and `number` (from 1) if they are not the usual ones."""
 
-    objects: Annotated[tuple[ObjectName, ...], msgspec.Meta(min_length=1, max_length=8)]
-    can_id: CanId | None = None
-    number: PdoNumber | None = None
+    objects: Annotated[
+        tuple[ObjectName, ...], msgspec.Meta(min_length=1, max_length=8, description="its objects in order")
+    ]
+    can_id: Annotated[CanId | None, note("CAN identifier (default: the usual one of its number)")] = None
+    number: Annotated[PdoNumber | None, note("number of the PDO, from 1 (default: its place in the list)")] = None
 
 
 class ExtraFile(TomlTable, frozen=True):
     """A further object in the samples; `scale` (per raw unit) and `unit` if they are not those of the standard."""
 
-    object: ObjectName
-    name: Word | None = None
-    scale: float | None = None
-    unit: Annotated[str, msgspec.Meta(max_length=16)] | None = None
+    object: Annotated[ObjectName, note("index, and sub-index after a colon")]
+    name: Annotated[Word | None, note("name in the samples (default: that of the object)")] = None
+    scale: Annotated[float | None, note("unit per raw integer (default: the standard's, else 1)")] = None
+    unit: Annotated[UnitText | None, note("unit of the scaled value")] = None
 
     def __post_init__(self) -> None:
         if self.scale == 0:
@@ -56,49 +62,38 @@ class ExtraFile(TomlTable, frozen=True):
 
 
 class DriveFile(TomlTable, frozen=True):
-    """One `[[bus.drive]]`, in the order of the motors.
+    """One `[[bus.drive]]`, in the order of the motors."""
 
-    Attributes:
-        dictionary: EDS or DCF in the folder of robot.toml.
-        objects: types of objects, `"30D0:0" = "I32"`, instead of a dictionary or in addition to one.
-        reference, actual: objects of the current or torque reference and of the actual value; one may be missing.
-        reference_rule, actual_rule: conversion of the raw integer to SI; default: CiA 402's rule.
-        rated_current_a, rated_torque_nm, rated_force_n: required value of the drive's 6075h or 6076h.
-        rated_current_unit, rated_torque_unit: units of those objects in this drive (an EPOS4 has uN m).
-        counts_per_turn, counts_per_m: position counts per motor revolution, or per metre of a motor that slides.
-        sign, effort_sign: -1 if the drive counts against the motor of the description; default of the second: the first.
-        homed: object that is not 0, `2000:1`, or bit that is set, `6041.8`, when the drive is homed.
-        mapping: source of the PDOs: this `table`, the `dictionary` (a DCF), or the master's SDO `traffic`.
-        tpdo, rpdo: PDOs from and to the drive; default: status, position, effort and control, target.
-        extra: further objects in the samples, such as `606C`.
-    """
-
-    node: Node
-    dictionary: str | None = None
-    objects: dict[ObjectName, str] = msgspec.field(default_factory=dict)
-    status: ObjectName = "6041"
-    control: ObjectName = "6040"
-    position: ObjectName = "6064"
-    target: ObjectName = "607A"
-    reference: ObjectName | None = None
-    reference_rule: str | None = None
-    actual: ObjectName | None = None
-    actual_rule: str | None = None
-    rated_current_a: Positive | None = None
-    rated_torque_nm: Positive | None = None
-    rated_force_n: Positive | None = None
-    rated_current_unit: str = "mA"
-    rated_torque_unit: str = "mN m"
-    counts_per_turn: Counts | None = None
-    counts_per_m: Counts | None = None
-    sign: Literal[1, -1] = 1
-    effort_sign: Literal[1, -1] | None = None
-    zero_counts: Annotated[int, msgspec.Meta(ge=-(2**31), lt=2**31)] = 0
-    homed: HomedName | None = None
-    mapping: Literal["table", "dictionary", "traffic"] = "table"
-    tpdo: tuple[PdoFile, ...] = ()
-    rpdo: tuple[PdoFile, ...] = ()
-    extra: tuple[ObjectName | ExtraFile, ...] = ()
+    node: Annotated[Node, note("node id")]
+    dictionary: Annotated[str | None, note("EDS or DCF in the folder of robot.toml")] = None
+    objects: Annotated[
+        dict[ObjectName, str], note("types of objects such as I32, in place of a dictionary or in addition to one")
+    ] = msgspec.field(default_factory=dict)
+    status: Annotated[ObjectName, note("statusword")] = "6041"
+    control: Annotated[ObjectName, note("controlword")] = "6040"
+    position: Annotated[ObjectName, note("actual position (I32), counts")] = "6064"
+    target: Annotated[ObjectName, note("target position (I32), counts")] = "607A"
+    reference: Annotated[ObjectName | None, note("reference of the current or torque loop, such as 6074")] = None
+    reference_rule: Annotated[str | None, note("unit of one raw integer (default: CiA 402's)")] = None
+    actual: Annotated[ObjectName | None, note("actual current or torque, if the drive has no reference")] = None
+    actual_rule: Annotated[str | None, note("unit of one raw integer (default: CiA 402's)")] = None
+    rated_current_a: Annotated[Positive | None, note("required value of 6075h, A")] = None
+    rated_torque_nm: Annotated[Positive | None, note("required value of 6076h, N m")] = None
+    rated_force_n: Annotated[Positive | None, note("required value of 6076h of a linear motor, N")] = None
+    rated_current_unit: Annotated[str, note("unit of the drive's 6075h")] = "mA"
+    rated_torque_unit: Annotated[str, note("unit of the drive's 6076h; uN m for an EPOS4")] = "mN m"
+    counts_per_turn: Annotated[Counts | None, note("position counts per motor revolution")] = None
+    counts_per_m: Annotated[Counts | None, note("position counts per metre of a linear motor")] = None
+    sign: Annotated[Sign, note("-1: the drive counts against the motor")] = 1
+    effort_sign: Annotated[Sign | None, note("-1: effort against the motor (default: sign)")] = None
+    zero_counts: Annotated[Int32, note("position at motor zero, counts")] = 0
+    homed: Annotated[
+        HomedName | None, note("what shows that the drive is homed: a set bit, 6041.8, or an object not 0, 2000:1")
+    ] = None
+    mapping: Annotated[Mapping, note("source of the PDOs: this table, a DCF, or the master's SDO writes")] = "table"
+    tpdo: Annotated[tuple[PdoFile, ...], note("PDOs from the drive (default: status, position, effort)")] = ()
+    rpdo: Annotated[tuple[PdoFile, ...], note("PDOs to the drive (default: control, target)")] = ()
+    extra: Annotated[tuple[ObjectName | ExtraFile, ...], note("further objects in the samples, such as 606C")] = ()
 
     def __post_init__(self) -> None:
         for name, kind in self.objects.items():
@@ -134,36 +129,38 @@ class DriveFile(TomlTable, frozen=True):
 
 
 class BusFile(TomlTable, frozen=True):
-    """`[bus]`: python-can's interface and channel, SYNC, the drives.
+    """`[bus]`: python-can's interface and channel, SYNC, the drives."""
 
-    Attributes:
-        sync_producer: `recorder` (this program) or `other`.
-        loopback: whether network interfaces (udp_multicast) stay on this machine.
-        heartbeat_s: time between heartbeats of drives and this master; silence of three times as long is a loss.
-        master_node: node id under which this master sends its heartbeat while it moves drives.
-        other_nodes: node ids of further devices, such as grippers and I/O, whose heartbeats are no sign of another master.
-        late_sync_s: how late SYNC may be in motion; default: three periods, at least 20 ms.
-        enable_motion_deg, enable_motion_m: how far a joint may move while drives are enabled, and for `enable_watch_s` after.
-        effort_timing: meaning of the drives' effort objects: the `command` of an instant, held after it; the `mean` over the
-            period around it; `measured` at the instant.
-    """
-
-    interface: Word
-    channel: Word
-    drive: Annotated[tuple[DriveFile, ...], msgspec.Meta(min_length=1)]
-    sync_period_s: Positive
-    bitrate: int = 1_000_000
-    sync_producer: Literal["recorder", "other"] = "recorder"
-    sync_can_id: CanId = USUAL_SYNC
-    loopback: bool = True
-    heartbeat_s: Annotated[float, msgspec.Meta(ge=0.01, le=10.0)] = 0.1
-    master_node: Node = 127
-    other_nodes: tuple[Node, ...] = ()
-    late_sync_s: Positive | None = None
-    enable_motion_deg: Positive = 1.0
-    enable_motion_m: Positive = 0.005
-    enable_watch_s: Annotated[float, msgspec.Meta(ge=0.05, le=10.0)] = 0.2
-    effort_timing: EffortTiming = "unknown"
+    interface: Annotated[Word, note("python-can's interface, such as socketcan or udp_multicast")]
+    channel: Annotated[Word, note("python-can's channel, such as can0; of a log of several, the one imported")]
+    drive: Annotated[
+        tuple[DriveFile, ...],
+        msgspec.Meta(min_length=1, description="[[bus.drive]] tables, in the order of the motors"),
+    ]
+    sync_period_s: Annotated[Positive, note("time from SYNC to SYNC, s")]
+    bitrate: Annotated[int, note("bit rate of the bus, bit/s")] = 1_000_000
+    sync_producer: Annotated[Literal["recorder", "other"], note("who sends SYNC; recorder: this program")] = "recorder"
+    sync_can_id: Annotated[CanId, note("CAN identifier of SYNC")] = USUAL_SYNC
+    loopback: Annotated[bool, note("whether udp_multicast stays on this machine")] = True
+    heartbeat_s: Annotated[
+        float,
+        msgspec.Meta(
+            ge=0.01, le=10.0, description="time between heartbeats, s; silence of three times as long is a fault"
+        ),
+    ] = 0.1
+    master_node: Annotated[Node, note("node id of this master's heartbeat in motion; no drive may have it")] = 127
+    other_nodes: Annotated[tuple[Node, ...], note("node ids of further devices, such as grippers")] = ()
+    late_sync_s: Annotated[
+        Positive | None, note("largest delay of SYNC in motion, s (default: 3 periods, at least 0.02)")
+    ] = None
+    enable_motion_deg: Annotated[Positive, note("how far a joint may move while drives are enabled, deg")] = 1.0
+    enable_motion_m: Annotated[Positive, note("the same of a prismatic joint, m")] = 0.005
+    enable_watch_s: Annotated[
+        float, msgspec.Meta(ge=0.05, le=10.0, description="how long this holds after the last drive is enabled, s")
+    ] = 0.2
+    effort_timing: Annotated[
+        EffortTiming, note("instants of the efforts: command held after it, mean about it, measured at it")
+    ] = "unknown"
 
     def __post_init__(self) -> None:
         if self.bitrate not in BITRATES:

@@ -1,7 +1,6 @@
 """`robot.toml` as written in the file: its tables and keys, and the checks that types cannot express.
 
-The layout of the file is that of the `RobotFile` structure below. identification/README.md explains every key.
-Angles are degrees here.
+The layout of the file is that of the `RobotFile` structure below. Angles are degrees here.
 """
 
 import math
@@ -12,9 +11,10 @@ import msgspec
 import numpy as np
 
 from .bus import BusFile
-from .toml import Name, Positive, TomlTable
+from .toml import Name, Positive, TomlTable, note
 
 Rows = Annotated[int, msgspec.Meta(ge=0)]
+RowStep = Annotated[int, msgspec.Meta(ge=1)]
 Share = Annotated[float, msgspec.Meta(ge=0, lt=100)]
 Lag = Annotated[float, msgspec.Meta(gt=-1, lt=1)]
 Edges = Literal["smooth", "matlab"]
@@ -22,24 +22,29 @@ EffortUnit = Literal["A", "V", "N m", "N"]
 GainUnit = Literal["N m/A", "N m/V", "N/A", "N/V"]
 FrictionTerm = Literal["viscous", "coulomb", "offset", "asymmetric", "root", "load", "stribeck"]
 GAINS = ("position_gain", "velocity_gain", "integral_gain")
+Friction = Literal["symmetric", "asymmetric"] | tuple[FrictionTerm, ...]
+Gains = tuple[float, ...] | None
+Matrix = tuple[tuple[float, ...], ...]
+SpeedEstimate = Literal["exact", "backward_difference", "two_sample_mean"]
+OwnKind = Literal["Off", "Fv", "Fc"]
 Structure = Literal["pd", "pd_velocity_feedforward", "cascade_p_p", "cascade_p_pi", "pid", "computed_torque"]
 
 
 class DH(TomlTable, frozen=True):
     """Modified Denavit-Hartenberg row (Khalil, Kleinfinger): Rot(x, alpha) Trans(x, d) Rot(z, theta) Trans(z, r)."""
 
-    alpha_deg: float
-    d_m: float
-    theta_deg: float
-    r_m: float
+    alpha_deg: Annotated[float, note("Rot(x, alpha): angle between the joint axes, deg")]
+    d_m: Annotated[float, note("Trans(x, d): distance of the joint axes, m")]
+    theta_deg: Annotated[float, note("Rot(z, theta): angle about the joint's axis at joint position 0, deg")]
+    r_m: Annotated[float, note("Trans(z, r): offset along the joint's axis at joint position 0, m")]
 
 
 class Capsule(TomlTable, frozen=True):
     """A cylinder with round ends about a link, in the frame of the link: radius, and the ends of its axis."""
 
-    radius_m: Positive
-    from_m: tuple[float, float, float]
-    to_m: tuple[float, float, float]
+    radius_m: Annotated[Positive, note("radius, m")]
+    from_m: Annotated[tuple[float, float, float], note("one end of its axis in the frame of the link, x, y, z, m")]
+    to_m: Annotated[tuple[float, float, float], note("other end of its axis, x, y, z, m")]
 
 
 QUANTITIES = ("zero", "position", "speed", "acceleration", "following_error", "stribeck_speed", "effort")  # of a joint
@@ -55,29 +60,33 @@ def _key(quantity: str, kind: str) -> str:
 class Joint(TomlTable, frozen=True):
     """One `[[joint]]`: type, geometry, friction terms and limits; None: not stated."""
 
-    name: Name
-    type: Literal["revolute", "prismatic"]
-    dh: DH | None = None
-    zero_deg: float | None = None
-    zero_m: float | None = None
-    viscous: bool | None = None
-    coulomb: bool | None = None
-    offset: bool | None = None
-    friction: Literal["symmetric", "asymmetric"] | tuple[FrictionTerm, ...] = "symmetric"
-    stribeck_speed_deg_s: Positive | None = None
-    stribeck_speed_m_s: Positive | None = None
-    rotor_inertia: bool = True
-    position_deg: tuple[float, float] | None = None
-    position_m: tuple[float, float] | None = None
-    speed_deg_s: Positive | None = None
-    speed_m_s: Positive | None = None
-    acceleration_deg_s2: Positive | None = None
-    acceleration_m_s2: Positive | None = None
-    following_error_deg: Positive | None = None
-    following_error_m: Positive | None = None
-    effort_nm: Positive | None = None
-    effort_n: Positive | None = None
-    capsule: Capsule | None = None
+    name: Annotated[Name, note("name, as in the URDF if there is one")]
+    type: Annotated[Literal["revolute", "prismatic"], note("kind of motion along or about the joint's z axis")]
+    dh: Annotated[DH | None, note("row of the Denavit-Hartenberg table, in place of a URDF")] = None
+    zero_deg: Annotated[float | None, note("added to inv(R) q_motor, deg (default: 0)")] = None
+    zero_m: Annotated[float | None, note("added to inv(R) q_motor, m (default: 0)")] = None
+    viscous: Annotated[bool | None, note("term of viscous friction (default: true)")] = None
+    coulomb: Annotated[bool | None, note("term of Coulomb friction (default: true)")] = None
+    offset: Annotated[bool | None, note("term of a constant torque (default: false)")] = None
+    friction: Annotated[Friction, note("asymmetric: Fv and Fc by direction; or a list of all terms")] = "symmetric"
+    stribeck_speed_deg_s: Annotated[
+        Positive | None, note("speed at which the term stribeck has fallen to 37 %, deg/s; with that term only")
+    ] = None
+    stribeck_speed_m_s: Annotated[
+        Positive | None, note("speed at which the term stribeck has fallen to 37 %, m/s; with that term only")
+    ] = None
+    rotor_inertia: Annotated[bool, note("whether the rotor inertia is a separate parameter")] = True
+    position_deg: Annotated[tuple[float, float] | None, note("[lowest, highest] position, deg; needed to move")] = None
+    position_m: Annotated[tuple[float, float] | None, note("[lowest, highest] position, m; needed to move")] = None
+    speed_deg_s: Annotated[Positive | None, note("maximum speed, deg/s; needed to move")] = None
+    speed_m_s: Annotated[Positive | None, note("maximum speed, m/s; needed to move")] = None
+    acceleration_deg_s2: Annotated[Positive | None, note("maximum acceleration, deg/s²; needed to move")] = None
+    acceleration_m_s2: Annotated[Positive | None, note("maximum acceleration, m/s²; needed to move")] = None
+    following_error_deg: Annotated[Positive | None, note("maximum following error, deg; needed to move")] = None
+    following_error_m: Annotated[Positive | None, note("maximum following error, m; needed to move")] = None
+    effort_nm: Annotated[Positive | None, note("maximum torque, N m (default: the URDF's, 0: none)")] = None
+    effort_n: Annotated[Positive | None, note("maximum force, N (default: the URDF's, 0: none)")] = None
+    capsule: Annotated[Capsule | None, note("cylinder with round ends about the moved link, for `excite`")] = None
 
     def __post_init__(self) -> None:
         other, unit = ("prismatic", "deg") if self.type == "revolute" else ("revolute", "m")
@@ -136,13 +145,13 @@ class Joint(TomlTable, frozen=True):
 class Motor(TomlTable, frozen=True):
     """One `[[motor]]`: the reduction to its joint, the drive gain, and the unit of the recorded effort."""
 
-    name: Name
-    ratio: float | None = None
-    effort_unit: EffortUnit | None = None
-    drive_gain: float | None = None
-    drive_gain_unit: GainUnit | None = None
-    drive_gain_half_width: Positive | None = None
-    saturation: Positive | None = None
+    name: Annotated[Name, note("name, for messages and options")]
+    ratio: Annotated[float | None, note("motor rad (or m) per joint rad (or m), sign included (default: 1)")] = None
+    effort_unit: Annotated[EffortUnit | None, note("unit of the recorded effort if there is no drive gain")] = None
+    drive_gain: Annotated[float | None, note("motor torque or force per unit of effort, in drive_gain_unit")] = None
+    drive_gain_unit: Annotated[GainUnit | None, note("unit of the drive gain; with drive_gain")] = None
+    drive_gain_half_width: Annotated[Positive | None, note("half of its 95 % interval, same unit (default: 0)")] = None
+    saturation: Annotated[Positive | None, note("maximum effort of the drive, in the recorded unit")] = None
 
     def __post_init__(self) -> None:
         if (self.drive_gain is None) != (self.drive_gain_unit is None):
@@ -168,13 +177,17 @@ class Motor(TomlTable, frozen=True):
 class Controller(TomlTable, frozen=True):
     """`[controller]`: how the drives follow their reference. Least squares needs only `bandwidth_hz`."""
 
-    bandwidth_hz: Positive | None = None
-    structure: Structure | None = None
-    sample_rate_hz: Positive | None = None
-    position_gain: tuple[float, ...] | None = None
-    velocity_gain: tuple[float, ...] | None = None
-    integral_gain: tuple[float, ...] | None = None
-    velocity_estimate: Literal["exact", "backward_difference", "two_sample_mean"] | None = None
+    bandwidth_hz: Annotated[
+        Positive | None, note("bandwidth of the position loop, Hz; cut-off and decimation follow from it")
+    ] = None
+    structure: Annotated[Structure | None, note("control law (default: a PD of the bandwidth)")] = None
+    sample_rate_hz: Annotated[Positive | None, note("rate of the control law, Hz")] = None
+    position_gain: Annotated[Gains, note("per motor, effort per rad or m (computed_torque: 1/s²)")] = None
+    velocity_gain: Annotated[Gains, note("per motor, effort per rad/s or m/s (computed_torque: 1/s)")] = None
+    integral_gain: Annotated[Gains, note("per motor, effort per rad s or m s; none without an integral")] = None
+    velocity_estimate: Annotated[SpeedEstimate | None, note("speed from positions (default: backward_difference)")] = (
+        None
+    )
 
     def __post_init__(self) -> None:
         for name in GAINS:
@@ -186,22 +199,28 @@ class Controller(TomlTable, frozen=True):
 class LowSpeed(TomlTable, frozen=True):
     """Percentage of the peak speed below which rows are left out of least squares and of iv; None: the default."""
 
-    ls: Share | None = None
-    iv: Share | None = None
+    ls: Annotated[Share | None, note("of least squares, % of the joint's peak speed (default: 4)")] = None
+    iv: Annotated[Share | None, note("of instrumental variables, % of the joint's peak speed (default: 4)")] = None
 
 
 class Identification(TomlTable, frozen=True):
     """`[identification]`: overrides of the defaults of a fit; options of the command override both."""
 
-    cutoff_hz: Positive | None = None
-    decimation: Annotated[int, msgspec.Meta(ge=1)] | None = None
-    span: Literal["motion", "all"] = "motion"
-    cut_start_samples: Rows | None = None
-    cut_end_samples: Rows | None = None
-    edges: Edges = "smooth"
-    low_speed_percent: Share | LowSpeed | None = None
-    torque_lag_s: Lag | Literal["none"] | None = None
-    own: tuple[Literal["Off", "Fv", "Fc"], ...] = ()
+    cutoff_hz: Annotated[Positive | None, note("low-pass cut-off, Hz (default: 5 times the bandwidth)")] = None
+    decimation: Annotated[RowStep | None, note("samples per row of the fit (default: by the bandwidth)")] = None
+    span: Annotated[Literal["motion", "all"], note("rows between first and last motion, or all")] = "motion"
+    cut_start_samples: Annotated[Rows | None, note("samples left out at the start (default: 5 cut-off periods)")] = None
+    cut_end_samples: Annotated[Rows | None, note("samples left out at the end (default: 5 cut-off periods)")] = None
+    edges: Annotated[Edges, note('edge rule of decimation; "matlab" as MATLAB has it')] = "smooth"
+    low_speed_percent: Annotated[
+        Share | LowSpeed | None,
+        note("leave out slower rows, % of the joint's peak speed; by method or one for all (default: 4)"),
+    ] = None
+    torque_lag_s: Annotated[
+        Lag | Literal["none"] | None,
+        note("known delay of the recorded torque, s, positive: late; or none (default: estimated)"),
+    ] = None
+    own: Annotated[tuple[OwnKind, ...], note("kinds of parameters that several recordings do not share")] = ()
 
     @property
     def low_speed(self) -> LowSpeed:
@@ -217,27 +236,37 @@ def low_speed_by_method(percent: float | LowSpeed | None) -> LowSpeed:
 class PayloadFile(TomlTable, frozen=True):
     """`[payload]`: how the numbers of `--payload` are meant: the frame of the centre of mass, and how well it was weighed."""
 
-    frame: Name | None = None
-    mass_half_width_kg: Annotated[float, msgspec.Meta(ge=0)] = 0.0
+    frame: Annotated[
+        Name | None, note("fixed link that the centre of mass is given in (default: the frame of the last joint)")
+    ] = None
+    mass_half_width_kg: Annotated[
+        float, msgspec.Meta(ge=0, description="half of the 95 % interval of the weighed mass, kg")
+    ] = 0.0
 
 
 class RobotFile(TomlTable, frozen=True):
     """`robot.toml` as written in the file."""
 
-    name: Name
-    joint: Annotated[tuple[Joint, ...], msgspec.Meta(min_length=1)]
-    motor: Annotated[tuple[Motor, ...], msgspec.Meta(min_length=1)]
-    controller: Controller
-    gravity_m_s2: tuple[float, float, float] = (0.0, 0.0, -9.81)
-    urdf: str | None = None
-    urdf_meshes: bool = False
-    motor_matrix: tuple[tuple[float, ...], ...] | None = None
-    identification: Identification = Identification()
-    parameters: dict[str, float] = msgspec.field(default_factory=dict)
-    payload: PayloadFile = PayloadFile()
-    bus: BusFile | None = None
-    base_capsule: Capsule | None = None
-    ground_m: float | None = None
+    name: Annotated[Name, note("name of the robot")]
+    joint: Annotated[
+        tuple[Joint, ...], msgspec.Meta(min_length=1, description="[[joint]] tables, from the base outwards")
+    ]
+    motor: Annotated[
+        tuple[Motor, ...], msgspec.Meta(min_length=1, description="[[motor]] tables; motor k turns joint k")
+    ]
+    controller: Annotated[Controller, note("how the drives follow their reference")]
+    gravity_m_s2: Annotated[tuple[float, float, float], note("gravity in the base frame, m/s²")] = (0.0, 0.0, -9.81)
+    urdf: Annotated[str | None, note("file in the same folder; joints not named here are locked at 0")] = None
+    urdf_meshes: Annotated[bool, note("recordings carry the meshes of the URDF's visual shapes")] = False
+    motor_matrix: Annotated[Matrix | None, note("R, in place of ratios: motor speed = R · joint speed")] = None
+    identification: Annotated[Identification, note("settings of a fit that replace the rules")] = Identification()
+    parameters: Annotated[dict[str, float], note("standard parameters to simulate with, SI")] = msgspec.field(
+        default_factory=dict
+    )
+    payload: Annotated[PayloadFile, note("how the numbers of `--payload` are meant")] = PayloadFile()
+    bus: Annotated[BusFile | None, note("CAN bus and drives; needed to record")] = None
+    base_capsule: Annotated[Capsule | None, note("cylinder with round ends about the base, in its frame")] = None
+    ground_m: Annotated[float | None, note("height of the ground in the base frame, against gravity, m")] = None
 
     def __post_init__(self) -> None:
         n = len(self.joint)
@@ -278,7 +307,7 @@ class RobotFile(TomlTable, frozen=True):
             if gains is not None and len(gains) != n:
                 self.refuse(f"controller.{name}", list(gains), f"{n} numbers, one per motor")
 
-    def _check_matrix(self, matrix: tuple[tuple[float, ...], ...]) -> None:
+    def _check_matrix(self, matrix: Matrix) -> None:
         n = len(self.joint)
         if [len(row) for row in matrix] != [n] * n:
             self.refuse("motor_matrix", [len(row) for row in matrix], f"{n} rows of {n} numbers")

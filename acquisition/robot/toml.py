@@ -20,6 +20,11 @@ Positive = Annotated[float, msgspec.Meta(gt=0)]
 Name = Annotated[str, msgspec.Meta(min_length=1, max_length=64, pattern=r"\A[A-Za-z0-9_.\- ]+\Z")]
 
 
+def note(description: str) -> msgspec.Meta:
+    """The description of a key, with its unit and default: JSON Schemas and the reference of all keys show it."""
+    return msgspec.Meta(description=description)
+
+
 class TomlTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, dict=True):
     """A table of a description: unknown keys are refused; `__post_init__` refuses what the types cannot express."""
 
@@ -64,18 +69,22 @@ def parse_toml(text: bytes, kind: type[T], place: str) -> T:
 
 def _choices(kind: Any, path: str) -> tuple[Any, ...]:
     """The words that `kind` allows at `path`."""
-    at = msgspec.inspect.type_info(kind)
+    at = _without_note(msgspec.inspect.type_info(kind))
     for step in re.findall(r"\w+|\[[^]]*\]", path):
         if isinstance(at, msgspec.inspect.UnionType):  # the list for an item of it, else the first type
             lists = [t for t in at.types if isinstance(t, msgspec.inspect.VarTupleType) and step.startswith("[")]
             at = lists[0] if lists else next(t for t in at.types if not isinstance(t, msgspec.inspect.NoneType))
         if isinstance(at, msgspec.inspect.VarTupleType):
-            at = at.item_type
+            at = _without_note(at.item_type)
         elif isinstance(at, msgspec.inspect.StructType):
-            at = next(field.type for field in at.fields if field.encode_name == step)
+            at = _without_note(next(field.type for field in at.fields if field.encode_name == step))
     if isinstance(at, msgspec.inspect.UnionType):
         at = next((t for t in at.types if isinstance(t, msgspec.inspect.LiteralType)), at)
     return at.values if isinstance(at, msgspec.inspect.LiteralType) else ()
+
+
+def _without_note(found: msgspec.inspect.Type) -> msgspec.inspect.Type:
+    return found.type if isinstance(found, msgspec.inspect.Metadata) else found
 
 
 def _value_at(data: Any, path: str) -> Any:
