@@ -9,7 +9,7 @@ from .command_line import add_options, add_path
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    add_path(parser, "robot", "ROBOT.toml")
+    add_path(parser, "robot", "ROBOT.toml", "description of robot and drives")
     add_options(parser, RecordOptions, "payload")
 
 

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    add_path(parser, "recording", "LOG.mcap")
+    add_path(parser, "recording", "LOG.mcap", "the recording")
     add_path(parser, "--robot", "CORRECTED.toml", "use this description instead of the recording's own")
     add_path(parser, "-o --output", "OUT.mcap", "the recording to write", required=True)
     add_overwrite(parser)

@@ -9,7 +9,7 @@ from .command_line import Progress, add_path
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    add_path(parser, "recording", "LOG.mcap")
+    add_path(parser, "recording", "LOG.mcap", "the recording")
     outputs = parser.add_argument_group("outputs, at least one")
     add_path(outputs, "-o --output", "OUT.csv", "the table to write")
     add_path(outputs, "--bag", "FOLDER", "the ROS 2 bag to write: joint states, and the URDF if there is one")

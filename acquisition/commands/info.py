@@ -8,7 +8,7 @@ from .command_line import Progress, add_flag, add_path
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    add_path(parser, "recording", "LOG.mcap")
+    add_path(parser, "recording", "LOG.mcap", "the recording")
     add_flag(parser, "--json", "print JSON, for programs")
 
 

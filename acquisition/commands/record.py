@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     inputs = parser.add_argument_group("inputs")
-    add_path(inputs, "robot", "ROBOT.toml")
+    add_path(inputs, "robot", "ROBOT.toml", "description of robot and drives")
     add_options(inputs, RecordOptions, "track")
     session = parser.add_argument_group("session")
     add_options(session, RecordOptions, "payload", "passive", "dry_run", "duration_s", "speed")

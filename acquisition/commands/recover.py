@@ -9,7 +9,7 @@ from .command_line import Progress, add_overwrite, add_path
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    add_path(parser, "recording", "CUT.mcap")
+    add_path(parser, "recording", "CUT.mcap", "the recording to repair")
     add_path(parser, "-o --output", "OUT.mcap", "the recording to write", required=True)
     add_overwrite(parser)
 

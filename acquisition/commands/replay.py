@@ -8,7 +8,7 @@ from .command_line import add_flag, add_path
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    add_path(parser, "recording", "LOG.mcap")
+    add_path(parser, "recording", "LOG.mcap", "the recording")
     parser.add_argument(
         "--interface", required=True, help="interface name of python-can: socketcan, udp_multicast, ..."
     )

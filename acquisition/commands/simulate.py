@@ -9,7 +9,7 @@ from .command_line import add_flag, add_path
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    add_path(parser, "robot", "ROBOT.toml")
+    add_path(parser, "robot", "ROBOT.toml", "description of robot and drives")
     add_path(parser, "--replay", "LOG.mcap", "replay the samples of this recording")
     add_flag(parser, "--unsupervised", "drives do not detect a lost SYNC or a lost master")
     parser.add_argument("--duration", type=float, metavar="S", help="seconds (default: until Ctrl-C)")

@@ -1,0 +1,143 @@
+"""The reference of all keys and options: tables made from the structures and parsers that read them.
+
+`python tests/key_reference.py` writes identification/reference.md and acquisition/reference.md again.
+"""
+
+import argparse
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from msgspec import to_builtins
+from msgspec.json import schema_components
+
+from acquisition.commands.command_line import Program
+from acquisition.commands.program import PROGRAM as ACQUIRE
+from acquisition.importing.tables import TableMap
+from acquisition.robot import BusFile, RobotFile
+from identification.commands.program import PROGRAM as IDENTIFY
+
+ROOT = Path(__file__).resolve().parents[1]
+ROBOT_TABLES = {
+    "RobotFile": "top level",
+    "Joint": "[[joint]]",
+    "DH": "dh",
+    "Capsule": "capsule, base_capsule",
+    "Motor": "[[motor]]",
+    "Controller": "[controller]",
+    "Identification": "[identification]",
+    "LowSpeed": "low_speed_percent",
+    "PayloadFile": "[payload]",
+}
+BUS_TABLES = {
+    "BusFile": "[bus]",
+    "DriveFile": "[[bus.drive]]",
+    "PdoFile": "tpdo, rpdo",
+    "ExtraFile": "extra",
+}
+MAP_TABLES = {"TableMap": "top level", "Time": "[time]", "Quantity": "[position], [effort] and others"}
+HEAD = "Made by `tests/key_reference.py` from the types that read these files; do not edit."
+
+
+def keys_of(kind: type) -> dict[str, dict[str, Any]]:
+    """By structure the keys, each with its JSON Schema and under `required` whether it must be stated."""
+    _, found = to_builtins(schema_components((kind,)))
+    return {
+        name: {
+            key: {**schema, "required": key in table.get("required", ())} for key, schema in table["properties"].items()
+        }
+        for name, table in found.items()
+    }
+
+
+def values_of(schema: Mapping[str, Any]) -> str:
+    """What a key may be: its words, else its type."""
+    if "enum" in schema:
+        return ", ".join(f"`{value}`" for value in schema["enum"])
+    if "anyOf" in schema:
+        parts = [values_of(one) for one in schema["anyOf"] if one.get("type") != "null"]
+        return " or ".join(dict.fromkeys(parts))
+    if "$ref" in schema:
+        return "table"
+    if schema["type"] == "array":
+        items = schema.get("prefixItems")
+        return f"{len(items)} numbers" if items else f"list of {values_of(schema['items'])}"
+    names = {"number": "number", "integer": "whole number", "string": "text", "boolean": "`true`, `false`"}
+    return {**names, "object": "table"}[schema["type"]]
+
+
+def default_of(schema: Mapping[str, Any]) -> str:
+    if schema["required"]:
+        return "required"
+    default = schema.get("default")
+    if default in (None, [], {}) or "$ref" in schema:
+        return ""
+    return f"`{str(default).lower() if isinstance(default, bool) else default}`"
+
+
+def key_tables(kind: type, places: Mapping[str, str]) -> Iterator[str]:
+    tables = keys_of(kind)
+    for name, place in places.items():
+        yield f"\n### {place}\n\n| key | value | default | meaning |\n|---|---|---|---|"
+        for key, schema in tables[name].items():
+            yield f"| `{key}` | {values_of(schema)} | {default_of(schema)} | {schema['description']} |"
+
+
+def options_of(program: Program) -> Iterator[tuple[str, argparse.Action]]:
+    """Command, action: of all commands of a program but `--help`."""
+    commands = next(action for action in program.parser(*program.commands)._actions if action.choices)
+    assert isinstance(commands.choices, dict)
+    for name, command in commands.choices.items():
+        for action in command._actions:
+            if "--help" not in action.option_strings:
+                yield name, action
+
+
+def option_name(action: argparse.Action) -> str:
+    metavar = action.metavar or ("|".join(map(str, action.choices)) if action.choices else action.dest.upper())
+    value = "" if action.nargs == 0 else f" {metavar}"
+    if action.nargs == "?":
+        value = f" [{metavar}]"
+    return f"{', '.join(action.option_strings)}{value}".strip().replace("|", "\\|")
+
+
+def option_table(program: Program) -> Iterator[str]:
+    """A row per option and meaning, with the commands that have it."""
+    rows: dict[tuple[str, str], list[str]] = {}
+    for command, action in options_of(program):
+        meaning = (action.help or "").replace("%%", "%").replace("|", "\\|")
+        rows.setdefault((option_name(action), meaning), []).append(command)
+    yield "\n| option | of | meaning |\n|---|---|---|"
+    for (name, meaning), commands in rows.items():
+        yield f"| `{name}` | {', '.join(f'`{command}`' for command in commands)} | {meaning} |"
+
+
+def pages() -> dict[Path, str]:
+    """Path and text of each reference."""
+    unstated = "An empty default: the key may be left out, and is then not used, unless its meaning says otherwise."
+    robot = ["# Reference: robot.toml, options of robot-identify", "", HEAD, ""]
+    robot += ["Angles are in degrees, everything else in SI. Unknown keys are refused. " + unstated]
+    robot += [
+        "",
+        "## robot.toml",
+        "",
+        "The table `[bus]` is in [acquisition/reference.md](../acquisition/reference.md).",
+    ]
+    robot += [*key_tables(RobotFile, ROBOT_TABLES), "", "## Options of robot-identify", *option_table(IDENTIFY)]
+    bus = ["# Reference: bus keys of robot.toml, map.toml, options of robot-acquire", "", HEAD, "", unstated]
+    bus += ["", "## Bus keys of robot.toml", *key_tables(BusFile, BUS_TABLES)]
+    bus += [
+        "",
+        "## map.toml",
+        *key_tables(TableMap, MAP_TABLES),
+        "",
+        "## Options of robot-acquire",
+        *option_table(ACQUIRE),
+    ]
+    texts = {"identification": robot, "acquisition": bus}
+    return {ROOT / folder / "reference.md": "\n".join(lines) + "\n" for folder, lines in texts.items()}
+
+
+if __name__ == "__main__":
+    for path, text in pages().items():
+        path.write_text(text)
