@@ -112,7 +112,7 @@ class Coverage:
         return np.asarray(np.mean(self.high - self.low, axis=0) / 2 / (1.96 * np.std(error, axis=0, ddof=1)))
 
     def row(self) -> str:
-        """A row of the table in identification/README.md."""
+        """A row of the table in benchmarks/coverage.md."""
         worst, half = int(self.by_parameter.argmin()), self.half_over_spread
         return (
             f"| {self.case.name} | {len(self.beta)} of {self.runs} | {self.whole:.1f} % | {self.by_parameter[worst]:.0f} % "

@@ -3,7 +3,7 @@
 import re
 
 import pytest
-from key_reference import ACQUIRE, BUS_TABLES, IDENTIFY, MAP_TABLES, ROBOT_TABLES, ROOT, keys_of, options_of, pages
+from key_reference import ACQUIRE, BUS_TABLES, IDENTIFY, MAP_TABLES, ROBOT_TABLES, keys_of, options_of, pages
 
 from acquisition.importing.tables import TableMap
 from acquisition.robot import RobotFile

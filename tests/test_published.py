@@ -1,8 +1,11 @@
 """Real recordings against published digits and an earlier identification of the same robot."""
 
+import re
+
 import pytest
 from conftest import REPLAY
 from fits_of_records import ls_of, signals_of
+from published import PAGE, available, page, without_seconds
 
 from acquisition.robot import load_robot
 from identification.data import load_signals
@@ -68,3 +71,16 @@ def test_tx40_with_the_standstill_fits_less_well(tx40):
     fit = identify_ls(signals_of(tx40), Overrides(span="all", low_speed_percent=0.0))
     assert 5.6 < fit.errors[-1].relative_error_percent <= 7.8
     assert fit.errors[-1].moving_relative_error_percent < fit.errors[-1].standing_relative_error_percent
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not available(), reason="the real recordings are not here (see replay_data/README.md)")
+def test_the_page_of_published_digits_is_that_of_the_code():
+    assert without_seconds(PAGE.read_text()) == without_seconds(page()), "run `python tests/published.py`"
+
+
+def test_the_page_of_published_digits_has_value_value_and_command():
+    rows = [line.strip("| ").split(" | ") for line in PAGE.read_text().splitlines() if line.startswith("| ")][1:]
+    assert len(rows) > 20
+    assert all(len(row) == 4 and row[3].startswith("`robot-identify ") for row in rows)
+    assert {re.split("[,:]", row[0])[0] for row in rows} == {"EMPS", "TX40", "SCARA"}

@@ -1,4 +1,4 @@
-"""Coverage of the printed 95 % intervals, by the independent simulator: the table of identification/README.md.
+"""Coverage of the printed 95 % intervals, by the independent simulator: the table of coverage.md.
 
 Run with `COVERAGE_RUNS=200 pytest tests/benchmarks/test_coverage.py -s --benchmark-enable`; the arm has a fifth as many. The
 bounds are those of 200 runs: with fewer the table is only printed, as the shares then spread by more than the bounds leave.
