@@ -1,4 +1,4 @@
-"""Speed of recording and decoding. Run with `pytest tests/benchmarks -s --benchmark-enable`.
+"""Speed of recording and decoding. Run with `pytest tests/benchmarks -s --benchmark-enable`; figures stand in acquire_speed.md.
 
 There is no CAN adapter here: datagrams on loopback stand in for the frames of a CAN socket. Kernel queue, time stamps, drop
 counter, the recorder's process and its file are the real ones. The bus is full at 9 000 frames/s of 8 bytes at 1 Mbit/s.

@@ -1,6 +1,7 @@
 """How often `robot-identify friction` recommends the terms that a robot has, on recordings of the independent simulator.
 
 Run with `FRICTION_RUNS=100 pytest tests/benchmarks/test_friction_rates.py -s --benchmark-enable`; by default 10 runs of a case.
+The table stands in friction_rates.md.
 """
 
 import os

@@ -1,5 +1,7 @@
 """Speed and memory of identification, beside a floor taken in the same run.
 
+Figures stand in identify_speed.md.
+
 Run with `pytest tests/benchmarks -s --benchmark-enable`. The floor is a bare loop of pinocchio's
 `computeJointTorqueRegressor` over the same samples: no result is kept.
 """

@@ -1,7 +1,7 @@
 """Coverage of the printed 95 % intervals where the lag of the torque is not stated, by the independent simulator.
 
 Run with `LAG_RUNS=100 LAG_ARM_RUNS=40 pytest tests/benchmarks/test_lag_coverage.py -s --benchmark-enable`, the defaults; the
-second are recordings of the TX40. With fewer the table is only printed.
+second are recordings of the TX40. With fewer the table is only printed. A table stands in coverage.md.
 """
 
 import os

@@ -3,7 +3,7 @@
 Recordings are of the independent simulator. The last case has the same encoder noise in the recording alone: noise that the
 controller acts on moves the robot above the low-pass, where abs(tau_rigid) turns it into a mean that no position shows.
 
-Run with `LOAD_RUNS=20 pytest tests/benchmarks/test_load_coverage.py -s --benchmark-enable`.
+Figures stand in friction_rates.md. Run with `LOAD_RUNS=20 pytest tests/benchmarks/test_load_coverage.py -s --benchmark-enable`.
 """
 
 import os
