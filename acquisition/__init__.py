@@ -12,11 +12,10 @@ The rooms, lowest first. Other rooms use only what a room's `__init__` exports; 
     importing    recordings from tables, ROS 2 bags and CAN logs; export
     commands     the command line
 
-The most used names are imported here on first use::
+The most used names are imported here on first use:
 
-    import acquisition
-
-    samples = acquisition.read_recording("log.mcap").samples
+>>> import acquisition
+>>> samples = acquisition.read_recording("log.mcap").samples
 """
 
 from typing import TYPE_CHECKING

@@ -15,14 +15,19 @@ The rooms, lowest first. Other rooms use only what a room's `__init__` exports; 
     design       exciting references, the choice of friction terms
     view         Rerun files
     commands     the command line
-    notebook     the names below, and a fit shown in a notebook
+    notebook     the names below: fits of arrays, and what one does with a fit
 
-The main names are imported here on first use::
+The main names are imported here on first use. A fit of arrays, its report and its model for a simulator:
 
-    import identification
-
-    fit = identification.fit(q, tau, 1000.0, "robot.toml", q_ref)
-    print(fit)
+>>> import identification
+>>> log = identification.simulate_recording("robot.toml", "log.mcap")
+>>> fit = identification.fit(log.q, log.effort, log.sample_rate_hz, "robot.toml", log.q_ref)
+>>> fit.verdict
+'trust'
+>>> [f"{p.value:.2f} {p.unit}" for p in fit.parameters if p.name == "ZZ2"]
+['0.06 kg m²']
+>>> fit.write_report("report.html")
+>>> limits_of_the_format = fit.export(mjcf="robot.xml")
 """
 
 from typing import TYPE_CHECKING
@@ -30,43 +35,37 @@ from typing import TYPE_CHECKING
 from acquisition.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from .errors import IdentificationError
-    from .notebook import (
-        Fit,
-        Iteration,
-        Overrides,
-        RecordingFile,
-        Recordings,
-        Signals,
-        fit,
-        identify_iv,
-        identify_ls,
-        load_signals,
-        processes,
-        validate,
-    )
+    from .notebook import *
 
 __all__ = [
+    "DoNotUseWarning",
+    "ExcitationSettings",
     "Fit",
     "IdentificationError",
     "Iteration",
+    "Noise",
     "Overrides",
     "RecordingFile",
     "Recordings",
     "Signals",
+    "Study",
+    "design_reference",
     "fit",
     "identify_iv",
     "identify_ls",
     "load_signals",
     "processes",
+    "read_fit",
+    "read_robot",
+    "run_study",
+    "select_friction",
+    "simulate_recording",
     "validate",
 ]
 
+_ERRORS = ("DoNotUseWarning", "IdentificationError")
+
 if not TYPE_CHECKING:  # a type checker would accept any name
     __getattr__, __dir__ = lazy_names(
-        __name__,
-        {
-            "errors": ("IdentificationError",),
-            "notebook": tuple(name for name in __all__ if name != "IdentificationError"),
-        },
+        __name__, {"errors": _ERRORS, "notebook": tuple(name for name in __all__ if name not in _ERRORS)}
     )

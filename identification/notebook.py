@@ -1,76 +1,291 @@
-"""The Python interface of `import identification`: a fit of arrays, the main names, and the report in a notebook."""
+"""The Python interface of `import identification`: fits, what one does with a fit, and the main names."""
 
 import os
-from typing import Literal, Unpack, cast
+import warnings
+from collections.abc import Callable, Sequence
+from functools import wraps
+from pathlib import Path
+from typing import Literal, ParamSpec
 
 from numpy.typing import ArrayLike
 
-from acquisition.robot import Robot, load_robot
+from acquisition.robot import Robot, parse_payload
 
-from .data import OptionalColumns, RecordingFile, Recordings, Signals, load_signals, processes, signals_from_arrays
-from .errors import IdentificationError
-from .methods import Fit, Iteration, identify, identify_iv, identify_ls, validate
-from .regression import Overrides
+from . import design, export, methods, report, study
+from .arrays import Array
+from .data import RecordingFile as RecordingFile
+from .data import Recordings as Recordings
+from .data import Serial, Work, signals_from_arrays
+from .data import Signals as Signals
+from .data import load_signals as load_signals
+from .data import processes as processes
+from .design import Excitation
+from .design import ExcitationSettings as ExcitationSettings
+from .design import select_friction as select_friction
+from .errors import DoNotUseWarning as DoNotUseWarning
+from .errors import IdentificationError as IdentificationError
+from .methods import Iteration as Iteration
+from .regression import Overrides as Overrides
+from .report import Assumed, Difference, FitFile, Parameter, ValidationFile, Verdict
+from .report import read_fit as read_fit
+from .study import Noise as Noise
+from .study import Run
+from .study import Study as Study
+
+File = str | os.PathLike[str]
+Out = File | None
+P = ParamSpec("P")
 
 
-class FitChoices(OptionalColumns, total=False):
-    """Optional arguments of a fit of arrays: the method, and further columns."""
+class Fit(methods.Fit):
+    """Base parameters of a robot with their tests, and what can be written of them; attributes as of `methods.Fit`."""
 
-    method: Literal["iv", "wls", "ols"]
+    @property
+    def verdict(self) -> Verdict:
+        """`trust`, `caution` or `do not use`: the worst test; `trust.lines` has all of them."""
+        return self.trust.verdict
+
+    @property
+    def assumed(self) -> tuple[Assumed, ...]:
+        """What no test covers: `what`, `value`, `why`."""
+        return self.trust.assumed
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The fitted parameters: `name`, `value`, 95 % interval `low` to `high`, `unit`, `expression`, `essential`."""
+        return tuple(methods.fitted_parameters(self).parameters.values())
+
+    def residuals(self) -> Array:
+        """(rows, n) measured minus predicted torque, N m or N, of the decimated rows at `t_s`; recordings in their order."""
+        return self.tau - self.tau_predicted
+
+    def to_json(self, path: File) -> None:
+        """Write the file of `robot-identify fit --json`; `read_fit` reads it."""
+        report.write_json(Path(path), methods.fit_file(self))
+
+    def write_report(self, path: File, *, everything: bool = False) -> None:
+        """Write the report as .md or .html; `everything`: with the parameters that are not essential."""
+        document = methods.fit_document(self.problem.signals, self, everything=everything)
+        report.write_report(Path(path), document)
+
+    def write_rrd(self, path: File) -> None:
+        """Write trajectories and fit as a Rerun file; of several recordings one file each, numbered from 1."""
+        from .view import write_fit_rrd
+
+        path, several = Path(path), len(self.recordings) > 1
+        for number, one in enumerate(self.recordings, start=1):
+            own = path.with_stem(f"{path.stem}_{number}") if several else path
+            write_fit_rrd(own, one.problem.signals, self.on(one))
+
+    def consistent(self, prior: File | None = None) -> "Fit":
+        """The fit with the nearest physically possible parameters of all links, in `consistent_set`.
+
+        `prior`: a robot.toml or a URDF with a-priori link parameters; default: the description of the fit.
+        Raises `IdentificationError`: a drive gain is not known, the prior is of another robot, or there are no such parameters.
+        """
+        found = methods.read_prior(None if prior is None else Path(prior), self.problem.signals.robot)
+        return Fit(**vars(methods.with_consistent(self, found)))
+
+    def compare(self, other: methods.Fit | FitFile) -> tuple[Difference, ...]:
+        """The differences of the parameters from those of another fit: `name`, `off`, `off_percent`, `off_sigma`.
+
+        Warns where the link frames differ. Raises `IdentificationError`: nothing in common, or other units.
+        """
+        a, b = methods.fit_file(self), methods.fit_file(other) if isinstance(other, methods.Fit) else other
+        for line in report.frame_lines(a, b, ("this fit", "the other")):
+            warnings.warn(line, stacklevel=2)
+        sets = (report.ParameterSet.of_file(one, label) for one, label in ((a, "this fit"), (b, "the other")))
+        return tuple(report.differences(*sets))
+
+    def export(self, *, urdf: Out = None, mjcf: Out = None, toml: Out = None, allow_untrusted: bool = False) -> str:
+        """Write the fit as a URDF, a MuJoCo model and a robot.toml; those of `consistent` if it was called.
+
+        Returns what each format cannot represent, as Markdown. Raises `IdentificationError`: the verdict is `do not use` and
+        not `allow_untrusted`; a fit in A or V; impossible parameters.
+        """
+        outputs = {"urdf": urdf, "mjcf": mjcf, "toml": toml}
+        paths = {kind: Path(path) for kind, path in outputs.items() if path is not None}
+        stored, name = methods.fit_file(self), self.problem.signals.recording
+        return report.to_markdown(export.export_fit(stored, name, untrusted=allow_untrusted, **paths))
+
+    def _repr_html_(self) -> str:
+        return report.to_html(methods.fit_document(self.problem.signals, self))
+
+
+def _of_user(found: methods.Fit) -> Fit:
+    """The fit as users have it; called by what users call, so that the warning names their line."""
+    if found.distrust:
+        warnings.warn(f"do not use {found!r}: {'; '.join(found.distrust)}", DoNotUseWarning, stacklevel=3)
+    return Fit(**vars(found))
+
+
+def _for_users(identify: Callable[P, methods.Fit]) -> Callable[P, Fit]:
+    @wraps(identify)
+    def identified(*args: P.args, **kwargs: P.kwargs) -> Fit:
+        return _of_user(identify(*args, **kwargs))
+
+    return identified
+
+
+identify_ls, identify_iv = _for_users(methods.identify_ls), _for_users(methods.identify_iv)
+
+
+def read_robot(
+    path: File,
+    *,
+    joints: Sequence[str] = (),
+    bandwidth_hz: float | None = None,
+    position: float | Sequence[float] | None = None,
+    speed: float | Sequence[float] | None = None,
+    acceleration: float | Sequence[float] | None = None,
+) -> Robot:
+    """A robot from a robot.toml, or from a URDF with values that it lacks; other functions take its path, too.
+
+    `joints`: those to identify, from the base outwards (default: the longest serial chain); `bandwidth_hz` of the position
+    loops, which fits need; `position` (±), `speed`, `acceleration`: limits in rad or m, for all joints or by joint.
+    Raises `IdentificationError` or `AcquisitionError`: no such file, or a value beside a robot.toml, which has a key for it.
+    """
+    limits = {"--bandwidth-hz": bandwidth_hz, "--range": position, "--speed": speed, "--acceleration": acceleration}
+    given = {
+        option: (value,) if isinstance(value, int | float) else tuple(value)
+        for option, value in limits.items()
+        if value is not None
+    }
+    return export.read_robot(Path(path), joints, given)
+
+
+def _robot(robot: File | Robot) -> Robot:
+    return robot if isinstance(robot, Robot) else read_robot(robot)
 
 
 def fit(
     q: ArrayLike,
     tau: ArrayLike,
     sample_rate_hz: float,
-    robot: str | os.PathLike[str] | Robot,
+    robot: File | Robot,
     q_ref: ArrayLike | None = None,
-    **choices: Unpack[FitChoices],
+    *,
+    method: Literal["iv", "wls", "ols"] | None = None,
+    bandwidth_hz: float | None = None,
+    cutoff_hz: float | None = None,
+    decimation: int | None = None,
+    low_speed_percent: float | None = None,
+    torque_lag_s: float | Literal["none"] | None = None,
+    essential: bool = False,
+    velocity: ArrayLike | None = None,
+    known_torque: ArrayLike | None = None,
+    feedforward: ArrayLike | None = None,
 ) -> Fit:
-    """Base parameters of a robot from arrays, with the settings of its description.
-
-    `identify_ls` and `identify_iv` do the same for a recording, and take other settings.
+    """Base parameters of a robot from arrays. `identify_ls` and `identify_iv` do the same for recordings.
 
     Parameters
     ----------
     q : (N, n) measured joint positions, rad or m, time first.
     tau : (N, n) torques at the joint in N m, forces in N; in A or V where the description has no drive gain. Their
-        timing is unknown: `torque_lag_s` of `[identification]` states the lag.
+        timing is unknown: `torque_lag_s` states the lag.
     sample_rate_hz : sample rate.
-    robot : the description, or the path of a robot.toml.
+    robot : the description, or the path of a robot.toml or of a URDF.
     q_ref : (N, n) reference positions; without them `iv` uses the measured positions, and the instruments are not
         strictly exogenous (a warning of the fit).
-    choices : `method`: `iv`, instrumental variables (default with `q_ref`); `wls` (default without) or `ols`, least squares
-        weighted joint by joint or not.
-        Columns (N, n), as for an import: `known_torque` on the joints from other sources than the drives, N m or N, same
-        sign as `tau`; the model explains the sum. `feedforward` added to the controller's output, per motor in the unit of
-        the recorded effort (which includes it); the simulated controller adds it too. `velocity` of the joints, rad/s or
-        m/s, only compared with the derivative of q, which is fitted.
+    method : `iv`, instrumental variables (default with `q_ref`); `wls` (default without) or `ols`, least squares weighted
+        joint by joint or not.
+    bandwidth_hz : of the position loops, Hz; for a URDF, which has none.
+    cutoff_hz, decimation, low_speed_percent, torque_lag_s, essential : as the options of `robot-identify fit`, in place of the
+        rules and of the description; `cutoff_hz` 0: no filter; `torque_lag_s` `none`: no correction.
+    velocity : (N, n) speeds of the joints, rad/s or m/s, only compared with the derivative of q, which is fitted.
+    known_torque : (N, n) torques on the joints from other sources than the drives, N m or N, same sign as `tau`; the model
+        explains the sum.
+    feedforward : (N, n) added to the controller's output, per motor in the unit of the recorded effort (which includes it);
+        the simulated controller adds it too.
 
     Returns
     -------
-    Fit : `beta` (b,) in the order of `base.names`, `estimate` with deviations, `errors`, `status`, `warnings`.
+    Fit : `verdict`, `parameters`, `beta` (b,) in the order of `base.names`, `errors`, `status`, `warnings`; the verdict `do not
+        use` is also a `DoNotUseWarning`.
 
     Raises
     ------
-    IdentificationError : arrays that do not fit together, or too little motion.
+    IdentificationError : arrays that do not fit together, a setting out of range, or too little motion.
     AcquisitionError : the description cannot be read, or a velocity has a wrong unit or sign.
     """
-    method = choices.get("method")
-    columns = cast(OptionalColumns, {name: x for name, x in choices.items() if name != "method"})
     if method not in (None, "iv", "wls", "ols"):
         raise IdentificationError(key="method", value=method, expected="'iv', 'wls' or 'ols'")
-    described = robot if isinstance(robot, Robot) else load_robot(robot)
-    signals = signals_from_arrays(q, tau, sample_rate_hz, described, q_ref, **columns)
-    return identify(signals, Overrides(), method=method)
+    for key, value in (("cutoff_hz", cutoff_hz), ("decimation", decimation), ("low_speed_percent", low_speed_percent)):
+        if value is not None and not 0 <= value < float("inf"):
+            raise IdentificationError(key=key, value=value, expected="a number from 0")
+    described = robot if isinstance(robot, Robot) else read_robot(robot, bandwidth_hz=bandwidth_hz)
+    signals = signals_from_arrays(
+        q, tau, sample_rate_hz, described, q_ref, velocity=velocity, known_torque=known_torque, feedforward=feedforward
+    )
+    overrides = Overrides(
+        cutoff_hz=cutoff_hz, decimation=decimation, low_speed_percent=low_speed_percent, torque_lag_s=torque_lag_s
+    )
+    return _of_user(methods.identify(signals, overrides, method=method, essential=essential))
 
 
-def _fit_html(fit: Fit) -> str:
-    """The report of a fit as HTML."""
-    from .methods import fit_document
-    from .report import to_html
+def validate(
+    fit: methods.Fit | FitFile, recording: Signals | File, overrides: Overrides | None = None
+) -> ValidationFile:
+    """Torque errors of a fit on another recording of the robot: `relative_error_percent` of all rows, `joints`, `warnings`.
 
-    return to_html(fit_document(fit.problem.signals, fit))
+    `overrides` replace the settings of the fit. Raises `IdentificationError`: the recording is of another robot.
+    """
+    stored = methods.fit_file(fit) if isinstance(fit, methods.Fit) else fit
+    signals = recording if isinstance(recording, Signals) else load_signals(recording)
+    path = Path(signals.recording if isinstance(recording, Signals) else recording)
+    signals, notes = methods.signals_as_fitted(signals, path, stored, "the fit", chosen=path.name == signals.recording)
+    settings = (overrides or Overrides()).over(methods.stored_settings(stored, signals))
+    each, errors = methods.validate_all(
+        [(signals, settings)], lambda base: methods.stored_beta(stored, base, "the fit")
+    )
+    doubts = (*each[0].settings.warnings, *notes, *stored.warnings_of("the fit"))
+    return methods.validation_file(each, "the fit", errors, doubts)
 
 
-Fit._repr_html_ = _fit_html
+def design_reference(
+    robot: File | Robot,
+    settings: ExcitationSettings | None = None,
+    *,
+    fit: File | None = None,
+    noise: Sequence[float] | None = None,
+    after: Sequence[File] = (),
+    payload: str | None = None,
+) -> Excitation:
+    """An exciting reference within the limits of the robot; `write` makes the CSV for `robot-acquire record --track`.
+
+    `fit`: JSON file with parameters and noise (default: `[parameters]`); `noise`: deviation of the torque per row of the fit,
+    N m or N, one or by joint; `after`: recordings whose information is added; `payload`: `KG@X,Y,Z`, m, of a second run of the
+    reference, to identify drive gains. Raises `IdentificationError`: a limit is missing, or no reference is found.
+    """
+    described, place = _robot(robot), robot.name if isinstance(robot, Robot) else str(robot)
+    prior = design.prior_information(
+        described,
+        Path(place).parent,
+        fit=None if fit is None else Path(fit),
+        noise=noise,
+        after=[Path(path) for path in after],
+        payload=parse_payload(payload, described) if payload else None,
+    )
+    return design.excite(described, settings or ExcitationSettings(), prior, place)
+
+
+def simulate_recording(
+    robot: File | Robot, out: File, settings: Study | None = None, payload: str | None = None
+) -> Signals:
+    """Write and read a recording of the robot simulated with its `[parameters]`; `settings`: length, rate, seed, noise.
+
+    `payload`: `KG@X,Y,Z`, m. Raises `IdentificationError`: a value or a limit is missing.
+    """
+    described = _robot(robot)
+    study.simulate_recording(
+        described, Path(out), settings or Study(), parse_payload(payload, described) if payload else None
+    )
+    return load_signals(out)
+
+
+def run_study(robot: File | Robot, settings: Study | None = None, work: Work | None = None) -> list[Run]:
+    """Fits of simulated recordings of the robot of `[parameters]`, by least squares and by instrumental variables.
+
+    `work`: where they run, as `with processes(4) as work:`. Raises `IdentificationError`: a value or a limit is missing.
+    """
+    return list(study.run_study(_robot(robot), settings or Study(), work or Serial()))

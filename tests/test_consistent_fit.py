@@ -39,7 +39,7 @@ def consistent(tx40):
 @pytest.mark.slow
 def test_the_real_arm_becomes_a_physical_one(consistent):
     """Every pseudo-inertia and every own rotor inertia and friction positive; the torque error hardly larger."""
-    c, problem = consistent.consistent, consistent.problem
+    c, problem = consistent.consistent_set, consistent.problem
     assert c.names == problem.model.names
     physical = physical_parameters(problem.model)
     assert lowest(physical, c.chi) > 0
@@ -67,7 +67,7 @@ def test_the_real_arm_becomes_a_physical_one(consistent):
 
 def test_the_verdict_and_the_consistent_set_are_one_computation(consistent, tx40):
     """chi² and largest move of the verdict's line are those of `--consistent`; not with another prior, which is said."""
-    c, line = consistent.consistent, consistent.trust.line("consistent")
+    c, line = consistent.consistent_set, consistent.trust.line("consistent")
     assert line.value == c.chi_squared
     assert f"{c.moved_most} moved by {c.largest_move:.2g} half-widths" in line.text
     assert line.level == "ok"
@@ -76,14 +76,14 @@ def test_the_verdict_and_the_consistent_set_are_one_computation(consistent, tx40
     expected = dataclasses.replace(consistent.problem.signals.robot, parameters={})
     other = with_consistent(consistent, Prior(robot=expected, name="no links"))
     assert any("has its own" in line for s in fit_document(signals_of(tx40), other).sections for line in s.lines)
-    assert other.consistent.chi_squared != line.value
+    assert other.consistent_set.chi_squared != line.value
 
 
 def test_the_report_has_intervals_and_names_what_left_the_fits(consistent, tx40):
-    c = consistent.consistent
+    c = consistent.consistent_set
     moves = c.moves.copy()
     moves[3] = 1.7
-    far = dataclasses.replace(consistent, consistent=dataclasses.replace(c, deviations=moves * c.reach))
+    far = dataclasses.replace(consistent, consistent_set=dataclasses.replace(c, deviations=moves * c.reach))
     sections = {s.title: s for s in fit_document(signals_of(tx40), far).sections}
     standard = sections["physically consistent standard parameters"]
     assert [heading for heading, _ in standard.table.columns] == [
@@ -326,7 +326,7 @@ def test_a_wrist_that_feeds_energy_is_told_by_the_verdict_and_by_the_consistent_
     x = fourier_reference(robot, period_s=10.0, seed=2).at(np.arange(0.0, 10.0, 2e-3))
     tau = (model.regressor(*x) @ chi) + np.random.default_rng(0).normal(0, 0.05, x[0].shape)
     fit = identify_ls(signals_from_arrays(x[0], tau, 500.0, robot), Overrides(torque_lag_s="none", edges="smooth"))
-    line, made = fit.trust.line("physical"), with_consistent(fit, Prior()).consistent
+    line, made = fit.trust.line("physical"), with_consistent(fit, Prior()).consistent_set
     assert (line.level == "do not use") == bool(told), line.text
     assert (told or "no friction or rotor inertia is below zero") in line.text
     of_friction = [i for i, name in enumerate(base.names) if name[:2] in ("Fv", "Fc") and name[-1] in "56"]

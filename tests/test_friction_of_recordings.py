@@ -13,7 +13,7 @@ from test_viewer import Written
 
 from identification.commands import main
 from identification.data import RecordingFile, Recordings
-from identification.design import choose_terms, friction_of_joints, with_terms
+from identification.design import friction_of_joints, select_friction, with_terms
 from identification.errors import IdentificationError
 from identification.methods import identify_ls
 from identification.regression import make_problem, regression_of_recording
@@ -43,7 +43,7 @@ def several(own: tuple[str, ...] = ()):
 
 @cache
 def chosen(own: tuple[str, ...] = ()):
-    return choose_terms(Recordings(sources=several(own)), WITHOUT_LAG)
+    return select_friction(Recordings(sources=several(own)), WITHOUT_LAG)
 
 
 @pytest.mark.slow
@@ -97,7 +97,7 @@ def test_intervals_of_a_set_are_those_of_a_fit_of_the_recordings():
 
 
 def test_the_choice_does_not_depend_on_the_order_of_the_recordings():
-    again = choose_terms(Recordings(sources=several()[::-1]), WITHOUT_LAG)
+    again = select_friction(Recordings(sources=several()[::-1]), WITHOUT_LAG)
     assert [trial.terms for trial in again.trials] == [trial.terms for trial in chosen().trials]
     assert [trial.score for trial in again.trials] == [trial.score for trial in chosen().trials]
 
@@ -109,13 +109,13 @@ def test_a_recording_that_the_others_cannot_predict_is_named():
         q = signals.q.copy()
         q[:, 1] = 0.3
         still.append(dataclasses.replace(signals, q=q))
-    choice = choose_terms(Recordings(sources=(*still, several()[2])), WITHOUT_LAG)
+    choice = select_friction(Recordings(sources=(*still, several()[2])), WITHOUT_LAG)
     assert choice.held_out == ("r1.mcap", "r2.mcap")
     (line,) = [line for line in choice.left_out if "predicted" in line]
     assert line.startswith("r3.mcap cannot be predicted by the others: ")
     assert "Fc2" in line
     with pytest.raises(IdentificationError) as refused:
-        choose_terms(Recordings(sources=(still[0], several()[2])), WITHOUT_LAG)
+        select_friction(Recordings(sources=(still[0], several()[2])), WITHOUT_LAG)
     assert (refused.value.key, refused.value.value) == ("parts held out", 1)
     assert "r3.mcap cannot be predicted by the others" in str(refused.value)
 
@@ -141,7 +141,9 @@ def test_the_command_takes_several_recordings(tmp_path, capsys):
     assert (sets["root: shoulder; load"], sets["none"]) == ("recommended", "usual")
     assert "held out: r3.mcap, r2.mcap, r1.mcap, each predicted by the fit of the others" in " ".join(out.split())
     assert 'friction = ["viscous", "coulomb", "root", "load"]' in toml.read_text()
-    found = choose_terms(Recordings(sources=tuple(map(RecordingFile.at, map(tmp_path.joinpath, files)))), WITHOUT_LAG)
+    found = select_friction(
+        Recordings(sources=tuple(map(RecordingFile.at, map(tmp_path.joinpath, files)))), WITHOUT_LAG
+    )
     assert found.recommended.terms == (ROOT | LOAD, LOAD)
 
 

@@ -16,7 +16,7 @@ from acquisition.errors import AcquisitionError
 from acquisition.robot import fourier_reference, robot_from_files
 from identification.commands import main
 from identification.data import RecordingFile, Recordings, processes, signals_from_arrays
-from identification.design import choose_terms, friction_of_joints, with_terms
+from identification.design import friction_of_joints, select_friction, with_terms
 from identification.design.friction_report import with_friction
 from identification.design.trials import Trials, parts_of
 from identification.estimation import System
@@ -459,7 +459,7 @@ def test_friction_that_would_drive_a_joint_is_told_and_signs_of_its_terms_are_no
         assert ("friction would drive joint axis at -" in line.text) == told
         assert "below zero: " not in line.text
         # What the verdict has nothing against, the consistent set leaves as it is, and the other way round.
-        made = with_consistent(fit, Prior()).consistent
+        made = with_consistent(fit, Prior()).consistent_set
         assert made.chi_squared == fit.trust.line("consistent").value
         assert (np.abs(made.moves).max() > 1) == told
         power = recorded_power([(one.problem, one.states) for one in fit.recordings], made.beta)
@@ -489,9 +489,9 @@ WITHOUT_LAG = Overrides(torque_lag_s="none")
 def test_the_terms_that_a_robot_has_are_recommended(seed):
     usual = ["viscous", "coulomb"]
     plain = upright([usual] * 2)
-    assert choose_terms(recorded(plain, seed), WITHOUT_LAG).recommended.terms == (NONE, NONE)
+    assert select_friction(recorded(plain, seed), WITHOUT_LAG).recommended.terms == (NONE, NONE)
     more = upright([[*usual, "root", "load"], [*usual, "load"]], "Fr1 = 0.8\nmu1 = 0.3\nmu2 = 0.3\n")
-    choice = choose_terms(recorded(more, seed), WITHOUT_LAG)
+    choice = select_friction(recorded(more, seed), WITHOUT_LAG)
     assert choice.recommended.terms == (ROOT | LOAD, LOAD)
     assert list(choice.described.values()) == [("viscous", "coulomb", "root", "load"), ("viscous", "coulomb", "load")]
 
@@ -678,7 +678,7 @@ def splits(signals, terms):
 @pytest.mark.slow
 def test_the_real_tx40_needs_root_friction_and_load_friction_of_joint_3(tx40):
     signals = signals_of(tx40)
-    choice = choose_terms(signals, Overrides())
+    choice = select_friction(signals, Overrides())
     terms = choice.recommended.terms
     assert "load" in terms[2]
     assert sum("root" in more for more in terms) >= 4
@@ -692,6 +692,6 @@ def test_the_real_tx40_needs_root_friction_and_load_friction_of_joint_3(tx40):
 
 
 def test_the_real_emps_needs_asymmetric_and_root_friction(emps):
-    choice = choose_terms(signals_of(emps), Overrides())
+    choice = select_friction(signals_of(emps), Overrides())
     assert choice.recommended.terms == (frozenset({"asymmetric", "root"}),)
     assert choice.recommended.fitted_error_percent < 2.95

@@ -482,7 +482,7 @@ def test_a_file_of_own_parameters_is_exported_where_it_is_consistent(tmp_path):
     beside = {row.name: row.b.name for row in differences(a, fitted_parameters(shared))}
     assert beside == {name: name.split("@")[0] for name in fit.estimate.names}
     made = with_consistent(fit, Prior())
-    np.testing.assert_array_equal(model_of_fit(stored(made), "fit.json")[0].chi, made.consistent.chi)
+    np.testing.assert_array_equal(model_of_fit(stored(made), "fit.json")[0].chi, made.consistent_set.chi)
 
 
 def test_own_parameters_by_hand():

@@ -2,12 +2,16 @@
 
 import configparser
 import os
+import shutil
 import subprocess
 import sys
 import zipfile
 
 import pytest
 from conftest import REPLAY, ROOT
+
+import acquisition
+import identification
 
 pytest.importorskip("hatchling", reason="no hatchling here to build a wheel with: pip install -e '.[test]'")
 
@@ -48,6 +52,40 @@ def test_programs_and_demo_are_in_it(installed, tmp_path):
     assert done.stderr == 2 * "robot-identify: /dev/null: cannot be created: File exists: expected a folder\n"
     assert done.stdout.startswith(f"{installed}/acquisition/__main__.py {installed}/identification/__main__.py\n")
     assert "usage: robot-acquire" in done.stdout
+
+
+@pytest.mark.slow
+def test_a_type_checker_sees_the_types_of_an_editable_installation(tmp_path):
+    """A user's script, checked in a folder and an environment that know of this checkout by the installation alone."""
+    build = f"import hatchling.build; hatchling.build.build_editable({str(tmp_path)!r})"
+    subprocess.run([sys.executable, "-c", build], cwd=ROOT, check=True, capture_output=True)
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(tmp_path / "venv")], check=True)
+    (packages,) = (tmp_path / "venv").glob("lib/python3*/site-packages")
+    (wheel,) = tmp_path.glob("*.whl")
+    with zipfile.ZipFile(wheel) as archive:
+        archive.extractall(packages)
+    (packages / "borrowed.pth").write_text("\n".join(path for path in sys.path if "site-packages" in path))
+    shutil.copy(ROOT / "tests" / "user_script.py", tmp_path)
+    names = [f"{package.__name__}.{name}" for package in (acquisition, identification) for name in package.__all__]
+    (tmp_path / "names.py").write_text("\n".join(["import acquisition", "import identification", *names, ""]))
+    checked = subprocess.run(
+        [
+            sys.executable,
+            "-m",
+            "mypy",
+            "--strict",
+            "--python-executable",
+            "venv/bin/python",
+            "user_script.py",
+            "names.py",
+        ],
+        cwd=tmp_path,
+        env={name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "MYPYPATH")},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert checked.stdout == "Success: no issues found in 2 source files\n"
 
 
 def test_its_packages_say_that_they_are_typed(installed):

@@ -52,16 +52,9 @@ def add_urdf_options(parser: argparse.ArgumentParser) -> None:
 
 def robot_of(options: argparse.Namespace, *, moves: bool = False) -> "Robot":
     """The robot of the options of `add_robot`; if it `moves`, a URDF or its options must state the limits."""
-    from acquisition.robot import load_robot
+    from ..export import read_robot
 
-    from ..export import is_urdf, robot_of_chain
-
-    if is_urdf(options.robot):
-        return robot_of_chain(chain_of(options), moves=moves)
-    for option in (*(["--joints"] if options.joints is not None else []), *_stated(options)):
-        expected = "a URDF; robot.toml has a key for it"
-        raise IdentificationError(f"{option} has no effect", place=str(options.robot), expected=expected)
-    return load_robot(options.robot)
+    return read_robot(options.robot, options.joints or (), _stated(options), moves=moves)
 
 
 def chain_of(options: argparse.Namespace) -> "Chain":

@@ -32,9 +32,6 @@ def run(options: argparse.Namespace) -> None:
     """Search the reference, write it, and print the expected intervals."""
     refuse_outputs([options.robot, options.fit, *options.after], options.out, options.rrd)
     with Progress("excitation") as progress:
-        import numpy as np
-
-        from acquisition.files import write_columns
         from acquisition.robot import parse_payload
 
         from ..design import ExcitationSettings, excitation_document, excite, prior_information
@@ -48,8 +45,7 @@ def run(options: argparse.Namespace) -> None:
         found = excite(robot, settings, prior, str(options.robot), progress.say)
     document = excitation_document(found)
     try:
-        time_s, q = found.table()
-        write_columns(options.out, ("time_s", *(joint.name for joint in robot.joints)), [np.column_stack([time_s, q])])
+        found.write(options.out)
         if options.rrd:
             from ..view import write_excitation_rrd
 

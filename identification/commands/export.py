@@ -27,16 +27,9 @@ def run(options: argparse.Namespace) -> None:
         raise IdentificationError("nothing to write", place="export", expected="--urdf, --mjcf or --toml with a file")
     refuse_outputs([options.fit], options.urdf, options.mjcf, options.toml)
     with Progress("reading"):
-        from ..export import distrust, export_model, model_of_fit, write_models
-        from ..report import Section, read_fit
+        from ..export import export_fit
+        from ..report import read_fit
 
-        stored, place = read_fit(options.fit), str(options.fit)
-        reasons = distrust(stored, place)
-        if reasons and not options.allow_untrusted:
-            expected = "a fit to be trusted, or --allow-untrusted"
-            raise IdentificationError(f"not exported: {'; '.join(reasons)}", expected=expected)
-        mechanism, lines = model_of_fit(stored, place)
         outputs = {"urdf": options.urdf, "mjcf": options.mjcf, "toml": options.toml}
-        texts, document = export_model(mechanism, options.fit.name, lines=lines, **outputs)
-        write_models(texts)
-    print_results(document.followed_by(Section(warnings=tuple(reasons))) if reasons else document)
+        document = export_fit(read_fit(options.fit), str(options.fit), untrusted=options.allow_untrusted, **outputs)
+    print_results(document)

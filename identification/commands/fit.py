@@ -24,7 +24,7 @@ from .arguments import (
 
 if TYPE_CHECKING:
     from ..data import Recordings
-    from ..methods import Fit, Prior
+    from ..methods import Fit
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -105,23 +105,12 @@ def run(options: argparse.Namespace) -> int:
 
 def _prior(options: argparse.Namespace) -> "Prior":
     """The prior of the links; read before any fit, so that a recording in A or V is refused at once."""
-    from acquisition.robot import load_robot
+    from ..methods import read_prior, refuse_unknown_gain
 
-    from ..methods import Prior, refuse_unknown_gain, urdf_prior
-
-    path = options.prior
     robot = sources(options)[0].load().robot
     if not options.gains:
         refuse_unknown_gain(robot)
-    if path is None:
-        return Prior()
-    if path.suffix.lower() == ".toml":
-        return Prior(robot=load_robot(path), name=path.name)
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise IdentificationError(f"cannot be read: {error}", place=str(path)) from error
-    return Prior(robot=urdf_prior(robot, text, path.name), name=path.name)
+    return read_prior(options.prior, robot)
 
 
 def _identify(options: argparse.Namespace, recordings: "Recordings", say: Callable[[str], None]) -> "Fit":

@@ -26,11 +26,11 @@ def run(options: argparse.Namespace) -> None:
     refuse_outputs([*options.recordings, options.robot], options.json, picture=options.rrd)
     with Progress("reading") as progress:
         from ..data import Recordings
-        from ..design import choose_terms, fits_with, friction_document, friction_file, write_friction
+        from ..design import fits_with, friction_document, friction_file, select_friction, write_friction
         from ..report import write_json
 
         overrides = from_options(Overrides, options)
-        choice = choose_terms(Recordings(sources=tuple(sources(options))), overrides, say=progress.say)
+        choice = select_friction(Recordings(sources=tuple(sources(options))), overrides, say=progress.say)
     document = friction_document(choice)
     try:
         if options.json:

@@ -23,15 +23,9 @@ def run(options: argparse.Namespace) -> None:
     with Progress("simulating"):
         from acquisition.robot import parse_payload
 
-        from ..study import Noise, Study, closed_loop, random_reference, write_signals
+        from ..study import Noise, Study, simulate_recording
 
-        robot, study, noise = robot_of(options, moves=True), from_options(Study, options), from_options(Noise, options)
-        duration_s, rate_hz, seed = study.duration_s, study.sample_rate_hz, study.seed
-        q_ref = random_reference(
-            robot, duration_s=duration_s, sample_rate_hz=rate_hz, seed=seed, period_s=study.period_s
-        )
+        robot, study = robot_of(options, moves=True), from_options(Study, options, noise=from_options(Noise, options))
         payload = parse_payload(options.payload, robot) if options.payload else None
-        signals = closed_loop(robot, q_ref, rate_hz, noise=noise, seed=seed, payload=payload)
-        source = f"simulated: random reference and noise of seed {seed}"
-        write_signals(options.out, signals, source=source, noise=noise)
-    print_results(f"{options.out}: simulated, {duration_s:g} s at {rate_hz:g} Hz")
+        simulate_recording(robot, options.out, study, payload)
+    print_results(f"{options.out}: simulated, {study.duration_s:g} s at {study.sample_rate_hz:g} Hz")

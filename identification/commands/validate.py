@@ -1,7 +1,6 @@
 """`robot-identify validate`: torque error of a fit on other recordings."""
 
 import argparse
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from acquisition.commands import Progress, add_flag, add_path, from_options
@@ -10,8 +9,7 @@ from ..options import Overrides, above_zero
 from .arguments import add_recordings, add_settings, print_results, refuse_outputs, sources, trust_status
 
 if TYPE_CHECKING:
-    from ..data import Signals
-    from ..report import FitFile, TorqueError
+    from ..report import TorqueError
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -38,7 +36,9 @@ def run(options: argparse.Namespace) -> int:
         stored, recordings, notes = read_fit(options.fit), [], []
         consistent = methods.consistent_fit(stored, place) if options.consistent else None
         for path, source in zip(options.recordings, sources(options), strict=True):
-            signals, lines = signals_as_fitted(source.load(), path, stored, place, chosen=options.robot is not None)
+            signals, lines = methods.signals_as_fitted(
+                source.load(), path, stored, place, chosen=options.robot is not None
+            )
             overrides = from_options(Overrides, options).over(methods.stored_settings(stored, signals))
             recordings.append((signals, overrides))
             notes += lines
@@ -59,32 +59,3 @@ def run(options: argparse.Namespace) -> int:
     found = "no torque to compare with" if error is None else f"relative torque error {error:.4g} %"
     on = ", ".join(map(str, options.recordings))
     return trust_status([f"{options.fit} on {on}: {found}: expected at most {limit:g} %"])
-
-
-def signals_as_fitted(
-    signals: "Signals", recording: Path, stored: "FitFile", place: str, *, chosen: bool
-) -> tuple["Signals", list[str]]:
-    """The signals of a recording, and warnings; with the fit's description if the recording's has other parameters.
-
-    `chosen`: the user gave the description. `place` names the fit in the warnings.
-    """
-    from dataclasses import replace
-
-    from ..data import load_signals
-    from ..methods import other_meaning, stored_robot, with_stored_gains
-    from ..model import InverseModel, base_parameters
-
-    gained = with_stored_gains(stored, signals.robot)
-    effort = gained.joint_effort(signals.robot.motor_effort(signals.effort))
-    signals = replace(signals, robot=gained, effort=effort)
-    other = other_meaning(stored, base_parameters(InverseModel(signals.robot)))
-    if not other:
-        return signals, []
-    names = ", ".join(other[:5]) + (", ..." if len(other) > 5 else "")
-    robot = None if chosen else stored_robot(stored, place)
-    if robot is None:
-        return signals, [
-            f"{place}: {names}: perhaps not the same quantities as those of robot {signals.robot.name} here"
-        ]
-    note = f"{signals.recording}: its description does not have the parameters of the fit ({names}): that of {place} is used"
-    return load_signals(recording, robot), [note]

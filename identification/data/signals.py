@@ -135,26 +135,9 @@ def signals_from_arrays(
     q_ref: ArrayLike | None = None,
     **columns: Unpack[OptionalColumns],
 ) -> Signals:
-    """Signals from arrays, which are copied.
+    """Signals from arrays (N, n), which are copied; arguments and errors as of `identification.fit`.
 
-    Parameters
-    ----------
-    q, q_ref : (N, n) measured and reference positions of the joints, rad or m.
-    effort : (N, n) torques at the joint in N m, forces in N; in A or V if `robot` has no drive gain.
-    sample_rate_hz : rate of the N samples.
-    robot : its description, of n joints.
-    columns : (N, n) `velocity` of the joints, rad/s or m/s; `known_torque` on the joints from outside the drives, N m or N;
-        `feedforward` added to the controller's output, by motor in the unit of its effort.
-
-    Returns
-    -------
-    Signals : with a warning in `events` if a velocity differs by over 10 % from the derivative of q.
-
-    Raises
-    ------
-    IdentificationError : if shapes differ from one another or from the robot, a number is not finite, the rate is not
-        above 0, or a column has another name; for a known torque of a robot without drive gains.
-    AcquisitionError : for a velocity of another unit or sign.
+    `events` has a warning if a velocity differs by over 10 % from the derivative of q.
     """
     for name in columns:
         if name not in OPTIONAL:

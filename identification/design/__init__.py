@@ -3,5 +3,5 @@
 from .excitation import Excitation, ExcitationSettings, excitation_document, excite
 from .friction_report import JointFriction, friction_document, friction_file, friction_of_joints, write_friction
 from .information import prior_information
-from .selection import choose_terms, fits_with
+from .selection import TermChoice, fits_with, select_friction
 from .trials import TermSet, with_terms

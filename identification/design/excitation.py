@@ -4,10 +4,11 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 
-from acquisition.files import find_mesh
+from acquisition.files import find_mesh, write_columns
 from acquisition.robot import HARMONICS, FourierReference, Payload, Robot, refuse_out_of_range, resolve
 
 from ..arrays import Array
@@ -98,6 +99,11 @@ class Excitation:
         steps = math.ceil(max(200 * s.harmonics, 100 * s.period_s))  # of a period
         t_s = np.arange(steps * s.periods + 1, dtype=np.float64) * (s.period_s / steps)
         return t_s, self.reference.at(t_s)[0]
+
+    def write(self, path: Path) -> None:
+        """Write the table as a CSV for `robot-acquire record --track`, whole or not at all."""
+        names = ("time_s", *(joint.name for joint in self.robot.joints))
+        write_columns(path, names, [np.column_stack(self.table())])
 
 
 @one_thread

@@ -75,8 +75,8 @@ class TermChoice:
 
 
 @one_thread
-def choose_terms(
-    signals: Signals | Recordings, overrides: Overrides, *, say: Callable[[str], None] = lambda text: None
+def select_friction(
+    signals: Signals | Recordings, overrides: Overrides | None = None, *, say: Callable[[str], None] = lambda text: None
 ) -> TermChoice:
     """Try sets of friction terms on a recording, or on several of one robot, in this process.
 
@@ -87,7 +87,7 @@ def choose_terms(
     recordings = tuple(source if isinstance(source, Signals) else source.load() for source in sources)
     robot = recordings[0].robot
     observed = correct_known_lags(
-        stack_of(_with_terms(recordings, frozenset(CANDIDATES)), with_rows_of_iv(robot, overrides), say)
+        stack_of(_with_terms(recordings, frozenset(CANDIDATES)), with_rows_of_iv(robot, overrides or Overrides()), say)
     )
     names = [one.problem.signals.recording for one in observed.observations]
     if observed.regression.reduced:

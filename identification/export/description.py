@@ -2,15 +2,16 @@
 
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 from acquisition.errors import one_line
-from acquisition.robot import Robot, robot_from_files
+from acquisition.robot import Robot, load_robot, robot_from_files
 
 from ..errors import IdentificationError
 from ..model import LINK, InverseModel
-from .chain import Chain, UrdfJoint
+from .chain import Chain, UrdfJoint, is_urdf, read_chain
 
 FILL_IN = "FILL IN"
 _EXAMPLE = "#: "  # starts each line of the example for dry runs with simulated drives
@@ -42,6 +43,22 @@ def robot_of_chain(chain: Chain, *, moves: bool = False) -> Robot:
         expected = "--bandwidth-hz of the position loops"
         raise IdentificationError(place=place, key="bandwidth", value=None, expected=expected)
     return _load_robot(describe(chain, "robot.urdf"), chain)
+
+
+def read_robot(
+    path: Path, joints: Sequence[str] = (), options: Mapping[str, Sequence[float]] | None = None, *, moves: bool = False
+) -> Robot:
+    """The robot of a robot.toml; of a URDF with `joints` as of `read_chain` and `options` as of `Chain.with_options`.
+
+    Raises `IdentificationError`: as of `robot_of_chain`, or joints and options with a robot.toml. `AcquisitionError`: as of
+    `load_robot`.
+    """
+    if is_urdf(path):
+        return robot_of_chain(read_chain(path, joints).with_options(options or {}), moves=moves)
+    for option in (*(["--joints"] if joints else []), *(options or {})):
+        expected = "a URDF; robot.toml has a key for it"
+        raise IdentificationError(f"{option} has no effect", place=str(path), expected=expected)
+    return load_robot(path)
 
 
 def describe(chain: Chain, urdf: str) -> str:

@@ -1,5 +1,7 @@
 """Read a fit's JSON file as a robot with all standard parameters; make it consistent if it is not."""
 
+from pathlib import Path
+
 import numpy as np
 from msgspec import UNSET
 
@@ -7,9 +9,25 @@ from ..arrays import Array
 from ..errors import IdentificationError
 from ..methods import Known, Prior, consistent_set, refuse_unknown_gain, stored_beta, stored_robot
 from ..model import InverseModel, base_parameters
-from ..report import FitFile
+from ..report import Document, FitFile, Section
 from .exported_model import ExportedModel, split_parameters
+from .exporting import export_model, write_models
 from .motors import with_gains
+
+
+def export_fit(stored: FitFile, place: str, *, untrusted: bool = False, **outputs: Path | None) -> Document:
+    """Write a fit as `urdf`, `mjcf` or `toml`, and report what each format cannot represent.
+
+    Raises `IdentificationError`: the fit is not to be used and not allowed as `untrusted`; as of `model_of_fit`.
+    """
+    reasons = distrust(stored, place)
+    if reasons and not untrusted:
+        expected = "a fit to be trusted, or --allow-untrusted (allow_untrusted=True)"
+        raise IdentificationError(f"not exported: {'; '.join(reasons)}", expected=expected)
+    mechanism, lines = model_of_fit(stored, place)
+    texts, document = export_model(mechanism, Path(place).name, lines=lines, **outputs)
+    write_models(texts)
+    return document.followed_by(Section(warnings=tuple(reasons))) if reasons else document
 
 
 def distrust(stored: FitFile, place: str) -> list[str]:

@@ -9,17 +9,18 @@ The path of a fit, stage by stage::
     Fit                          the result; `report.FitFile` is its JSON file
 """
 
-from .consistent import Known, Prior, consistent_set, refuse_unknown_gain, urdf_prior, with_consistent
+from .consistent import Known, Prior, consistent_set, read_prior, refuse_unknown_gain, urdf_prior, with_consistent
 from .fit import Fit, FittedRecording, Pass
 from .fit_files import fit_file, validation_file
 from .fit_report import PARAMETERS, fit_document, trust_document
-from .idim import identify, identify_iv, identify_ls, validate, validate_all
+from .idim import identify, identify_iv, identify_ls, validate_all
 from .iteration import Iteration, regular_start
 from .parameters import (
     consistent_fit,
     fitted_parameters,
     least_squares_parameters,
     other_meaning,
+    signals_as_fitted,
     stored_beta,
     stored_robot,
     stored_settings,

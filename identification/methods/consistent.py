@@ -1,11 +1,12 @@
 """Physically consistent standard parameters nearest to the estimate of a fit: a simulator accepts them."""
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import msgspec
 import numpy as np
 
-from acquisition.robot import Robot
+from acquisition.robot import Robot, load_robot
 
 from ..arrays import Array
 from ..errors import IdentificationError
@@ -46,6 +47,22 @@ def urdf_prior(robot: Robot, urdf: str, name: str) -> Robot:
     return replace(robot, name=name, joints=joints, urdf=urdf, parameters={})
 
 
+def read_prior(path: Path | None, robot: Robot) -> Prior:
+    """The prior of the links from a robot.toml or a URDF, `path`; None for the description of `robot`, the fitted one.
+
+    Raises `IdentificationError`: the file cannot be read.
+    """
+    if path is None:
+        return Prior()
+    if path.suffix.lower() == ".toml":
+        return Prior(robot=load_robot(path), name=path.name)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise IdentificationError(f"cannot be read: {error}", place=str(path)) from error
+    return Prior(robot=urdf_prior(robot, text, path.name), name=path.name)
+
+
 @one_thread
 def with_consistent(fit: Fit, prior: Prior) -> Fit:
     """The fit with the nearest physically consistent parameters and their torque errors; the estimate stays the same.
@@ -75,7 +92,7 @@ def with_consistent(fit: Fit, prior: Prior) -> Fit:
     ]
     tau, predicted, speed = (np.concatenate(x) for x in zip(*each, strict=True))
     names = tuple(joint.name for joint in problem.signals.robot.joints)
-    return replace(fit, consistent=found, consistent_errors=torque_errors(tau, predicted, speed, names))
+    return replace(fit, consistent_set=found, consistent_errors=torque_errors(tau, predicted, speed, names))
 
 
 @one_thread

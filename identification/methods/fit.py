@@ -1,8 +1,7 @@
 """Results of an identification: the estimate, its settings, and its tests."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import ClassVar, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -223,8 +222,8 @@ class Fit:
         tau, tau_predicted, speed: (rows, n) torques and joint speeds there.
         errors: one entry per joint and, last, all joints together.
         iv: None after least squares.
-        consistent: the nearest physically consistent parameters, if requested; `consistent_errors`: their torque errors, as
-            `errors`.
+        consistent_set: the nearest physically consistent parameters, if requested; `consistent_errors`: their torque
+            errors, as `errors`.
         lags: of the recorded torques, corrected; the intervals include their deviations.
         gains: of the drives, if identified; `payloads`: of the recordings that have one.
         own: the test of parameters of single recordings; None if all are shared.
@@ -244,14 +243,13 @@ class Fit:
     warnings: tuple[str, ...]
     trust: Trust
     iv: InstrumentEvidence | None = None
-    consistent: ConsistentSet | None = None
+    consistent_set: ConsistentSet | None = None
     consistent_errors: tuple[TorqueError, ...] = ()
     own: FTest | None = None
     method_reason: str = "asked for"
     lags: tuple[Lag, ...] = ()
     gains: Gains | None = None
     payloads: tuple[EstimatedPayload, ...] = ()
-    _repr_html_: ClassVar[Callable[["Fit"], str]]  # bound in `identification.notebook`: the report is a room above
 
     def on(self, one: FittedRecording) -> "Fit":
         """The fit restricted to one of its recordings: rows, errors and replica."""
@@ -316,5 +314,5 @@ class Fit:
         essential, error = len(self.essential_names), self.errors[-1].moving_relative_error_percent
         moving = "nothing moves" if error is None else f"moving error {error:.3g} %"
         names = ", ".join(one.problem.signals.recording for one in self.recordings)
-        made = f"{self.problem.signals.robot.name}, {names}, {self.method}, {self.status}"
+        made = f"{self.problem.signals.robot.name}, {names}, {self.method}, {self.status}, verdict {self.trust.verdict}"
         return f"Fit({made}: {len(self.beta)} parameters, {essential} essential, {moving})"

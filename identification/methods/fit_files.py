@@ -193,7 +193,7 @@ def consistent_keys(fit: Fit) -> dict[str, Any]:
         "covariance": Covariance(names=list(names), values=fit.intervals.covariance.tolist()),
         "left_out": [LeftOut(name=n, sigma=float(sigma[n])) for n in full.names if n not in names],
     }
-    c = fit.consistent
+    c = fit.consistent_set
     if c is None:
         return keys
     standard = map(StandardParameter, c.names, c.chi.tolist(), c.units, c.from_prior.tolist(), c.half.tolist())

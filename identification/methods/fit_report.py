@@ -195,7 +195,7 @@ def _parameters(fit: Fit) -> Section:
 
 def _consistent(fit: Fit) -> list[Section]:
     """The physically consistent parameters and their moves from the estimate."""
-    c = fit.consistent
+    c = fit.consistent_set
     if c is None:
         return []
     own = (

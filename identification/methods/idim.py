@@ -25,7 +25,7 @@ from ..estimation import (
     torque_errors,
 )
 from ..model import BaseParameters
-from ..regression import Overrides, Settings, base_places, make_problem, payload_of, torque_of_recording
+from ..regression import Overrides, base_places, make_problem, payload_of, torque_of_recording
 from ..report import Method, TorqueError
 from ..simulation import Instruments
 from ..trust import FitData, covariance_of_all
@@ -284,29 +284,21 @@ def solve_least_squares(observed: StackedSystem, full: Estimate, *, essential: b
     )
 
 
-def validate(
-    signals: Signals, overrides: Overrides, values: Callable[[BaseParameters], Array]
-) -> tuple[Settings, tuple[TorqueError, ...]]:
-    """Torque errors of given base parameters on a recording; nothing is fitted.
-
-    Parameters
-    ----------
-    signals, overrides : as of `identify_ls`.
-    values : the parameters (b,) for the base parameters of the robot, in their order.
-
-    Returns
-    -------
-    The settings, and an error per joint and, last, that of all joints.
-    """
-    (one,), _ = validate_all([(signals, overrides)], values)
-    return one.settings, one.errors
-
-
 @one_thread
 def validate_all(
     recordings: Sequence[tuple[Signals, Overrides]], values: Callable[[BaseParameters], Array]
 ) -> tuple[tuple[Validated, ...], tuple[TorqueError, ...]]:
-    """`validate` of several recordings of one robot, and the errors of all together."""
+    """Torque errors of given base parameters on recordings of one robot, each with its settings; nothing is fitted.
+
+    Parameters
+    ----------
+    recordings : each with what replaces its settings.
+    values : the parameters (b,) for the base parameters of the robot, in their order.
+
+    Returns
+    -------
+    Each recording with its errors, and the errors of all together: one per joint and, last, that of all joints.
+    """
     check_one_robot([signals for signals, _ in recordings])
     names = tuple(j.name for j in recordings[0][0].robot.joints)
     each, parts = [], []

@@ -1,6 +1,7 @@
 """Parameters of a fit, known values, and those of a stored fit for another recording or robot, with its settings."""
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Literal
 
 import msgspec
@@ -10,7 +11,7 @@ from msgspec import UNSET
 from acquisition.robot import LowSpeed, Robot, robot_from_files
 
 from ..arrays import Array
-from ..data import Signals
+from ..data import Signals, load_signals
 from ..errors import IdentificationError
 from ..estimation import Estimate, Intervals
 from ..model import BaseParameters, InverseModel, base_parameters
@@ -147,3 +148,26 @@ def stored_beta(stored: FitFile, base: BaseParameters, place: str) -> Array:
             expected = f"{unit}, as the recording's robot has it"
             raise IdentificationError(place=place, key=f"{name}.unit", value=units[name], expected=expected)
     return np.array([np.mean(values.get(name, 0.0)) for name in base.names])
+
+
+def signals_as_fitted(
+    signals: Signals, recording: Path, stored: FitFile, place: str, *, chosen: bool
+) -> tuple[Signals, list[str]]:
+    """The signals of a recording, and warnings; with the fit's description if the recording's has other parameters.
+
+    `chosen`: the user gave the description. `place` names the fit in the warnings.
+    """
+    gained = with_stored_gains(stored, signals.robot)
+    effort = gained.joint_effort(signals.robot.motor_effort(signals.effort))
+    signals = replace(signals, robot=gained, effort=effort)
+    other = other_meaning(stored, base_parameters(InverseModel(signals.robot)))
+    if not other:
+        return signals, []
+    names = ", ".join(other[:5]) + (", ..." if len(other) > 5 else "")
+    robot = None if chosen else stored_robot(stored, place)
+    if robot is None:
+        return signals, [
+            f"{place}: {names}: perhaps not the same quantities as those of robot {signals.robot.name} here"
+        ]
+    note = f"{signals.recording}: its description does not have the parameters of the fit ({names}): that of {place} is used"
+    return load_signals(recording, robot), [note]

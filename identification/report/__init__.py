@@ -1,5 +1,6 @@
 """Documents of sections and tables, their renderers, the JSON files of fits, comparisons."""
 
+from .comparison import Difference as Difference
 from .comparison import ParameterSet, comparison_document, comparison_file, comparison_section, differences, frame_lines
 from .document import Cell, Document, Number, ResultFile, Row, Section, Table, columns, value_form, write_json
 from .fit_file import (

@@ -4,6 +4,7 @@ Independent of the methods, so that reading a file does not load them.
 """
 
 import math
+from os import PathLike
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -230,13 +231,13 @@ class ValidationFile(OnRecording, frozen=True, kw_only=True):
     consistent_errors: list[TorqueError] | UnsetType = UNSET
 
 
-def read_fit(path: Path) -> FitFile:
+def read_fit(path: str | PathLike[str]) -> FitFile:
     """Read a fit's JSON file, or one of known values.
 
     Raises `IdentificationError` where it cannot be read, or is not a fit of this format; `place` is the file.
     """
     try:
-        stored = msgspec.json.decode(path.read_bytes(), type=FitFile)
+        stored = msgspec.json.decode(Path(path).read_bytes(), type=FitFile)
     except OSError as error:
         raise IdentificationError(f"cannot be read: {error.strerror}", place=str(path)) from error
     except msgspec.MsgspecError as error:

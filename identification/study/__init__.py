@@ -5,7 +5,7 @@ from .fleet import FleetSettings, Row, Value, found_recordings, method_of, run_f
 from .fleet_report import ControlChart, Drift, control_limits, drifts, fleet_document, write_table
 from .sensitivity import VariedFit, moves_of, sensitivity_document, vary
 from .simulated_cell import Noise, closed_loop, random_reference, study_truth, write_signals
-from .study import Run, RunFit, RunSettings, Study, run_study
+from .study import Run, RunFit, RunSettings, Study, run_study, simulate_recording
 from .study_report import (
     FALSE_ERROR,
     FALSE_TRUST,

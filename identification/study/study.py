@@ -6,12 +6,13 @@ with a wrong controller, by least squares and by instrumental variables.
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.robot import Robot, robot_from_files
+from acquisition.robot import Payload, Robot, robot_from_files
 
 from ..arrays import Array
 from ..data import Work
@@ -29,7 +30,7 @@ from ..model import (
 )
 from ..options import Controllers, StudyOptions
 from ..regression import CUTOFF_PER_BANDWIDTH, Overrides, decimation_rule
-from .simulated_cell import Noise, closed_loop, random_reference, study_truth
+from .simulated_cell import Noise, closed_loop, random_reference, study_truth, write_signals
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,6 +44,17 @@ class Study(StudyOptions):
     """
 
     noise: Noise = field(default_factory=Noise)
+
+
+def simulate_recording(robot: Robot, out: Path, study: Study, payload: Payload | None = None) -> None:
+    """Write a recording of the robot of `[parameters]`: length, rate, seed and imperfections are those of a study.
+
+    Raises `IdentificationError`: a value or limit of the description is missing.
+    """
+    fs, seed = study.sample_rate_hz, study.seed
+    q_ref = random_reference(robot, duration_s=study.duration_s, sample_rate_hz=fs, seed=seed, period_s=study.period_s)
+    signals = closed_loop(robot, q_ref, fs, noise=study.noise, seed=seed, payload=payload)
+    write_signals(out, signals, source=f"simulated: random reference and noise of seed {seed}", noise=study.noise)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -55,7 +55,7 @@ def test_intervals_of_an_arm_of_the_independent_simulator_hold_the_truth():
     hit, of_fit = [], []
     for k in range(8):
         fit = with_consistent(identify_ls(runs.signals(bare, k), known), Prior())
-        true, c = described_parameters(InverseModel(robot), fit.base), fit.consistent
+        true, c = described_parameters(InverseModel(robot), fit.base), fit.consistent_set
         hit += list((np.abs(c.beta - true) <= c.base_half)[~c.base_from_prior])
         of_fit += list(np.abs(fit.beta - true) <= fit.intervals.half)
     percent, fits = 100 * np.mean(hit), 100 * np.mean(of_fit)

@@ -21,7 +21,7 @@ from independent_simulator import (
     simulate,
 )
 
-from identification.design import TermSet, choose_terms
+from identification.design import TermSet, select_friction
 from identification.regression import Overrides
 
 pytestmark = pytest.mark.skipif(
@@ -89,7 +89,7 @@ def test_terms_that_a_robot_has_are_recommended(name, capsys):
         reference = references(body, seeds, duration_s=10.0, rate_hz=controller.rate_hz)
         runs = simulate(body, controller, reference, case.cell, seed=first)
         for k in range(len(seeds)):
-            choice = choose_terms(runs.signals(robot, k), known)
+            choice = select_friction(runs.signals(robot, k), known)
             terms, expected = choice.recommended.terms, case.terms or choice.usual.terms
             exact += terms == expected
             all_named += all(own <= more for own, more in zip(expected, terms, strict=True))
