@@ -7,8 +7,10 @@ from functools import wraps
 from pathlib import Path
 from typing import Literal, ParamSpec
 
+import numpy as np
 from numpy.typing import ArrayLike
 
+from acquisition.files import refuse_clash
 from acquisition.robot import Robot, parse_payload
 
 from . import design, export, methods, report, study
@@ -146,11 +148,7 @@ def read_robot(
     Raises `IdentificationError` or `AcquisitionError`: no such file, or a value beside a robot.toml, which has a key for it.
     """
     limits = {"--bandwidth-hz": bandwidth_hz, "--range": position, "--speed": speed, "--acceleration": acceleration}
-    given = {
-        option: (value,) if isinstance(value, int | float) else tuple(value)
-        for option, value in limits.items()
-        if value is not None
-    }
+    given = {option: tuple(np.atleast_1d(value).tolist()) for option, value in limits.items() if value is not None}
     return export.read_robot(Path(path), joints, given)
 
 
@@ -213,6 +211,10 @@ def fit(
     for key, value in (("cutoff_hz", cutoff_hz), ("decimation", decimation), ("low_speed_percent", low_speed_percent)):
         if value is not None and not 0 <= value < float("inf"):
             raise IdentificationError(key=key, value=value, expected="a number from 0")
+    if isinstance(robot, Robot) and bandwidth_hz is not None:
+        raise IdentificationError(
+            "has no effect", key="bandwidth_hz", value=bandwidth_hz, expected="a URDF's path with it"
+        )
     described = robot if isinstance(robot, Robot) else read_robot(robot, bandwidth_hz=bandwidth_hz)
     signals = signals_from_arrays(
         q, tau, sample_rate_hz, described, q_ref, velocity=velocity, known_torque=known_torque, feedforward=feedforward
@@ -231,9 +233,11 @@ def validate(
     `overrides` replace the settings of the fit. Raises `IdentificationError`: the recording is of another robot.
     """
     stored = methods.fit_file(fit) if isinstance(fit, methods.Fit) else fit
-    signals = recording if isinstance(recording, Signals) else load_signals(recording)
-    path = Path(signals.recording if isinstance(recording, Signals) else recording)
-    signals, notes = methods.signals_as_fitted(signals, path, stored, "the fit", chosen=path.name == signals.recording)
+    in_memory = isinstance(recording, Signals)
+    signals, path = (
+        (recording, Path()) if isinstance(recording, Signals) else (load_signals(recording), Path(recording))
+    )
+    signals, notes = methods.signals_as_fitted(signals, path, stored, "the fit", chosen=in_memory)
     settings = (overrides or Overrides()).over(methods.stored_settings(stored, signals))
     each, errors = methods.validate_all(
         [(signals, settings)], lambda base: methods.stored_beta(stored, base, "the fit")
@@ -257,10 +261,11 @@ def design_reference(
     N m or N, one or by joint; `after`: recordings whose information is added; `payload`: `KG@X,Y,Z`, m, of a second run of the
     reference, to identify drive gains. Raises `IdentificationError`: a limit is missing, or no reference is found.
     """
-    described, place = _robot(robot), robot.name if isinstance(robot, Robot) else str(robot)
+    described = _robot(robot)
+    place, folder = (robot.name, None) if isinstance(robot, Robot) else (str(robot), Path(robot).parent)
     prior = design.prior_information(
         described,
-        Path(place).parent,
+        folder,
         fit=None if fit is None else Path(fit),
         noise=noise,
         after=[Path(path) for path in after],
@@ -274,12 +279,12 @@ def simulate_recording(
 ) -> Signals:
     """Write and read a recording of the robot simulated with its `[parameters]`; `settings`: length, rate, seed, noise.
 
-    `payload`: `KG@X,Y,Z`, m. Raises `IdentificationError`: a value or a limit is missing.
+    `payload`: `KG@X,Y,Z`, m. Raises `IdentificationError`: a value or a limit is missing. `AcquisitionError`: `out` exists.
     """
     described = _robot(robot)
-    study.simulate_recording(
-        described, Path(out), settings or Study(), parse_payload(payload, described) if payload else None
-    )
+    refuse_clash((), Path(out))
+    carried = parse_payload(payload, described) if payload else None
+    study.simulate_recording(described, Path(out), settings or Study(), carried)
     return load_signals(out)
 
 

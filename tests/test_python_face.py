@@ -111,6 +111,13 @@ def test_arrays_stay_what_they_are(signals):
         ({"cutoff_hz": -1.0}, "", "cutoff_hz", -1.0, "a number from 0"),
         ({"decimation": -1}, "", "decimation", -1, "a number from 0"),
         ({"low_speed_percent": np.inf}, "", "low_speed_percent", np.inf, "a number from 0"),
+        (
+            {"bandwidth_hz": 5.0, "robot": robot_named("scara")},
+            "",
+            "bandwidth_hz",
+            5.0,
+            "a URDF's path with it",
+        ),
         ({"bandwidth_hz": 5.0}, str(SCARA), "", None, "a URDF; robot.toml has a key for it"),
     ],
 )
@@ -246,6 +253,8 @@ def test_a_fit_is_validated_on_another_recording(signals, by_iv, tmp_path):
     other = identification.simulate_recording(
         SCARA, tmp_path / "other.mcap", identification.Study(seed=9, duration_s=5.0)
     )
+    with pytest.raises(acquisition.AcquisitionError, match=r"other\.mcap: "):
+        identification.simulate_recording(SCARA, tmp_path / "other.mcap")
     by_iv.to_json(tmp_path / "fit.json")
     found = [
         identification.validate(fit, recording, identification.Overrides(decimation=10))
@@ -368,7 +377,7 @@ def test_examples_and_the_script_of_a_user_run(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert doctest.testmod(identification) == (0, 7)
     assert doctest.testmod(acquisition) == (0, 2)
-    for name in ("report.html", "robot.xml"):
+    for name in ("log.mcap", "report.html", "robot.xml"):
         (tmp_path / name).unlink()
     exec(compile((ROOT / "tests" / "user_script.py").read_text(), "user_script", "exec"), {})
     assert capsys.readouterr().out.startswith("trust ['drive gains', ")
