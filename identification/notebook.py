@@ -65,10 +65,9 @@ class Fit(methods.Fit):
         """Write the file of `robot-identify fit --json`; `read_fit` reads it."""
         report.write_json(Path(path), methods.fit_file(self))
 
-    def write_report(self, path: File, *, everything: bool = False) -> None:
-        """Write the report as .md or .html; `everything`: with the parameters that are not essential."""
-        document = methods.fit_document(self.problem.signals, self, everything=everything)
-        report.write_report(Path(path), document)
+    def write_report(self, path: File) -> None:
+        """Write the whole report as .md or .html."""
+        report.write_report(Path(path), methods.fit_document(self.problem.signals, self))
 
     def write_rrd(self, path: File) -> None:
         """Write trajectories and fit as a Rerun file; of several recordings one file each, numbered from 1."""

@@ -24,7 +24,7 @@ from .arguments import (
 
 if TYPE_CHECKING:
     from ..data import Recordings
-    from ..methods import Fit
+    from ..methods import Fit, Prior
 
 
 def add(parser: argparse.ArgumentParser) -> None:
