@@ -66,17 +66,25 @@ class Fit(methods.Fit):
         report.write_json(Path(path), methods.fit_file(self))
 
     def write_report(self, path: File) -> None:
-        """Write the whole report as .md or .html."""
-        report.write_report(Path(path), methods.fit_document(self.problem.signals, self))
+        """Write the whole report: .md the tables, .html also the pictures."""
+        path = Path(path)
+        if path.suffix == ".md":
+            report.write_markdown(path, methods.fit_document(self.problem.signals, self))
+        elif path.suffix == ".html":
+            from .view import draw_fit, join_pictures, write_html
+
+            write_html(path, join_pictures([draw_fit(one.problem.signals, self.on(one)) for one in self.recordings]))
+        else:
+            raise IdentificationError(place=str(path), key="ending", value=path.suffix, expected=".md or .html")
 
     def write_rrd(self, path: File) -> None:
         """Write trajectories and fit as a Rerun file; of several recordings one file each, numbered from 1."""
-        from .view import write_fit_rrd
+        from .view import draw_fit, write_rrd
 
         path, several = Path(path), len(self.recordings) > 1
         for number, one in enumerate(self.recordings, start=1):
             own = path.with_stem(f"{path.stem}_{number}") if several else path
-            write_fit_rrd(own, one.problem.signals, self.on(one))
+            write_rrd(own, draw_fit(one.problem.signals, self.on(one)))
 
     def consistent(self, prior: File | None = None) -> "Fit":
         """The fit with the nearest physically possible parameters of all links, in `consistent_set`.

@@ -36,7 +36,7 @@ from identification.model import (
 )
 from identification.regression import Overrides, load_friction, make_problem, regression_of_recording
 from identification.study import Noise, closed_loop, write_signals
-from identification.view import write_excitation_rrd
+from identification.view import draw_excitation, write_rrd
 
 SCARA, TX40 = robot_named("scara"), robot_named("tx40")
 SERIES = Series(period_s=4.0, harmonics=4)
@@ -519,7 +519,7 @@ def test_shapes_that_touch_in_the_middle_and_meshes_that_are_not_found_are_named
 
 def test_the_page_shows_the_reference_between_its_limits(tx40_excitation, tmp_path):
     robot, found, _ = tx40_excitation
-    write_excitation_rrd(tmp_path / "a.rrd", found, excitation_document(found))
+    write_rrd(tmp_path / "a.rrd", draw_excitation(found, excitation_document(found)))
     file = Written(tmp_path / "a.rrd")
     *_, direct = modelled(robot)
     for j, joint in enumerate(robot.joints):

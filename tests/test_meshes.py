@@ -15,7 +15,7 @@ from acquisition.recording import RecordingWriter, read_recording
 from acquisition.robot import load_robot, robot_from_files
 from identification.data import load_signals
 from identification.regression import Overrides
-from identification.view import write_recording_rrd
+from identification.view import draw_recording, write_rrd
 
 # A binary STL of one triangle: 80 bytes of header, the count, then normal, corners and an attribute.
 TRIANGLE = bytes(80) + np.uint32(1).tobytes() + np.float32([0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1, 0]).tobytes() + bytes(2)
@@ -39,7 +39,7 @@ def recorded(path, robot):
 
 def meshes_drawn(path, tmp_path):
     """The meshes in the Rerun file of a recording."""
-    write_recording_rrd(tmp_path / "view.rrd", load_signals(path), Overrides())
+    write_rrd(tmp_path / "view.rrd", draw_recording(load_signals(path), Overrides()))
     shapes = [c for path, c in Written(tmp_path / "view.rrd").static.items() if "/visual_geometries/" in path]
     return [bytes(c["Asset3D:blob"][0]) for c in shapes if "Asset3D:blob" in c]
 

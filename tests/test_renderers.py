@@ -5,7 +5,7 @@ import re
 
 import pytest
 
-from identification.errors import IdentificationError
+from acquisition.errors import AcquisitionError
 from identification.report import (
     Document,
     Number,
@@ -13,9 +13,8 @@ from identification.report import (
     Table,
     columns,
     print_whole,
-    to_html,
     to_markdown,
-    write_report,
+    write_markdown,
 )
 
 VALUES = (1.23456789, -0.000123456, 98765.4321)
@@ -93,14 +92,8 @@ def test_a_row_has_a_cell_for_each_column():
         Table(columns=columns("a", "b"), rows=(("x",),))
 
 
-def test_a_report_file_has_the_format_of_its_ending(tmp_path):
-    for ending, text in ((".md", to_markdown(REPORT)), (".html", to_html(REPORT))):
-        path = tmp_path / f"report{ending}"
-        write_report(path, REPORT)
-        assert text in path.read_text(encoding="utf-8")
-    assert '<meta charset="utf-8">' in (tmp_path / "report.html").read_text(encoding="utf-8")
-    with pytest.raises(IdentificationError) as caught:
-        write_report(tmp_path / "report.pdf", REPORT)
-    assert (caught.value.place, caught.value.value) == (str(tmp_path / "report.pdf"), ".pdf")
-    assert caught.value.expected == ".md or .html"
-    assert not (tmp_path / "report.pdf").exists()
+def test_a_report_in_markdown_is_written_to_its_file(tmp_path):
+    write_markdown(tmp_path / "report.md", REPORT)
+    assert (tmp_path / "report.md").read_text(encoding="utf-8") == to_markdown(REPORT)
+    with pytest.raises(AcquisitionError):
+        write_markdown(tmp_path / "missing" / "report.md", REPORT)

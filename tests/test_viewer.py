@@ -17,7 +17,7 @@ from identification.methods import Iteration, identify_iv, identify_ls
 from identification.model import InverseModel, base_parameters
 from identification.regression import Decimation, FilteredMotion, Motion, Overrides, differentiate, predicted_torque
 from identification.study import Noise, closed_loop, random_reference
-from identification.view import curves, viewer, write_fit_rrd
+from identification.view import curves, draw_fit, pages, write_rrd
 from identification.view.curves import extremes, readable_unit
 
 FS = 1000.0
@@ -144,7 +144,7 @@ class Written:
 @pytest.fixture
 def written(tmp_path):
     def write(signals, fit=None, name="fit.rrd", **others):
-        write_fit_rrd(tmp_path / name, signals, fit or fitted(signals), **others)
+        write_rrd(tmp_path / name, draw_fit(signals, fit or fitted(signals), **others))
         return Written(tmp_path / name)
 
     return write
@@ -167,7 +167,7 @@ def test_every_panel_of_the_layout_has_data_and_all_data_a_panel(case, written):
     file = written(signals)
     n, errors = signals.robot.n, signals.robot.n * (signals.q_ref is not None)
     assert sorted(kind for kind, _ in file.views.values()) == sorted(
-        ["TimeSeries"] * (4 * n + errors)
+        ["TimeSeries"] * (5 * n + errors)
         + ["BarChart"] * 2 * n
         + ["2D"] * (5 + n)  # the friction of each joint among them
         + ["3D", "StateTimeline"]
@@ -188,7 +188,7 @@ def numbers_of(file):
 
 def error_scale(title, name, unit):
     """What an error of 1 rad or 1 m is drawn as, by its plot's title."""
-    return {f"{name} [{unit}]": 1.0, f"{name} [m{unit}]": 1e3, f"{name} [µ{unit}]": 1e6}[title]
+    return {f"position error {name} [{p}{unit}]": factor for p, factor in (("", 1.0), ("m", 1e3), ("µ", 1e6))}[title]
 
 
 IV_CASES = {
@@ -206,7 +206,7 @@ def test_a_fit_by_instruments_shows_passes_and_the_simulated_robot(case, written
     file = written(signals, fit, truth=ls.beta)
     n = signals.robot.n
     assert sorted(kind for kind, _ in file.views.values()) == sorted(
-        ["TimeSeries"] * 5 * n
+        ["TimeSeries"] * 6 * n
         + ["BarChart"] * 2 * n
         + ["2D"] * (6 + n)
         + ["3D", "StateTimeline"]
@@ -251,7 +251,6 @@ def test_a_robot_that_cannot_be_simulated_has_passes_and_no_ghost(written):
 def test_an_empty_panel_would_be_noticed(written):
     file = written(made_up())
     del file.curves["/torque/joint\\ 1.x/measured"], file.curves["/torque/joint\\ 1.x/model_idm"]
-    del file.curves["/torque/joint\\ 1.x/residual"]
     assert not file.holds("/torque/joint\\ 1.x", "TimeSeries")
     for kind in ("2D", "3D", "StateTimeline", "TextLog"):
         assert not file.holds("/nowhere", kind)
@@ -261,16 +260,16 @@ def test_an_empty_panel_would_be_noticed(written):
 def test_titles_say_joint_and_unit(written):
     signals = made_up(types=("prismatic", "revolute"))
     titles = {origin: title for origin, (_, title) in written(signals).views.items()}
-    assert titles["/torque/joint\\ 1.x"] == "joint 1.x [N]"
-    assert titles["/torque/joint\\ 2.x"] == "joint 2.x [N m]"
-    assert titles["/residual/joint\\ 1.x/distribution"] == "residual joint 1.x [N]"
+    assert titles["/torque/joint\\ 1.x"] == "torque joint 1.x [N]"
+    assert titles["/torque/joint\\ 2.x"] == "torque joint 2.x [N m]"
+    assert titles["/residual/joint\\ 1.x/distribution"].startswith("distribution of the residual joint 1.x [N]; red ")
     assert titles["/ddq/joint\\ 1.x"] == "ddq joint 1.x [m/s²]"
     assert titles["/q/joint\\ 2.x"] == "q joint 2.x [rad]"
     tracked = written(made_up(types=("prismatic",), reference=True), name="t.rrd").views
-    assert tracked["/error/joint\\ 1.x"][1] == "joint 1.x [mm]"
+    assert tracked["/error/joint\\ 1.x"][1] == "position error joint 1.x [mm]"
     assert tracked["/q/joint\\ 1.x"][1] == "q joint 1.x [m]"
     in_amperes = written(made_up(types=("revolute",), unit="A"), name="a.rrd").views
-    assert in_amperes["/torque/joint\\ 1.x"][1] == "joint 1.x [A]"
+    assert in_amperes["/torque/joint\\ 1.x"][1] == "torque joint 1.x [A]"
 
 
 def test_the_numbers_of_the_plots_are_in_the_report(written):
@@ -295,7 +294,7 @@ def test_joints_of_one_kind_share_the_unit_of_their_errors(written):
     q_ref = signals.q + np.array([2e-3, 3e-5, 5e-6])
     file = written(replace(signals, q_ref=q_ref), fitted(signals))
     titles = [file.views[f"/error/joint\\ {j}.x"][1] for j in (1, 2, 3)]
-    assert titles == ["joint 1.x [mrad]", "joint 2.x [µm]", "joint 3.x [mrad]"]
+    assert titles == [f"position error joint {j}.x [{unit}]" for j, unit in ((1, "mrad"), (2, "µm"), (3, "mrad"))]
     for j, error in enumerate([2.0, 30.0, 5e-3], 1):
         np.testing.assert_allclose(file.curve("error", f"joint {j}.x", "reference")[1], error, rtol=1e-6)
 
@@ -330,7 +329,7 @@ def test_the_residual_is_the_one_whose_error_is_reported(written):
     decimation = Decimation(factor=fit.settings.decimation)
     Y = decimation.filtered(signals.effort[fit.settings.start : fit.settings.stop].T)
     for j, joint in enumerate(signals.robot.joints):
-        k, rho = file.curve("torque", joint.name, "residual")
+        k, rho = file.curve("residual", joint.name, "time", "residual")
         assert 100 * np.linalg.norm(rho) / np.linalg.norm(Y[j]) == pytest.approx(fit.errors[j].relative_error_percent)
         t, predicted = file.curve("torque", joint.name, "model_idm")
         np.testing.assert_array_equal(t, np.arange(fit.settings.start, fit.settings.stop))
@@ -429,7 +428,7 @@ def test_parameters_are_drawn_with_their_names_and_deviations(essential, written
 def test_the_residual_is_shown_against_white_noise(written):
     signals = made_up()
     file = written(signals)
-    _, rho = file.curve("torque", "joint 1.x", "residual")
+    _, rho = file.curve("residual", "joint 1.x", "time", "residual")
 
     def values(kind, key, what="values"):
         found = file.static[f"/residual/joint\\ 1.x/{kind}/{key}"][f"BarChart:{what}"]
@@ -509,7 +508,7 @@ def test_each_fit_is_an_application_of_its_own(written):
 def test_a_path_that_cannot_be_written_is_one_line(name, tmp_path, capfd):
     (tmp_path / "folder").mkdir()
     with pytest.raises(AcquisitionError) as error:
-        write_fit_rrd(tmp_path / name, made_up(), fitted(made_up()))
+        write_rrd(tmp_path / name, draw_fit(made_up(), fitted(made_up())))
     assert "\n" not in str(error.value)
     assert str(tmp_path / name) in str(error.value)
     assert [p.name for p in tmp_path.rglob("*")] == ["folder"]
@@ -523,7 +522,7 @@ def test_a_disk_that_fills_up_leaves_what_was_there(tmp_path):
     resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, limits[1]))
     try:
         with pytest.raises(AcquisitionError, match="cannot be written"):
-            write_fit_rrd(path, made_up(), fitted(made_up()))
+            write_rrd(path, draw_fit(made_up(), fitted(made_up())))
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert path.read_bytes() == b"before"
@@ -534,9 +533,9 @@ def test_a_failure_half_way_leaves_nothing_and_is_silent(tmp_path, monkeypatch, 
     def fail(*_, **__):
         raise ValueError("half way")
 
-    monkeypatch.setattr(viewer, "fit_document", fail)
+    monkeypatch.setattr(pages, "fit_document", fail)
     with pytest.raises(ValueError, match="half way"):
-        write_fit_rrd(tmp_path / "fit.rrd", made_up(), fitted(made_up()))
+        write_rrd(tmp_path / "fit.rrd", draw_fit(made_up(), fitted(made_up())))
     assert list(tmp_path.iterdir()) == []
     assert capfd.readouterr() == ("", "")
 

@@ -24,10 +24,10 @@ from identification.errors import IdentificationError
 from identification.methods import fitted_parameters
 from identification.model import InverseModel
 from identification.regression import Overrides
-from identification.report import Parameter, ParameterSet, comparison_section, differences
+from identification.report import Parameter, ParameterSet, comparison_document, comparison_section, differences
 from identification.study import Noise, Run, RunFit, RunSettings
 from identification.trust import Figure, Trust, TrustLine
-from identification.view import write_comparison_rrd, write_fit_rrd, write_recording_rrd
+from identification.view import draw_comparison, draw_fit, draw_recording, write_rrd
 from identification.view.charts import COMPARED, deviation_drawing, parameter_drawing, study_drawing, trust_drawing
 from identification.view.curves import column_plots, extra_plots
 from identification.view.panels import (
@@ -109,7 +109,7 @@ def test_poses_are_as_many_as_a_screen_shows():
 @pytest.mark.parametrize("shape", ["<box size='.1 .1 .4'/>", "<mesh filename='package://arm/l.stl'/>"])
 def test_a_urdf_shows_its_own_shapes_where_the_recording_has_them(shape, tmp_path):
     signals = replace(made_up(types=("revolute", "revolute")), robot=urdf_robot(shape))
-    write_recording_rrd(tmp_path / "view.rrd", signals, Overrides())
+    write_rrd(tmp_path / "view.rrd", draw_recording(signals, Overrides()))
     file = Written(tmp_path / "view.rrd")
     assert file.is_complete()
     own = any("/robot/measured/visual_geometries/l2" in path for path in file.static)
@@ -159,7 +159,7 @@ def test_a_mesh_is_drawn_where_its_file_is_found(place, mesh, tmp_path, monkeypa
     collision = "<collision><geometry><mesh filename='/nowhere/c.stl'/></geometry></collision></link>"
     robot = replace(robot, urdf=robot.urdf.replace("</link>", collision))
     signals = replace(made_up(types=("revolute", "revolute")), robot=robot)
-    write_recording_rrd(tmp_path / "view.rrd", signals, Overrides())
+    write_rrd(tmp_path / "view.rrd", draw_recording(signals, Overrides()))
     file = Written(tmp_path / "view.rrd")
     own = [columns for path, columns in file.static.items() if "/robot/measured/visual_geometries/l2" in path]
     found = place in list(PLACES)[:5]
@@ -174,7 +174,7 @@ def test_a_mesh_is_drawn_where_its_file_is_found(place, mesh, tmp_path, monkeypa
 def test_both_robots_stand_where_their_data_says(tmp_path):
     signals = scara()
     fit = fitted_iv(signals)
-    write_fit_rrd(tmp_path / "fit.rrd", signals, fit)
+    write_rrd(tmp_path / "fit.rrd", draw_fit(signals, fit))
     file = Written(tmp_path / "fit.rrd")
     for key, t_s, q in (
         ("measured", signals.t_s, signals.q),
@@ -214,7 +214,7 @@ def eventful(signals):
 
 def test_phases_events_and_counters_of_a_session_are_shown(tmp_path):
     signals = eventful(made_up())
-    write_fit_rrd(tmp_path / "fit.rrd", signals, fitted(made_up()))
+    write_rrd(tmp_path / "fit.rrd", draw_fit(signals, fitted(made_up())))
     file = Written(tmp_path / "fit.rrd")
     assert file.is_complete()
     assert {"StateTimeline", "TextLog"} <= {kind for kind, _ in file.views.values()}
@@ -242,7 +242,7 @@ def test_extra_objects_of_a_recording_are_shown(tmp_path):
         t_s, values = curve.line
         np.testing.assert_allclose(t_s, signals.t_s)
         np.testing.assert_array_equal(values, samples["extra"][:, [0, 2, 1, 3][c]])
-    write_recording_rrd(tmp_path / "view.rrd", signals, Overrides())
+    write_rrd(tmp_path / "view.rrd", draw_recording(signals, Overrides()))
     file = Written(tmp_path / "view.rrd")
     assert file.is_complete()
     assert [
@@ -273,13 +273,13 @@ def test_columns_beside_position_and_effort_are_on_the_signal_page_where_they_ar
     assert (only.path, only.title) == (("column", "known_torque"), "known torque [N m]")
     (only,) = column_plots(replace(alike, feedforward=alike.q))
     assert only.title == f"feed-forward [{alike.robot.motors[0].recorded_unit}]"
-    write_recording_rrd(tmp_path / "view.rrd", whole, Overrides())
+    write_rrd(tmp_path / "view.rrd", draw_recording(whole, Overrides()))
     file = Written(tmp_path / "view.rrd")
     assert file.is_complete()
     shown = {path.replace("\\", "") for path in file.curves if path.startswith("/column/")}
     named = zip(columns, (joints, joints, motors), strict=True)
     assert shown == {f"/column/{name}/{key}" for name, keys in named for key in keys}
-    write_recording_rrd(tmp_path / "plain.rrd", plain, Overrides())
+    write_rrd(tmp_path / "plain.rrd", draw_recording(plain, Overrides()))
     assert not any(path.startswith("/column") for path in Written(tmp_path / "plain.rrd").curves)
 
 
@@ -316,7 +316,7 @@ def test_a_recording_that_is_not_fitted_is_shown(case, tmp_path):
     N = case.get("samples", 4000)
     if N < 4000:
         signals = replace(signals, t_s=signals.t_s[:N], q=signals.q[:N], effort=signals.effort[:N])
-    write_recording_rrd(tmp_path / "view.rrd", signals, Overrides())
+    write_rrd(tmp_path / "view.rrd", draw_recording(signals, Overrides()))
     file = Written(tmp_path / "view.rrd")
     assert file.is_complete()
     kinds = [kind for kind, _ in file.views.values()]
@@ -331,7 +331,7 @@ def test_a_recording_that_is_not_fitted_is_shown(case, tmp_path):
 def test_a_robot_that_stands_still_is_shown(tmp_path):
     signals = made_up()
     still = replace(signals, q=np.zeros_like(signals.q), effort=np.zeros_like(signals.effort))
-    write_recording_rrd(tmp_path / "view.rrd", still, Overrides())
+    write_rrd(tmp_path / "view.rrd", draw_recording(still, Overrides()))
     file = Written(tmp_path / "view.rrd")
     assert file.is_complete()
     assert "no joint moves" in file.static["/report"]["TextDocument:text"][0]
@@ -458,7 +458,7 @@ def test_text_has_only_characters_of_the_viewers_font(tmp_path):
         joints=tuple(msgspec.structs.replace(j, name=f"関節 {k}") for k, j in enumerate(signals.robot.joints)),
     )
     signals = replace(signals, robot=robot)
-    write_fit_rrd(tmp_path / "fit.rrd", signals, fitted_iv(signals))
+    write_rrd(tmp_path / "fit.rrd", draw_fit(signals, fitted_iv(signals)))
     file = Written(tmp_path / "fit.rrd")
     texts = [title for _, title in file.views.values()]
     texts += file.static["/report"]["TextDocument:text"]
@@ -480,7 +480,7 @@ def test_colors_are_those_of_okabe_and_ito():
 def test_two_fits_are_one_page(tmp_path):
     a = fitted_parameters(fitted(made_up()))
     b = fitted_parameters(fitted(made_up(), essential=True))
-    write_comparison_rrd(tmp_path / "both.rrd", a, b)
+    write_rrd(tmp_path / "both.rrd", draw_comparison(a, b, comparison_document(a, b), {}))
     file = Written(tmp_path / "both.rrd")
     assert file.is_complete()
     assert sorted(kind for kind, _ in file.views.values()) == ["2D", "TextDocument"]
@@ -510,7 +510,7 @@ def test_a_picture_that_cannot_be_written_does_not_cost_the_fit(place, capsys, t
 def test_the_file_of_the_real_record_is_small_and_soon_written(tx40, tmp_path):
     signals, fit = signals_of(tx40), iv_of(tx40)
     start = time.perf_counter()
-    write_fit_rrd(tmp_path / "fit.rrd", signals, fit)
+    write_rrd(tmp_path / "fit.rrd", draw_fit(signals, fit))
     assert time.perf_counter() - start < 6, "2 s on a machine with nothing else to do"
     assert len(signals.q) == 45_000
     assert (tmp_path / "fit.rrd").stat().st_size < 30e6

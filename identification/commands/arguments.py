@@ -6,12 +6,12 @@ Options have the names of the fields that they set: `acquisition.commands.from_o
 import argparse
 import os
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from acquisition.commands import add_options, add_path
+from acquisition.commands import Progress, add_options, add_path
 from acquisition.errors import one_line
 
 from ..errors import IdentificationError
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from ..data import RecordingFile, Work
     from ..export import Chain
     from ..report import Document
+    from ..view import Picture
 
 _URDF_OPTIONS = {
     "--range": ("Q", "position limits, ± rad or m; if the URDF has limits too, the narrower are used"),
@@ -108,7 +109,7 @@ def sources(options: argparse.Namespace) -> list["RecordingFile"]:
     from ..data import RecordingFile
 
     robot, payloads = load_robot(options.robot) if options.robot else None, dict[str, str]()
-    for text in options.payload:
+    for text in getattr(options, "payload", ()):
         name, _, payload = text.partition("=")
         names = [x for path in options.recordings for x in (path.name, path.stem)]
         if not payload or name not in names:
@@ -136,6 +137,44 @@ def work_of(options: argparse.Namespace, tasks: int) -> Iterator["Work"]:
     cores = options.workers or os.cpu_count() or 1
     with processes(min(cores, tasks)) if options.cluster is None else cluster(options.cluster) as work:
         yield work
+
+
+def add_pictures(outputs: "argparse._ActionsContainer", text: str) -> None:
+    """`--report` and `--rrd`; `text` says what the Rerun file draws."""
+    add_path(outputs, "--report", "FILE", "write the report: .md the tables, .html also the pictures, without scripts")
+    add_path(outputs, "--rrd", "FILE", text)
+
+
+def check_report(report: Path | None) -> None:
+    """Raises `IdentificationError` before any work where the report has another ending than .md or .html."""
+    if report is not None and report.suffix not in (".md", ".html"):
+        raise IdentificationError(place=str(report), key="ending", value=report.suffix, expected=".md or .html")
+
+
+def rrd_of(options: argparse.Namespace) -> list[Path]:
+    """The Rerun file that the user asked for, or none."""
+    return [options.rrd] if options.rrd else []
+
+
+def write_pictures(
+    document: "Document", report: Path | None, rrds: Sequence[Path], draw: "Callable[[], Sequence[Picture]]"
+) -> None:
+    """Write the files of `add_pictures`: the report of all pictures, and a Rerun file of each."""
+    from ..report import write_markdown
+
+    if report is not None and report.suffix == ".md":
+        write_markdown(report, document)
+    html = report is not None and report.suffix == ".html"
+    if not html and not rrds:
+        return
+    with Progress("drawing"):
+        from .. import view
+
+        pictures = draw()
+        if html and report is not None:
+            view.write_html(report, view.join_pictures(pictures))
+        for rrd, picture in zip(rrds, pictures, strict=False):
+            view.write_rrd(rrd, picture)
 
 
 def make_folder(out: Path) -> None:

@@ -1,10 +1,15 @@
 """`robot-identify compare`: the parameters of two fits."""
 
 import argparse
+from hashlib import sha256
+from typing import TYPE_CHECKING
 
 from acquisition.commands import add_flag, add_path
 
-from .arguments import print_results, refuse_outputs
+from .arguments import add_pictures, check_report, print_results, refuse_outputs, rrd_of, write_pictures
+
+if TYPE_CHECKING:
+    from ..view import Picture
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -13,14 +18,15 @@ def add(parser: argparse.ArgumentParser) -> None:
     add_path(parser, "b", "B.json", "another fit")
     add_path(parser, "--json", "FILE", "write the comparison as JSON")
     add_flag(parser, "--all", "print all parameters, not only the largest differences")
-    add_path(parser, "--rrd", "FILE", "write the comparison as a Rerun file")
+    add_pictures(parser, "write the comparison as a Rerun file")
 
 
 def run(options: argparse.Namespace) -> None:
     """Print the differences, and the warnings of both fits."""
     from ..report import ParameterSet, comparison_document, comparison_file, frame_lines, read_fit, write_json
 
-    refuse_outputs([options.a, options.b], options.json, options.rrd)
+    refuse_outputs([options.a, options.b], options.json, options.report, options.rrd)
+    check_report(options.report)
     same = options.a.stem == options.b.stem
     labels = [str(path) if same else path.stem for path in (options.a, options.b)]
     fits = [read_fit(path) for path in (options.a, options.b)]
@@ -30,8 +36,12 @@ def run(options: argparse.Namespace) -> None:
     document = comparison_document(a, b, tuple(warnings))
     if options.json:
         write_json(options.json, comparison_file(a, b))
-    if options.rrd:
-        from ..view import write_comparison_rrd
 
-        write_comparison_rrd(options.rrd, a, b)
+    def draw() -> "list[Picture]":
+        from ..view import draw_comparison
+
+        digests = {str(path): sha256(path.read_bytes()).hexdigest() for path in (options.a, options.b)}
+        return [draw_comparison(a, b, document, digests)]
+
+    write_pictures(document, options.report, rrd_of(options), draw)
     print_results(document, everything=options.all)

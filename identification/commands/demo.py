@@ -46,7 +46,7 @@ def run(options: argparse.Namespace) -> None:
         from ..regression import Overrides
         from ..report import write_json
         from ..study import base_file, description, record_simulated_session, study_truth, truth_document
-        from ..view import write_fit_rrd
+        from ..view import draw_fit, write_rrd
 
         place, out = description(options.robot), options.out
         refuse_clash([], out / "session.mcap", overwrite=options.overwrite, option="--out")
@@ -66,7 +66,7 @@ def run(options: argparse.Namespace) -> None:
         for name, fit in fits.items():
             write_json(out / f"{name}.json", fit_file(fit))
         progress.say("writing the Rerun file")
-        write_fit_rrd(out / "demo.rrd", signals, fits["iv"], truth=true)
+        write_rrd(out / "demo.rrd", draw_fit(signals, fits["iv"], truth=true))
     compared = truth_document(robot.name, list(fits.values()), true)
     if options.all:
         print_results(*reports, compared)

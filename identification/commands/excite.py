@@ -1,11 +1,24 @@
 """`robot-identify excite`: an exciting trajectory within the limits of the robot."""
 
 import argparse
+from typing import TYPE_CHECKING
 
 from acquisition.commands import Progress, add_flag, add_options, add_path, from_options
 
 from ..options import ReferenceOptions, list_of_factors
-from .arguments import add_robot, print_results, refuse_outputs, robot_of
+from .arguments import (
+    add_pictures,
+    add_robot,
+    check_report,
+    print_results,
+    refuse_outputs,
+    robot_of,
+    rrd_of,
+    write_pictures,
+)
+
+if TYPE_CHECKING:
+    from ..view import Picture
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -25,12 +38,13 @@ def add(parser: argparse.ArgumentParser) -> None:
     outputs = parser.add_argument_group("outputs")
     add_path(outputs, "-o --out", "REF.csv", "the reference, for `robot-acquire record --track`", required=True)
     add_flag(outputs, "--all", "print the intervals of all parameters, not only the widest")
-    add_path(outputs, "--rrd", "FILE", "draw the reference and the intervals as a Rerun file")
+    add_pictures(outputs, "draw the reference and the intervals as a Rerun file")
 
 
 def run(options: argparse.Namespace) -> None:
     """Search the reference, write it, and print the expected intervals."""
-    refuse_outputs([options.robot, options.fit, *options.after], options.out, options.rrd)
+    refuse_outputs([options.robot, options.fit, *options.after], options.out, options.report, options.rrd)
+    check_report(options.report)
     with Progress("excitation") as progress:
         from acquisition.robot import parse_payload
 
@@ -46,9 +60,12 @@ def run(options: argparse.Namespace) -> None:
     document = excitation_document(found)
     try:
         found.write(options.out)
-        if options.rrd:
-            from ..view import write_excitation_rrd
 
-            write_excitation_rrd(options.rrd, found, document)
+        def draw() -> "list[Picture]":
+            from ..view import draw_excitation
+
+            return [draw_excitation(found, document)]
+
+        write_pictures(document, options.report, rrd_of(options), draw)
     finally:
         print_results(document, everything=options.all)

@@ -12,19 +12,24 @@ from acquisition.commands import Progress, add_flag, add_options, add_path, from
 from ..errors import IdentificationError
 from ..options import IterationOptions, Overrides
 from .arguments import (
+    add_pictures,
     add_recordings,
     add_settings,
     add_work,
+    check_report,
     print_results,
     refuse_outputs,
+    rrd_of,
     sources,
     trust_status,
     work_of,
+    write_pictures,
 )
 
 if TYPE_CHECKING:
     from ..data import Recordings
     from ..methods import Fit, Prior
+    from ..view import Picture
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -43,8 +48,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     outputs.add_argument("--require", choices=["trust"], help="exit status 3 if the verdict is worse, for scripts")
     add_flag(outputs, "--all", "print everything: all parameters, tests, passes, settings")
     add_path(outputs, "--json", "FILE", "write the fit as JSON")
-    add_path(outputs, "--report", "FILE", "write the whole report, as .md or .html")
-    add_path(outputs, "--rrd", "FILE", "write trajectories and fit as a Rerun file")
+    add_pictures(outputs, "write trajectories and fit as a Rerun file")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -58,19 +62,18 @@ def run(options: argparse.Namespace) -> int:
         raise IdentificationError("has no effect alone", key="--prior", value=str(options.prior), expected=expected)
     inputs = [*options.recordings, options.robot, options.prior, Path(options.start or "regular")]
     refuse_outputs(inputs, options.json, options.report, picture=options.rrd)
+    check_report(options.report)
     from acquisition.files import refuse_clash
 
-    pictures = [options.rrd] if options.rrd else []
+    pictures = rrd_of(options)
     if len(options.recordings) > 1 and options.rrd:
         pictures = [options.rrd.with_stem(f"{options.rrd.stem}_{path.stem}") for path in options.recordings]
         refuse_clash(inputs, *pictures)
     with Progress("reading") as progress:
         from ..data import Recordings
         from ..methods import fit_document, fit_file
-        from ..report import check_report_file, write_json, write_report
+        from ..report import write_json
 
-        if options.report:
-            check_report_file(options.report)
         with work_of(options, len(options.recordings)) as work:
             recordings = Recordings(sources=tuple(sources(options)), work=work)
             prior = _prior(options) if options.consistent else None
@@ -84,13 +87,7 @@ def run(options: argparse.Namespace) -> int:
     try:
         if options.json:
             write_json(options.json, fit_file(fit))
-        if options.report:
-            write_report(options.report, document)
-        for picture, one in zip(pictures, fit.recordings, strict=False):
-            with Progress("writing the Rerun file"):
-                from ..view import write_fit_rrd
-
-                write_fit_rrd(picture, one.problem.signals, fit.on(one))
+        write_pictures(document, options.report, pictures, lambda: _draw(fit))
     finally:  # print the fit even if a file cannot be written
         print_results(document, everything=options.all)
     if options.report:
@@ -101,6 +98,12 @@ def run(options: argparse.Namespace) -> int:
     if options.require and not reasons and verdict != options.require:
         reasons = tuple(line.text for line in fit.trust.lines if line.level == verdict)
     return trust_status(reasons)
+
+
+def _draw(fit: "Fit") -> "list[Picture]":
+    from ..view import draw_fit
+
+    return [draw_fit(one.problem.signals, fit.on(one)) for one in fit.recordings]
 
 
 def _prior(options: argparse.Namespace) -> "Prior":

@@ -1,11 +1,27 @@
 """`robot-identify fleet`: one fit per recording, a table of the fits, and their drift."""
 
 import argparse
+from typing import TYPE_CHECKING
 
 from acquisition.commands import Progress, add_flag, add_path, from_options
 
 from ..options import Overrides
-from .arguments import add_settings, add_work, make_folder, print_results, refuse_outputs, trust_status, work_of
+from .arguments import (
+    add_pictures,
+    add_settings,
+    add_work,
+    check_report,
+    make_folder,
+    print_results,
+    refuse_outputs,
+    rrd_of,
+    trust_status,
+    work_of,
+    write_pictures,
+)
+
+if TYPE_CHECKING:
+    from ..view import Picture
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -20,12 +36,13 @@ def add(parser: argparse.ArgumentParser) -> None:
     outputs = parser.add_argument_group("outputs")
     text = "the table to write; finished rows are stored in the folder FLEET.parquet.rows and not fitted again"
     add_path(outputs, "-o --out", "FLEET.parquet", text, required=True)
-    add_path(outputs, "--rrd", "FILE", "draw the drift with control limits as a Rerun file")
+    add_pictures(outputs, "draw the drift with control limits as a Rerun file")
 
 
 def run(options: argparse.Namespace) -> int:
     """Fit every recording without a stored row, write and print the table; 3 if none could be fitted."""
-    refuse_outputs([options.robot], options.out, picture=options.rrd)
+    refuse_outputs([options.robot], options.out, options.report, picture=options.rrd)
+    check_report(options.report)
     with Progress("reading") as progress:
         from acquisition.robot import load_robot
 
@@ -38,7 +55,7 @@ def run(options: argparse.Namespace) -> int:
             method=options.method or method_of(recordings),
             overrides=from_options(Overrides, options),
         )
-        refuse_outputs(paths, options.out, options.rrd)
+        refuse_outputs(paths, options.out, options.report, options.rrd)
         rows_folder = options.out.with_name(f"{options.out.name}.rows")
         make_folder(rows_folder)
 
@@ -49,11 +66,13 @@ def run(options: argparse.Namespace) -> int:
     write_table(options.out, rows)
     document, series = fleet_document(rows), drifts(rows)
     try:
-        if options.rrd:
-            with Progress("writing the Rerun file"):
-                from ..view import write_fleet_rrd
 
-                write_fleet_rrd(options.rrd, series, document)
+        def draw() -> "list[Picture]":
+            from ..view import draw_fleet
+
+            return [draw_fleet(series, document)]
+
+        write_pictures(document, options.report, rrd_of(options), draw)
     finally:  # print the table of a long run even if a file cannot be written
         print_results(document)
     return trust_status(

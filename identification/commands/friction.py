@@ -1,12 +1,26 @@
 """`robot-identify friction`: choose friction terms by cross-validation."""
 
 import argparse
+from typing import TYPE_CHECKING
 
 from acquisition.commands import Progress, add_flag, add_options, add_path, from_options
 
 from ..errors import IdentificationError
 from ..options import Overrides
-from .arguments import add_recordings, add_settings, print_results, refuse_outputs, sources
+from .arguments import (
+    add_pictures,
+    add_recordings,
+    add_settings,
+    check_report,
+    print_results,
+    refuse_outputs,
+    rrd_of,
+    sources,
+    write_pictures,
+)
+
+if TYPE_CHECKING:
+    from ..view import Picture
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -15,7 +29,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     add_options(add_settings(parser), Overrides, "low_speed_percent")
     outputs = parser.add_argument_group("outputs")
     add_path(outputs, "--json", "FILE", "write all sets and the recommended terms as JSON")
-    add_path(outputs, "--rrd", "FILE", "draw friction over speed, with the usual and the recommended terms")
+    add_pictures(outputs, "draw friction over speed, with the usual and the recommended terms")
     add_flag(outputs, "--write", "write the recommended terms into the file of --robot")
 
 
@@ -23,7 +37,8 @@ def run(options: argparse.Namespace) -> None:
     """Try sets of terms, print the table and the lines of robot.toml."""
     if options.write and options.robot is None:
         raise IdentificationError(key="--write", value=True, expected="--robot with it, the description to write to")
-    refuse_outputs([*options.recordings, options.robot], options.json, picture=options.rrd)
+    refuse_outputs([*options.recordings, options.robot], options.json, options.report, picture=options.rrd)
+    check_report(options.report)
     with Progress("reading") as progress:
         from ..data import Recordings
         from ..design import fits_with, friction_document, friction_file, select_friction, write_friction
@@ -35,12 +50,13 @@ def run(options: argparse.Namespace) -> None:
     try:
         if options.json:
             write_json(options.json, friction_file(choice))
-        if options.rrd:
-            with Progress("writing the Rerun file"):
-                from ..view import write_friction_rrd
 
-                before, after = fits_with(choice, overrides)
-                write_friction_rrd(options.rrd, before, after, document)
+        def draw() -> "list[Picture]":
+            from ..view import draw_friction
+
+            return [draw_friction(*fits_with(choice, overrides), document)]
+
+        write_pictures(document, options.report, rrd_of(options), draw)
         if options.write:
             write_friction(options.robot, choice.described, choice.robot.files)
     finally:  # print the result even if a file cannot be written

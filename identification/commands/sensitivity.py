@@ -1,11 +1,26 @@
 """`robot-identify sensitivity`: how LS and IV of a recording depend on filter, decimation, position noise and start."""
 
 import argparse
+from hashlib import sha256
+from typing import TYPE_CHECKING
 
 from acquisition.commands import Progress, add_flag, add_path
 
 from ..options import list_of_factors
-from .arguments import add_work, print_results, refuse_outputs, sources, work_of
+from .arguments import (
+    add_pictures,
+    add_work,
+    check_report,
+    print_results,
+    refuse_outputs,
+    rrd_of,
+    sources,
+    work_of,
+    write_pictures,
+)
+
+if TYPE_CHECKING:
+    from ..view import Picture
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -15,13 +30,14 @@ def add(parser: argparse.ArgumentParser) -> None:
     text = "white noise to add to the recorded position, rad or m rms (default: 1e-6,1e-5,2e-5)"
     parser.add_argument("--position-noise", type=list_of_factors, metavar="A,B", default=(1e-6, 1e-5, 2e-5), help=text)
     add_flag(parser, "--all", "also print the values and intervals of all fits")
-    add_path(parser, "--rrd", "FILE", "draw them as a Rerun file, one chart per parameter")
+    add_pictures(parser, "draw them as a Rerun file, one chart per parameter")
     add_work(parser)
 
 
 def run(options: argparse.Namespace) -> None:
     """Fit the recording in all variants, and print how far the estimates move."""
-    refuse_outputs([*options.recordings, options.robot], picture=options.rrd)
+    refuse_outputs([*options.recordings, options.robot], options.report, picture=options.rrd)
+    check_report(options.report)
     with Progress("fitting"):
         from ..study import sensitivity_document, vary
 
@@ -29,10 +45,14 @@ def run(options: argparse.Namespace) -> None:
             fits = vary(sources(options)[0], options.position_noise, work)
         document = sensitivity_document(options.recordings[0].name, fits)
     try:
-        if options.rrd:
-            from ..view import write_sensitivity_rrd
 
-            write_sensitivity_rrd(options.rrd, options.recordings[0].name, fits, document)
+        def draw() -> "list[Picture]":
+            from ..view import draw_sensitivity
+
+            (path,) = options.recordings
+            return [draw_sensitivity({path.name: sha256(path.read_bytes()).hexdigest()}, fits, document)]
+
+        write_pictures(document, options.report, rrd_of(options), draw)
     finally:  # print the result even if a file cannot be written
         print_results(document, everything=options.all)
     if options.rrd:

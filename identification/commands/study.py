@@ -1,12 +1,28 @@
 """`robot-identify study`: Monte-Carlo study of least squares and iv on a simulated robot."""
 
 import argparse
+from typing import TYPE_CHECKING
 
 from acquisition.commands import add_options, add_path, from_options
 
 from ..errors import IdentificationError
 from ..options import StudyOptions
-from .arguments import add_robot, add_simulation, add_work, print_results, refuse_outputs, robot_of, work_of
+from .arguments import (
+    add_pictures,
+    add_robot,
+    add_simulation,
+    add_work,
+    check_report,
+    print_results,
+    refuse_outputs,
+    robot_of,
+    rrd_of,
+    work_of,
+    write_pictures,
+)
+
+if TYPE_CHECKING:
+    from ..view import Picture
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -19,7 +35,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     add_work(parser)
     outputs = parser.add_argument_group("outputs")
     add_path(outputs, "--json", "FILE", "write every run as JSON")
-    add_path(outputs, "--rrd", "FILE", "draw every run's error as a Rerun file")
+    add_pictures(outputs, "draw every run's error as a Rerun file")
 
 
 def run(options: argparse.Namespace) -> None:
@@ -30,7 +46,8 @@ def run(options: argparse.Namespace) -> None:
     from ..report import write_json
     from ..study import Noise, Study, run_study, study_document, study_file, study_truth
 
-    refuse_outputs([options.robot], options.json, options.rrd)
+    refuse_outputs([options.robot], options.json, options.report, options.rrd)
+    check_report(options.report)
     robot = robot_of(options, moves=True)
     study = from_options(Study, options, noise=from_options(Noise, options))
     base, true = study_truth(robot)
@@ -44,9 +61,12 @@ def run(options: argparse.Namespace) -> None:
     try:
         if options.json:
             write_json(options.json, study_file(study, runs, base, true))
-        if options.rrd:
-            from ..view import write_study_rrd
 
-            write_study_rrd(options.rrd, robot.name, runs, true, document)
+        def draw() -> "list[Picture]":
+            from ..view import draw_study
+
+            return [draw_study(robot.name, runs, true, document)]
+
+        write_pictures(document, options.report, rrd_of(options), draw)
     finally:  # print the result of a long study even if a file cannot be written
         print_results(document)

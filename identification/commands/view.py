@@ -26,10 +26,10 @@ def run(options: argparse.Namespace) -> None:
     refuse_outputs([*options.recordings, options.robot], *outs)
     with Progress("reading") as progress:
         from ..regression import Overrides
-        from ..view import write_recording_rrd
+        from ..view import draw_recording, write_rrd
 
         for out, source in zip(outs, sources(options), strict=True):
             signals = source.load()
             progress.say("writing the Rerun file")
-            write_recording_rrd(out, signals, from_options(Overrides, options))
+            write_rrd(out, draw_recording(signals, from_options(Overrides, options)))
     print_results(f"look at it: rerun --bind 127.0.0.1 {' '.join(map(str, outs))}")

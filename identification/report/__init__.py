@@ -33,4 +33,4 @@ from .parameters import (
     PhysicalWarning,
     StandardParameter,
 )
-from .renderers import check_report_file, print_whole, to_html, to_markdown, write_report
+from .renderers import print_whole, to_html, to_markdown, write_markdown

@@ -1,11 +1,7 @@
-"""Renders a report: in a terminal of any width, as Markdown for the text panel of a viewer, as HTML for a notebook.
-
-A new renderer to a file is a function from a `Document` to text, and a line in `RENDERERS`.
-"""
+"""Renders a report: in a terminal of any width, as Markdown for the text panel of a viewer, as HTML for notebooks and pages."""
 
 import re
 import textwrap
-from collections.abc import Callable
 from html import escape
 from pathlib import Path
 
@@ -20,7 +16,6 @@ from rich.text import Text
 from acquisition.errors import one_line
 from acquisition.files import atomic_write
 
-from ..errors import IdentificationError
 from .document import Document, Section, Table, cell_text
 
 _MAX_WORD = 16  # characters; longer words, such as a file's name, are broken
@@ -132,42 +127,44 @@ def _plain(text: str) -> str:
     return re.sub(r"([\\*`<])", r"\\\1", " ".join(text.splitlines()))
 
 
-def to_html(document: Document) -> str:
-    """The report as HTML, with its text escaped."""
-    parts = [_element("h3", document.title)]
-    for section in document.sections:
-        parts += [_element("h4", section.title)] if section.title else []
-        parts += [_html_table(section.table)] if section.table else []
-        parts += [_element("p", text) for text in section.lines]
-        parts += [_element("p", f"warning: {text}") for text in section.warnings]
+def to_html(document: Document, *, heading: int = 3, figures: str = "") -> str:
+    """The report as HTML, with its text escaped; `figures` follow the first sections that have no table."""
+    parts, sections = [_element(f"h{heading}", document.title)], list(document.sections)
+    first = next((k for k, section in enumerate(sections) if section.table), len(sections))
+    for section in sections[:first]:
+        parts += _html_section(section, heading + 1)
+    parts += [figures] if figures else []
+    for section in sections[first:]:
+        parts += _html_section(section, heading + 1)
     return "\n".join(parts)
 
 
+def _html_section(section: Section, heading: int) -> list[str]:
+    return [
+        *([_element(f"h{heading}", section.title)] if section.title else []),
+        *([_html_table(section.table)] if section.table else []),
+        *(_element("p", text) for text in section.lines),
+        *(_element("p", f"warning: {text}", "warning") for text in section.warnings),
+    ]
+
+
 def _html_table(table: Table) -> str:
-    heading = "".join(_element("th", heading) for heading, _ in table.columns)
-    rows = ("".join(_element("td", cell_text(cell)) for cell in row) for row in table.rows)
-    return f"<table><tr>{heading}</tr>\n{''.join(f'<tr>{row}</tr>' for row in rows)}</table>"
+    kinds = ["n" if numeric else "" for _, numeric in table.columns]
+    heads = "".join(_element("th", head, kind) for (head, _), kind in zip(table.columns, kinds, strict=True))
+    rows = [
+        "".join(_element("td", cell_text(cell), kind) for cell, kind in zip(row, kinds, strict=True))
+        for row in table.rows
+    ]
+    body = "".join(f"<tr>{row}</tr>\n" for row in rows)
+    return f'<div class="scroll"><table><tr>{heads}</tr>\n{body}</table></div>'
 
 
-def _element(tag: str, text: str) -> str:
-    return f"<{tag}>{escape(one_line(text))}</{tag}>"
+def _element(tag: str, text: str, kind: str = "") -> str:
+    opened = f'<{tag} class="{kind}">' if kind else f"<{tag}>"
+    return f"{opened}{escape(one_line(text))}</{tag}>"
 
 
-def _html_page(document: Document) -> str:
-    return f'<!doctype html>\n<meta charset="utf-8">\n{to_html(document)}\n'
-
-
-RENDERERS: dict[str, Callable[[Document], str]] = {".md": to_markdown, ".html": _html_page}  # by a file's ending
-
-
-def check_report_file(path: Path) -> None:
-    """Raises `IdentificationError` where there is no renderer for the file's ending."""
-    if path.suffix not in RENDERERS:
-        raise IdentificationError(place=str(path), key="ending", value=path.suffix, expected=" or ".join(RENDERERS))
-
-
-def write_report(path: Path, document: Document) -> None:
-    """Write a report to a file, complete or not at all, in the format of the file's ending."""
-    check_report_file(path)
+def write_markdown(path: Path, document: Document) -> None:
+    """Write a report as Markdown, complete or not at all."""
     with atomic_write(path) as partial:
-        partial.write_text(RENDERERS[path.suffix](document), encoding="utf-8")
+        partial.write_text(to_markdown(document), encoding="utf-8")

@@ -1,12 +1,22 @@
-"""Rerun files of recordings, fits and fleets. The only room that imports rerun."""
+"""Pictures of recordings, fits and fleets, as Rerun files or HTML. The only room that imports rerun, to write its files."""
 
-from .sensitivity import write_sensitivity_rrd
-from .viewer import (
-    write_comparison_rrd,
-    write_excitation_rrd,
-    write_fit_rrd,
-    write_fleet_rrd,
-    write_friction_rrd,
-    write_recording_rrd,
-    write_study_rrd,
-)
+from typing import TYPE_CHECKING
+
+from acquisition.lazy import lazy_names
+
+from .pages import draw_comparison as draw_comparison
+from .pages import draw_excitation as draw_excitation
+from .pages import draw_fit as draw_fit
+from .pages import draw_fleet as draw_fleet
+from .pages import draw_friction as draw_friction
+from .pages import draw_recording as draw_recording
+from .pages import draw_study as draw_study
+from .pages import join_pictures as join_pictures
+from .panels import Picture as Picture
+from .sensitivity import draw_sensitivity as draw_sensitivity
+
+if TYPE_CHECKING:
+    from .html_page import write_html as write_html
+    from .rerun_panels import write_rrd as write_rrd
+else:
+    __getattr__, __dir__ = lazy_names(__name__, {"rerun_panels": ("write_rrd",), "html_page": ("write_html",)})

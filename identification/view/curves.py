@@ -124,27 +124,41 @@ def position_plots(signals: Signals, fit: Fit | None, lines: Lines) -> list[Plot
         curves = []
         for key, lines_of_joints in errors.items():
             t_s, x = lines_of_joints[j]
-            name, color = f"{key} − measured", REFERENCE if key == "reference" else SIMULATED
-            curves.append(Curve(key=key, name=name, color=color, line=(t_s, factor * x)))
-        path, title = ("error", joint.name), f"{joint.name} [{unit}]"
+            color = REFERENCE if key == "reference" else SIMULATED
+            name, line, dashed = f"{key} − measured", (t_s, factor * x), key == "reference"
+            curves.append(Curve(key=key, name=name, color=color, line=line, dashed=dashed))
+        path, title = ("error", joint.name), f"position error {joint.name} [{unit}]"
         plots.append(Plot(path=path, title=title, curves=tuple(curves), legend=_has_legend(signals, j)))
     return plots
 
 
 def torque_plots(signals: Signals, fit: Fit | None, lines: Lines) -> list[Plot]:
-    """One plot per joint of its torque: measured, inverse model, simulated robot, residual."""
+    """One plot per joint of its torque: measured, inverse model, simulated robot."""
     plots = []
     for j, joint in enumerate(signals.robot.joints):
         curves = [Curve(key="measured", color=MEASURED, line=lines["measured", "tau"][j], width=2.0)]
         if fit is not None:
-            residual = fit.t_s, (fit.tau - fit.tau_predicted)[:, j]
             curves.append(Curve(key="model_idm", name="IDM", color=PREDICTED, line=lines["filtered", "tau"][j]))
-            curves.append(Curve(key="residual", color=RESIDUAL, line=residual))
         if ("simulated", "tau") in lines:
             curves.append(Curve(key="model_ddm", name="DDM", color=SIMULATED, line=lines["simulated", "tau"][j]))
-        path, title = ("torque", joint.name), f"{joint.name} [{signals.robot.effort_units[j]}]"
+        path, title = ("torque", joint.name), f"torque {joint.name} [{signals.robot.effort_units[j]}]"
         plots.append(Plot(path=path, title=title, curves=tuple(curves), legend=_has_legend(signals, j)))
     return plots
+
+
+def residual_plots(signals: Signals, fit: Fit) -> list[Plot]:
+    """One plot per joint of measured minus modelled torque, on a scale of its own; none if it is zero."""
+    plots = []
+    for name, unit, rho in zip(
+        (joint.name for joint in signals.robot.joints),
+        signals.robot.effort_units,
+        (fit.tau - fit.tau_predicted).T,
+        strict=True,
+    ):
+        curve = Curve(key="residual", color=RESIDUAL, line=(fit.t_s, rho))
+        title = f"residual {name}: measured − model [{unit}]"
+        plots.append(Plot(path=("residual", name, "time"), title=title, curves=(curve,), legend=False))
+    return plots if (fit.tau != fit.tau_predicted).any() else []
 
 
 def column_plots(signals: Signals) -> list[Plot]:
@@ -237,10 +251,10 @@ def drift_plots(drift: Drift) -> list[Plot]:
         )
         for key, color, limit in limits:
             line = chart.t_s[[0, -1]], np.full(2, limit)
-            curves.append(Curve(key=key, name=key.replace("_", " "), color=color, line=line))
+            curves.append(Curve(key=key, name=key.replace("_", " "), color=color, line=line, dashed=key == "centre"))
         beyond = f", {len(chart.outside)} beyond" if chart.outside else ""
         path, title = ("drift", drift.name, chart.name), f"{chart.name} [{chart.unit}]{beyond}"
-        plots.append(Plot(path=path, title=title, curves=tuple(curves), legend=not plots))
+        plots.append(Plot(path=path, title=title, curves=tuple(curves), legend=not plots, start=drift.rows[0].start))
     return plots
 
 
@@ -265,7 +279,7 @@ def _position_plot(signals: Signals, fit: Fit | None, lines: Lines, j: int, *, l
         curves.append(Curve(key="measured_filtered", name="filtered", color=PREDICTED, line=lines["filtered", "q"][j]))
     if signals.q_ref is not None:
         line = _line(signals.t_s, signals.q_ref[:, j])
-        curves.append(Curve(key="reference", color=REFERENCE, line=line, width=1.5))
+        curves.append(Curve(key="reference", color=REFERENCE, line=line, width=1.5, dashed=True))
     if ("simulated", "q") in lines:
         curves.append(Curve(key="simulated", color=SIMULATED, line=lines["simulated", "q"][j]))
     title = f"q {joint.name} [{joint.position_unit}]"

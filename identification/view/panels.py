@@ -3,9 +3,11 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import datetime
 from typing import Any
 
 from ..arrays import Array
+from ..report import Document
 
 Color = tuple[int, int, int]
 Line = tuple[Array, Array]  # t_s (k,), values (k,)
@@ -31,7 +33,10 @@ class _Panel:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Curve:
-    """A line of a plot; `key` is the last part of its entity's path. Lines are drawn in order of their keys, last in front."""
+    """A line of a plot; `key` is the last part of its entity's path. Lines are drawn in order of their keys, last in front.
+
+    `dashed` where the renderer can: told from grey by its shape too.
+    """
 
     key: str
     color: Color
@@ -39,34 +44,38 @@ class Curve:
     name: str = ""
     width: float = 1.0
     visible: bool = True
+    dashed: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Plot(_Panel):
-    """Curves over time."""
+    """Curves over time in seconds; with a `start`, the time of second 0, over dates."""
 
     curves: tuple[Curve, ...]
     legend: bool = True
+    start: datetime | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Bars(_Panel):
-    """Bars in front of grey ones."""
+    """Bars in front of grey ones; `names` of both, in words."""
 
     front: Steps
     back: Steps
+    names: tuple[str, str]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Chart(_Panel):
     """Strokes (points (k, 2), color, radius), markers and labels on a sheet of `size` pixels, y downwards.
 
-    Markers are `dots`, `crosses` (for least squares), and the `cloud` of small ones behind the strokes.
+    Markers are `dots`, `rings`, `crosses` (for least squares), and the `cloud` of small ones behind the strokes.
     """
 
     size: tuple[float, float]
     strokes: list[tuple[Any, Color, float]] = field(default_factory=list)
     dots: list[tuple[float, float, Color]] = field(default_factory=list)
+    rings: list[tuple[float, float, Color]] = field(default_factory=list)
     crosses: list[tuple[float, float, Color]] = field(default_factory=list)
     cloud: list[tuple[float, float, Color]] = field(default_factory=list)
     labels: list[tuple[float, float, str, Color]] = field(default_factory=list)
@@ -120,9 +129,10 @@ def log10(x: float) -> float:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Lanes(_Panel):
-    """Bands over time: for each lane its changes of state (t_s, text, color); an empty text ends a band."""
+    """Bands over time up to `end_s`: for each lane its changes of state (t_s, text, color); an empty text ends a band."""
 
     lanes: Mapping[str, Sequence[tuple[float, str, Color]]]
+    end_s: float
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -134,9 +144,9 @@ class Log(_Panel):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Note(_Panel):
-    """A page of Markdown."""
+    """A report."""
 
-    text: str
+    document: Document
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -166,3 +176,25 @@ class Scene(_Panel):
 
 
 Panel = Plot | Bars | Chart | Lanes | Log | Note | Scene
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Page:
+    """Panels that are looked at together, in groups of one kind; `layout` names their arrangement on a screen."""
+
+    name: str
+    groups: Mapping[str, Sequence[Panel]]
+    layout: str = ""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Picture:
+    """A result as pages, the report in the first; `identity` differs between results, `sha256` are those of files by name."""
+
+    title: str
+    name: str
+    identity: str
+    document: Document
+    pages: tuple[Page, ...]
+    sha256: Mapping[str, str]
+    timeline: str = "time"

@@ -3,9 +3,9 @@
 import hashlib
 import re
 import tempfile
-import unicodedata
 import xml.etree.ElementTree as ET
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -17,30 +17,38 @@ from rerun.urdf import UrdfTree
 from acquisition.files import atomic_write
 
 from ..arrays import Array
-from .panels import GREY, RESIDUAL, SKY, Bars, Chart, Color, Curve, Lanes, Log, Note, Panel, Plot, Scene
+from ..report import to_markdown
+from .panels import GREY, RESIDUAL, SKY, Bars, Chart, Color, Curve, Lanes, Log, Note, Panel, Picture, Plot, Scene
+from .rerun_layout import arrange, shown_text
 
 _GHOST = (*SKY, 70)
-_SIGNS = "–—‘’“”…−√±×²³µ≤≥"  # signs in use here that the viewer's font has
-_CROSS_HALF_WIDTH = 3.2  # pixels of the sheet
-Show = Callable[[Panel], Any]  # writes a panel and returns its view
+_HALF_WIDTH = 3.2  # of a marker, in pixels of the sheet
 _DIAGONALS = np.array([[[-1.0, -1.0], [1.0, 1.0]], [[-1.0, 1.0], [1.0, -1.0]]])
+_CIRCLE = np.stack([np.cos(np.linspace(0, 2 * np.pi, 13)), np.sin(np.linspace(0, 2 * np.pi, 13))], axis=1)[None]
 
 
-def write_pages(path: Path, application: str, identity: str, name: str, pages: Callable[[Show], list[Any]]) -> None:
-    """Write a Rerun file with its own layout; `pages` shows the panels and returns the pages.
+def write_rrd(path: Path, picture: Picture) -> None:
+    """Write a picture as a Rerun file with its own layout (`rerun FILE.rrd`), paused at its start.
 
-    The viewer stores one layout per application: `identity` makes each file an application of its own.
+    The viewer stores one layout per application: the picture's identity makes each file an application of its own.
     Raises `AcquisitionError`: the file cannot be written.
     """
-    named = re.sub(r"[^A-Za-z0-9 _-]+", "-", application)  # other characters make Rerun rename it and warn
-    recording = rr.RecordingStream(f"{named} {hashlib.sha256(identity.encode()).hexdigest()[:8]}")
+    named = re.sub(r"[^A-Za-z0-9 _-]+", "-", picture.title)  # other characters make Rerun rename it and warn
+    recording = rr.RecordingStream(f"{named} {hashlib.sha256(picture.identity.encode()).hexdigest()[:8]}")
     stream = recording.binary_stream()  # in memory: disk errors are then raised by write_bytes below
     try:
-        recording.send_recording_name(shown_text(name))
-        tabs = pages(lambda panel: show(recording, panel))
+        recording.send_recording_name(shown_text(picture.name))
+        shown: dict[tuple[str, ...], Any] = {}  # a panel on several pages is written once
+
+        def show_once(panel: Panel) -> Any:
+            if panel.path not in shown:
+                shown[panel.path] = show(recording, panel)
+            return shown[panel.path]
+
+        tabs = [arrange(page, show_once) for page in picture.pages if any(page.groups.values())]
         blueprint = rrb.Blueprint(
             rrb.Tabs(*tabs, active_tab=0) if len(tabs) > 1 else tabs[0],
-            rrb.TimePanel(state="collapsed", timeline="time", loop_mode="all"),
+            rrb.TimePanel(state="collapsed", timeline=picture.timeline, loop_mode="all", play_state="Paused"),
             collapse_panels=True,
             auto_views=False,
             auto_layout=False,
@@ -51,23 +59,6 @@ def write_pages(path: Path, application: str, identity: str, name: str, pages: C
         recording.disconnect()
     with atomic_write(path) as file:
         file.write_bytes(content)
-
-
-def shown_text(text: str) -> str:
-    """Text with characters of the viewer's font only: any other character stops the viewer with an error.
-
-    Others are replaced by similar ones (ᵀ by an apostrophe, a wide letter by the plain one), else by a question mark.
-    """
-    return "".join(c if _has_glyph(c) else _replace_glyph(c) for c in text)
-
-
-def _has_glyph(c: str) -> bool:
-    return c in "\n\t" or " " <= c <= "~" or "¡" <= c <= "ÿ" or ("Α" <= c <= "ω" and c.isalpha()) or c in _SIGNS
-
-
-def _replace_glyph(c: str) -> str:
-    plain = "'" if c == "ᵀ" else "".join(x for x in unicodedata.normalize("NFKD", c) if _has_glyph(x))
-    return plain or "?"
 
 
 def show(recording: Any, panel: Panel) -> Any:
@@ -82,6 +73,14 @@ def show(recording: Any, panel: Panel) -> Any:
             xy, colors = zip(*(((x, y), color) for x, y, color in points), strict=True)
             log(key, rr.Points2D(xy, colors=colors, radii=rr.Radius.ui_points(radius), draw_order=order))
 
+    def log_outlines(key: str, points: Sequence[tuple[float, float, Color]], strips: Array) -> None:
+        if points:
+            at = (np.array([point[:2] for point in points])[:, None, None] + _HALF_WIDTH * strips).reshape(
+                -1, *strips.shape[1:]
+            )
+            colors = [color for _, _, color in points for _ in strips]
+            log(key, rr.LineStrips2D(at, colors=colors, radii=rr.Radius.ui_points(0.8), draw_order=40.0))
+
     match panel:
         case Plot():
             for c in panel.curves:
@@ -90,7 +89,7 @@ def show(recording: Any, panel: Panel) -> Any:
                 style = {"names": name, "colors": c.color, "widths": c.width, "visible_series": c.visible}
                 # By default Rerun averages the values of one pixel, which loses peaks.
                 log(key, rr.SeriesLines(**style, aggregation_policy="MinMax"))
-                recording.send_columns(f"{origin}/{key}", indexes=[_time(c.line[0])], columns=columns)
+                recording.send_columns(f"{origin}/{key}", indexes=[_time(c.line[0], panel.start)], columns=columns)
             legend = rrb.PlotLegend(corner=_emptiest_corner(panel.curves), visible=panel.legend)
             axis = rrb.TimeAxis(link="LinkToGlobal")
             return rrb.TimeSeriesView(origin=origin, name=title, axis_x=axis, plot_legend=legend)
@@ -98,7 +97,8 @@ def show(recording: Any, panel: Panel) -> Any:
             for key, steps, color in (("back", panel.back, (*GREY, 120)), ("front", panel.front, RESIDUAL)):
                 left, width, heights = steps
                 log(key, rr.BarChart(heights, abscissa=left, widths=np.full(len(left), width), color=color))
-            return rrb.BarChartView(origin=origin, name=title, plot_legend=rrb.PlotLegend(visible=False))
+            named = f"{title}; red {panel.names[0]}, grey {panel.names[1]}"
+            return rrb.BarChartView(origin=origin, name=shown_text(named), plot_legend=rrb.PlotLegend(visible=False))
         case Chart():
             xy, texts, colors = zip(*(((x, y), shown_text(text), c) for x, y, text, c in panel.labels), strict=True)
             hidden = rr.Radius.ui_points(0.1)
@@ -107,11 +107,8 @@ def show(recording: Any, panel: Panel) -> Any:
             log("strokes", rr.LineStrips2D(strips, colors=colors, radii=rr.Radius.ui_points(radii)))
             log_points("dots", panel.dots, 3.0, 50.0)
             log_points("cloud", panel.cloud, 1.5, 10.0)
-            if panel.crosses:
-                xy, colors = zip(*(((x, y), color) for x, y, color in panel.crosses), strict=True)
-                both = (np.array(xy)[:, None, None] + _CROSS_HALF_WIDTH * _DIAGONALS).reshape(-1, 2, 2)
-                twice = [color for color in colors for _ in _DIAGONALS]
-                log("crosses", rr.LineStrips2D(both, colors=twice, radii=rr.Radius.ui_points(0.8), draw_order=40.0))
+            log_outlines("crosses", panel.crosses, _DIAGONALS)
+            log_outlines("rings", panel.rings, _CIRCLE)
             bounds = rrb.VisualBounds2D(x_range=[0, panel.size[0]], y_range=[0, panel.size[1]])
             return rrb.Spatial2DView(origin=origin, name=title, visual_bounds=bounds)
         case Lanes():
@@ -131,14 +128,18 @@ def show(recording: Any, panel: Panel) -> Any:
             columns_shown = rrb.TextLogColumns(timeline_columns=["time"], text_log_columns=["LogLevel", "Body"])
             return rrb.TextLogView(origin=origin, name=title, columns=columns_shown)
         case Note():
-            log("", rr.TextDocument(shown_text(panel.text), media_type="text/markdown"))
+            log("", rr.TextDocument(shown_text(to_markdown(panel.document)), media_type="text/markdown"))
             return rrb.TextDocumentView(origin=origin, name=title)
         case Scene():
             return _show_robot(recording, origin, panel)
 
 
-def _time(t_s: Array) -> Any:
-    return rr.TimeColumn("time", duration=np.rint(1e9 * t_s).astype("timedelta64[ns]"))
+def _time(t_s: Array, start: datetime | None = None) -> Any:
+    """Times on the timeline `time`, or with a start on `date`."""
+    times = np.rint(1e9 * t_s).astype("timedelta64[ns]")
+    if start is None:
+        return rr.TimeColumn("time", duration=times)
+    return rr.TimeColumn("date", timestamp=np.datetime64(start.astimezone(UTC).replace(tzinfo=None), "ns") + times)
 
 
 def _emptiest_corner(curves: Sequence[Curve]) -> str:

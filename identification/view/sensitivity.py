@@ -1,34 +1,33 @@
 """Charts of how the estimates of one recording depend on filter, decimation, position noise and start."""
 
-from collections.abc import Sequence
-from pathlib import Path
-from typing import Any
+from collections.abc import Mapping, Sequence
 
 import numpy as np
-import rerun.blueprint as rrb
 
-from ..report import Document, to_markdown
+from ..report import Document
 from ..study import VariedFit
-from .panels import GREY, LIGHT, ORANGE, PURPLE, Chart, Note, Scale
-from .rerun_panels import Show, write_pages
+from .panels import GREY, LIGHT, ORANGE, PURPLE, Chart, Note, Page, Picture, Scale
 
 CHARTS_OF_PAGE = 6
 
 
-def write_sensitivity_rrd(path: Path, recording: str, fits: Sequence[VariedFit], document: Document) -> None:
-    """Write a chart per essential parameter as a Rerun file: entities `sensitivity/<parameter>` and `report`.
-
-    Raises `AcquisitionError`: the file cannot be written.
-    """
-
-    def pages(show: Show) -> list[Any]:
-        report = show(Note(path=("report",), title="report", text=to_markdown(document.short)))
-        charts = [show(sensitivity_drawing(fits, name)) for name in fits[0].essential or fits[0].values]
-        starts = range(0, len(charts), CHARTS_OF_PAGE)
-        grids = [rrb.Grid(*charts[k : k + CHARTS_OF_PAGE], grid_columns=2, name=f"from {k + 1}") for k in starts]
-        return [rrb.Horizontal(rrb.Tabs(*grids, active_tab=0), report, column_shares=[5, 2], name="sensitivity")]
-
-    write_pages(path, f"{recording} sensitivity", repr(fits), f"{recording}, sensitivity", pages)
+def draw_sensitivity(signals: Mapping[str, str], fits: Sequence[VariedFit], document: Document) -> Picture:
+    """A chart per essential parameter: entities `sensitivity/<parameter>` and `report`; `signals`: sha256 by recording."""
+    charts = [sensitivity_drawing(fits, name) for name in fits[0].essential or fits[0].values]
+    starts, name = range(0, len(charts), CHARTS_OF_PAGE), ", ".join(signals)
+    note = Note(path=("report",), title="report", document=document)
+    pages = [
+        Page(name=f"sensitivity from {k + 1}", groups={"charts": charts[k : k + CHARTS_OF_PAGE], "report": [note]})
+        for k in starts
+    ]
+    return Picture(
+        title=f"{name} sensitivity",
+        name=f"{name}, sensitivity",
+        identity=repr(fits),
+        document=document,
+        pages=tuple(pages),
+        sha256=dict(signals),
+    )
 
 
 def sensitivity_drawing(fits: Sequence[VariedFit], name: str) -> Chart:

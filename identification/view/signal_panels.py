@@ -47,9 +47,8 @@ def span_lanes(signals: Signals, settings: Settings | None, *, fitted: bool) -> 
             lanes[name].insert(0, (0.0, "", GREY))
     if not lanes:
         return None
-    return Lanes(
-        path=("session",), title="phases of the session, span to fit" if phases else "span to fit", lanes=lanes
-    )
+    title = "phases of the session, span to fit" if phases else "span to fit"
+    return Lanes(path=("session",), title=title, lanes=lanes, end_s=end_s)
 
 
 def event_log(signals: Signals) -> Log | None:
@@ -66,7 +65,7 @@ def event_log(signals: Signals) -> Log | None:
 
 
 def health_plot(signals: Signals) -> Plot | None:
-    """The recorder's fault counters, None without any; the title has the final counts."""
+    """The recorder's fault counters, None without a fault; the title has the final counts."""
     end_s = float(signals.t_s[-1])
     curves: list[Curve] = []
     for name, (t_s, counts) in signals.health.items():
@@ -85,8 +84,8 @@ def health_plot(signals: Signals) -> Plot | None:
             color = JOINTS[len(curves) % len(JOINTS)]
             curves.append(Curve(key=name, color=color, line=line, width=2.0))
     faults = [f"{c.key} {c.line[1][-1]:g}" for c in curves if c.line[1][-1]]
-    title = f"fault counters: {', '.join(faults) or 'no fault'}"
-    return Plot(path=("health",), title=title, curves=tuple(curves)) if curves else None
+    title = f"fault counters: {', '.join(faults)}"
+    return Plot(path=("health",), title=title, curves=tuple(curves)) if faults else None
 
 
 def clamp_time(t_s: float, end_s: float) -> float:
@@ -132,7 +131,7 @@ def _log_log(
     path: tuple[str, ...], title: str, curves: Sequence[tuple[str, Array, Array]], marks: Sequence[tuple[float, str]]
 ) -> Chart:
     """Curves (name, x, y) on logarithmic axes, with vertical marks (x, name)."""
-    chart, (left, top, right, bottom) = Chart(path=path, title=title, size=(900.0, 560.0)), (70.0, 20.0, 880.0, 510.0)
+    chart, (left, top, right, bottom) = Chart(path=path, title=title, size=(600.0, 380.0)), (60.0, 12.0, 590.0, 345.0)
     all_x, all_y = (np.concatenate([c[i] for c in curves]) for i in (1, 2))
     highest = math.ceil(log10(all_y.max()))
     lowest = math.floor(max(log10(all_y.min()), log10(all_y.max()) - 12))
@@ -140,15 +139,15 @@ def _log_log(
     up = Scale(left=bottom, right=top, low=10.0**lowest, high=10.0**highest, by=log10)
     decades = range(math.ceil(log10(all_x.min())), math.floor(log10(all_x.max())) + 1)
     chart.ticks_across(across, {10.0**d: f"{10.0**d:g}" for d in decades}, (top, bottom), bottom + 5)
-    chart.ticks_up(up, {10.0**d: f"1e{d:+d}" for d in range(lowest, highest + 1)}, (left, right), 35.0)
+    chart.ticks_up(up, {10.0**d: f"1e{d:+d}" for d in range(lowest, highest + 1)}, (left, right), 30.0)
     for k, (x, name) in enumerate(marks):
         if all_x.min() < x < all_x.max():
             chart.line(across(x), top, across(x), bottom, GREY, 1.25)
-            chart.label(across(x), bottom - 60 + 26 * k, f"{name} {x:g} Hz")
+            chart.label(across(x), bottom - 50 + 22 * k, f"{name} {x:g} Hz")
     for j, (name, f, amplitude) in enumerate(curves):
         color = JOINTS[j % len(JOINTS)]
         chart.strokes.append(([(across(x), up(y)) for x, y in zip(f, amplitude, strict=True)], color, 0.75))
-        chart.label(right - 70, top + 26 * j, name, color)
+        chart.label(right - 60, top + 18 * j, name, color)
     return chart
 
 
@@ -184,15 +183,17 @@ def residual_bars(signals: Signals, fit: Fit, j: int) -> list[Bars]:
     return [
         Bars(
             path=("residual", name, "autocorrelation"),
-            title=f"autocorrelation {name} [s]",
+            title=f"autocorrelation of the residual {name}, lag [s]",
             front=((lags - 0.3) * period_s, 0.6 * period_s, r),
             back=(np.zeros(2), (len(lags) + 0.5) * period_s, np.array([bound, -bound])),
+            names=("residual", "±2/√N, white noise"),
         ),
         Bars(
             path=("residual", name, "distribution"),
-            title=f"residual {name} [{signals.robot.effort_units[j]}]",
+            title=f"distribution of the residual {name} [{signals.robot.effort_units[j]}]",
             front=(np.asarray(edges[:-1], dtype=float), width, counts.astype(float)),
             back=(x, float(x[1] - x[0]), normal),
+            names=("rows in motion", "normal distribution"),
         ),
     ]
 
