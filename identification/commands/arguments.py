@@ -9,6 +9,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING
 
 from acquisition.commands import Progress, add_options, add_path
@@ -139,39 +140,38 @@ def work_of(options: argparse.Namespace, tasks: int) -> Iterator["Work"]:
         yield work
 
 
+def add_report(outputs: "argparse._ActionsContainer") -> None:
+    """`--report`."""
+    add_path(outputs, "--report", "FILE", "write the report: .md has the tables, .html also the pictures")
+
+
 def add_pictures(outputs: "argparse._ActionsContainer", text: str) -> None:
     """`--report` and `--rrd`; `text` says what the Rerun file draws."""
-    add_path(outputs, "--report", "FILE", "write the report: .md the tables, .html also the pictures, without scripts")
+    add_report(outputs)
     add_path(outputs, "--rrd", "FILE", text)
 
 
-def check_report(report: Path | None) -> None:
-    """Raises `IdentificationError` before any work where the report has another ending than .md or .html."""
-    if report is not None and report.suffix not in (".md", ".html"):
-        raise IdentificationError(place=str(report), key="ending", value=report.suffix, expected=".md or .html")
-
-
-def rrd_of(options: argparse.Namespace) -> list[Path]:
-    """The Rerun file that the user asked for, or none."""
-    return [options.rrd] if options.rrd else []
-
-
 def write_pictures(
-    document: "Document", report: Path | None, rrds: Sequence[Path], draw: "Callable[[], Sequence[Picture]]"
+    options: argparse.Namespace,
+    document: "Document",
+    draw: "Callable[[ModuleType], list[Picture]]",
+    rrds: Sequence[Path] | None = None,
 ) -> None:
-    """Write the files of `add_pictures`: the report of all pictures, and a Rerun file of each."""
-    from ..report import write_markdown
-
+    """Write the files of `add_pictures`: a report of all pictures, a Rerun file of each; `draw` is given the room `view`."""
+    report, rrd = options.report, getattr(options, "rrd", None)
+    rrds = rrds or ([rrd] if rrd else [])
     if report is not None and report.suffix == ".md":
+        from ..report import write_markdown
+
         write_markdown(report, document)
-    html = report is not None and report.suffix == ".html"
-    if not html and not rrds:
+        report = None
+    if report is None and not rrds:
         return
     with Progress("drawing"):
         from .. import view
 
-        pictures = draw()
-        if html and report is not None:
+        pictures = draw(view)
+        if report is not None:
             view.write_html(report, view.join_pictures(pictures))
         for rrd, picture in zip(rrds, pictures, strict=False):
             view.write_rrd(rrd, picture)
@@ -188,16 +188,23 @@ def make_folder(out: Path) -> None:
 
 
 def refuse_outputs(
-    inputs: Sequence[Path | None], *outputs: Path | None, picture: Path | None = None, overwrite: bool | None = None
+    inputs: Sequence[Path | None],
+    *outputs: Path | None,
+    report: Path | None = None,
+    picture: Path | None = None,
+    overwrite: bool | None = None,
 ) -> None:
-    """Before any work: refuse outputs that replace an input, another output or a recording, or lie in a missing folder.
+    """Before any work: refuse outputs that replace an input, another output or a recording, or lie in a missing folder, and a
+    `report` that is neither Markdown nor HTML.
 
     The folder of a `picture` is not checked, because the fit is printed even if the picture cannot be written.
     """
     from acquisition.files import refuse_clash
 
-    refuse_clash(inputs, *outputs, picture, overwrite=overwrite)
-    for output in outputs:
+    if report is not None and report.suffix not in (".md", ".html"):
+        raise IdentificationError(place=str(report), key="ending", value=report.suffix, expected=".md or .html")
+    refuse_clash(inputs, *outputs, report, picture, overwrite=overwrite)
+    for output in (*outputs, report):
         if output is not None and not output.absolute().parent.is_dir():
             raise IdentificationError(f"no folder {output.parent}", place=str(output), expected="an existing folder")
 

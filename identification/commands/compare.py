@@ -2,14 +2,10 @@
 
 import argparse
 from hashlib import sha256
-from typing import TYPE_CHECKING
 
 from acquisition.commands import add_flag, add_path
 
-from .arguments import add_pictures, check_report, print_results, refuse_outputs, rrd_of, write_pictures
-
-if TYPE_CHECKING:
-    from ..view import Picture
+from .arguments import add_pictures, print_results, refuse_outputs, write_pictures
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -25,8 +21,7 @@ def run(options: argparse.Namespace) -> None:
     """Print the differences, and the warnings of both fits."""
     from ..report import ParameterSet, comparison_document, comparison_file, frame_lines, read_fit, write_json
 
-    refuse_outputs([options.a, options.b], options.json, options.report, options.rrd)
-    check_report(options.report)
+    refuse_outputs([options.a, options.b], options.json, options.rrd, report=options.report)
     same = options.a.stem == options.b.stem
     labels = [str(path) if same else path.stem for path in (options.a, options.b)]
     fits = [read_fit(path) for path in (options.a, options.b)]
@@ -37,11 +32,6 @@ def run(options: argparse.Namespace) -> None:
     if options.json:
         write_json(options.json, comparison_file(a, b))
 
-    def draw() -> "list[Picture]":
-        from ..view import draw_comparison
-
-        digests = {str(path): sha256(path.read_bytes()).hexdigest() for path in (options.a, options.b)}
-        return [draw_comparison(a, b, document, digests)]
-
-    write_pictures(document, options.report, rrd_of(options), draw)
+    digests = {str(path): sha256(path.read_bytes()).hexdigest() for path in (options.a, options.b)}
+    write_pictures(options, document, lambda view: [view.draw_comparison(a, b, document, digests)])
     print_results(document, everything=options.all)

@@ -1,7 +1,6 @@
 """`robot-identify excite`: an exciting trajectory within the limits of the robot."""
 
 import argparse
-from typing import TYPE_CHECKING
 
 from acquisition.commands import Progress, add_flag, add_options, add_path, from_options
 
@@ -9,16 +8,11 @@ from ..options import ReferenceOptions, list_of_factors
 from .arguments import (
     add_pictures,
     add_robot,
-    check_report,
     print_results,
     refuse_outputs,
     robot_of,
-    rrd_of,
     write_pictures,
 )
-
-if TYPE_CHECKING:
-    from ..view import Picture
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -43,8 +37,8 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> None:
     """Search the reference, write it, and print the expected intervals."""
-    refuse_outputs([options.robot, options.fit, *options.after], options.out, options.report, options.rrd)
-    check_report(options.report)
+    inputs = [options.robot, options.fit, *options.after]
+    refuse_outputs(inputs, options.out, options.rrd, report=options.report)
     with Progress("excitation") as progress:
         from acquisition.robot import parse_payload
 
@@ -61,11 +55,6 @@ def run(options: argparse.Namespace) -> None:
     try:
         found.write(options.out)
 
-        def draw() -> "list[Picture]":
-            from ..view import draw_excitation
-
-            return [draw_excitation(found, document)]
-
-        write_pictures(document, options.report, rrd_of(options), draw)
+        write_pictures(options, document, lambda view: [view.draw_excitation(found, document)])
     finally:
         print_results(document, everything=options.all)

@@ -16,10 +16,8 @@ from .arguments import (
     add_recordings,
     add_settings,
     add_work,
-    check_report,
     print_results,
     refuse_outputs,
-    rrd_of,
     sources,
     trust_status,
     work_of,
@@ -29,7 +27,6 @@ from .arguments import (
 if TYPE_CHECKING:
     from ..data import Recordings
     from ..methods import Fit, Prior
-    from ..view import Picture
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -61,11 +58,10 @@ def run(options: argparse.Namespace) -> int:
         expected = "--consistent with it"
         raise IdentificationError("has no effect alone", key="--prior", value=str(options.prior), expected=expected)
     inputs = [*options.recordings, options.robot, options.prior, Path(options.start or "regular")]
-    refuse_outputs(inputs, options.json, options.report, picture=options.rrd)
-    check_report(options.report)
+    refuse_outputs(inputs, options.json, report=options.report, picture=options.rrd)
     from acquisition.files import refuse_clash
 
-    pictures = rrd_of(options)
+    pictures = [options.rrd] if options.rrd else []
     if len(options.recordings) > 1 and options.rrd:
         pictures = [options.rrd.with_stem(f"{options.rrd.stem}_{path.stem}") for path in options.recordings]
         refuse_clash(inputs, *pictures)
@@ -87,7 +83,12 @@ def run(options: argparse.Namespace) -> int:
     try:
         if options.json:
             write_json(options.json, fit_file(fit))
-        write_pictures(document, options.report, pictures, lambda: _draw(fit))
+        write_pictures(
+            options,
+            document,
+            lambda view: [view.draw_fit(one.problem.signals, fit.on(one)) for one in fit.recordings],
+            pictures,
+        )
     finally:  # print the fit even if a file cannot be written
         print_results(document, everything=options.all)
     if options.report:
@@ -98,12 +99,6 @@ def run(options: argparse.Namespace) -> int:
     if options.require and not reasons and verdict != options.require:
         reasons = tuple(line.text for line in fit.trust.lines if line.level == verdict)
     return trust_status(reasons)
-
-
-def _draw(fit: "Fit") -> "list[Picture]":
-    from ..view import draw_fit
-
-    return [draw_fit(one.problem.signals, fit.on(one)) for one in fit.recordings]
 
 
 def _prior(options: argparse.Namespace) -> "Prior":

@@ -1,7 +1,6 @@
 """`robot-identify fleet`: one fit per recording, a table of the fits, and their drift."""
 
 import argparse
-from typing import TYPE_CHECKING
 
 from acquisition.commands import Progress, add_flag, add_path, from_options
 
@@ -10,18 +9,13 @@ from .arguments import (
     add_pictures,
     add_settings,
     add_work,
-    check_report,
     make_folder,
     print_results,
     refuse_outputs,
-    rrd_of,
     trust_status,
     work_of,
     write_pictures,
 )
-
-if TYPE_CHECKING:
-    from ..view import Picture
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -41,8 +35,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Fit every recording without a stored row, write and print the table; 3 if none could be fitted."""
-    refuse_outputs([options.robot], options.out, options.report, picture=options.rrd)
-    check_report(options.report)
+    refuse_outputs([options.robot], options.out, report=options.report, picture=options.rrd)
     with Progress("reading") as progress:
         from acquisition.robot import load_robot
 
@@ -55,7 +48,7 @@ def run(options: argparse.Namespace) -> int:
             method=options.method or method_of(recordings),
             overrides=from_options(Overrides, options),
         )
-        refuse_outputs(paths, options.out, options.report, options.rrd)
+        refuse_outputs(paths, options.out, options.rrd, report=options.report)
         rows_folder = options.out.with_name(f"{options.out.name}.rows")
         make_folder(rows_folder)
 
@@ -66,13 +59,7 @@ def run(options: argparse.Namespace) -> int:
     write_table(options.out, rows)
     document, series = fleet_document(rows), drifts(rows)
     try:
-
-        def draw() -> "list[Picture]":
-            from ..view import draw_fleet
-
-            return [draw_fleet(series, document)]
-
-        write_pictures(document, options.report, rrd_of(options), draw)
+        write_pictures(options, document, lambda view: [view.draw_fleet(series, document)])
     finally:  # print the table of a long run even if a file cannot be written
         print_results(document)
     return trust_status(

@@ -1,7 +1,6 @@
 """`robot-identify friction`: choose friction terms by cross-validation."""
 
 import argparse
-from typing import TYPE_CHECKING
 
 from acquisition.commands import Progress, add_flag, add_options, add_path, from_options
 
@@ -11,16 +10,11 @@ from .arguments import (
     add_pictures,
     add_recordings,
     add_settings,
-    check_report,
     print_results,
     refuse_outputs,
-    rrd_of,
     sources,
     write_pictures,
 )
-
-if TYPE_CHECKING:
-    from ..view import Picture
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -37,8 +31,7 @@ def run(options: argparse.Namespace) -> None:
     """Try sets of terms, print the table and the lines of robot.toml."""
     if options.write and options.robot is None:
         raise IdentificationError(key="--write", value=True, expected="--robot with it, the description to write to")
-    refuse_outputs([*options.recordings, options.robot], options.json, options.report, picture=options.rrd)
-    check_report(options.report)
+    refuse_outputs([*options.recordings, options.robot], options.json, report=options.report, picture=options.rrd)
     with Progress("reading") as progress:
         from ..data import Recordings
         from ..design import fits_with, friction_document, friction_file, select_friction, write_friction
@@ -51,12 +44,7 @@ def run(options: argparse.Namespace) -> None:
         if options.json:
             write_json(options.json, friction_file(choice))
 
-        def draw() -> "list[Picture]":
-            from ..view import draw_friction
-
-            return [draw_friction(*fits_with(choice, overrides), document)]
-
-        write_pictures(document, options.report, rrd_of(options), draw)
+        write_pictures(options, document, lambda view: [view.draw_friction(*fits_with(choice, overrides), document)])
         if options.write:
             write_friction(options.robot, choice.described, choice.robot.files)
     finally:  # print the result even if a file cannot be written

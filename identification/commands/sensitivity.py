@@ -2,25 +2,11 @@
 
 import argparse
 from hashlib import sha256
-from typing import TYPE_CHECKING
 
 from acquisition.commands import Progress, add_flag, add_path
 
 from ..options import list_of_factors
-from .arguments import (
-    add_pictures,
-    add_work,
-    check_report,
-    print_results,
-    refuse_outputs,
-    rrd_of,
-    sources,
-    work_of,
-    write_pictures,
-)
-
-if TYPE_CHECKING:
-    from ..view import Picture
+from .arguments import add_pictures, add_work, print_results, refuse_outputs, sources, work_of, write_pictures
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -37,7 +23,6 @@ def add(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> None:
     """Fit the recording in all variants, and print how far the estimates move."""
     refuse_outputs([*options.recordings, options.robot], options.report, picture=options.rrd)
-    check_report(options.report)
     with Progress("fitting"):
         from ..study import sensitivity_document, vary
 
@@ -45,14 +30,9 @@ def run(options: argparse.Namespace) -> None:
             fits = vary(sources(options)[0], options.position_noise, work)
         document = sensitivity_document(options.recordings[0].name, fits)
     try:
-
-        def draw() -> "list[Picture]":
-            from ..view import draw_sensitivity
-
-            (path,) = options.recordings
-            return [draw_sensitivity({path.name: sha256(path.read_bytes()).hexdigest()}, fits, document)]
-
-        write_pictures(document, options.report, rrd_of(options), draw)
+        (path,) = options.recordings
+        digests = {path.name: sha256(path.read_bytes()).hexdigest()}
+        write_pictures(options, document, lambda view: [view.draw_sensitivity(digests, fits, document)])
     finally:  # print the result even if a file cannot be written
         print_results(document, everything=options.all)
     if options.rrd:

@@ -1,7 +1,6 @@
 """`robot-identify study`: Monte-Carlo study of least squares and iv on a simulated robot."""
 
 import argparse
-from typing import TYPE_CHECKING
 
 from acquisition.commands import add_options, add_path, from_options
 
@@ -12,17 +11,12 @@ from .arguments import (
     add_robot,
     add_simulation,
     add_work,
-    check_report,
     print_results,
     refuse_outputs,
     robot_of,
-    rrd_of,
     work_of,
     write_pictures,
 )
-
-if TYPE_CHECKING:
-    from ..view import Picture
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -46,8 +40,7 @@ def run(options: argparse.Namespace) -> None:
     from ..report import write_json
     from ..study import Noise, Study, run_study, study_document, study_file, study_truth
 
-    refuse_outputs([options.robot], options.json, options.report, options.rrd)
-    check_report(options.report)
+    refuse_outputs([options.robot], options.json, options.rrd, report=options.report)
     robot = robot_of(options, moves=True)
     study = from_options(Study, options, noise=from_options(Noise, options))
     base, true = study_truth(robot)
@@ -62,11 +55,6 @@ def run(options: argparse.Namespace) -> None:
         if options.json:
             write_json(options.json, study_file(study, runs, base, true))
 
-        def draw() -> "list[Picture]":
-            from ..view import draw_study
-
-            return [draw_study(robot.name, runs, true, document)]
-
-        write_pictures(document, options.report, rrd_of(options), draw)
+        write_pictures(options, document, lambda view: [view.draw_study(robot.name, runs, true, document)])
     finally:  # print the result of a long study even if a file cannot be written
         print_results(document)

@@ -1,12 +1,22 @@
 """`robot-identify validate`: torque error of a fit on other recordings."""
 
 import argparse
+from hashlib import sha256
 from typing import TYPE_CHECKING
 
 from acquisition.commands import Progress, add_flag, add_path, from_options
 
 from ..options import Overrides, above_zero
-from .arguments import add_recordings, add_settings, print_results, refuse_outputs, sources, trust_status
+from .arguments import (
+    add_recordings,
+    add_report,
+    add_settings,
+    print_results,
+    refuse_outputs,
+    sources,
+    trust_status,
+    write_pictures,
+)
 
 if TYPE_CHECKING:
     from ..report import TorqueError
@@ -20,6 +30,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     add_settings(parser)
     outputs = parser.add_argument_group("outputs")
     add_path(outputs, "--json", "FILE", "write the errors as JSON")
+    add_report(outputs)
     text = "exit status 3 if the torque error of all rows is larger (with --consistent: of the consistent set)"
     outputs.add_argument("--max-error-percent", type=above_zero, metavar="P", help=text)
     add_flag(parser, "--consistent", "also validate the physically consistent set of the fit")
@@ -27,7 +38,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Print the torque errors of the fit; 3 if they are larger than allowed."""
-    refuse_outputs([options.fit, *options.recordings, options.robot], options.json)
+    refuse_outputs([options.fit, *options.recordings, options.robot], options.json, report=options.report)
     with Progress("reading") as progress:
         from .. import methods
         from ..report import read_fit, write_json
@@ -52,6 +63,8 @@ def run(options: argparse.Namespace) -> int:
     document = methods.validation_document(validated, name, errors, warnings, of_set)
     if options.json:
         write_json(options.json, methods.validation_file(validated, name, errors, warnings, of_set))
+    digests = {name: sha256(options.fit.read_bytes()).hexdigest()}
+    write_pictures(options, document, lambda view: [view.draw_validation(validated, document, digests)])
     print_results(document)
     error, limit = (of_set or errors)[-1].relative_error_percent, options.max_error_percent
     if limit is None or (error is not None and error <= limit):

@@ -305,6 +305,6 @@ def validate_all(
     for signals, overrides in recordings:
         problem = make_problem(signals, overrides)
         parts.append(torque_of_recording(problem, values(problem.base) + payload_of(problem)))
-        each.append(Validated(signals, problem.settings, torque_errors(*parts[-1], names)))
+        each.append(Validated(signals, problem.settings, torque_errors(*parts[-1], names), *parts[-1][:2]))
     tau, predicted, speed = (np.concatenate(x) for x in zip(*parts, strict=True))
     return tuple(each), torque_errors(tau, predicted, speed, names)

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from acquisition.robot import demand_ripple_warnings
 
+from ..arrays import Array
 from ..data import ON_GRID, Signals
 from ..regression import Settings, forward_backward_3db_hz
 from ..report import Document, FTest, Number, Row, Section, Table, TorqueError, columns
@@ -50,11 +51,13 @@ def recording_document(signals: Signals, settings: Settings | None, refusal: str
 
 @dataclass(frozen=True)
 class Validated:
-    """A recording, its settings, and the torque errors of a fit on it."""
+    """A recording, its settings, the torque errors of a fit on it, and the rows (T, n) of measured and modelled torque."""
 
     signals: Signals
     settings: Settings
     errors: tuple[TorqueError, ...]
+    tau: Array
+    tau_predicted: Array
 
 
 def validation_document(

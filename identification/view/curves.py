@@ -6,6 +6,8 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.robot import Robot
+
 from ..arrays import Array
 from ..data import Signals
 from ..design import Excitation
@@ -146,19 +148,19 @@ def torque_plots(signals: Signals, fit: Fit | None, lines: Lines) -> list[Plot]:
     return plots
 
 
-def residual_plots(signals: Signals, fit: Fit) -> list[Plot]:
-    """One plot per joint of measured minus modelled torque, on a scale of its own; none if it is zero."""
-    plots = []
-    for name, unit, rho in zip(
-        (joint.name for joint in signals.robot.joints),
-        signals.robot.effort_units,
-        (fit.tau - fit.tau_predicted).T,
-        strict=True,
-    ):
-        curve = Curve(key="residual", color=RESIDUAL, line=(fit.t_s, rho))
-        title = f"residual {name}: measured − model [{unit}]"
-        plots.append(Plot(path=("residual", name, "time"), title=title, curves=(curve,), legend=False))
-    return plots if (fit.tau != fit.tau_predicted).any() else []
+def row_plots(robot: Robot, t_s: Array, tau: Array, tau_predicted: Array, title: str) -> tuple[list[Plot], list[Plot]]:
+    """Per joint measured and modelled torque (T, n) of decimated rows, and the residual on a scale of its own."""
+    both, residuals = [], []
+    for j, (joint, unit) in enumerate(zip(robot.joints, robot.effort_units, strict=True)):
+        measured = Curve(key="measured", color=MEASURED, line=(t_s, tau[:, j]), width=2.0)
+        model = Curve(key="model", color=PREDICTED, line=(t_s, tau_predicted[:, j]))
+        both.append(
+            Plot(path=("rows", title, joint.name), title=f"torque {joint.name} [{unit}]", curves=(measured, model))
+        )
+        rest = Curve(key="residual", color=RESIDUAL, line=(t_s, tau[:, j] - tau_predicted[:, j]))
+        name = f"residual {joint.name}: measured − model [{unit}]"
+        residuals.append(Plot(path=("residual", joint.name, "time"), title=name, curves=(rest,), legend=False))
+    return both, residuals if (tau != tau_predicted).any() else []
 
 
 def column_plots(signals: Signals) -> list[Plot]:

@@ -9,6 +9,7 @@ from ..design import Excitation, friction_of_joints
 from ..errors import IdentificationError
 from ..methods import (
     Fit,
+    Validated,
     fit_document,
     fitted_parameters,
     least_squares_parameters,
@@ -36,7 +37,7 @@ from .curves import (
     lines_of,
     motion_plots,
     position_plots,
-    residual_plots,
+    row_plots,
     torque_plots,
 )
 from .panels import Note, Page, Panel, Picture
@@ -77,7 +78,9 @@ def draw_fit(signals: Signals, fit: Fit, *, truth: Array | None = None) -> Pictu
         "passes": [passes_drawing(fit)] if fit.iv else [],
     }
     bars = [residual_bars(signals, fit, j) for j in range(signals.robot.n)]
-    residual: dict[str, Sequence[Panel]] = {"time": residual_plots(signals, fit)}
+    residual: dict[str, Sequence[Panel]] = {
+        "time": row_plots(signals.robot, fit.t_s, fit.tau, fit.tau_predicted, "")[1]
+    }
     residual |= {kind: [b[k] for b in bars if b] for k, kind in enumerate(("autocorrelation", "distribution"))}
     return Picture(
         title=signals.robot.name,
@@ -110,6 +113,20 @@ def draw_friction(before: Fit, after: Fit, document: Document) -> Picture:
         document=document,
         pages=(_friction_page(fits, document),),
         sha256={one.problem.signals.recording: one.problem.signals.sha256 for one in before.recordings},
+    )
+
+
+def draw_validation(validated: Sequence[Validated], document: Document, sha256: Mapping[str, str]) -> Picture:
+    """Recordings that a fit is applied to, a page each: measured and modelled torque of the rows, and their difference."""
+    pages = []
+    for one in validated:
+        t_s = one.signals.t_s[one.settings.start : one.settings.stop : one.settings.decimation][: len(one.tau)]
+        torque, residual = row_plots(one.signals.robot, t_s, one.tau, one.tau_predicted, one.signals.recording)
+        pages.append(Page(name=one.signals.recording, groups={"torque": torque, "residual": residual}))
+    digests = {**sha256, **{one.signals.recording: one.signals.sha256 for one in validated}}
+    title = f"{validated[0].signals.robot.name} validation"
+    return Picture(
+        title=title, name=title, identity=repr(digests), document=document, pages=tuple(pages), sha256=digests
     )
 
 

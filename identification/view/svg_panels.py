@@ -29,18 +29,9 @@ from .panels import (
     Plot,
 )
 
-# Of each colour of the panels: a class, and its shades on white and on black, with a contrast of 4.5 : 1 and more.
-SHADES: dict[Color, tuple[str, str, str]] = {
-    ORANGE: ("orange", "#946200", "#e69f00"),
-    SKY: ("sky", "#0a6ca8", "#56b4e9"),
-    GREEN: ("green", "#007a59", "#12b088"),
-    YELLOW: ("yellow", "#766b00", "#f0e442"),
-    BLUE: ("blue", "#4a3fb5", "#9d97ff"),
-    VERMILLION: ("vermillion", "#b84a00", "#ee7a26"),
-    PURPLE: ("purple", "#a2407c", "#d98ab5"),
-    GREY: ("grey", "#6a6a6a", "#9c9c9c"),
-    LIGHT: ("light", "#3c3c3c", "#cdcdcd"),
-}
+COLORS = {"orange": ORANGE, "sky": SKY, "green": GREEN, "yellow": YELLOW, "blue": BLUE, "vermillion": VERMILLION}
+COLORS |= {"purple": PURPLE, "grey": GREY, "light": LIGHT}
+CLASSES: dict[Color, str] = {color: name for name, color in COLORS.items()}  # of the style sheet
 WIDTH, HEIGHT = 480.0, 200.0  # of a plot, in pixels
 LEFT, RIGHT, TOP, BOTTOM = 56.0, 472.0, 8.0, 178.0  # edges of its axes
 STEPS = 2.0  # coordinates of curves are whole numbers, this many in a pixel
@@ -74,7 +65,7 @@ def draw_bars(bars: Bars) -> str:
         place = zip(_place(left, across, LEFT, RIGHT), _place(heights, up, BOTTOM, TOP), strict=True)
         wide, zero = (RIGHT - LEFT) * width / (across[1] - across[0]), float(_place(np.zeros(1), up, BOTTOM, TOP)[0])
         path = "".join(f"M{_n(x)} {_n(zero)}V{_n(y)}h{_n(wide)}V{_n(zero)}z" for x, y in place)
-        parts.append(f'<path class="f {SHADES[color][0]}{" soft" if color == GREY else ""}" d="{path}"/>')
+        parts.append(f'<path class="f {CLASSES[color]}{" soft" if color == GREY else ""}" d="{path}"/>')
     return _svg(bars.title, WIDTH, HEIGHT, parts)
 
 
@@ -85,12 +76,10 @@ def draw_chart(chart: Chart) -> str:
     for points, color, radius in chart.strokes:
         strokes.setdefault((color, radius), []).append(_path(points))
     for color, marks in _by_color(chart.cloud).items():
-        parts.append(
-            f'<path class="l cloud {SHADES[color][0]}" d="{"".join(f"M{_n(x)} {_n(y)}h0" for x, y in marks)}"/>'
-        )
+        parts.append(f'<path class="l cloud {CLASSES[color]}" d="{"".join(f"M{_n(x)} {_n(y)}h0" for x, y in marks)}"/>')
     for (color, radius), paths in strokes.items():
         width = max(1.1, 2 * radius) if radius > 0.25 else 0.6
-        name = SHADES[color][0] + ("" if radius > 0.25 else " soft")
+        name = CLASSES[color] + ("" if radius > 0.25 else " soft")
         parts.append(f'<path class="l {name}" stroke-width="{width:g}" d="{"".join(paths)}"/>')
     for name, shape, marks_of in (
         ("l", "m-4-4l8 8m0-8l-8 8", chart.crosses),
@@ -99,7 +88,7 @@ def draw_chart(chart: Chart) -> str:
     ):
         for color, marks in _by_color(marks_of).items():
             path = "".join(f"M{_n(x)} {_n(y)}{shape}" for x, y in marks)
-            parts.append(f'<path class="{name} {SHADES[color][0]}" stroke-width="1.6" d="{path}"/>')
+            parts.append(f'<path class="{name} {CLASSES[color]}" stroke-width="1.6" d="{path}"/>')
     parts += [_text(x, y + 14, text, color) for x, y, text, color in chart.labels]
     return _svg(chart.title, *chart.size, parts)
 
@@ -116,7 +105,7 @@ def draw_lanes(lanes: Lanes) -> str:
             x0, x1 = (float(x) for x in _place(np.array([t_s, stop]), across, 130.0, 2 * RIGHT))
             if text:
                 box = f'x="{_n(x0)}" y="{_n(y + 3)}" width="{_n(max(1.5, x1 - x0))}" height="20"'
-                parts.append(f'<rect class="f soft {SHADES[color][0]}" {box}><title>{escape(text)}</title></rect>')
+                parts.append(f'<rect class="f soft {CLASSES[color]}" {box}><title>{escape(text)}</title></rect>')
             if text and x1 - x0 > 8 * len(text):
                 parts.append(_text(x0 + 4, y + 17, text, LIGHT, "start"))
     marks = _place(np.array(_ticks(*across, 8)), across, 130.0, 2 * RIGHT)
@@ -182,7 +171,7 @@ def _curve(curve: Curve, across: tuple[float, float], up: tuple[float, float]) -
     steps = " ".join(f"{dx} {dy}" for dx, dy in np.diff(xy, axis=0).tolist() if dx or dy).replace(" -", "-")
     if not steps:  # one moment, or a constant: a point that is seen
         steps = f"{STEPS:g} 0"
-    look = f"l {SHADES[curve.color][0]}{' dash' if curve.dashed else ''}"
+    look = f"l {CLASSES[curve.color]}{' dash' if curve.dashed else ''}"
     return f'<path class="{look}" stroke-width="{max(1.2, 0.8 * curve.width):g}" d="M{xy[0, 0]} {xy[0, 1]}l{steps}"/>'
 
 
@@ -201,7 +190,7 @@ def _by_color(marks: Iterable[tuple[float, float, Color]]) -> dict[Color, list[t
 
 
 def _text(x: float, y: float, text: str, color: Color, anchor: str = "middle") -> str:
-    return f'<text class="f {SHADES[color][0]} {anchor}" x="{_n(x)}" y="{_n(y)}">{escape(text)}</text>'
+    return f'<text class="f {CLASSES[color]} {anchor}" x="{_n(x)}" y="{_n(y)}">{escape(text)}</text>'
 
 
 def _n(x: float) -> str:
