@@ -262,7 +262,7 @@ def test_titles_say_joint_and_unit(written):
     titles = {origin: title for origin, (_, title) in written(signals).views.items()}
     assert titles["/torque/joint\\ 1.x"] == "torque joint 1.x [N]"
     assert titles["/torque/joint\\ 2.x"] == "torque joint 2.x [N m]"
-    assert titles["/residual/joint\\ 1.x/distribution"].startswith("distribution of the residual joint 1.x [N]; red ")
+    assert titles["/residual/joint\\ 1.x/distribution"] == "distribution joint 1.x [N]"
     assert titles["/ddq/joint\\ 1.x"] == "ddq joint 1.x [m/s²]"
     assert titles["/q/joint\\ 2.x"] == "q joint 2.x [rad]"
     tracked = written(made_up(types=("prismatic",), reference=True), name="t.rrd").views
@@ -431,6 +431,11 @@ def test_the_residual_is_shown_against_white_noise(written):
     _, rho = file.curve("residual", "joint 1.x", "time", "residual")
 
     def values(kind, key, what="values"):
+        names = {
+            "autocorrelation": ("residual", "bounds_of_white_noise"),
+            "distribution": ("rows_in_motion", "normal_distribution"),
+        }
+        key = names[kind][key == "back"]
         found = file.static[f"/residual/joint\\ 1.x/{kind}/{key}"][f"BarChart:{what}"]
         return np.array(found if what == "widths" else found[0]["buffer"])
 
@@ -462,7 +467,7 @@ def test_a_few_far_residuals_do_not_squeeze_the_distribution(written):
     numbers = numbers_of(file)["joint 1.x"]
     assert float(numbers["residual σ"]) == pytest.approx(0.3, rel=0.1)
     assert numbers["rows beyond 4 σ"] == "12"
-    counts = np.array(file.static["/residual/joint\\ 1.x/distribution/front"]["BarChart:values"][0]["buffer"])
+    counts = np.array(file.static["/residual/joint\\ 1.x/distribution/rows_in_motion"]["BarChart:values"][0]["buffer"])
     assert counts.sum() == 980
     assert (counts > 0).sum() > 15, "not one bar"
 

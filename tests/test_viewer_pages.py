@@ -28,8 +28,9 @@ from identification.report import Parameter, ParameterSet, comparison_document, 
 from identification.study import Noise, Run, RunFit, RunSettings
 from identification.trust import Figure, Trust, TrustLine
 from identification.view import draw_comparison, draw_fit, draw_recording, write_rrd
-from identification.view.charts import COMPARED, deviation_drawing, parameter_drawing, study_drawing, trust_drawing
+from identification.view.charts import COMPARED, deviation_drawing, parameter_drawing, study_drawing
 from identification.view.curves import column_plots, extra_plots
+from identification.view.fit_charts import trust_drawing
 from identification.view.panels import (
     GREEN,
     GREY,
@@ -571,13 +572,16 @@ def test_figures_of_the_trust_tests_are_drawn_with_their_intervals_and_what_was_
         unit="samples",
         figures=(Figure(name="shoulder", value=1.2, half_width=0.2, expected=-0.5), Figure(name="elbow", value=-0.5)),
     )
-    made = TrustLine("ends", "ok", "no outlier", 0.0)
-    assert trust_drawing(Trust(lines=(made,))) is None
+    made = TrustLine("ends", "ok", "no outlier", 5.0, limit=20.0)
     drawing = trust_drawing(Trust(lines=(lag, made)))
     labels = [text for _, _, text, _ in drawing.labels]
     assert "lag, samples: caution" in labels
     assert {"shoulder", "elbow"} <= set(labels)
-    assert not any("ends" in label for label in labels)
+    assert not any("ends, " in label or "ends:" in label for label in labels), "no figures of joints"
+    assert {"caution", "ok", "ends", "5 of 20"} <= set(labels), "a row per test: level, name, figure and limit"
+    places = {text: x for x, _, text, _ in drawing.labels}
+    ((start, _), (end, _)) = next(points for points, _, radius in drawing.strokes if radius == 4.0)
+    assert (end - start) / (places["limit"] - places["0"]) == pytest.approx(0.25)
     (x0, y0, color), (x1, y1, _) = drawing.dots
     assert x0 < x1
     assert y0 < y1, "the larger value stands higher"

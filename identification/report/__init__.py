@@ -2,7 +2,19 @@
 
 from .comparison import Difference as Difference
 from .comparison import ParameterSet, comparison_document, comparison_file, comparison_section, differences, frame_lines
-from .document import Cell, Document, Number, ResultFile, Row, Section, Table, columns, value_form, write_json
+from .document import (
+    Cell,
+    Document,
+    Number,
+    ResultFile,
+    Row,
+    Section,
+    Table,
+    cell_text,
+    columns,
+    value_form,
+    write_json,
+)
 from .fit_file import (
     NO_FIXED_POINT,
     Assumed,

@@ -151,12 +151,12 @@ def _recordings_line(evidence: FitData, found: tuple[HeldOut | None, ...]) -> Tr
 
 def _line(evidence: FitData, text: str, errors: tuple[float, float], cure: str, figures: list[Figure]) -> TrustLine:
     """The line of errors in percent, held out and trained."""
-    shown = tuple(figures)
-    if errors[0] <= MAX_HELD_OUT_RATIO * errors[1]:
-        return TrustLine("held-out blocks", "ok", text, errors[0], figures=shown, unit="%")
+    shown, limit = tuple(figures), MAX_HELD_OUT_RATIO * errors[1]
+    if errors[0] <= limit:
+        return TrustLine("held-out blocks", "ok", text, errors[0], figures=shown, unit="%", limit=limit)
     text += f": the fit does not generalise: {cure}, with more varied motion, or fit with --essential"
     if evidence.problem.signals.robot.gain_known:
         text += ", or take the parameters of --consistent, which generalise better"
     far, finding = errors[0] > MAX_HELD_OUT_RATIO_NOT_POSITIVE * errors[1], "does not generalise"
-    line = TrustLine("held-out blocks", "caution", text, errors[0], finding, figures=shown, unit="%")
+    line = TrustLine("held-out blocks", "caution", text, errors[0], finding, figures=shown, unit="%", limit=limit)
     return replace(line, fails_held_out=far)

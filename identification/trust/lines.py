@@ -25,7 +25,7 @@ class TrustLine:
         test: its name, such as `lag`.
         level: `not made` where the test could not be made, `cannot tell` where it is inconclusive.
         text: one sentence with the figure, and what to do.
-        value: its figure, None where there is none.
+        value: its figure, None where there is none; `limit`: of its size, None where that is not the only criterion.
         finding: the same in a few words, for the first line of a report.
         figures: figures by joint, motor or block, for a plot, in `unit`.
         fails_held_out: whether held-out errors are so large that, with M not positive, the fit is not to be used.
@@ -39,6 +39,7 @@ class TrustLine:
     figures: tuple[Figure, ...] = ()
     unit: str = ""
     fails_held_out: bool = False
+    limit: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -222,5 +222,5 @@ def consistent_test(evidence: FitData) -> TrustLine:
         text += (
             f", above {bound:.3g}, the limit of chance: check signs and units of efforts and positions, and the frames"
         )
-        return TrustLine("consistent", "caution", text, nearest.chi_squared)
-    return TrustLine("consistent", "ok", text, nearest.chi_squared)
+        return TrustLine("consistent", "caution", text, nearest.chi_squared, limit=bound)
+    return TrustLine("consistent", "ok", text, nearest.chi_squared, limit=bound)

@@ -116,12 +116,13 @@ def ends_test(evidence: FitData) -> TrustLine:
     outliers, rows = int((size > MAX_ROBUST_DEVIATIONS).sum()), int(used.sum())
     finding = f"{outliers} outliers in {rows} moving rows; largest {middle.max():.3g} robust deviations "
     finding += f"(limit {MAX_ROBUST_DEVIATIONS:g}), at the ends {ends.max():.3g}"
-    if value > max(MAX_END_DEVIATIONS, MAX_END_RATIO * middle[worst]):
+    limit = max(MAX_END_DEVIATIONS, MAX_END_RATIO * float(middle[worst]))
+    if value > limit:
         joint = evidence.problem.signals.robot.joints[worst].name
         finding += f"; joint {joint}: largest {middle[worst]:.3g}, at the ends {value:.3g}"
         text = f'{finding}: set edges = "smooth", or cut the ends off (cut_start_samples, cut_end_samples)'
-        return TrustLine("ends", "caution", text, value)
-    return TrustLine("ends", "ok", finding, value)
+        return TrustLine("ends", "caution", text, value, limit=limit)
+    return TrustLine("ends", "ok", finding, value, limit=limit)
 
 
 def halves_test(evidence: FitData) -> TrustLine:
@@ -189,8 +190,8 @@ def prewhitened_test(evidence: FitData) -> TrustLine | None:
     )
     if value > MAX_PREWHITENED_SIGMA:
         text = f"{finding}: a term is missing in the model: see added columns"
-        return TrustLine(name, "caution", text, value)
-    return TrustLine(name, "ok", finding, value)
+        return TrustLine(name, "caution", text, value, limit=MAX_PREWHITENED_SIGMA)
+    return TrustLine(name, "ok", finding, value, limit=MAX_PREWHITENED_SIGMA)
 
 
 def _solve_whitened(evidence: FitData) -> Estimate | str:

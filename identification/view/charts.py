@@ -1,4 +1,4 @@
-"""Charts without a time axis: parameters with intervals, IV passes, tests of the fit, studies, friction."""
+"""Charts of parameters with intervals, of studies and of excitations."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -6,26 +6,14 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from ..arrays import Array
-from ..design import Excitation, JointFriction
-from ..methods import Fit, Pass
-from ..report import Level, ParameterSet, differences
+from ..design import Excitation
+from ..report import ParameterSet, differences
 from ..study import Run, summaries
-from ..trust import Trust
-from .panels import GREEN, GREY, LIGHT, ORANGE, PREDICTED, PURPLE, SKY, VERMILLION, Chart, Color, Scale, log10
+from .panels import GREEN, GREY, LIGHT, ORANGE, PURPLE, SHEET, VERMILLION, Chart, Color, Scale, log10
 
 COMPARED = (PURPLE, GREEN)  # colors of the parameter sets that a fit is compared with
-LOADS = (SKY, ORANGE, VERMILLION)  # low, medium and high load
-MAX_DOTS = 400  # of a chart
 MAX_SIGMAS_SHOWN = 6.0  # larger differences are drawn at the edge of their chart
-SHEET = (1430.0, 960.0)  # pixels of a large chart on a screen of 1920 by 1080
 STUDY_SHEET = (1140.0, 960.0)  # pixels of a study's chart, next to its report
-LEVEL_COLORS: dict[Level, Color] = {
-    "do not use": VERMILLION,
-    "caution": ORANGE,
-    "cannot tell": GREY,
-    "not made": GREY,
-    "ok": SKY,
-}
 MAX_TRUSTED_SIGMAS = 3.0  # limit of a difference
 
 
@@ -35,7 +23,7 @@ def parameter_drawing(own: ParameterSet, others: Sequence[ParameterSet]) -> Char
     columns = 1 if len(names) <= 20 else 2
     rows, pitch = -(-len(names) // columns), 17.0 if len(names) > 12 else 24.0
     width, height = 540.0 / columns, 30 + pitch * rows
-    title = f"{own.label} ± 95 %: orange essential{_marks(others)}"
+    title = f"{own.label} ± 95 %: orange dot essential, grey ring not{_marks(others)}"
     chart = Chart(path=("parameters",), title=title, size=(540.0, height + 30))
     scale_of, ticks, axis = _value_scale(sets, names, 3 if columns == 1 else 2)
     chart.label(270.0, height + 4, axis)
@@ -56,7 +44,7 @@ def deviation_drawing(own: ParameterSet, others: Sequence[ParameterSet]) -> Char
     rows = -(-len(names) // columns)
     width, pitch = SHEET[0] / columns, min(60.0, max(24.0, (SHEET[1] - 106) / rows))
     height = 96 + pitch * rows
-    title = f"{own.label}: orange essential, grey not{_marks(others)}"
+    title = f"{own.label}: orange dot essential, grey ring not{_marks(others)}"
     title += ", vermillion beyond 3 σ" if others else ""
     chart = Chart(path=("deviations",), title=title, size=(SHEET[0], height + 10))
     scale_of, ticks, axis = _value_scale(sets, names, 2)
@@ -126,9 +114,9 @@ def _value_axis(chart: Chart, place: Scale, ticks: Sequence[float], top: float, 
 
 
 def _value(chart: Chart, place: Scale, sets: Sequence[ParameterSet], name: str, y: float, pitch: float) -> None:
-    """The first set as a dot, the others as crosses below it, with intervals; exact values as vertical lines."""
+    """The first set as a dot (a ring if not essential), others as crosses below, with intervals; exact values as lines."""
     p, color = sets[0].parameters[name], _color(sets[0], name)
-    chart.dots.append((place(p.value), y, color))
+    (chart.dots if p.essential else chart.rings).append((place(p.value), y, color))
     chart.line(place(p.value - p.half), y, place(p.value + p.half), y, color, 1.5)
     for k, values in enumerate(sets[1:]):
         if (other := values.parameters.get(name)) is None:
@@ -156,77 +144,6 @@ def _marks(others: Sequence[ParameterSet]) -> str:
 
 def _color(own: ParameterSet, name: str) -> Color:
     return ORANGE if own.parameters[name].essential else GREY
-
-
-def passes_drawing(fit: Fit) -> Chart:
-    """Convergence of the iteration: residual, largest change, condition number and tracking error of each pass."""
-    assert fit.iv is not None
-    passes, width, strip, left, right = fit.iv.passes, 470.0, 0.24 * SHEET[1], 40.0, 450.0
-    last = len(passes)
-    across = Scale(left=left + 30, right=right - 30, low=0.5, high=last + 0.5)
-    strips: list[tuple[str, Callable[[Pass], float | None], bool, Color]] = [
-        ("weighted residual norm", lambda p: p.estimate.residual_norm, False, VERMILLION),
-        ("largest change of a parameter [σ]", lambda p: p.change_sigma, True, ORANGE),
-        ("condition number of Z'W, unit columns", lambda p: p.estimate.condition_number_scaled, False, LIGHT),
-        ("tracking error of the simulation [%]", lambda p: p.z.tracking_percent, False, SKY),
-    ]
-    settled = f"settled in pass {last}" if passes[-1].settled else f"not settled after {last} passes"
-    title, size = f"passes of IV: {fit.status}, {settled}", (width, strip * len(strips) + 30)
-    chart = Chart(path=("passes",), title=title, size=size)
-    for s, (title, number, logarithmic, color) in enumerate(strips):
-        top, bottom = 40 + strip * s, strip * (s + 1) - 25
-        chart.label(0.5 * (left + right), top - 36, title, color)
-        chart.line(left, bottom, right, bottom, GREY, 0.5)
-        points = [(k, x) for k, p in enumerate(passes, 1) if (x := number(p)) is not None and math.isfinite(x)]
-        if not points:
-            continue
-        low, high = min(x for _, x in points), max(x for _, x in points)
-        if logarithmic:
-            low, high = max(min(low, 0.5), 1e-3), max(high, 1.0)
-            up = Scale(left=bottom - 10, right=top + 22, low=low, high=high, by=log10)
-            chart.line(left, up(0.5), right, up(0.5), GREY, 0.75)
-            chart.label(left - 18, up(0.5) - 10, "σ/2")
-        else:
-            margin = max(0.5 * (high - low), 0.02 * abs(high), 1e-12)
-            up = Scale(left=bottom - 10, right=top + 22, low=low - margin, high=high + margin)
-        line = [(across(k), up(x)) for k, x in points]
-        if len(line) > 1:
-            chart.strokes.append((line, color, 0.75))
-        for (x, y), (_, value) in zip(line, points, strict=True):
-            chart.dots.append((x, y, color))
-            chart.label(x, y - 26, f"{value:.3g}" if value < 1e4 else f"{value:.1e}", color)
-    for k, p in enumerate(passes, 1):
-        label = f"{k}" if p.z.kind == "simulated" else f"{k}: {p.z.kind}"
-        chart.label(across(k), strip * len(strips) - 10, label, GREEN if p.settled else GREY)
-    return chart
-
-
-def trust_drawing(trust: Trust) -> Chart | None:
-    """Figures of the tests by joint or block, with 95 % intervals and expected values; None without figures."""
-    lines = [line for line in trust.lines if line.figures]
-    if not lines:
-        return None
-    (width, height), left = (900.0, SHEET[1]), 90.0
-    strip = min(220.0, (height - 20) / len(lines))
-    title = "tests of the fit: value and 95 % interval; green bar: expected"
-    chart = Chart(path=("tests",), title=title, size=(width, 20 + strip * len(lines)))
-    for number, line in enumerate(lines):
-        top, bottom, color = 20 + strip * number + 50, 20 + strip * (number + 1) - 40, LEVEL_COLORS[line.level]
-        ends = [f.value + side * f.half_width for f in line.figures for side in (-1, 1)]
-        ends += [f.expected for f in line.figures]
-        margin = max(0.1 * (max(ends) - min(ends)), 1e-9)
-        up = Scale(left=bottom, right=top, low=min(ends) - margin, high=max(ends) + margin)
-        across = Scale(left=left, right=width - 20, low=0, high=len(line.figures))
-        chart.label(0.5 * width, top - 44, f"{line.test}{f', {line.unit}' if line.unit else ''}: {line.level}", color)
-        levels = sorted({f"{x:.3g}" for x in (min(ends), max(ends))})
-        chart.ticks_up(up, {float(level): level for level in levels}, (left - 20, width - 20), 40)
-        for k, figure in enumerate(line.figures):
-            x = across(k + 0.5)
-            chart.line(across(k + 0.2), up(figure.expected), across(k + 0.8), up(figure.expected), GREEN, 0.75)
-            chart.line(x, up(figure.value - figure.half_width), x, up(figure.value + figure.half_width), color, 1.5)
-            chart.dots.append((x, up(figure.value), color))
-            chart.label(x, bottom + 6, figure.name, LIGHT)
-    return chart
 
 
 def study_drawing(runs: Sequence[Run], true: Array) -> Chart:
@@ -274,7 +191,7 @@ def intervals_drawing(excitation: Excitation) -> Chart:
     both = np.concatenate([e.half, e.plain_half])
     low, high = math.floor(log10(float(both.min()))), math.ceil(log10(float(both.max())))
     scales = [
-        Scale(left=width * c + 60, right=width * (c + 1) - 15, low=10.0**low, high=10.0**high, by=log10)
+        Scale(left=width * c + 60, right=width * (c + 1) - 30, low=10.0**low, high=10.0**high, by=log10)
         for c in range(columns)
     ]
     for scale in scales:
@@ -287,36 +204,4 @@ def intervals_drawing(excitation: Excitation) -> Chart:
         chart.label(width * c + 30, y - 9, name, LIGHT)
         for half, level, color in ((e.half[i], y - 2, ORANGE), (e.plain_half[i], y + 3, GREY)):
             chart.line(scales[c].left, level, scales[c](float(half)), level, color, 1.75)
-    return chart
-
-
-def friction_drawing(friction: JointFriction, *, of: str = "") -> Chart:
-    """Friction of a joint over its speed: rows as dots, the identified curve with its interval; a color per load."""
-    title = f"{friction.joint}{of and f', {of}'}: friction [{friction.unit}] over speed [{friction.speed_unit}]"
-    path = ("friction", friction.joint, *([of] if of else []))
-    chart, (left, top, right, bottom) = Chart(path=path, title=title, size=(470.0, 340.0)), (70.0, 30.0, 440.0, 300.0)
-    every = slice(None, None, max(1, len(friction.speed) // MAX_DOTS))
-    v, torque, load = friction.speed[every], friction.torque[every], friction.load[every]
-    shown = np.concatenate([np.abs(torque), *(np.abs(curve.torque) + curve.half for curve in friction.curves)])
-    size = float(np.abs(shown).max(initial=1e-9))
-    peak = float(np.abs(friction.curves[0].speed).max(initial=1e-9)) or 1e-9
-    across, up = (
-        Scale(left=left, right=right, low=-peak, high=peak),
-        Scale(left=bottom, right=top, low=-size, high=size),
-    )
-    chart.ticks_across(across, {x: f"{x:.3g}" for x in (-peak, 0.0, peak)}, (top, bottom), bottom + 5)
-    chart.ticks_up(up, {y: f"{y:.3g}" for y in (-size, 0.0, size)}, (left, right), 35.0)
-    levels = np.array([curve.load for curve in friction.curves])
-    nearest = np.zeros(len(v), dtype=int) if len(levels) == 1 else np.abs(load[:, None] - levels).argmin(axis=1)
-    colors = (GREY,) if len(levels) == 1 else LOADS
-    chart.cloud.extend((across(x), up(y), colors[k]) for x, y, k in zip(v, torque, nearest, strict=True))
-    for k, curve in enumerate(friction.curves):
-        color = PREDICTED if len(levels) == 1 else LOADS[k]
-        for side in (curve.speed < 0, curve.speed > 0):
-            for offset, radius in ((0.0, 1.25), (-1.0, 0.4), (1.0, 0.4)):
-                edge = curve.torque + offset * curve.half
-                line = [(across(a), up(b)) for a, b in zip(curve.speed[side], edge[side], strict=True)]
-                chart.strokes.append((line, color, radius))
-        if len(levels) > 1:
-            chart.label(left + 60, top + 20 * k, f"load {curve.load:.3g} {friction.unit}", color)
     return chart

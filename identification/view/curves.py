@@ -158,7 +158,7 @@ def row_plots(robot: Robot, t_s: Array, tau: Array, tau_predicted: Array, title:
             Plot(path=("rows", title, joint.name), title=f"torque {joint.name} [{unit}]", curves=(measured, model))
         )
         rest = Curve(key="residual", color=RESIDUAL, line=(t_s, tau[:, j] - tau_predicted[:, j]))
-        name = f"residual {joint.name}: measured − model [{unit}]"
+        name = f"residual {joint.name} [{unit}]"
         residuals.append(Plot(path=("residual", joint.name, "time"), title=name, curves=(rest,), legend=False))
     return both, residuals if (tau != tau_predicted).any() else []
 

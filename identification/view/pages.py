@@ -20,15 +20,7 @@ from ..methods import (
 from ..regression import Overrides, Settings, make_settings
 from ..report import Document, ParameterSet, comparison_section
 from ..study import Drift, Run
-from .charts import (
-    deviation_drawing,
-    friction_drawing,
-    intervals_drawing,
-    parameter_drawing,
-    passes_drawing,
-    study_drawing,
-    trust_drawing,
-)
+from .charts import deviation_drawing, intervals_drawing, parameter_drawing, study_drawing
 from .curves import (
     column_plots,
     drift_plots,
@@ -40,6 +32,7 @@ from .curves import (
     row_plots,
     torque_plots,
 )
+from .fit_charts import friction_drawing, passes_drawing, trust_drawing
 from .panels import Note, Page, Panel, Picture
 from .robot_drawing import excitation_scene, robot_scene
 from .signal_panels import (
@@ -72,7 +65,7 @@ def draw_fit(signals: Signals, fit: Fit, *, truth: Array | None = None) -> Pictu
     document = fit_document(signals, fit).followed_by(*sections)
     verdict = Note(path=("verdict",), title="verdict", document=trust_document(fit))
     overview, *of_signals = _signal_pages(signals, fit.settings, fit, [parameter_drawing(own, others)], document)
-    tests: dict[str, Sequence[Panel]] = {"tests": _made(trust_drawing(fit.trust)), "verdict": [verdict]}
+    tests: dict[str, Sequence[Panel]] = {"tests": [trust_drawing(fit.trust)], "verdict": [verdict]}
     parameters: dict[str, Sequence[Panel]] = {
         "deviations": [deviation_drawing(own, others)],
         "passes": [passes_drawing(fit)] if fit.iv else [],

@@ -20,6 +20,7 @@ BLUE, VERMILLION, PURPLE = (0, 114, 178), (213, 94, 0), (204, 121, 167)
 GREY, LIGHT = (140, 140, 140), (205, 205, 205)
 # A color has the same meaning on all pages.
 MEASURED, REFERENCE, SIMULATED, PREDICTED, RESIDUAL = GREY, GREEN, SKY, ORANGE, VERMILLION
+SHEET = (1430.0, 960.0)  # pixels of a large chart on a screen of 1920 by 1080
 JOINTS = (SKY, ORANGE, GREEN, VERMILLION, PURPLE, YELLOW, BLUE, GREY)  # in turn
 
 
@@ -63,6 +64,7 @@ class Bars(_Panel):
     front: Steps
     back: Steps
     names: tuple[str, str]
+    legend: bool = True
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -6,11 +6,12 @@ from typing import Any
 
 import rerun.blueprint as rrb
 
-from .panels import Chart, Lanes, Page, Panel
+from ..report import cell_text
+from .panels import SHEET, Chart, Lanes, Note, Page, Panel
 
 _SIGNS = "–—‘’“”…−√±×²³µ≤≥"  # signs in use here that the viewer's font has
 Show = Callable[[Panel], Any]  # writes a panel and returns its view
-NOTE_WIDTH = 560.0  # pixels
+MIN_NOTE, CELL = 560.0, 8.0  # pixels of a report, and of a character of its tables
 
 
 def shown_text(text: str) -> str:
@@ -67,14 +68,25 @@ def arrange(page: Page, show: Show) -> Any:
             grids = [rrb.Grid(*views["drift"][k : k + 16], grid_columns=4, name=f"from {k + 1}") for k in starts]
             return rrb.Horizontal(rrb.Tabs(*grids, active_tab=0), *report, column_shares=[5, 2], name=name)
         case _:
-            widths = [max(map(_width, page.groups[key])) * min(3, len(group)) for key, group in views.items()]
-            return rrb.Horizontal(*map(_grid, views.values()), column_shares=widths, name=name)
+            grids = [rrb.Grid(*group, grid_columns=_columns(group)) for group in views.values()]
+            widths = [
+                min(SHEET[0], max(map(_width, page.groups[key])) * _columns(group)) for key, group in views.items()
+            ]
+            return rrb.Horizontal(*grids, column_shares=widths, name=name)
+
+
+def _columns(views: Sequence[Any]) -> int:
+    """Of an even grid: pairs side by side."""
+    n = len(views)
+    return n if n < 4 else 2 if n == 4 else 3 if n < 8 else 4
 
 
 def _width(panel: Panel) -> float:
-    return panel.size[0] if isinstance(panel, Chart) else NOTE_WIDTH
-
-
-def _grid(views: Sequence[Any]) -> Any:
-    """Up to three columns; of eight and more views four."""
-    return views[0] if len(views) == 1 else rrb.Grid(*views, grid_columns=min(3 if len(views) < 8 else 4, len(views)))
+    """Pixels of a chart, or of the widest table of a report."""
+    if isinstance(panel, Chart):
+        return panel.size[0]
+    tables = [section.table for section in panel.document.sections if section.table] if isinstance(panel, Note) else []
+    rows = [[[head for head, _ in table.columns], *(map(cell_text, row) for row in table.rows)] for table in tables]
+    return max(
+        [MIN_NOTE, *(CELL * sum(max(map(len, cells)) + 2 for cells in zip(*table, strict=True)) for table in rows)]
+    )

@@ -46,9 +46,11 @@ def write_rrd(path: Path, picture: Picture) -> None:
             return shown[panel.path]
 
         tabs = [arrange(page, show_once) for page in picture.pages if any(page.groups.values())]
+        panels = [panel for page in picture.pages for group in page.groups.values() for panel in group]
+        state = "collapsed" if any(isinstance(panel, Plot | Scene) for panel in panels) else "hidden"
         blueprint = rrb.Blueprint(
             rrb.Tabs(*tabs, active_tab=0) if len(tabs) > 1 else tabs[0],
-            rrb.TimePanel(state="collapsed", timeline=picture.timeline, loop_mode="all", play_state="Paused"),
+            rrb.TimePanel(state=state, timeline=picture.timeline, loop_mode="all", play_state="Paused"),
             collapse_panels=True,
             auto_views=False,
             auto_layout=False,
@@ -94,11 +96,11 @@ def show(recording: Any, panel: Panel) -> Any:
             axis = rrb.TimeAxis(link="LinkToGlobal")
             return rrb.TimeSeriesView(origin=origin, name=title, axis_x=axis, plot_legend=legend)
         case Bars():
-            for key, steps, color in (("back", panel.back, (*GREY, 120)), ("front", panel.front, RESIDUAL)):
+            names = (name.replace(" ", "_") for name in panel.names[::-1])
+            for key, steps, color in zip(names, (panel.back, panel.front), ((*GREY, 120), RESIDUAL), strict=True):
                 left, width, heights = steps
                 log(key, rr.BarChart(heights, abscissa=left, widths=np.full(len(left), width), color=color))
-            named = f"{title}; red {panel.names[0]}, grey {panel.names[1]}"
-            return rrb.BarChartView(origin=origin, name=shown_text(named), plot_legend=rrb.PlotLegend(visible=False))
+            return rrb.BarChartView(origin=origin, name=title, plot_legend=rrb.PlotLegend(visible=panel.legend))
         case Chart():
             xy, texts, colors = zip(*(((x, y), shown_text(text), c) for x, y, text, c in panel.labels), strict=True)
             hidden = rr.Radius.ui_points(0.1)

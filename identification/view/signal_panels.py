@@ -183,17 +183,19 @@ def residual_bars(signals: Signals, fit: Fit, j: int) -> list[Bars]:
     return [
         Bars(
             path=("residual", name, "autocorrelation"),
-            title=f"autocorrelation of the residual {name}, lag [s]",
+            title=f"autocorrelation {name} [s]",
             front=((lags - 0.3) * period_s, 0.6 * period_s, r),
             back=(np.zeros(2), (len(lags) + 0.5) * period_s, np.array([bound, -bound])),
-            names=("residual", "±2/√N, white noise"),
+            names=("residual", "bounds of white noise"),
+            legend=j == 0,
         ),
         Bars(
             path=("residual", name, "distribution"),
-            title=f"distribution of the residual {name} [{signals.robot.effort_units[j]}]",
+            title=f"distribution {name} [{signals.robot.effort_units[j]}]",
             front=(np.asarray(edges[:-1], dtype=float), width, counts.astype(float)),
             back=(x, float(x[1] - x[0]), normal),
             names=("rows in motion", "normal distribution"),
+            legend=j == 0,
         ),
     ]
 

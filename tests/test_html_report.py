@@ -1,0 +1,233 @@
+"""The report as one HTML file: its structure, its colours, the panels of both renderers, and what Chromium does with it."""
+
+import html.parser
+import math
+import re
+import shutil
+import time
+from functools import cache
+from importlib.resources import files
+
+import numpy as np
+import pytest
+from browser import MISSING, browser
+from conftest import REPLAY
+from fits_of_records import iv_of, ls_of, signals_of
+from test_viewer import Written
+
+from identification.commands import main
+from identification.methods import Gains
+from identification.view import draw_fit, join_pictures, write_html, write_rrd
+from identification.view.fit_charts import gains_drawing
+from identification.view.panels import Curve, Note, Plot, Scene
+from identification.view.svg_panels import COLORS, LEFT, RIGHT, draw_plot
+
+SCARA, TX40 = (REPLAY / robot / "session.mcap" for robot in ("scara", "tx40"))
+VOID = {"meta", "link", "br", "img"}
+needs_chromium = pytest.mark.skipif(MISSING is not None, reason=str(MISSING))
+
+
+class Page(html.parser.HTMLParser):
+    """Tags with their attributes, and texts; every tag is closed."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.tags, self.texts, self._open = [], [], []
+        self.feed(text)
+        self.close()
+        assert self._open == []
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self._open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self._open.pop() == tag
+
+    def handle_data(self, data):
+        if self._open and self._open[-1] != "style":
+            self.texts.append(data)
+
+    def all(self, tag):
+        return [attrs for name, attrs in self.tags if name == tag]
+
+
+@cache
+def picture(record):
+    return draw_fit(signals_of(record), iv_of(record))
+
+
+def page_of(picture, tmp_path):
+    write_html(tmp_path / "report.html", picture)
+    return Page((tmp_path / "report.html").read_text(encoding="utf-8"))
+
+
+@pytest.mark.parametrize("record", [SCARA, pytest.param(TX40, marks=pytest.mark.slow)], ids=["scara", "tx40"])
+def test_the_file_stands_alone_and_is_small(record, tmp_path):
+    signals, fit = signals_of(record), iv_of(record)
+    start = time.process_time()
+    drawn = draw_fit(signals, fit)
+    page = page_of(drawn, tmp_path)
+    assert time.process_time() - start < 1.0, "0.2 s on a machine with nothing else to do"
+    assert (tmp_path / "report.html").stat().st_size < 1_000_000
+    names = {name for name, _ in page.tags}
+    assert not names & {"script", "img", "link", "iframe", "object", "image", "use"}
+    (policy,) = (meta["content"] for meta in page.all("meta") if meta.get("http-equiv") == "Content-Security-Policy")
+    assert policy == "default-src 'none'; style-src 'unsafe-inline'"
+    text = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert not re.search(r"(href|src)=|url\(|@import|https?:|\bnan\b|\binf\b|NaN", text)
+    for attrs in (attrs for _, attrs in page.tags):
+        assert not any(key.startswith("on") for key in attrs)
+    for svg in page.all("svg"):
+        width, height = (float(x) for x in svg["viewbox"].split()[2:])
+        assert width > 0
+        assert height > 0
+        assert svg["aria-label"]
+    said = " ".join(page.texts)
+    assert f"verdict: {fit.trust.verdict}" in said
+    assert "assumed: drive gains" in said
+    assert signals.sha256 in said
+    assert f"numpy {np.__version__}" in said
+    assert "passes of IV" in said
+
+
+def test_both_renderers_show_the_same_panels(tmp_path):
+    drawn = picture(SCARA)
+    write_rrd(tmp_path / "fit.rrd", drawn)
+    views = {origin.replace("\\", "") for origin in Written(tmp_path / "fit.rrd").views}
+    panels = [panel for page in drawn.pages for group in page.groups.values() for panel in group]
+    assert views == {"/" + "/".join(panel.path) for panel in panels}
+    captions = page_of(drawn, tmp_path).all("figure")
+    figures = [panel for panel in panels if not isinstance(panel, Note | Scene)]
+    assert len(captions) == len(figures) > 20
+    text = (tmp_path / "report.html").read_text(encoding="utf-8")
+    places = [text.index(f"<figcaption>{panel.title}") for panel in figures]
+    assert places == sorted(places), "in the order of the pages"
+
+
+def test_the_report_of_several_recordings_has_the_signals_of_each(tmp_path):
+    drawn = picture(SCARA)
+    both = join_pictures([drawn, draw_fit(signals_of(SCARA), ls_of(SCARA))])
+    names = [page.name for page in both.pages]
+    assert names[: len(drawn.pages)] == [page.name for page in drawn.pages]
+    assert {name.split(":")[0] for name in names[len(drawn.pages) :]} == {
+        "overview", "residual", "signal", "extra objects", "motion",
+    }  # fmt: skip
+
+
+def test_a_curve_keeps_its_peaks_and_has_no_more_points_than_pixels():
+    t = np.linspace(0.0, 10.0, 50_001)
+    x = np.sin(t)
+    x[31_234] = 7.0
+    plot = Plot(path=("x",), title="x", curves=(Curve(key="x", color=COLORS["sky"], line=(t, x)),))
+    (path,) = re.findall(r'd="M(\d+ -?\d+l[^"]*)"', draw_plot(plot))
+    steps = np.array([int(n) for n in re.findall(r"-?\d+", path)]).reshape(-1, 2)
+    xy = steps.cumsum(axis=0) / 2
+    assert len(xy) <= 2 * (RIGHT - LEFT) + 2
+    assert xy[:, 1].argmin() == pytest.approx(len(xy) * 31_234 / 50_001, abs=4)
+    assert xy[:, 0].min() == pytest.approx(LEFT, abs=1)
+    assert xy[:, 0].max() == pytest.approx(RIGHT, abs=1)
+
+
+def luminance(code):
+    shares = [int(code[k : k + 2], 16) / 255 for k in (1, 3, 5)]
+    linear = [s / 12.92 if s <= 0.04045 else ((s + 0.055) / 1.055) ** 2.4 for s in shares]
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+
+
+def test_every_colour_has_a_contrast_of_4_5_to_1_in_light_and_dark():
+    style = files("identification.view").joinpath("report.css").read_text(encoding="utf-8")
+    light, dark = (
+        dict(re.findall(r"--(\w+): (#\w{6})", part)) for part in style.split("@media (prefers-color-scheme: dark)")
+    )
+    for colors in (light, dark):
+        assert set(COLORS) | {"text", "ground", "line"} == set(colors)
+        for name in [*COLORS, "text"]:
+            low, high = sorted(luminance(colors[key]) for key in (name, "ground"))
+            assert (high + 0.05) / (low + 0.05) >= 4.5, name
+        assert len({colors[name] for name in COLORS}) == len(COLORS)
+
+
+def test_identified_gains_stand_beside_the_described_ones():
+    described, values, half = np.array([2.0, math.nan]), np.array([2.2, 5.0]), np.array([0.1, 2.0])
+    names = {"motors": ("m1", "m2"), "units": ("N m/A",) * 2}
+    gains = Gains(**names, described=described, values=values, half=half, cragg_donald=9.0)
+    drawing = gains_drawing(gains)
+    labels = [text for _, _, text, _ in drawing.labels]
+    assert "2 to 2.2 ± 0.1 N m/A" in labels
+    assert "5 ± 2 N m/A" in labels
+    ((x, y, _),), ((ring_x, _, _),) = drawing.dots, drawing.rings
+    hundred = next(points[0][0] for points, color, _ in drawing.strokes if color == COLORS["green"])
+    assert x > hundred
+    assert ring_x == pytest.approx(hundred), "of a gain that is not described in percent of itself"
+    (left, right) = next(points for points, _, radius in drawing.strokes if radius == 1.5 and points[0][1] == y)
+    assert 0.5 * (left[0] + right[0]) == pytest.approx(x)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("ending", ["md", "html", "pdf"])
+def test_commands_write_their_report(ending, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    scara = REPLAY / "scara"
+    shutil.copy(SCARA, tmp_path / "log.mcap")
+    runs = {
+        "fit": ["fit", "log.mcap"],
+        "validate": ["validate", scara / "fit.json", "log.mcap"],
+        "compare": ["compare", scara / "fit.json", scara / "truth.json"],
+        "friction": ["friction", "log.mcap"],
+        "study": ["study", scara / "robot.toml", "--runs", "2", "--duration", "3", "--workers", "1"],
+        "fleet": ["fleet", ".", "-o", "fleet.parquet", "--workers", "1"],
+        "excite": [
+            "excite",
+            scara / "robot.toml",
+            "-o",
+            "ref.csv",
+            "--harmonics",
+            "2",
+            "--periods",
+            "1",
+            "--period",
+            "3",
+        ],
+    }
+    for name, arguments in runs.items():
+        status = main([*map(str, arguments), "--report", f"{name}.{ending}"])
+        captured = capsys.readouterr()
+        assert status == (1 if ending == "pdf" else 0), (name, captured.err)
+        assert (tmp_path / f"{name}.{ending}").exists() == (ending != "pdf"), name
+        if ending == "html":
+            page = Page((tmp_path / f"{name}.html").read_text(encoding="utf-8"))
+            assert page.all("svg"), name
+            assert page.all("h1"), name
+        if ending == "pdf":
+            assert "expected .md or .html" in captured.err
+
+
+@needs_chromium
+@pytest.mark.slow
+@pytest.mark.parametrize("record", [SCARA, TX40], ids=["scara", "tx40"])
+def test_chromium_shows_it_without_requests_messages_or_sideways_scroll(record, tmp_path):
+    file = tmp_path / "report.html"
+    write_html(file, picture(record))
+    with browser() as window:
+        for width, scheme in ((1280, "light"), (400, "dark")):
+            window.requests()
+            window.open(file, width=width, scheme=scheme)
+            assert window.requests() == [file.as_uri()]
+            assert window.console() == []
+            assert window.run("return [innerWidth, document.documentElement.scrollWidth]") == [width, width]
+            assert window.run(
+                "return [...document.querySelectorAll('path.l')].filter(p => p.getBBox().width <= 1 && "
+                "p.getBBox().height <= 1 || parseFloat(getComputedStyle(p).strokeWidth) < .5).length"
+            ) == 0  # fmt: skip
+            ground = "return getComputedStyle(document.body).backgroundColor"
+            assert window.run(ground) == {"light": "rgb(255, 255, 255)", "dark": "rgb(18, 18, 18)"}[scheme]
+            assert "NaN" not in window.run("return document.documentElement.outerHTML")
+        assert window.pdf().startswith(b"%PDF")
+        window.cdp("Emulation.setEmulatedMedia", media="print")
+        inside = "return [...document.querySelectorAll('figure')].map(f => getComputedStyle(f).breakInside)"
+        assert set(window.run(inside)) == {"avoid"}
+        # Less than the 186 mm that a page of A4 across has within its margins: no figure has to be cut.
+        window.cdp("Emulation.setDeviceMetricsOverride", width=1032, height=703, deviceScaleFactor=1, mobile=False)
+        assert max(window.run("return [...document.querySelectorAll('figure')].map(f => f.offsetHeight)")) < 700
