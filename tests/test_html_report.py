@@ -13,6 +13,7 @@ import pytest
 from browser import MISSING, browser
 from conftest import REPLAY
 from fits_of_records import iv_of, ls_of, signals_of
+from scipy import signal
 from test_viewer import Written
 
 from identification.commands import main
@@ -20,6 +21,7 @@ from identification.methods import Gains
 from identification.view import draw_fit, join_pictures, write_html, write_rrd
 from identification.view.fit_charts import gains_drawing
 from identification.view.panels import Curve, Note, Plot, Scene
+from identification.view.signal_panels import _welch
 from identification.view.svg_panels import COLORS, LEFT, RIGHT, draw_plot
 
 SCARA, TX40 = (REPLAY / robot / "session.mcap" for robot in ("scara", "tx40"))
@@ -128,6 +130,13 @@ def test_a_curve_keeps_its_peaks_and_has_no_more_points_than_pixels():
     assert xy[:, 1].argmin() == pytest.approx(len(xy) * 31_234 / 50_001, abs=4)
     assert xy[:, 0].min() == pytest.approx(LEFT, abs=1)
     assert xy[:, 0].max() == pytest.approx(RIGHT, abs=1)
+
+
+@pytest.mark.parametrize("length", [400, 401])
+def test_a_spectrum_is_that_of_welch(length):
+    x = np.random.default_rng(1).standard_normal(1700).cumsum()
+    expected = signal.welch(x, 250.0, nperseg=length, detrend="linear")[1]
+    np.testing.assert_allclose(_welch(x, length, 250.0), expected, rtol=1e-9, atol=1e-12 * expected.max())
 
 
 def luminance(code):
