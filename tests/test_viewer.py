@@ -410,7 +410,12 @@ def test_parameters_are_drawn_with_their_names_and_deviations(essential, written
     labels = file.static["/parameters/labels"]["Points2D:labels"]
     names = [label for label in labels if label in fit.estimate.names]
     assert names == list(fit.estimate.names)
-    x, y = np.array(file.static["/parameters/dots"]["Points2D:positions"]).T
+    dots = np.array(file.static["/parameters/dots"]["Points2D:positions"])
+    rings = [
+        np.mean(strip[:-1], axis=0) for strip in file.static.get("/parameters/rings", {}).get("LineStrips2D:strips", [])
+    ]
+    assert len(dots) == len(fit.essential.estimate.names)
+    x, y = np.array(sorted([*dots.tolist(), *map(list, rings)], key=lambda point: point[1])).T
     order = np.argsort(fit.estimate.beta)
     assert len(x) == len(names) <= 20, "one column"
     assert (np.diff(x[order]) > 0).all(), "larger values further right"
@@ -419,9 +424,8 @@ def test_parameters_are_drawn_with_their_names_and_deviations(essential, written
     assert len(at) == len(names)
     for (left, right), i in zip(at, range(len(names)), strict=True):
         assert left[0] < x[i] < right[0]
-        assert left[1] == y[i]
-    colors = file.static["/parameters/dots"]["Points2D:colors"]
-    marked = {name for name, color in zip(names, colors, strict=True) if color == max(colors)}
+        assert left[1] == pytest.approx(y[i], abs=1e-3)
+    marked = {name for name, level in zip(names, y, strict=True) if level in dots[:, 1]}
     assert marked == set(fit.essential.estimate.names)
 
 

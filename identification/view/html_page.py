@@ -38,17 +38,15 @@ def write_html(path: Path, picture: Picture) -> None:
 
 
 def _page(page: Page) -> str:
-    """A page's figures, group by group; empty if it has none."""
-    groups = [[figure for panel in panels if (figure := _figure(panel))] for panels in page.groups.values()]
-    widths = [panel.size[0] for panels in page.groups.values() for panel in panels if isinstance(panel, Chart)]
-    column = f"{min(560, max([360.0, *widths])):.0f}px"
+    """A page's figures, group by group, two single figures side by side; empty if it has none."""
     rows = list[list[str]]()
-    for figures in filter(None, groups):
-        if rows and len(rows[-1]) == len(figures) == 1:  # two single figures share a row
+    for panels in page.groups.values():
+        figures = [figure for panel in panels if (figure := _figure(panel))]
+        if rows and len(rows[-1]) == len(figures) == 1:
             rows[-1] += figures
-        else:
+        elif figures:
             rows.append(figures)
-    shown = "".join(f'<div class="grid" style="--column:{column}">{"".join(figures)}</div>' for figures in rows)
+    shown = "".join(f'<div class="grid">{"".join(figures)}</div>' for figures in rows)
     return f"<section><h2>{escape(one_line(page.name))}</h2>{shown}</section>" if shown else ""
 
 
@@ -70,13 +68,10 @@ def _figure(panel: Panel) -> str:
     elif isinstance(panel, Bars):
         keys = _key(panel.names[0], RESIDUAL) + _key(panel.names[1], GREY)
     legend = f'<span class="legend">{keys}</span>' if keys else ""
-    width = panel.size[0] if isinstance(panel, Chart) else 0.0
-    wide = (
-        f' class="wide" style="--least:{width:.0f}px"'
-        if width > 700 or not isinstance(panel, Chart | Plot | Bars)
-        else ""
-    )
-    return f'<figure{wide}><figcaption>{title}{legend}</figcaption><div class="scroll">{drawn}</div></figure>'
+    width = panel.size[0] if isinstance(panel, Chart) else 480.0 if isinstance(panel, Plot | Bars) else 900.0
+    kind = "wide" if width > 700 else "sheet" if width > 480 else "plot"
+    content = f'<figcaption>{title}{legend}</figcaption><div class="scroll">{drawn}</div>'
+    return f'<figure class="{kind}" style="--least:{width:.0f}px">{content}</figure>'
 
 
 def _key(name: str, color: Color, *, dashed: bool = False) -> str:

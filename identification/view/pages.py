@@ -56,7 +56,6 @@ def draw_fit(signals: Signals, fit: Fit, *, truth: Array | None = None) -> Pictu
     `distribution`; `robot`, `parameters`, `deviations`, `tests`, `passes`, `friction`, `spectrum`, `session`, `events`,
     `health`, `extra/<object>/<motor>`, `report`.
     """
-    true = truth.tobytes() if truth is not None else b""
     own = fitted_parameters(fit)
     others = [least_squares_parameters(fit)] if fit.iv else []
     others += [true_parameters(fit.base, truth)] if truth is not None else []
@@ -76,9 +75,7 @@ def draw_fit(signals: Signals, fit: Fit, *, truth: Array | None = None) -> Pictu
     }
     residual |= {kind: [b[k] for b in bars if b] for k, kind in enumerate(("autocorrelation", "distribution"))}
     return Picture(
-        title=signals.robot.name,
-        name=f"{signals.recording}, {fit.method.upper()}",
-        identity=f"{signals.sha256} {fit.method} {fit.settings} {fit.estimate.names} {fit.estimate.beta.tobytes()!r} {true!r}",
+        name=f"{signals.robot.name}, {signals.recording}, {fit.method.upper()}",
         document=document,
         pages=(
             overview,
@@ -100,9 +97,7 @@ def draw_friction(before: Fit, after: Fit, document: Document) -> Picture:
     recording = ", ".join(one.problem.signals.recording for one in before.recordings)
     fits = {"usual": before, "recommended": after}
     return Picture(
-        title=before.problem.signals.robot.name,
-        name=f"{recording}, friction",
-        identity=" ".join([recording, *(repr(fit.estimate.beta.tobytes()) for fit in fits.values())]),
+        name=f"{before.problem.signals.robot.name}, {recording}, friction",
         document=document,
         pages=(_friction_page(fits, document),),
         sha256={one.problem.signals.recording: one.problem.signals.sha256 for one in before.recordings},
@@ -118,9 +113,7 @@ def draw_validation(validated: Sequence[Validated], document: Document, sha256: 
         pages.append(Page(name=one.signals.recording, groups={"torque": torque, "residual": residual}))
     digests = {**sha256, **{one.signals.recording: one.signals.sha256 for one in validated}}
     title = f"{validated[0].signals.robot.name} validation"
-    return Picture(
-        title=title, name=title, identity=repr(digests), document=document, pages=tuple(pages), sha256=digests
-    )
+    return Picture(name=title, document=document, pages=tuple(pages), sha256=digests)
 
 
 def draw_recording(signals: Signals, overrides: Overrides) -> Picture:
@@ -133,9 +126,7 @@ def draw_recording(signals: Signals, overrides: Overrides) -> Picture:
     sections = numbers_of_plots(signals, None), legend(signals, settings, None)
     document = recording_document(signals, settings, refusal).followed_by(*sections)
     return Picture(
-        title=signals.robot.name,
-        name=signals.recording,
-        identity=f"{signals.sha256} {settings}",
+        name=f"{signals.robot.name}, {signals.recording}",
         document=document,
         pages=tuple(_signal_pages(signals, settings, None, [], document)),
         sha256={signals.recording: signals.sha256},
@@ -149,16 +140,14 @@ def draw_comparison(own: ParameterSet, other: ParameterSet, document: Document, 
     """
     name, groups = f"{own.label} and {other.label}", {"deviations": [deviation_drawing(own, [other])]}
     page = Page(name="parameters", groups=_with_report(document, groups))
-    return Picture(title=name, name=name, identity=repr((own, other)), document=document, pages=(page,), sha256=sha256)
+    return Picture(name=name, document=document, pages=(page,), sha256=sha256)
 
 
 def draw_study(robot: str, runs: Sequence[Run], true: Array, document: Document) -> Picture:
     """A study: entities `study` (errors of all runs and their medians) and `report`."""
     page = Page(name="study", groups=_with_report(document, {"study": [study_drawing(runs, true)]}))
     return Picture(
-        title=f"{robot} study",
         name=f"{robot}, study",
-        identity=repr([(run.number, run.iv and run.iv.error, run.ls and run.ls.error) for run in runs]),
         document=document,
         pages=(page,),
         sha256={},
@@ -179,9 +168,7 @@ def draw_excitation(excitation: Excitation, document: Document) -> Picture:
     }
     page = Page(name="excitation", groups=_with_report(document, side | motion), layout="excitation")
     return Picture(
-        title=f"{robot} excitation",
         name=f"{robot}, excitation",
-        identity=f"{excitation.settings} {excitation.sigma.tobytes()!r}",
         document=document,
         pages=(page,),
         sha256={},
@@ -198,9 +185,7 @@ def draw_fleet(series: Sequence[Drift], document: Document) -> Picture:
         for one in series
     ]
     return Picture(
-        title=f"fleet {', '.join(drift.name for drift in series)}",
-        name="fleet",
-        identity=repr([(row.sha256, row.parameters) for drift in series for row in drift.rows]),
+        name=f"fleet {', '.join(drift.name for drift in series)}",
         document=document,
         pages=tuple(pages) or (Page(name="report", groups=_with_report(document, {})),),
         sha256={row.file: row.sha256 for drift in series for row in drift.rows},

@@ -191,11 +191,9 @@ class Page:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Picture:
-    """A result as pages, the report in the first; `identity` differs between results, `sha256` are those of files by name."""
+    """A result: its name, report and pages; `sha256` are those of its files by name, `timeline` that of Rerun."""
 
-    title: str
     name: str
-    identity: str
     document: Document
     pages: tuple[Page, ...]
     sha256: Mapping[str, str]

@@ -30,11 +30,11 @@ _CIRCLE = np.stack([np.cos(np.linspace(0, 2 * np.pi, 13)), np.sin(np.linspace(0,
 def write_rrd(path: Path, picture: Picture) -> None:
     """Write a picture as a Rerun file with its own layout (`rerun FILE.rrd`), paused at its start.
 
-    The viewer stores one layout per application: the picture's identity makes each file an application of its own.
+    The viewer stores one layout per application: the digest of the report makes each file an application of its own.
     Raises `AcquisitionError`: the file cannot be written.
     """
-    named = re.sub(r"[^A-Za-z0-9 _-]+", "-", picture.title)  # other characters make Rerun rename it and warn
-    recording = rr.RecordingStream(f"{named} {hashlib.sha256(picture.identity.encode()).hexdigest()[:8]}")
+    named = re.sub(r"[^A-Za-z0-9 _-]+", "-", picture.name)  # other characters make Rerun rename it and warn
+    recording = rr.RecordingStream(f"{named} {hashlib.sha256(to_markdown(picture.document).encode()).hexdigest()[:8]}")
     stream = recording.binary_stream()  # in memory: disk errors are then raised by write_bytes below
     try:
         recording.send_recording_name(shown_text(picture.name))

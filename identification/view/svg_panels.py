@@ -151,8 +151,9 @@ def _ticks(low: float, high: float, most: int) -> list[float]:
 def _number(value: float, ticks: Sequence[float]) -> str:
     """A tick with the digits that tell it from its neighbours."""
     step = ticks[1] - ticks[0] if len(ticks) > 1 else abs(value) or 1.0
-    size = max(map(abs, ticks)) or 1.0
-    return f"{value:.{max(1, math.ceil(math.log10(size / step) + 1.01))}g}"
+    if not 1e-4 < step < 1e5:
+        return f"{value:.3g}"
+    return f"{value:.{max(0, -math.floor(math.log10(step) + 1e-9))}f}"
 
 
 def _place(x: Array, edges: tuple[float, float], low: float, high: float) -> Array:
