@@ -105,7 +105,7 @@ def draw_lanes(lanes: Lanes) -> str:
             x0, x1 = (float(x) for x in _place(np.array([t_s, stop]), across, 130.0, 2 * RIGHT))
             if text:
                 box = f'x="{_n(x0)}" y="{_n(y + 3)}" width="{_n(max(1.5, x1 - x0))}" height="20"'
-                parts.append(f'<rect class="f soft {CLASSES[color]}" {box}><title>{escape(text)}</title></rect>')
+                parts.append(f'<rect class="f band {CLASSES[color]}" {box}><title>{escape(text)}</title></rect>')
             if text and x1 - x0 > 8 * len(text):
                 parts.append(_text(x0 + 4, y + 17, text, LIGHT, "start"))
     marks = _place(np.array(_ticks(*across, 8)), across, 130.0, 2 * RIGHT)
