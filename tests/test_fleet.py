@@ -148,7 +148,8 @@ def test_the_picture_has_the_values_and_their_limits(written, fleet, tmp_path):
     chart = next(chart for chart in drift.charts if chart.name == "Fv1")
     curves = {path.rsplit("/", 1)[1]: line for path, line in file.curves.items() if "/Fv1/" in path}
     t_ns, values = curves["value"]
-    np.testing.assert_allclose(t_ns * 1e-9, WEEK_S * np.arange(COUNT), atol=1e-3)
+    first = drift.rows[0].start.timestamp()
+    np.testing.assert_allclose(t_ns * 1e-9, first + WEEK_S * np.arange(COUNT), atol=1e-3, err_msg="dates")
     np.testing.assert_array_equal(values, chart.x)
     assert chart.limits is not None
     for key, limit in zip(("centre", "limit_low", "limit_high"), chart.limits, strict=True):

@@ -216,7 +216,7 @@ def test_the_page_of_the_command_has_curves_and_intervals_of_the_fits(tmp_path, 
         moved = np.abs(fit.speed) > 0.02 * np.abs(fit.speed).max(axis=0)
         for j, joint in enumerate(joints, 1):
             sheet = Sheet(file, f"/friction/{joint}/{name}")
-            assert file.views[f"/friction/{joint}/{name}"][1].startswith(f"{joint}, {name}")
+            assert file.views[f"/friction/{joint}/{name}"][1].startswith(f"{joint} {name} [")
             loads = [float(text.split()[1]) for text in sheet.texts if text.startswith("load")]
             assert len(loads) == (3 if name == "recommended" else 0)
             assert len(sheet.strokes) == 6 * max(1, len(loads))
