@@ -5,6 +5,7 @@ import math
 import re
 import shutil
 import time
+from dataclasses import replace
 from functools import cache
 from importlib.resources import files
 
@@ -172,6 +173,9 @@ def test_identified_gains_stand_beside_the_described_ones():
     assert ring_x == pytest.approx(hundred), "of a gain that is not described in percent of itself"
     (left, right) = next(points for points, _, radius in drawing.strokes if radius == 1.5 and points[0][1] == y)
     assert 0.5 * (left[0] + right[0]) == pytest.approx(x)
+    fit = replace(ls_of(SCARA), gains=gains)
+    shown = {page.name: page.groups for page in draw_fit(signals_of(SCARA), fit).pages}
+    assert [panel.path for panel in shown["parameters"]["gains"]] == [("gains",)]
 
 
 @pytest.mark.slow

@@ -112,10 +112,10 @@ def gains_drawing(gains: Gains) -> Chart:
     of = np.where(np.isfinite(gains.described), gains.described, gains.values)
     percent, half = 100 * gains.values / of, 100 * gains.half / np.abs(of)
     low, high = min(95.0, float((percent - half).min())), max(105.0, float((percent + half).max()))
-    title = "drive gains: green line described, dot identified ± 95 %, ring not determined"
+    title = "drive gains, green described, ring uncertain"
     chart = Chart(path=("gains",), title=title, size=(560.0, 70.0 + 40 * len(percent)))
-    across = Scale(left=330.0, right=540.0, low=max(low, 0.0), high=min(high, 300.0))
-    chart.ticks_across(across, {x: f"{x:.4g} %" for x in (across.low, across.high)}, (34, chart.size[1] - 10), 4)
+    across = Scale(left=325.0, right=510.0, low=max(low, 0.0), high=min(high, 300.0))
+    chart.ticks_across(across, {x: f"{x:.0f} %" for x in (across.low, across.high)}, (34, chart.size[1] - 10), 4)
     chart.line(across(100.0), 34, across(100.0), chart.size[1] - 10, GREEN, 1.0)
     for k, motor in enumerate(gains.motors):
         y, color = 60 + 40.0 * k, ORANGE if gains.determined[k] else GREY

@@ -32,7 +32,7 @@ from .curves import (
     row_plots,
     torque_plots,
 )
-from .fit_charts import friction_drawing, passes_drawing, trust_drawing
+from .fit_charts import friction_drawing, gains_drawing, passes_drawing, trust_drawing
 from .panels import Note, Page, Panel, Picture
 from .robot_drawing import excitation_scene, robot_scene
 from .signal_panels import (
@@ -69,6 +69,7 @@ def draw_fit(signals: Signals, fit: Fit, *, truth: Array | None = None) -> Pictu
         "deviations": [deviation_drawing(own, others)],
         "passes": [passes_drawing(fit)] if fit.iv else [],
     }
+    parameters["gains"] = [gains_drawing(fit.gains)] if fit.gains else []
     bars = [residual_bars(signals, fit, j) for j in range(signals.robot.n)]
     residual: dict[str, Sequence[Panel]] = {
         "time": row_plots(signals.robot, fit.t_s, fit.tau, fit.tau_predicted, "")[1]
