@@ -52,6 +52,7 @@ class Signals:
         payload: what the robot carried, None for nothing.
         began: when the recording began, None if unknown.
         off_grid: largest offset of a sample's time from the grid, in periods; above `ON_GRID` samples are interpolated.
+        assumed: what the description does not state and a fit assumes, as warnings.
     """
 
     t_s: Array
@@ -74,6 +75,7 @@ class Signals:
     payload: Payload | None = None
     began: datetime | None = None
     off_grid: float = 0.0
+    assumed: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         N, n = self.q.shape

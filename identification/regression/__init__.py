@@ -1,5 +1,6 @@
 """From signals to W and Y: settings, filters, regressor, selection of rows, load friction."""
 
+from .bandwidth import with_bandwidth
 from .filtering import Decimation, forward_backward_3db_hz
 from .load import LoadFriction, load_columns, load_friction
 from .motion import BLOCK_SAMPLES, SPLINE_REACH, FilteredMotion, Motion, differentiate, sampled_at

@@ -12,6 +12,7 @@ from ..arrays import Array
 from ..data import RecordingFile, Signals
 from ..errors import IdentificationError
 from ..model import BaseParameters, InverseModel, base_parameters
+from .bandwidth import with_bandwidth
 from .filtering import decimation_reach
 from .motion import FilteredMotion, Motion, later
 from .settings import Overrides, Settings, make_settings, rule_cutoff_hz
@@ -78,6 +79,8 @@ class Problem:
     def _of(self, signals: Signals) -> "Problem":
         if self.gains is not None:
             signals = with_gains(signals, self.gains)
+        robot = replace(signals.robot, controller=self.signals.robot.controller)  # with its bandwidth
+        signals = replace(signals, robot=robot, assumed=self.signals.assumed)
         found = replace(self, signals=signals, recorded=signals, motion=FilteredMotion(signals))
         return found.corrected(self.settings.torque_lag_s)
 
@@ -136,6 +139,7 @@ def make_problem(signals: Signals, overrides: Overrides) -> Problem:
             _refuse_unknown_motors(signals, overrides.gains)
         gains = np.ones(signals.robot.n)
         signals = with_gains(signals, gains)
+    signals = with_bandwidth(signals, overrides)
     motion, model = FilteredMotion(signals), InverseModel(signals.robot)
     settings = make_settings(signals, overrides, motion)
     problem = Problem(

@@ -93,7 +93,10 @@ def make_settings(signals: Signals, overrides: Overrides, motion: FilteredMotion
     """
     fs, stored = signals.sample_rate_hz, signals.robot.identification
     try:
-        warnings = list(check_recorded_positions(signals.robot, signals.t_s, signals.q, signals.recording))
+        warnings = [
+            *signals.assumed,
+            *check_recorded_positions(signals.robot, signals.t_s, signals.q, signals.recording),
+        ]
     except AcquisitionError as error:
         raise IdentificationError(str(error)) from error
     release_pages(signals.q)

@@ -17,7 +17,7 @@ from ..methods import (
     true_parameters,
     trust_document,
 )
-from ..regression import Overrides, Settings, make_settings
+from ..regression import Overrides, Settings, make_settings, with_bandwidth
 from ..report import Document, ParameterSet, comparison_section
 from ..study import Drift, Run
 from .charts import deviation_drawing, intervals_drawing, parameter_drawing, study_drawing
@@ -119,7 +119,7 @@ def draw_validation(validated: Sequence[Validated], document: Document, sha256: 
 
 def draw_recording(signals: Signals, overrides: Overrides) -> Picture:
     """A recording, with the panels that need no fit; entities as in `draw_fit`."""
-    refusal, settings = None, None
+    refusal, settings, signals = None, None, with_bandwidth(signals, overrides)
     try:
         settings = make_settings(signals, overrides)
     except IdentificationError as error:

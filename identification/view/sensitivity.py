@@ -20,14 +20,7 @@ def draw_sensitivity(signals: Mapping[str, str], fits: Sequence[VariedFit], docu
         Page(name=f"sensitivity from {k + 1}", groups={"charts": charts[k : k + CHARTS_OF_PAGE], "report": [note]})
         for k in starts
     ]
-    return Picture(
-        title=f"{name} sensitivity",
-        name=f"{name}, sensitivity",
-        identity=repr(fits),
-        document=document,
-        pages=tuple(pages),
-        sha256=dict(signals),
-    )
+    return Picture(name=f"{name}, sensitivity", document=document, pages=tuple(pages), sha256=dict(signals))
 
 
 def sensitivity_drawing(fits: Sequence[VariedFit], name: str) -> Chart:
