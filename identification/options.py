@@ -168,7 +168,7 @@ class CellOptions:
 class StudyOptions:
     """Variations of a study (each run draws one value of each list, seeded by its number), and its simulated recordings."""
 
-    runs: Annotated[int, option("number of runs", "N", positive)] = 100
+    runs: Annotated[int, option("number of runs", "N", positive)] = 20
     cutoffs: Annotated[
         tuple[float, ...], option("cut-offs, as multiples of the bandwidth", "A,B,none", list_of_cutoffs)
     ] = (

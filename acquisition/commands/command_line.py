@@ -48,12 +48,14 @@ class Program:
 
     def parser(self, *chosen: str) -> argparse.ArgumentParser:
         """The parser of all commands; only those `chosen` have their options, and `run`."""
-        parser = argparse.ArgumentParser(prog=self.name, description=self.description, epilog=STATUSES)
+        parser = argparse.ArgumentParser(
+            prog=self.name, description=self.description, epilog=STATUSES, allow_abbrev=False
+        )
         versions = "versions of this program and its dependencies"
         parser.add_argument("--version", action=_Versions, nargs=0, help=versions)
         commands = parser.add_subparsers(required=True, metavar="COMMAND")
         for name, help_text in self.commands.items():
-            command = commands.add_parser(name, help=help_text, description=help_text)
+            command = commands.add_parser(name, help=help_text, description=help_text, allow_abbrev=False)
             if name in chosen:
                 module = import_module(f"{self.package}.{name}{'_' * iskeyword(name)}")
                 module.add(command)

@@ -74,7 +74,7 @@ def read_content(path: Path, name: str, accept: Accept, wanted: Wanted) -> Conte
 
 def _read(records: "_Records", place: str, name: str, accept: Accept, wanted: Wanted) -> Content:
     if records.first != _MAGIC:
-        expected = "a recording; first `robot-acquire import`"
+        expected = f"a recording: `robot-acquire import {place} --robot ROBOT.toml --map MAP.toml -o LOG.mcap` makes it"
         raise AcquisitionError(f"is not an MCAP file (begins with {records.first!r})", place=place, expected=expected)
     metadata: dict[str, str] | None = None
     attachments: dict[str, bytes] = {}

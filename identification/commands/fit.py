@@ -92,7 +92,9 @@ def run(options: argparse.Namespace) -> int:
     finally:  # print the fit even if a file cannot be written
         print_results(document, everything=options.all)
     if options.report:
-        print_results(f"report: {options.report}")
+        print_results(
+            f"read it: open {options.report} in {'a browser' if options.report.suffix == '.html' else 'an editor'}"
+        )
     if pictures:
         print_results(f"look at it: rerun --bind 127.0.0.1 {' '.join(map(str, pictures))}")
     verdict, reasons = fit.trust.verdict, fit.distrust

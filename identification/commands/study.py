@@ -34,20 +34,23 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> None:
     """Run the study, write the requested files, print the table."""
+    from time import perf_counter
+
     from rich.console import Console
     from rich.progress import track
 
     from ..report import write_json
-    from ..study import Noise, Study, run_study, study_document, study_file, study_truth
+    from ..study import Noise, Study, border_line, run_study, study_document, study_file, study_truth
 
     refuse_outputs([options.robot], options.json, options.rrd, report=options.report)
     robot = robot_of(options, moves=True)
     study = from_options(Study, options, noise=from_options(Noise, options))
     base, true = study_truth(robot)
-    err = Console(stderr=True)
+    err, began = Console(stderr=True), perf_counter()
     with work_of(options, study.runs) as work:
         results = run_study(robot, study, work)
         runs = list(track(results, "runs", study.runs, console=err, transient=True, disable=not err.is_terminal))
+    took_s = perf_counter() - began
     if not any(run.ls for run in runs):
         raise IdentificationError(f"no run can be fitted: {runs[0].reason}", place=str(options.robot))
     document = study_document(robot.name, study, runs, true)
@@ -57,4 +60,5 @@ def run(options: argparse.Namespace) -> None:
 
         write_pictures(options, document, lambda view: [view.draw_study(robot.name, runs, true, document)])
     finally:  # print the result of a long study even if a file cannot be written
-        print_results(document)
+        took = f"{took_s:.3g} s, {took_s / study.runs:.2g} s a run"
+        print_results(document, *border_line(robot), took)

@@ -12,6 +12,7 @@ from .study_report import (
     INSIDE,
     base_document,
     base_file,
+    border_line,
     false_trust,
     study_document,
     study_file,

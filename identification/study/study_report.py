@@ -12,7 +12,7 @@ from acquisition.robot import Robot
 
 from ..arrays import Array
 from ..methods import Fit
-from ..model import BaseParameters
+from ..model import BaseParameters, InverseModel, known_parameters
 from ..report import Document, Number, ResultFile, Row, Section, Table, columns, value_form
 from .study import Run, RunFit, Study
 
@@ -285,6 +285,16 @@ def trust_notes(runs: Sequence[Run], true: Array) -> tuple[str, ...]:
         "clean: the fit knows everything except the noise, and every essential parameter is within "
         f"{INSIDE:g} half-widths; false caution: clean runs in which a test says caution or do not use",
     )
+
+
+def border_line(robot: Robot) -> tuple[str, ...]:
+    """What the study simulated without friction or rotor, which no real robot is; nothing if all have values."""
+    model = InverseModel(robot)
+    zero = model.of_links | (known_parameters(model) != 0)
+    names = [name for name, skip in zip(model.names, zero, strict=True) if not skip and not name.startswith("Off")]
+    if not names:
+        return ()
+    return (f"values at the border of the possible, 0 in [parameters] or absent: {', '.join(names)}",)
 
 
 def study_notes(study: Study) -> tuple[str, str]:

@@ -1,0 +1,59 @@
+"""Where a newcomer would stop: the program says what to type next."""
+
+import pytest
+from conftest import PROGRAMS, REPLAY
+
+from acquisition.robot import load_robot
+from identification.commands import main
+from identification.study.study_report import border_line
+
+SCARA = REPLAY / "scara" / "session.mcap"
+
+
+def answer(capsys, *arguments: object) -> str:
+    """What a command that succeeds prints."""
+    assert main([str(x) for x in arguments]) == 0
+    return capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("program", "given"),
+    [
+        ("identification", ["fit", "a.mcap", "--meth", "wls"]),
+        ("acquisition", ["info", "--he"]),
+        ("identification", ["--vers"]),
+    ],
+)
+def test_options_are_not_abbreviated(capsys, program, given):
+    with pytest.raises(SystemExit) as end:
+        PROGRAMS[program].main(given)
+    assert end.value.code == 2
+
+
+def test_a_table_in_place_of_a_recording(capsys, tmp_path):
+    table = tmp_path / "x.csv"
+    table.write_text("t,q\n0,1\n")
+    assert main(["fit", str(table)]) == 1
+    assert f"`robot-acquire import {table} --robot ROBOT.toml" in capsys.readouterr().err
+
+
+def test_written_files_are_told_with_how_to_open_them(capsys, tmp_path):
+    report, picture = tmp_path / "a.html", tmp_path / "a.rrd"
+    said = answer(capsys, "fit", SCARA, "--method", "wls", "--report", report, "--rrd", picture)
+    assert said.endswith(f"read it: open {report} in a browser\nlook at it: rerun --bind 127.0.0.1 {picture}\n")
+
+
+def test_a_study_says_how_long_a_run_took_and_what_is_zero(capsys, tmp_path):
+    text = (REPLAY / "scara" / "robot.toml").read_text()
+    assert "Fc2 = " in text
+    robot = tmp_path / "robot.toml"
+    robot.write_text("".join(line for line in text.splitlines(True) if not line.startswith("Fc2")))
+    (line,) = border_line(load_robot(robot))
+    assert line.endswith("Fc2")
+    said = answer(capsys, "study", robot, "--runs", "1", "--duration-s", "2", "--cutoffs", "5", "--workers", "1")
+    assert line in said
+    assert said.endswith(" s a run\n")
+
+
+def test_a_study_of_a_whole_robot_has_no_border():
+    assert border_line(load_robot(REPLAY / "emps" / "robot.toml")) == ()
