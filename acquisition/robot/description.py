@@ -188,8 +188,11 @@ class Controller(TomlTable, frozen=True):
     velocity_estimate: Annotated[SpeedEstimate | None, note("speed from positions (default: backward_difference)")] = (
         None
     )
+    gravity_feedforward: Annotated[bool, note("whether gravity at the measured position is added to the law")] = False
 
     def __post_init__(self) -> None:
+        if self.gravity_feedforward and self.structure in (None, "computed_torque"):
+            self.refuse("gravity_feedforward", True, "a structure that has no gravity by itself")
         for name in GAINS:
             gains = getattr(self, name)
             if gains is not None and any(g <= 0 for g in gains):

@@ -13,6 +13,8 @@ Control acts on motor positions q_m = R q, once per controller period, and is he
 | `pid` | position_gain | velocity_gain | 1 | position error, Ki = integral_gain |
 | `computed_torque` | position_gain | velocity_gain | 1 | -; u is a motor acceleration, Kp in 1/s², Kd in 1/s |
 
+| with `gravity_feedforward` | as above | as above | as above | as above; gravity of the model at the measured q is added |
+
 With a surrogate controller or reference, the model's gravity along the reference minus the known torque is added: a real loop
 compensates gravity by an integral or a model, and a measured position already contains the remaining sag.
 
@@ -102,6 +104,7 @@ class ControlLaw:
     velocity_estimate: str
     computed_torque: bool
     gravity: bool = False  # adds the model's gravity along the reference
+    gravity_at_q: bool = False  # the same at the measured position
 
     def scaled(self, factor: Array) -> "ControlLaw":
         """The gain update: the loop for other inertias, with gains and saturation times `factor` (n,).
@@ -162,6 +165,7 @@ def recorded_loop(robot: Robot) -> ControlLaw | None:
         saturation=np.array([m.saturation if m.saturation is not None else np.inf for m in robot.motors]),
         velocity_estimate=c.velocity_estimate or "backward_difference",
         computed_torque=structure == "computed_torque",
+        gravity_at_q=c.gravity_feedforward,
     )
 
 
@@ -197,7 +201,7 @@ class Control:
         self._integral_unset = self._integrates
         # A linear law is mapped directly to joint torques.
         self._plain = loop.velocity_estimate == "exact" and not loop.computed_torque
-        self._plain &= not self._limited and not self._integrates
+        self._plain &= not self._limited and not self._integrates and not loop.gravity_at_q
         self._P, self._D = loop.Kp[:, None] * loop.R, loop.Kd[:, None] * loop.R
         self._to_torque = (self._to_joints @ self._P, self._to_joints @ self._D)
 
@@ -220,7 +224,9 @@ class Control:
         # Speeds and accelerations of a single instant would add their noise.
         loop, reference = self._loop, self._reference
         held = self._motor_effort(self._gravity(self._start[None])[0])
-        if loop.gravity:
+        if loop.gravity_at_q:
+            held = held - self._motor_effort(self._model.gravity(self._start[None])[0])
+        elif loop.gravity:
             held = held - self._motor_effort(self._gravity(reference.q[:1])[0])
         if reference.feedforward is not None:
             held = held - reference.feedforward[0]
@@ -239,6 +245,8 @@ class Control:
             dq = (q - self._q2) / (2 * self._T)
         self._q2, self._q1 = self._q1, q
         u = self._reference_part[k] - self._P.dot(q) - self._D.dot(dq)
+        if loop.gravity_at_q:
+            u = u + self._motor_effort(self._model.gravity(q[None])[0])
         if self._integrates:
             x = loop.position_share * loop.R.dot(self._reference.q[k] - q)
             if loop.feedforward == 0.0:  # a cascade integrates the velocity error

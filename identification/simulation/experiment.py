@@ -87,7 +87,7 @@ class Experiment:
         self._cutoff_hz = rule_cutoff_hz(self.bandwidth_hz, signals.sample_rate_hz)
         self.loop = recorded_loop(robot)
         if self.loop is not None and signals.q_ref is None:
-            self.loop = replace(self.loop, gravity=True)
+            self.loop = replace(self.loop, gravity=not self.loop.gravity_at_q)
         _refuse_foreign_reference(problem)
         self._set_instants(rate_per_bandwidth * self.bandwidth_hz)
         self.blocks = tuple(row_blocks(problem))

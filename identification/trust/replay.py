@@ -65,6 +65,8 @@ def replay_line(problem: Problem) -> tuple[TrustLine, KnownLag | None]:
     found = replay(problem, loop)
     _, lag, lag_sd, _, left = found
     line = _line([joint.name for joint in signals.robot.joints], found)
+    if loop.gravity_at_q:
+        line = replace(line, text=f"{line.text}; gravity that is fed forward is fitted and subtracted")
     similar = np.nan_to_num(left, nan=np.inf) <= MAX_ERROR_PERCENT
     if not similar.any():
         return line, None
@@ -84,32 +86,43 @@ def replay(problem: Problem, loop: ControlLaw) -> Array:
     size = np.abs(replayed).max(axis=0)
     found = np.full((5, len(size)), np.nan)
     for j in np.flatnonzero(size > MIN_EFFORT_RATIO * max(size.max(), np.abs(effort).max())):
-        integrates = bool(loop.Ki.any())
-        found[:, j] = _compare(problem, effort[:, j : j + 1], replayed[:, j : j + 1], integrates=integrates)
+        free = _gravity(problem, int(j)) if loop.gravity_at_q else np.ones((len(effort), int(loop.Ki.any())))
+        found[:, j] = _compare(problem, effort[:, j : j + 1], replayed[:, j : j + 1], free)
     return found
 
 
-def _compare(
-    problem: Problem, effort: Array, replayed: Array, *, integrates: bool
-) -> tuple[float, float, float, float, float]:
+def _gravity(problem: Problem, joint: int) -> Array:
+    """The regressor's columns (N, k) of gravity and offset at the recorded positions, for a joint; and ones."""
+    q, columns = problem.recorded.q[: _stop(problem)], problem.base.columns
+    few = q[:: max(1, len(q) // 300)]
+    acts = problem.model.regressor(few, 0 * few, 0 * few)[..., columns][:, joint].any(axis=0)
+    entries = problem.model.entries(columns[acts])
+    series = problem.model.series(q, 0 * q, 0 * q, columns[acts])
+    return np.column_stack([series[entries[:, 0] == joint].T, np.ones(len(q))])
+
+
+def _compare(problem: Problem, effort: Array, replayed: Array, free: Array) -> tuple[float, float, float, float, float]:
     """Gain, lag in samples and its deviation, errors in percent of efforts (N, 1).
 
-    An unknown start of the integral is a constant.
+    Multiples of the columns `free` (N, k) are subtracted: the unknown start of the integral, and gravity that is fed forward.
     """
     settings, decimation = problem.settings, problem.settings.decimator
     start, stop = max(settings.start, LEAD_SAMPLES), _stop(problem)
     measured = decimation.filtered(effort[start:stop].T)[0]
     norm, gain, sd, error, left = float(np.linalg.norm(measured)), 1.0, 0.0, 0.0, 0.0
-    lag = _whole_lag(effort[start:stop, 0], replayed[:, 0], start)
+    extra = decimation.filtered(free[start:stop].T).T
+    rest = effort[start:stop, 0] - replayed[start:stop, 0]
+    rest = effort[start:stop, 0] - free[start:stop] @ np.linalg.lstsq(free[start:stop], rest)[0]
+    lag = _whole_lag(rest, replayed[:, 0], start)
     for _ in range(LAG_PASSES):
         law = sampled_at(np.arange(start, stop, dtype=np.float64) - lag, replayed)
         rows = [decimation.filtered(x.T)[0] for x in (law, -differentiate(law, 1.0))]
-        A = np.stack([*rows, np.ones_like(measured)] if integrates else rows, axis=1)
+        A = np.column_stack([*rows, extra])
         solution, *_ = np.linalg.lstsq(A, measured)
         gain = float(solution[0])
         step = float(np.clip(solution[1] / gain, -MAX_LAG_STEP, MAX_LAG_STEP)) if gain else 0.0
         rho = measured - rows[0] - step * rows[1]
-        rho = rho - rho.mean() if integrates else rho
+        rho = rho - extra @ np.linalg.lstsq(extra, rho)[0]
         error, left = (
             100 * float(np.linalg.norm(r)) / norm if norm > 0 else np.inf for r in (rho, measured - A @ solution)
         )
@@ -140,7 +153,7 @@ def _efforts(problem: Problem, loop: ControlLaw) -> tuple[Array, Array]:
     reference = Reference(q_ref, dq_ref, differentiate(dq_ref, 1 / loop.period_s), feedforward=ahead)
     release_pages(signals.q)
     release_pages(signals.q_ref)
-    model = direct_model(problem.model, np.zeros(problem.model.p))  # unused: these laws have no model
+    model = direct_model(problem.model, np.zeros(problem.model.p))  # without gravity, which is fitted
     control = Control(model, loop, q[0], (q[1] - q[0]) / loop.period_s)
     control.take(reference)
     given = np.array([control.torque(k, q[k], v[k]) for k in range(len(q))])
