@@ -1,10 +1,13 @@
 """Where a newcomer would stop: the program says what to type next."""
 
+import shutil
+
 import pytest
 from conftest import PROGRAMS, REPLAY
 
 from acquisition.robot import load_robot
 from identification.commands import main
+from identification.data import load_signals
 from identification.study.study_report import border_line
 
 SCARA = REPLAY / "scara" / "session.mcap"
@@ -57,3 +60,34 @@ def test_a_study_says_how_long_a_run_took_and_what_is_zero(capsys, tmp_path):
 
 def test_a_study_of_a_whole_robot_has_no_border():
     assert border_line(load_robot(REPLAY / "emps" / "robot.toml")) == ()
+
+
+def test_an_edited_description_beside_a_recording(capsys, tmp_path):
+    recording, robot = tmp_path / "session.mcap", tmp_path / "robot.toml"
+    shutil.copy(SCARA, recording)
+    stored = load_signals(recording).robot.files["robot.toml"]
+    robot.write_bytes(stored)
+    assert "differs from the description" not in answer(capsys, "fit", recording, "--method", "wls")
+    robot.write_bytes(stored.replace(b"bandwidth_hz = 5.0", b"bandwidth_hz = 6.0"))
+    told = f"{robot} differs from the description in session.mcap, which was used: --robot {robot} uses it"
+    assert told in answer(capsys, "fit", recording, "--method", "wls")
+    assert "differs from the description" not in answer(capsys, "fit", recording, "--method", "wls", "--robot", robot)
+    robot.write_bytes(stored.replace(b'name = "SCARA"', b'name = "another"', 1))
+    assert "differs from the description" not in answer(capsys, "fit", recording, "--method", "wls")
+
+
+def test_a_robot_without_urdf(capsys, tmp_path):
+    out = tmp_path / "robot.toml"
+    said = answer(capsys, "init", "--dh", "rpR", "--bandwidth-hz", "5", "-o", out)
+    robot, text = load_robot(out), out.read_text()
+    assert [joint.type for joint in robot.joints] == ["revolute", "prismatic", "revolute"]
+    assert robot.bandwidth_hz == 5.0
+    assert text.count("dh = { alpha_deg = 0, d_m = 0, theta_deg = 0, r_m = 0 } # FILL IN") == 3
+    assert "URDF" not in text
+    assert "3 joints of rpR" in said
+
+
+@pytest.mark.parametrize("given", [[], ["--dh", "RX"], ["arm.urdf", "--dh", "RR"], ["--dh", "RR", "--joints", "a,b"]])
+def test_init_needs_a_urdf_or_letters(capsys, given):
+    assert main(["init", *given]) == 1
+    assert "--dh" in capsys.readouterr().err

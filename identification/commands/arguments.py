@@ -61,9 +61,11 @@ def robot_of(options: argparse.Namespace, *, moves: bool = False) -> "Robot":
 
 def chain_of(options: argparse.Namespace) -> "Chain":
     """The chain of the URDF, with the values of the options."""
-    from ..export import read_chain
+    from ..export import chain_of_letters, read_chain
 
-    return read_chain(options.robot, options.joints or ()).with_options(_stated(options))
+    letters = getattr(options, "dh", None)
+    chain = read_chain(options.robot, options.joints or ()) if letters is None else chain_of_letters(letters)
+    return chain.with_options(_stated(options))
 
 
 def _stated(options: argparse.Namespace) -> dict[str, tuple[float, ...]]:

@@ -97,10 +97,26 @@ def run(options: argparse.Namespace) -> int:
         )
     if pictures:
         print_results(f"look at it: rerun --bind 127.0.0.1 {' '.join(map(str, pictures))}")
+    if options.robot is None:
+        print_results(*edited_descriptions(fit, options.recordings))
     verdict, reasons = fit.trust.verdict, fit.distrust
     if options.require and not reasons and verdict != options.require:
         reasons = tuple(line.text for line in fit.trust.lines if line.level == verdict)
     return trust_status(reasons)
+
+
+def edited_descriptions(fit: "Fit", recordings: list[Path]) -> list[str]:
+    """A line for each robot.toml, beside a recording or in the working folder, that differs from the recording's own."""
+    lines = dict[str, None]()
+    for one, path in zip(fit.recordings, recordings, strict=True):
+        robot = one.problem.signals.robot
+        for beside in (path.parent / "robot.toml", Path("robot.toml")):
+            content = beside.read_bytes() if beside.is_file() else b""
+            same_name = f'name = "{robot.name}"'.encode() in content.split(b"[[", 1)[0]
+            if same_name and content != robot.files["robot.toml"]:
+                line = f"{beside} differs from the description in {path.name}, which was used: --robot {beside} uses it"
+                lines[line] = None
+    return list(lines)
 
 
 def _prior(options: argparse.Namespace) -> "Prior":

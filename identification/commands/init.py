@@ -13,7 +13,9 @@ from .arguments import add_urdf_options, chain_of, refuse_outputs
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    add_path(parser, "robot", "ROBOT.urdf", "the URDF")
+    add_path(parser, "robot", "ROBOT.urdf", "the URDF", nargs="?")
+    text = "without a URDF: a letter for each joint, R revolute or P prismatic; the rows are to be filled in"
+    parser.add_argument("--dh", metavar="RRPRRR", help=text)
     add_urdf_options(parser)
     add_path(parser, "-o --out", "ROBOT.toml", "the description to write (default: standard output)")
 
@@ -22,22 +24,26 @@ def run(options: argparse.Namespace) -> None:
     """Write the description, and print its joints and the locked ones."""
     from acquisition.files import atomic_write
 
-    from ..export import FILL_IN, describe
+    from ..export import FILL_IN, describe, describe_rows
 
     out: Path | None = options.out
     refuse_outputs([options.robot], out)
     if out is not None and out.exists():
         expected = "a new name; descriptions are not replaced"
         raise IdentificationError("already exists", place=str(out), expected=expected)
+    if (options.robot is None) == (options.dh is None) or (options.dh and options.joints):
+        expected = "ROBOT.urdf, or --dh with a letter for each joint and without --joints"
+        raise IdentificationError(key="--dh", value=options.dh, expected=expected)
     chain = chain_of(options)
     folder = Path.cwd() if out is None else out.absolute().parent
-    text = describe(chain, os.path.relpath(options.robot.absolute(), folder))
+    urdf = options.robot and os.path.relpath(options.robot.absolute(), folder)
+    text = describe(chain, urdf) if urdf else describe_rows(chain)
     if out is None:
         print(text, end="")
         return
     with atomic_write(out) as partial:
         partial.write_text(text, encoding="utf-8")
-    lines = [f"{out}: {len(chain.joints)} joints of {options.robot}"]
+    lines = [f"{out}: {len(chain.joints)} joints of {options.robot or options.dh}"]
     lines += [f"joint {j + 1}: {joint.name}, {joint.type}" for j, joint in enumerate(chain.joints)]
     lines += [f"locked at zero: {locked}" for locked in chain.locked]
     lines += [f"note: {note}" for note in chain.notes]

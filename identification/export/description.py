@@ -75,6 +75,18 @@ def describe(chain: Chain, urdf: str) -> str:
     return "\n".join([head, *_parameters(chain, _load_robot(head, chain)), "", *drives, ""])
 
 
+def describe_rows(chain: Chain) -> str:
+    """The text of a robot.toml with rows of modified Denavit-Hartenberg parameters to be filled in, where there is no URDF."""
+    lines = [
+        f"# Made by robot-identify init. {FILL_IN} marks what is not known yet. Angles are in degrees, all else in SI."
+    ]
+    lines += [f"name = {json.dumps(chain.name)} # {FILL_IN}", "gravity_m_s2 = [0, 0, -9.81] # in the base frame"]
+    for j in range(len(chain.joints)):
+        lines += [*_joint(chain, j), f"dh = {{ alpha_deg = 0, d_m = 0, theta_deg = 0, r_m = 0 }} # {FILL_IN}"]
+    text = "\n".join([*lines, *_motors_and_controller(chain), ""])
+    return text.replace("the URDF has no ", "the ").replace("not in a URDF; ", "")
+
+
 def _load_robot(text: str, chain: Chain) -> Robot:
     robot = robot_from_files({"robot.toml": text.encode(), "robot.urdf": chain.text}, chain.place)
     return replace(robot, name=chain.name)
