@@ -1,6 +1,9 @@
 """The commonest law of arms: a PD, and gravity at the measured position; simulated by pinocchio alone."""
 
 import importlib.metadata
+import json
+import re
+import shutil
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -9,7 +12,7 @@ import msgspec
 import numpy as np
 import pinocchio as pin
 import pytest
-from conftest import REPLAY
+from conftest import PROGRAMS, REPLAY
 
 from acquisition.errors import AcquisitionError
 from acquisition.robot import Controller, load_robot
@@ -134,3 +137,28 @@ def test_computed_torque_has_gravity_by_itself(tmp_path):
     (tmp_path / "robot.toml").write_text(text.replace('structure = "pd_velocity_feedforward"', law))
     with pytest.raises(AcquisitionError, match=r"controller\.gravity_feedforward = True: expected a structure"):
         load_robot(tmp_path / "robot.toml")
+
+
+def test_from_an_empty_folder_to_a_report_in_three_commands(tmp_path, monkeypatch):
+    """A URDF and a table; the bandwidth is not told."""
+    monkeypatch.chdir(tmp_path)
+    signals, joints = recorded(), range(1, 7)
+    columns = {"position": "q", "reference": "ref", "effort": "tau"}
+    names = ["t", *(f"{name}{j}" for name in columns.values() for j in joints)]
+    table = np.column_stack([signals.t_s, signals.q, signals.q_ref, signals.effort])
+    np.savetxt("x.csv", table, delimiter=",", header=",".join(names), comments="")
+    sections = [
+        f"[{key}]\ncolumns = {json.dumps([f'{name}{j}' for j in joints])}\nunit = "
+        f'"{"N m" if key == "effort" else "rad"}"\n'
+        for key, name in columns.items()
+    ]
+    Path("map.toml").write_text('[time]\ncolumn = "t"\n' + "".join(sections))
+    shutil.copy(UR5, "arm.urdf")
+    identify_, acquire = PROGRAMS["identification"].main, PROGRAMS["acquisition"].main
+    assert identify_(["init", "arm.urdf", "-o", "robot.toml"]) == 0
+    assert acquire(["import", "x.csv", "--robot", "robot.toml", "--map", "map.toml", "-o", "log.mcap"]) == 0
+    assert identify_(["fit", "log.mcap", "--method", "wls", "--report", "report.md"]) == 0
+    report = Path("report.md").read_text()
+    estimated = re.search(r"bandwidth_hz is not stated: estimated as ([0-9.]+) Hz", report)
+    assert estimated is not None
+    assert float(estimated[1]) == pytest.approx(BANDWIDTH_HZ, rel=0.3)
