@@ -189,7 +189,7 @@ def test_commands_write_their_report(ending, tmp_path, capsys, monkeypatch):
         "validate": ["validate", scara / "fit.json", "log.mcap"],
         "compare": ["compare", scara / "fit.json", scara / "truth.json"],
         "friction": ["friction", "log.mcap"],
-        "study": ["study", scara / "robot.toml", "--runs", "2", "--duration", "3", "--workers", "1"],
+        "study": ["study", scara / "robot.toml", "--runs", "2", "--duration-s", "3", "--workers", "1"],
         "fleet": ["fleet", ".", "-o", "fleet.parquet", "--workers", "1"],
         "excite": [
             "excite",

@@ -99,19 +99,6 @@ class Chain:
         return replace(self, joints=tuple(joints), bandwidth_hz=min(options.get("--bandwidth-hz", ()), default=None))
 
 
-def chain_of_letters(letters: str) -> Chain:
-    """Joints by their letters, R revolute and P prismatic, of which nothing else is known."""
-    types = [{"R": "revolute", "P": "prismatic"}.get(letter) for letter in letters.upper()]
-    if not types or None in types:
-        raise IdentificationError(key="--dh", value=letters, expected="a letter for each joint, R or P, such as RRPRRR")
-    unknown: Any = dict.fromkeys(("position", "speed", "effort"))
-    joints = (
-        UrdfJoint(name=f"joint_{j + 1}", type=str(kind), child="", damping=0.0, friction=0.0, **unknown)
-        for j, kind in enumerate(types)
-    )
-    return Chain(place="--dh", name="robot", text=b"", joints=tuple(joints), locked=(), rigid=(), notes=())
-
-
 def _check_count(chain: Chain, option: str, values: Sequence[float]) -> None:
     n, kinds = len(chain.joints), {joint.type for joint in chain.joints}
     if len(values) not in (1, n):

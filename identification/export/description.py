@@ -5,6 +5,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from acquisition.errors import one_line
 from acquisition.robot import Robot, load_robot, robot_from_files
@@ -59,6 +60,19 @@ def read_robot(
         expected = "a URDF; robot.toml has a key for it"
         raise IdentificationError(f"{option} has no effect", place=str(path), expected=expected)
     return load_robot(path)
+
+
+def chain_of_letters(letters: str) -> Chain:
+    """Joints by their letters, R revolute and P prismatic, of which nothing else is known."""
+    types = [{"R": "revolute", "P": "prismatic"}.get(letter) for letter in letters.upper()]
+    if not types or None in types:
+        raise IdentificationError(key="--dh", value=letters, expected="a letter for each joint, R or P, such as RRPRRR")
+    unknown: Any = dict.fromkeys(("position", "speed", "effort"))
+    joints = (
+        UrdfJoint(name=f"joint_{j + 1}", type=str(kind), child="", damping=0.0, friction=0.0, **unknown)
+        for j, kind in enumerate(types)
+    )
+    return Chain(place="--dh", name="robot", text=b"", joints=tuple(joints), locked=(), rigid=(), notes=())
 
 
 def describe(chain: Chain, urdf: str) -> str:
