@@ -89,6 +89,27 @@ def run():
     return made, Master(made, bus_of(robot))
 
 
+def test_a_drive_states_its_units_limits_and_modes():
+    """Literal values: 65536 counts per turn, ratio 50, 200 deg/s and +-150 deg at the joint; the second counts backwards."""
+    before, after = bus_text(2).rsplit("65536", 1)
+    robot = robot_of(f"{before}6553.6\nsign = -1\nzero_counts = 100{after}")
+    made = LockStepLink(SimulatedDrives(robot, bus_of(robot)))
+    master = Master(made, bus_of(robot))
+
+    def stated(node: int, *keys: tuple[int, int]) -> list[int]:
+        return [master.read(node, *key) for key in keys]
+
+    limit = round(150 / 360 * 50 * 65536)
+    units = [(index, sub) for index in (0x608F, 0x6091, 0x6092) for sub in (1, 2)]
+    assert stated(1, *units) == [65536, 1, 1, 1, 65536, 1]
+    assert stated(1, (0x607D, 1), (0x607D, 2)) == [2**32 - limit, limit]
+    assert stated(1, (0x6502, 0), (0x607F, 0), (0x6080, 0)) == [0x80, round(200 / 360 * 50 * 65536), 1667]
+    assert stated(2, *units) == [32768, 5, 1, 1, 32768, 5]
+    assert stated(2, (0x607D, 1), (0x607D, 2)) == [2**32 + 100 - 136533, 136633]
+    master.nmt(129, 1)  # reset node
+    assert stated(1, (0x608F, 1), (0x1018, 0)) == [65536, 4]
+
+
 def test_sdo_server_refuses_what_a_drive_refuses(run):
     _, master = run
     assert master.read(1, 0x1000) == 0x00020192

@@ -49,7 +49,7 @@ class ObjectEntry:
 EMERGENCY, HEARTBEAT = 0x80, 0x700  # CAN identifiers of CiA 301, plus the node id
 CONTROLWORD, STATUSWORD = 0x6040, 0x6041
 MODE_OF_OPERATION, MODE_DISPLAY = 0x6060, 0x6061
-CONSUMER_HEARTBEAT, HEARTBEAT_TIME = 0x1016, 0x1017  # of CiA 301
+DEVICE_TYPE, CONSUMER_HEARTBEAT, HEARTBEAT_TIME = 0x1000, 0x1016, 0x1017  # of CiA 301
 ABORT_CONNECTION = 0x6007  # when a drive loses the master: 0 nothing, 1 fault, 2 disable voltage, 3 quick stop
 STOP_OPTIONS = QUICK_STOP_OPTION, SHUTDOWN_OPTION, DISABLE_OPTION, FAULT_OPTION = 0x605A, 0x605B, 0x605C, 0x605E
 FOLLOWING_ERROR_WINDOW, FOLLOWING_ERROR_TIME = 0x6065, 0x6066
@@ -61,6 +61,9 @@ _RPM, _RPM_PER_S = 0x00B44700, 0x00C00300  # as coded by drives of maxon and Nan
 RAMP_OBJECTS = (QUICK_STOP_OPTION, QUICK_STOP_DECELERATION, PROFILE_DECELERATION, _ACCELERATION_UNIT, _VELOCITY_UNIT)
 POSITION_ACTUAL, TARGET_POSITION = 0x6064, 0x607A
 RATED_CURRENT, RATED_TORQUE = 0x6075, 0x6076
+MOTION_LIMITS = POSITION_LIMITS, _MAX_VELOCITY, _MAX_RPM = 0x607D, 0x607F, 0x6080
+POSITION_UNITS = 0x608F, 0x6091, 0x6092  # encoder, gear, feed: each a ratio, sub-index 1 over sub-index 2
+SUPPORTED_MODES = 0x6502
 
 # Entries whose type CiA 402 (or 301) fixes.
 STANDARD = {
@@ -70,10 +73,15 @@ STANDARD = {
         "I8": (MODE_OF_OPERATION, MODE_DISPLAY),
         "I32": (0x6062, 0x6063, POSITION_ACTUAL, 0x606C, TARGET_POSITION, 0x60F4, 0x60FC),
         "I16": (ABORT_CONNECTION, *STOP_OPTIONS, 0x6071, 0x6074, 0x6077, 0x6078, 0x60B2),
-        "U32": (FOLLOWING_ERROR_WINDOW, RATED_CURRENT, RATED_TORQUE, PROFILE_DECELERATION, QUICK_STOP_DECELERATION),
+        "U32": (
+            *(DEVICE_TYPE, FOLLOWING_ERROR_WINDOW, RATED_CURRENT, RATED_TORQUE, _MAX_VELOCITY, _MAX_RPM),
+            *(PROFILE_DECELERATION, QUICK_STOP_DECELERATION, SUPPORTED_MODES),
+        ),
     }.items()
     for index in indices
-} | {(0x60C2, 1): "U8", (0x60C2, 2): "I8", (0x608F, 1): "U32", (0x608F, 2): "U32"}
+}
+STANDARD |= {(0x60C2, 1): "U8", (0x60C2, 2): "I8", (POSITION_LIMITS, 1): "I32", (POSITION_LIMITS, 2): "I32"}
+STANDARD |= {(index, sub): "U32" for index in POSITION_UNITS for sub in (1, 2)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,6 +155,15 @@ class PositionCodec:
     def raw(self, value: Array) -> Ints:
         """Nearest counts, limited to 32 bits."""
         return saturated(self.exact(value), "I32")
+
+
+def position_units_per_turn(values: Mapping[tuple[int, int], int | None]) -> float | None:
+    """Position units per motor revolution: feed (6092h) over gear (6091h), or without a feed 608Fh; None if unknown.
+
+    A gear that is not there is 1; a ratio that holds a 0 is not there.
+    """
+    encoder, gear, feed = ((values.get((i, 1)) or 0) / (values.get((i, 2)) or np.inf) for i in POSITION_UNITS)
+    return (feed / (gear or 1.0) if feed else encoder) or None
 
 
 def quick_stop_ramp(values: Mapping[int, int | None], codec: PositionCodec) -> float | None:

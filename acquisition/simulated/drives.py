@@ -32,6 +32,7 @@ from ..recording import SENT
 from ..robot import Bus, Robot, axis_index
 from .mechanism import SUBSTEPS, DrivenPlant, cubic, driven_plant
 from .node import Sent, SimulatedNode, Supervision, simulated_node
+from .units import units_and_limits
 
 # Times the following-error limits of the joints that a motor moves: the drive (6065h) reacts after the session.
 WINDOW_FACTOR = 2
@@ -71,6 +72,10 @@ class SimulatedDrives:
         self._quick_stop = np.abs(robot.R) @ [joint.si("acceleration") or 10.0 for joint in robot.joints]
         for node, limit in zip(self.nodes, self._quick_stop, strict=True):
             self._set_ramps(node, limit)
+        for i, node in enumerate(self.nodes):
+            stated = units_and_limits(robot, bus, i) if node.drive.dictionary is None else {}
+            node.values |= stated
+            node.initial |= stated
         self._reports_demand = np.array([drive.reports_demand for drive in bus.file.drive])
         self._next_heartbeat = [0] * robot.n
         # State of the loops: target, the way to it, speed at it (times the period), integral of the error, efforts, brakes.

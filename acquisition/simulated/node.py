@@ -9,6 +9,7 @@ from ..protocol import (
     BITS,
     CONSUMER_HEARTBEAT,
     CONTROLWORD,
+    DEVICE_TYPE,
     DISABLED,
     EMERGENCY,
     FOLLOWING_ERROR_WINDOW,
@@ -221,16 +222,17 @@ def simulated_node(drive: Drive) -> SimulatedNode:
     else:
         used = [drive.status, drive.control, drive.position, drive.target, drive.effort.entry]
         used += [extra.entry for extra in drive.extras]
-        types = dict(STANDARD) | {e.key: e.type for e in used} | {(0x1000, 0): "U32", (0x1001, 0): "U8"}
-        types |= {(0x1003, 0): "U8", (0x1003, 1): "U32", (0x603F, 0): "U16"}
+        types = dict(STANDARD) | {e.key: e.type for e in used}
+        types |= {(0x1001, 0): "U8", (0x1003, 0): "U8", (0x1003, 1): "U32", (0x603F, 0): "U16"}
         types |= {(0x1018, sub): "U8" if sub == 0 else "U32" for sub in range(5)}
         types |= {(CONSUMER_HEARTBEAT, sub): "U32" if sub else "U8" for sub in range(CONSUMERS + 1)}
         for communication, mapping in PARAMETERS.values():
             for k in range(4):
                 types |= {(communication + k, 0): "U8", (communication + k, 1): "U32", (communication + k, 2): "U8"}
                 types |= {(mapping + k, sub): "U32" if sub else "U8" for sub in range(9)}
-        values = dict.fromkeys(types, 0) | {(0x1000, 0): 0x00020192, (CONSUMER_HEARTBEAT, 0): CONSUMERS}
-        values |= {(ABORT_CONNECTION, 0): 1, (FOLLOWING_ERROR_WINDOW, 0): 2**32 - 1}  # CiA 402: fault signal; off
+        values = dict.fromkeys(types, 0) | {(DEVICE_TYPE, 0): 0x00020192, (CONSUMER_HEARTBEAT, 0): CONSUMERS}
+        # CiA 402: fault signal; off.
+        values |= {(IDENTITY, 0): 4, (ABORT_CONNECTION, 0): 1, (FOLLOWING_ERROR_WINDOW, 0): 2**32 - 1}
         values |= dict.fromkeys(((option, 0) for option in STOP_OPTIONS), 2)  # quick stop ramp
         values |= {(first + k, 1): NOT_VALID for first, _ in PARAMETERS.values() for k in range(4)}
     values |= {(index, 0): raw for index, raw in drive.rated.items() if (index, 0) in values}
@@ -240,9 +242,7 @@ def simulated_node(drive: Drive) -> SimulatedNode:
     return node
 
 
-SYNC_LOST_NS = (
-    100_000_000  # without SYNC for this time an enabled drive enters fault, as real drives are configured to do
-)
+SYNC_LOST_NS = 100_000_000  # without SYNC for this time an enabled drive enters fault, as real drives are set to do
 SYNC_LOST_CODE = 0x8700  # CiA 301: sync controller
 FOLLOWING_ERROR_CODE, NO_WINDOW = 0x8611, 2**32 - 1
 HEARTBEAT_LOST_CODE = 0x8130  # CiA 301: life guard or heartbeat error

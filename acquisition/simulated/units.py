@@ -1,0 +1,28 @@
+"""What a simulated drive without a dictionary states of itself: modes, position units and limits of the description."""
+
+from fractions import Fraction
+
+import numpy as np
+
+from ..protocol import MOTION_LIMITS, POSITION_UNITS, SUPPORTED_MODES, Mode, saturated
+from ..robot import Bus, Robot
+
+
+def units_and_limits(robot: Robot, bus: Bus, i: int) -> dict[tuple[int, int], int]:
+    """Raw modes, position units and limits of motor `i`; 0 where the description states none, or the motor slides."""
+    drive, per_turn = bus.drives[i], Fraction(bus.file.drive[i].counts_per_turn or 0).limit_denominator(1000)
+    position, velocity, motor_speed = MOTION_LIMITS
+    values = {(SUPPORTED_MODES, 0): 1 << Mode.CYCLIC_SYNCHRONOUS_POSITION - 1}
+    speeds = {velocity: drive.speed_limit or 0.0}
+    if per_turn:
+        for index, units in zip(POSITION_UNITS, (per_turn, Fraction(1), per_turn), strict=True):
+            values |= {(index, 1): units.numerator, (index, 2): units.denominator}
+        speeds[motor_speed] = 60 * speeds[velocity] / float(per_turn)  # rpm
+    values |= {(index, 0): int(saturated(np.array(speed), "U32")) for index, speed in speeds.items()}
+    limits = [joint.si("position") if r else (0.0, 0.0) for r, joint in zip(robot.R[i], robot.joints, strict=True)]
+    if None not in limits:
+        low, high = np.array(limits).T
+        corners = np.where(robot.R[i] > 0, [low, high], [high, low])
+        counts = sorted(drive.position_codec.raw(robot.motor_position(corners)[:, i]).tolist())
+        values |= {(position, 1): counts[0], (position, 2): counts[1]}
+    return values
