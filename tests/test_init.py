@@ -11,7 +11,7 @@ import pytest
 from urdfs import ARM, BOX, LIMIT, PARTS, joint, link, urdf
 
 from acquisition.errors import AcquisitionError
-from acquisition.robot import check_limits, load_robot
+from acquisition.robot import check_limits, lines_to_fill_in, load_robot, resolve
 from identification.commands import main
 from identification.errors import IdentificationError
 from identification.export import read_chain, robot_of_chain
@@ -103,6 +103,41 @@ def test_init_writes_what_the_urdf_says_and_marks_the_rest(here, capsys):
     for key in ("acceleration_deg_s2", "acceleration_m_s2", "following_error_deg", "bandwidth_hz", "drives"):
         assert any(key in line for line in marked), key
     assert out.splitlines()[-1] == f"to be filled in: {len(marked)} lines with FILL IN"
+
+
+BUS = """[bus]
+interface = "virtual"
+channel = "made_up"
+sync_period_s = 0.002 # FILL IN: the period
+""" + "".join(f"""
+[[bus.drive]] # FILL IN: which joint?
+node = {node}
+reference = "6074"
+rated_torque_nm = 4.2
+counts_per_turn = {1000 * node} # FILL IN: turn the motor once
+""" for node in (7, 3))  # fmt: skip
+
+
+def test_the_bus_of_a_scan_stands_in_the_place_of_the_example_drives(here, capsys):
+    (here / "bus.toml").write_text(BUS)
+    out = ["init", "arm.urdf", "--joints", "turn,lift", "--bus", "bus.toml", "-o", "robot.toml"]
+    status, printed, _ = run(capsys, *out)
+    text, robot = (here / "robot.toml").read_text(), load_robot("robot.toml")
+    assert status == 0
+    assert [(d.node, d.counts_per_turn) for d in resolve(robot, "robot.toml").file.drive] == [(7, 7000), (3, 3000)]
+    assert "#: [bus]" not in text
+    marked = [number for number, line in enumerate(text.splitlines(), 1) if "FILL IN" in line]
+    assert lines_to_fill_in(robot) == marked[-5:]
+    assert len(marked) > 10
+    assert f"to be filled in: {len(marked) - 1} lines" in printed  # the first line says what the mark means
+
+
+def test_a_bus_with_other_drives_than_joints_is_refused(here, capsys):
+    (here / "bus.toml").write_text(BUS)
+    said = refused(capsys, "init", "arm.urdf", "--bus", "bus.toml", "-o", "robot.toml")
+    assert said == "bus.toml: drives = 2: expected 4 [[bus.drive]], one for each joint of the URDF"
+    assert "is an input too" in refused(capsys, "init", "arm.urdf", "--bus", "bus.toml", "-o", "bus.toml")
+    assert not (here / "robot.toml").exists()
 
 
 def test_without_an_output_the_file_is_printed(here, capsys):

@@ -26,3 +26,4 @@ from .supervision import (
     supervision_of,
     supervision_refusal,
 )
+from .uploads import Readings, Uploads, scan_nodes

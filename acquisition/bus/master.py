@@ -15,6 +15,7 @@ from ..protocol import (
     REQUEST,
     Mode,
     State,
+    Transfer,
     answer_of,
     check_answer,
     configuration,
@@ -180,12 +181,15 @@ class Master:
 
     def read(self, node: int, index: int, sub: int = 0) -> int:
         """Read an object, as an unsigned number. Raises `AcquisitionError` when refused or not answered."""
-        place = f"node {node}: object {index:04X}:{sub}"
-        return check_answer(answer_of(self._exchange(node, read_request(index, sub), place)), "value", place)
+        return check_answer(self.upload(node, index, sub), "value", _place(node, index, sub))
+
+    def upload(self, node: int, index: int, sub: int = 0) -> Transfer:
+        """The answer of any kind to a read request. Raises `AcquisitionError` when there is none."""
+        return answer_of(self._exchange(node, read_request(index, sub), _place(node, index, sub)))
 
     def write(self, node: int, index: int, sub: int, value: int, size: int) -> None:
         """Write an object of `size` bytes. Raises `AcquisitionError` when refused or not answered."""
-        place = f"node {node}: object {index:04X}:{sub} = {value}"
+        place = f"{_place(node, index, sub)} = {value}"
         check_answer(answer_of(self._exchange(node, write_request(index, sub, value, size), place)), "written", place)
 
     def post(self, node: int, request: bytes) -> None:
@@ -227,9 +231,8 @@ class Master:
 
     def _set_heartbeat(self, node: int, every_ms: int) -> None:
         """Write the heartbeat time where it differs, in the size of the drive's answer: not all have the U16 of CiA 301."""
-        place = f"node {node}: object {HEARTBEAT_TIME:04X}:0"
-        answer = answer_of(self._exchange(node, read_request(HEARTBEAT_TIME, 0), place))
-        if check_answer(answer, "value", place) != every_ms:
+        answer = self.upload(node, HEARTBEAT_TIME)
+        if check_answer(answer, "value", _place(node, HEARTBEAT_TIME, 0)) != every_ms:
             self.write(node, HEARTBEAT_TIME, 0, every_ms, len(answer.data))
 
     def choose_mode(self, mode: Mode) -> None:
@@ -269,6 +272,10 @@ class Master:
                             f"node {drive.node}: rated value ({index:04X}:0) = {raw}: expected {rated} as robot.toml says"
                         )
         return found
+
+
+def _place(node: int, index: int, sub: int) -> str:
+    return f"node {node}: object {index:04X}:{sub}"
 
 
 Orders = list[tuple[int, int]]  # controlword and target counts of each drive, in the order of the drives

@@ -8,6 +8,7 @@ PROGRAM = Program(
     description="Record robots and their drives.",
     package=__package__,
     commands={
+        "scan": "find the drives of an unknown bus, by listening and SDO reads only",
         "check": "check which drives answer, and whether they match the description",
         "record": "record drives; nothing moves without --track",
         "disable": "stop and disable all drives, even if another program enabled them; never refused",

@@ -9,12 +9,16 @@ from .command_line import add_flag, add_path
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_path(parser, "recording", "LOG.mcap", "the recording")
-    parser.add_argument(
-        "--interface", required=True, help="interface name of python-can: socketcan, udp_multicast, ..."
-    )
-    parser.add_argument("--channel", required=True, help="channel, such as can0 or a multicast group")
+    add_bus(parser)
     parser.add_argument("--speed", type=float, default=1.0, metavar="X", help="speed factor (default 1)")
     add_flag(parser, "--onto-bus", "allow an interface that may lead to hardware")
+
+
+def add_bus(parser: argparse.ArgumentParser) -> None:
+    """Declare the bus of a command without robot.toml."""
+    text = "interface name of python-can: socketcan, udp_multicast, ..."
+    parser.add_argument("--interface", required=True, metavar="NAME", help=text)
+    parser.add_argument("--channel", required=True, metavar="NAME", help="channel, such as can0 or a multicast group")
 
 
 def run(options: argparse.Namespace) -> None:

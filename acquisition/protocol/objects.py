@@ -157,6 +157,12 @@ class PositionCodec:
         return saturated(self.exact(value), "I32")
 
 
+def object_type(index: int, sub: int) -> str:
+    """Type of an object that is known here; else U8 for the count of a record of CiA 301, U32 for all others."""
+    known = STANDARD.get((index, sub)) or EFFORT_OBJECTS.get((index, sub), ("",))[0]
+    return known or ("U8" if index < 0x2000 and not sub else "U32")
+
+
 def position_units_per_turn(values: Mapping[tuple[int, int], int | None]) -> float | None:
     """Position units per motor revolution: feed (6092h) over gear (6091h), or without a feed 608Fh; None if unknown.
 

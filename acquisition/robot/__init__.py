@@ -1,6 +1,6 @@
 """The robot's description: joints, motors, limits, bus and drives; the references that it may follow."""
 
-from .bus import BusFile, DriveFile, EffortTiming, demand_ripple_warnings, parse_homed
+from .bus import BITRATES, FILL_IN, BusFile, DriveFile, EffortTiming, demand_ripple_warnings, parse_homed
 from .description import Capsule, Controller, Edges, FrictionTerm, Joint, LowSpeed, RobotFile, low_speed_by_method
 from .drives import (
     MAX_LOAD,
@@ -27,5 +27,5 @@ from .reference import (
     table_reference,
 )
 from .resolving import resolve
-from .robot import SIMULATED_CONTROLLER, Robot, load_robot, robot_from_files
+from .robot import SIMULATED_CONTROLLER, Robot, lines_to_fill_in, load_robot, robot_from_files
 from .toml import Positive, note, parse_toml

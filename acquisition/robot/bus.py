@@ -30,6 +30,7 @@ EffortTiming = Literal["command", "mean", "measured", "unknown"]  # the instants
 MAX_DEMAND_RIPPLE = 0.002  # of the inertia
 TORQUE_DEMAND = 0x6074
 USUAL_SYNC = 0x80
+FILL_IN = "FILL IN"  # marks lines of a description that a program wrote and an engineer has to complete
 AXIS = 0x800  # between the objects of two axes of a drive (CiA 402-2)
 _WORDS: dict[str, Iterable[str]] = dict.fromkeys(("reference_rule", "actual_rule"), RULES)
 _WORDS |= dict.fromkeys(("rated_current_unit", "rated_torque_unit"), RATED_UNITS)

@@ -14,7 +14,7 @@ import numpy as np
 from ..arrays import Array
 from ..errors import Place
 from ..files import read_meshes
-from .bus import BusFile, dictionary_label
+from .bus import FILL_IN, BusFile, dictionary_label
 from .description import Capsule, Controller, Identification, Joint, Motor, PayloadFile, RobotFile
 from .toml import RefusedError, parse_toml
 
@@ -240,6 +240,15 @@ def robot_from_files(files: Mapping[str, bytes], place: str) -> Robot:
         base_capsule=f.base_capsule,
         ground_m=f.ground_m,
     )
+
+
+def lines_to_fill_in(robot: Robot) -> list[int]:
+    """Numbers of the lines in `[bus]` of robot.toml with `FILL_IN`."""
+    found, inside = [], False
+    for number, line in enumerate(robot.files["robot.toml"].decode().splitlines(), 1):
+        inside = line.startswith(("[bus]", "[[bus.")) if line.startswith("[") else inside
+        found += [number] if inside and FILL_IN in line else []
+    return found
 
 
 def _with_urdf_efforts(joints: tuple[Joint, ...], urdf: str, place: Place) -> tuple[Joint, ...]:

@@ -27,7 +27,19 @@ from ..errors import AcquisitionError
 from ..options import RecordOptions
 from ..protocol import ANSWER, EMERGENCY, HEARTBEAT
 from ..recording import ERROR, EXTENDED, REMOTE_REQUEST, Block, Recording, read_recording, written_by_master
-from ..robot import Bus, BusFile, Payload, Robot, check_limits, parse_payload, refuse_load, resolve, table_reference
+from ..robot import (
+    FILL_IN,
+    Bus,
+    BusFile,
+    Payload,
+    Robot,
+    check_limits,
+    lines_to_fill_in,
+    parse_payload,
+    refuse_load,
+    resolve,
+    table_reference,
+)
 from ..simulated import LockStepLink, SimulatedDrives, describe_loops, driven_plant
 from .logs import InlineLog, ProcessLog
 from .process import STOPPING, Role
@@ -117,6 +129,8 @@ def _task_of(robot: Robot, period_s: float, options: RecordOptions, operator: Us
     task = Task(reference=reference, place=str(options.track))
     if options.dry_run:
         return task
+    if lines := lines_to_fill_in(robot):
+        raise AcquisitionError(FILL_IN, place="robot.toml", key="lines", value=lines, expected="none in [bus]")
     return replace(task, before_motion=lambda master: _before_motion(robot, master, options, operator.confirm))
 
 

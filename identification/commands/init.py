@@ -17,6 +17,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     text = "without a URDF: a letter for each joint, R revolute or P prismatic; the rows are to be filled in"
     parser.add_argument("--dh", metavar="RRPRRR", help=text)
     add_urdf_options(parser)
+    add_path(parser, "--bus", "BUS.toml", "the [bus] that `robot-acquire scan` wrote, instead of example drives")
     add_path(parser, "-o --out", "ROBOT.toml", "the description to write (default: standard output)")
 
 
@@ -27,7 +28,7 @@ def run(options: argparse.Namespace) -> None:
     from ..export import FILL_IN, describe, describe_rows
 
     out: Path | None = options.out
-    refuse_outputs([options.robot], out)
+    refuse_outputs([path for path in (options.robot, options.bus) if path is not None], out)
     if out is not None and out.exists():
         expected = "a new name; descriptions are not replaced"
         raise IdentificationError("already exists", place=str(out), expected=expected)
@@ -36,8 +37,9 @@ def run(options: argparse.Namespace) -> None:
         raise IdentificationError(key="--dh", value=options.dh, expected=expected)
     chain = chain_of(options)
     folder = Path.cwd() if out is None else out.absolute().parent
+    bus = "" if options.bus is None else _bus_of(options.bus, len(chain.joints))
     urdf = options.robot and os.path.relpath(options.robot.absolute(), folder)
-    text = describe(chain, urdf) if urdf else describe_rows(chain)
+    text = describe(chain, urdf, bus) if urdf else describe_rows(chain, bus)
     if out is None:
         print(text, end="")
         return
@@ -50,3 +52,13 @@ def run(options: argparse.Namespace) -> None:
     missing = sum(FILL_IN in line for line in text.splitlines()[1:])
     for line in [*lines, f"to be filled in: {missing} lines with {FILL_IN}"]:
         print(one_line(line))
+
+
+def _bus_of(path: Path, joints: int) -> str:
+    """The text of a file with `[bus]` and a drive for each joint."""
+    text = path.read_text(encoding="utf-8", errors="replace")
+    drives = text.count("[[bus.drive]]")
+    if drives != joints:
+        expected = f"{joints} [[bus.drive]], one for each joint of the URDF"
+        raise IdentificationError(place=str(path), key="drives", value=drives, expected=expected)
+    return text

@@ -8,13 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from acquisition.errors import one_line
-from acquisition.robot import Robot, load_robot, robot_from_files
+from acquisition.robot import FILL_IN, Robot, load_robot, robot_from_files
 
 from ..errors import IdentificationError
 from ..model import LINK, InverseModel
 from .chain import Chain, UrdfJoint, is_urdf, read_chain
 
-FILL_IN = "FILL IN"
 _EXAMPLE = "#: "  # starts each line of the example for dry runs with simulated drives
 _DEFAULT_EFFORT, _DEFAULT_SPEED = 100.0, 3.0  # of the example, if the URDF has none
 _EFFORT_SHARE, _RISE_S = 0.02, 0.2  # of the effort: for friction, and to bring the rotor to full speed in this time
@@ -75,21 +74,22 @@ def chain_of_letters(letters: str) -> Chain:
     return Chain(place="--dh", name="robot", text=b"", joints=tuple(joints), locked=(), rigid=(), notes=())
 
 
-def describe(chain: Chain, urdf: str) -> str:
+def describe(chain: Chain, urdf: str, bus: str = "") -> str:
     """The text of the robot.toml of a chain; comments with `FILL IN` mark what URDF and options leave open.
 
-    The text loads without changes. `urdf` is the path relative to its folder. `[parameters]` has the links' inertials in the
-    frames of `InverseModel`, fixed and locked links lumped into their carrier; damping as Fv and friction as Fc.
+    The text loads without changes; `bus` stands for the example drives: the text of `[bus]`. `urdf` is the path relative to its
+    folder. `[parameters]` has the links' inertials in the frames of `InverseModel`, fixed and locked links lumped into their
+    carrier; damping as Fv and friction as Fc.
     Raises `IdentificationError`: a URDF that does not load, a joint that moves no mass.
     """
     head = "\n".join([*_head(chain, urdf), *(line for j in range(len(chain.joints)) for line in _joint(chain, j))])
     head += "\n".join(_motors_and_controller(chain))
     drives = [f"# {FILL_IN}: the drives. Replace every number by those of the real drives."]
-    drives += [_EXAMPLE + line for line in _drives(chain)]
+    drives = [bus.rstrip()] if bus else drives + [_EXAMPLE + line for line in _drives(chain)]
     return "\n".join([head, *_parameters(chain, _load_robot(head, chain)), "", *drives, ""])
 
 
-def describe_rows(chain: Chain) -> str:
+def describe_rows(chain: Chain, bus: str = "") -> str:
     """The text of a robot.toml with rows of modified Denavit-Hartenberg parameters to be filled in, where there is no URDF."""
     lines = [
         f"# Made by robot-identify init. {FILL_IN} marks what is not known yet. Angles are in degrees, all else in SI."
@@ -97,7 +97,7 @@ def describe_rows(chain: Chain) -> str:
     lines += [f"name = {json.dumps(chain.name)} # {FILL_IN}", "gravity_m_s2 = [0, 0, -9.81] # in the base frame"]
     for j in range(len(chain.joints)):
         lines += [*_joint(chain, j), f"dh = {{ alpha_deg = 0, d_m = 0, theta_deg = 0, r_m = 0 }} # {FILL_IN}"]
-    text = "\n".join([*lines, *_motors_and_controller(chain), ""])
+    text = "\n".join([*lines, *_motors_and_controller(chain), bus])
     return text.replace("the URDF has no ", "the ").replace("not in a URDF; ", "")
 
 

@@ -1,0 +1,120 @@
+"""The nodes of an unknown bus and what they state, read by SDO (upload); nothing else can be sent."""
+
+from collections import deque
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from ..errors import AcquisitionError
+from ..protocol import BITS, DEVICE_TYPE, REQUEST, check_answer, error_frame_words, object_type, read_request
+from ..recording import ERROR
+from ..robot import Bus, BusFile
+from .before_motion import LISTEN_S
+from .frames import Frame, service_of, sign_of_master
+from .links import MasterLink
+from .master import SDO_TIMEOUT_NS, Master
+
+REQUEST_INTERVAL_NS = 1_000_000
+TRIES = 2  # a server may abort the upload before, which was too long for one frame, in place of an answer
+MAX_UNANSWERED = 2  # objects in a row; then a node is asked for nothing more
+MAX_ENTRIES = 8  # of an array
+
+
+class Reading(NamedTuple):
+    """The value of an object, or None, and what is wrong with the answer: none, an abort, another size; else empty."""
+
+    value: int | None
+    problem: str = ""
+
+
+NO_ANSWER = Reading(None, "no answer")
+Readings = dict[tuple[int, int], Reading]  # by index and sub-index
+
+
+class Uploads:
+    """A link that sends SDO read requests only, and from the first frame of another master or error frame on nothing.
+
+    `heard`: by node, the services received other than SDO answers.
+    """
+
+    def __init__(self, link: MasterLink, file: BusFile) -> None:
+        self.bus, self.heard = Bus(file=file, drives=()), dict[int, set[str]]()
+        self._link, self._received, self._refusal = link, deque[Frame](), ""
+        self._sent = self._next_ns = 0
+
+    def now_ns(self) -> int:
+        """Time of the link."""
+        return self._link.now_ns()
+
+    def send(self, can_id: int, data: bytes) -> None:
+        """Send a read request, a millisecond after the last one and after a look at all frames received until then."""
+        while (frame := self._link.receive(self._next_ns)) is not None:
+            self._received.append(self._checked(frame))
+        if not REQUEST < can_id <= REQUEST + 127 or data[:1] != b"\x40" or data[4:] != bytes(4):
+            self._refusal = f"frame 0x{can_id:03X} is no SDO read"
+        self._refuse()
+        self._next_ns, self._sent = self.now_ns() + REQUEST_INTERVAL_NS, self._sent + 1
+        self._link.send(can_id, data)
+
+    def receive(self, until_ns: int) -> Frame | None:
+        """The next frame. Raises `AcquisitionError` for one of another master, and for an error frame."""
+        frame = None if self._received else self._link.receive(until_ns)
+        return self._received.popleft() if self._received else frame and self._checked(frame)
+
+    def _checked(self, frame: Frame) -> Frame:
+        if frame.flags & ERROR:
+            words = error_frame_words(frame.can_id, frame.data)
+            self._refusal = f"error frame: {words} (is the bitrate right, is the bus terminated?)"
+        elif sign := sign_of_master(frame, self.bus):
+            self._refusal = f"{sign}: another master is active"
+        self._refuse()
+        service, _, node = service_of(frame, self.bus.file.sync_can_id).rpartition(" of node ")
+        if service and service != "SDO answer":
+            self.heard.setdefault(int(node), set()).add(service)
+        return frame
+
+    def _refuse(self) -> None:
+        if self._refusal:
+            sent = f"{self._sent} SDO reads were sent" if self._sent else "nothing was sent"
+            raise AcquisitionError(self._refusal, place="bus", expected=f"none during a scan; {sent}")
+
+
+def scan_nodes(uploads: Uploads, objects: Sequence[tuple[int, int]], arrays: Sequence[int]) -> dict[int, Readings]:
+    """Listen, find the nodes that answer 1000h, and read `objects` and the entries of `arrays` of each."""
+    master, request = Master(uploads, uploads.bus), read_request(DEVICE_TYPE, 0)
+    master.wait(uploads.now_ns() + round(LISTEN_S * 1e9))
+    for node in range(1, 128):
+        master.post(node, request)
+    master.wait(uploads.now_ns() + SDO_TIMEOUT_NS)
+    found = [node for node in range(1, 128) if master.answered(node, request) is not None]
+    return {node: _read_node(master, node, objects, arrays) for node in found}
+
+
+def _read_node(master: Master, node: int, objects: Sequence[tuple[int, int]], arrays: Sequence[int]) -> Readings:
+    readings, keys, unanswered = Readings(), [*objects, *((index, 0) for index in arrays)], 0
+    for index, sub in keys:
+        reading = _read(master, node, index, sub) if unanswered < MAX_UNANSWERED else NO_ANSWER
+        unanswered = unanswered + 1 if reading is NO_ANSWER else 0
+        readings[index, sub] = reading
+        if index in arrays and not sub:
+            keys += [(index, k + 1) for k in range(min(reading.value or 0, MAX_ENTRIES))]
+    return readings
+
+
+def _read(master: Master, node: int, index: int, sub: int) -> Reading:
+    size, signed = BITS[object_type(index, sub)] // 8, object_type(index, sub)[0] == "I"
+    for _ in range(TRIES):
+        try:
+            answer = master.upload(node, index, sub)
+        except AcquisitionError as error:
+            if error.place == "bus":
+                raise
+            continue
+        if answer.kind == "other":
+            return Reading(None, f"more than 4 bytes: expected {size}")
+        try:
+            check_answer(answer, "value", "")
+        except AcquisitionError as error:
+            return Reading(None, str(error).removeprefix("refused by the drive: "))
+        value = int.from_bytes(answer.data[:size], "little", signed=signed)
+        return Reading(value, "" if len(answer.data) == size else f"{len(answer.data)} bytes: expected {size}")
+    return NO_ANSWER

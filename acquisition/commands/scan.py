@@ -1,0 +1,55 @@
+"""`robot-acquire scan`: the nodes of an unknown bus and what they state, by listening and SDO reads only."""
+
+import argparse
+
+from ..errors import AcquisitionError, one_line
+from .command_line import add_path
+from .replay import add_bus
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    add_bus(parser)
+    parser.add_argument(
+        "--bitrate", type=int, metavar="BIT/S", help="of an adapter; that of socketcan is set by ip link"
+    )
+    add_path(parser, "--toml", "BUS.toml", "write [bus] with a block for each drive, to be filled in")
+
+
+def run(options: argparse.Namespace) -> None:
+    """Scan the bus, print a table, and write `[bus]`."""
+    from ..bus import SHARED, Uploads, open_link, scan_nodes
+    from ..files import atomic_write
+    from ..robot import BITRATES, FILL_IN, BusFile
+    from .checking import table
+    from .scanning import ARRAYS, OBJECTS, bus_lines, findings_of
+
+    interface, bitrate, out = options.interface, options.bitrate, options.toml
+    if interface == "socketcan" and bitrate is not None:
+        expected = f"none: ip link set {options.channel} type can bitrate {bitrate}"
+        raise AcquisitionError("of socketcan", key="--bitrate", value=bitrate, expected=expected)
+    if bitrate not in BITRATES and (bitrate is not None or interface not in SHARED):
+        text = "a wrong one destroys the frames of others"
+        raise AcquisitionError(text, key="--bitrate", value=bitrate, expected=f"one of {', '.join(map(str, BITRATES))}")
+    if out is not None and out.exists():
+        raise AcquisitionError("already exists", place=str(out), expected="a new name; descriptions are not replaced")
+    # No heartbeat is a master's by its node id: 127 is the default of many drives.
+    bit_s = bitrate or BITRATES[-1]
+    file = BusFile(
+        interface=interface, channel=options.channel, bitrate=bit_s, drive=(), sync_period_s=1.0, master_node=0
+    )
+    link = open_link(file, passive=False)
+    try:
+        uploads = Uploads(link, file)
+        nodes = scan_nodes(uploads, OBJECTS, ARRAYS)
+    finally:
+        link.close()
+    print(*table(findings_of(nodes, uploads.heard)), sep="\n")
+    if not nodes:
+        expected = "one at least: drives on, cable, terminators, bitrate"
+        raise AcquisitionError("no node answers", place=f"bus: {interface} {options.channel}", expected=expected)
+    if out is not None:
+        text = "\n".join([*bus_lines(file, nodes), ""])
+        with atomic_write(out) as partial:
+            partial.write_text(text, encoding="utf-8")
+        print(one_line(f"{out}: to be filled in: {text.count(FILL_IN)} lines with {FILL_IN}"))

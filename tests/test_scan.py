@@ -1,0 +1,438 @@
+"""`robot-acquire scan`: reads only, silent beside another master, what odd nodes say, a `[bus]` that check and record take."""
+
+import itertools
+import re
+import threading
+import time
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+from dry_sessions import Through, dry_session, swing
+from faulty_drives import FaultyDrives
+from made_up_buses import bus_of, bus_text, robot_of
+
+from acquisition.bus import Frame, Link, Uploads, open_bus, open_link, scan_nodes
+from acquisition.commands import main
+from acquisition.commands.checking import table
+from acquisition.commands.scanning import ARRAYS, OBJECTS, bus_lines, findings_of
+from acquisition.errors import AcquisitionError
+from acquisition.protocol import abort_answer, value_answer
+from acquisition.recording import ERROR, REMOTE_REQUEST, SENT
+from acquisition.robot import BusFile, lines_to_fill_in
+from acquisition.session import Task
+from acquisition.simulated import LockStepLink, SimulatedDrives, serve
+
+IDENTITY = {(0x1018, sub): value for sub, value in ((1, 0xFB), (2, 0x60500000), (3, 0x1700010), (4, 77))}
+
+
+def bus_file(channel: str = "test") -> BusFile:
+    return BusFile(interface="virtual", channel=channel, drive=(), sync_period_s=1.0, master_node=0)
+
+
+class Ear:
+    """All frames on a virtual bus from now on."""
+
+    def __init__(self, channel: str) -> None:
+        self._link = open_link(bus_file(channel), passive=True)
+
+    def frames(self) -> list[Frame]:
+        found = []
+        while (frame := self._link.take(0)) is not None:
+            found.append(frame)
+        return found
+
+
+@contextmanager
+def served(channel: str, n: int) -> Iterator[None]:
+    """`n` simulated drives in real time, nodes from 1."""
+    robot, stop, booted = robot_of(bus_text(n, channel=channel)), threading.Event(), threading.Event()
+    drives = SimulatedDrives(robot, bus_of(robot))
+    thread = threading.Thread(target=serve, args=(drives, stop.is_set, booted.set), daemon=True)
+    thread.start()
+    try:
+        assert booted.wait(10)
+        yield
+    finally:
+        stop.set()
+        thread.join(10)
+
+
+def scan(channel: str, *options: str) -> int:
+    return main(["scan", "--interface", "virtual", "--channel", channel, *options])
+
+
+def is_upload(frame: Frame) -> bool:
+    """An SDO request of CiA 301 to read an object: command 40h, nothing behind index and sub-index."""
+    return 0x601 <= frame.can_id <= 0x67F and frame.data[:1] == b"\x40" and frame.data[4:] == bytes(4)
+
+
+def filled_in(text: str) -> str:
+    return re.sub(r" *# FILL IN.*", "", text)
+
+
+def test_six_drives_are_scanned_by_reads_only(tmp_path, capsys):
+    out = tmp_path / "bus.toml"
+    with served("scan_six", 6):
+        ear, started_s = Ear("scan_six"), time.monotonic()
+        assert scan("scan_six", "--toml", str(out)) == 0
+        assert time.monotonic() - started_s < 6
+    frames = ear.frames()
+    from_drives = {base + node for base in (0x580, 0x700) for node in range(1, 7)}
+    sent = [frame for frame in frames if frame.can_id not in from_drives]
+    assert len(sent) > 127 + 6 * 40
+    assert all(is_upload(frame) for frame in sent)
+    device_type = [frame.can_id for frame in sent if frame.data[1:4] == b"\x00\x10\x00"]
+    assert device_type[:127] == list(range(0x601, 0x680))
+    lines = capsys.readouterr().out.splitlines()
+    assert all(line.startswith("ok") and "1, 2, 3, 4, 5, 6" in line for line in lines[:-1])
+    assert lines[-1] == f"{out}: to be filled in: 13 lines with FILL IN"
+    assert "switch on disabled" in lines[1]
+    assert out.read_text().count("[[bus.drive]] # FILL IN: which joint?") == 6
+    assert out.read_text().count("counts_per_turn = 65536 # FILL IN: turn the motor once and compare") == 6
+
+
+def test_requests_are_a_millisecond_apart_and_nothing_comes_before_half_a_second():
+    times: list[int] = []
+
+    @dataclass(kw_only=True)
+    class Timed(Through):
+        def send(self, can_id, data):
+            times.append(self.now_ns())
+            super().send(can_id, data)
+
+    link = Timed(link=drives_of(2))
+    started_ns = link.now_ns()
+    scan_nodes(Uploads(link, bus_file()), OBJECTS, ARRAYS)
+    assert times[0] - started_ns >= 500_000_000
+    assert min(b - a for a, b in itertools.pairwise(times)) >= 1_000_000
+    assert times[126] - times[0] < 200_000_000  # the answers are awaited together
+
+
+def drives_of(n: int, kind: type[SimulatedDrives] = SimulatedDrives, **tap) -> LockStepLink:
+    robot = robot_of(bus_text(n))
+    return LockStepLink(kind(robot, bus_of(robot)), **tap)
+
+
+@pytest.mark.parametrize(
+    "frame",
+    [b"", b"\x82\x00", b"\x40\x41\x60\x00" + bytes(3), b"\x2b\x40\x60\x00\x06" + bytes(3), b"\x60" + bytes(7)],
+)
+@pytest.mark.parametrize("can_id", [0x000, 0x080, 0x201, 0x600, 0x601, 0x680, 0x77F])
+def test_nothing_but_a_read_can_be_sent(can_id, frame):
+    frames: list[Frame] = []
+    uploads = Uploads(drives_of(1, tap=frames.append), bus_file())
+    with pytest.raises(AcquisitionError, match="is no SDO read"):
+        uploads.send(can_id, frame)
+    assert [frame for frame in frames if frame.flags & SENT] == []
+
+
+MASTERS = [(0x000, b"\x01\x00"), (0x080, b""), (0x605, bytes(8)), (0x201, bytes(6))]
+
+
+@pytest.mark.parametrize(("can_id", "data"), MASTERS)
+def test_beside_another_master_nothing_is_sent(can_id, data, capsys):
+    channel = f"scan_beside_{can_id:03X}"
+    other, ear = Link(open_bus(bus_file(channel), passive=False), passive=False), Ear(channel)
+    timer = threading.Timer(0.2, other.send, (can_id, data))
+    timer.start()
+    assert scan(channel) == 1
+    timer.join()
+    other.close()
+    assert [frame.can_id for frame in ear.frames()] == [can_id]
+    assert "another master is active: expected none during a scan; nothing was sent" in capsys.readouterr().err
+
+
+@dataclass(kw_only=True)
+class Sudden(Through):
+    """Sends one frame as soon as `after` frames were sent; holds it until the scan receives again, as a socket does."""
+
+    frame: Frame
+    after: int
+    sent: list[tuple[int, bytes]] = field(default_factory=list)
+    met: int = -1  # frames sent before
+
+    def send(self, can_id, data):
+        self.sent.append((can_id, data))
+        super().send(can_id, data)
+
+    def receive(self, until_ns):
+        if self.met < 0 and len(self.sent) >= self.after:
+            self.met = len(self.sent)
+            return self.frame
+        return super().receive(until_ns)
+
+
+@pytest.mark.parametrize("after", [1, 60, 127, 128, 150, 200])
+@pytest.mark.parametrize("flags", [0, REMOTE_REQUEST])
+def test_a_master_that_begins_during_the_scan_silences_it(after, flags):
+    link = Sudden(link=drives_of(2), frame=Frame(0, 0x701 if flags else 0x80, b"", flags), after=after)
+    uploads = Uploads(link, bus_file())
+    with pytest.raises(AcquisitionError, match=f"expected none during a scan; {after} SDO reads were sent"):
+        scan_nodes(uploads, OBJECTS, ARRAYS)
+    for _ in range(2):  # for good
+        with pytest.raises(AcquisitionError, match="another master is active"):
+            uploads.send(0x601, b"\x40\x00\x10" + bytes(5))
+    assert len(link.sent) == after
+
+
+@pytest.mark.parametrize("after", [0, 30, 140])
+def test_an_error_frame_ends_the_scan_in_words(after):
+    frame = Frame(0, 0x20, bytes(8), ERROR)
+    link = Sudden(link=drives_of(2), frame=frame, after=after)
+    with pytest.raises(AcquisitionError, match=r"error frame: no acknowledgement.*bitrate"):
+        scan_nodes(Uploads(link, bus_file()), OBJECTS, ARRAYS)
+    assert len(link.sent) == after
+
+
+class Odd(FaultyDrives):
+    """Drives whose answers to some reads are others: by node and object, the frame or None."""
+
+    answers: dict[tuple[int, int, int], bytes | None]
+    asked: Counter[tuple[int, int, int]]
+
+    def receive(self, now_ns, can_id, data):
+        sent = super().receive(now_ns, can_id, data)
+        key = (can_id - 0x600, int.from_bytes(data[1:3], "little"), data[3]) if len(data) == 8 else (0, 0, 0)
+        self.asked[key] += 1
+        if key in self.answers:
+            answer = self.answers[key]
+            return [] if answer is None else [(0x580 + key[0], answer)]
+        return sent
+
+
+def odd(n: int, answers: dict[tuple[int, int, int], bytes | None]):
+    """The readings and heard services of `n` drives with other answers."""
+    link = drives_of(n, Odd)
+    link.drives.answers, link.drives.asked = answers, Counter()
+    uploads = Uploads(link, bus_file())
+    nodes = scan_nodes(uploads, OBJECTS, ARRAYS)
+    return nodes, uploads.heard, link.drives
+
+
+def row(nodes, heard, subject, node):
+    (found,) = [f for f in findings_of(nodes, heard) if (f.subject, f.node) == (subject, node)]
+    return found
+
+
+def test_odd_answers_are_said_as_such():
+    answers = {
+        (1, 0x6075, 0): abort_answer(0x6075, 0, "general error"),
+        (1, 0x6092, 1): abort_answer(0x6092, 1, "object does not exist"),
+        (1, 0x6092, 2): abort_answer(0x6092, 2, "sub-index does not exist"),
+        (1, 0x6041, 0): value_answer(0x6041, 0, 0x250, 4),
+        (1, 0x6064, 0): value_answer(0x6064, 0, -5, 2),
+        (1, 0x6502, 0): b"\x41\x02\x65\x00\x08\x00\x00\x00",  # the beginning of an upload of 8 bytes
+        (1, 0x6080, 0): None,
+        (2, 0x607D, 1): value_answer(0x607D, 1, -70000, 4),
+    }
+    nodes, heard, drives = odd(2, answers)
+    assert row(nodes, heard, "state", 1).found == (
+        "6041:0 0x250 switch on disabled (4 bytes: expected 2), 6064:0 -5 (2 bytes: expected 4)"
+    )
+    assert row(nodes, heard, "modes", 1).found == "6502:0 (more than 4 bytes: expected 4)"
+    assert row(nodes, heard, "rated mA, mN m", 1).found == "6075:0 (general error (0x08000000)), 6076:0 420"
+    units = row(nodes, heard, "units per turn", 1)
+    assert units.found.startswith("6092:1 -, 6092:2 -, 6091:1 1, 6091:2 1, 608F:1 65536, 608F:2 1")
+    limits = row(nodes, heard, "limits", 1).found
+    assert "6080:0 (no answer)" in limits
+    assert drives.asked[1, 0x6080, 0] == 2
+    bad = {f.subject for f in findings_of(nodes, heard) if f.node == 1 and not f.ok}
+    assert bad == {"state", "modes", "rated mA, mN m", "limits"}
+    assert row(nodes, heard, "limits", 2).found.startswith("607D:1 -70000, ")
+    assert all(f.ok for f in findings_of(nodes, heard) if f.node == 2)
+    # 608Fh stands in where 6092h is not there.
+    assert sum("counts_per_turn = 65536 #" in line for line in bus_lines(bus_file(), nodes)) == 2
+
+
+def test_a_server_that_aborts_the_long_upload_before_is_asked_again():
+    long = {(1, 0x6502, 0): b"\x41\x02\x65\x00\x08\x00\x00\x00"}
+    nodes, _, _ = odd(1, long)
+    aborted: list[str] = []
+
+    class Aborts(Odd):
+        def receive(self, now_ns, can_id, data):
+            if aborted == ["open"]:
+                aborted[:] = ["done"]
+                return [(0x581, abort_answer(0x6502, 0, "command specifier not known"))]
+            sent = super().receive(now_ns, can_id, data)
+            if data[1:4] == b"\x02\x65\x00" and not aborted:
+                aborted[:] = ["open"]
+            return sent
+
+    plain = drives_of(1, Aborts)
+    plain.drives.answers, plain.drives.asked = long, Counter()
+    again = scan_nodes(Uploads(plain, bus_file()), OBJECTS, ARRAYS)
+    assert aborted == ["done"]
+    assert again == nodes
+
+
+def test_a_node_that_falls_silent_does_not_hold_up_the_scan():
+    silent = {(1, index, sub): None for index, sub in [*OBJECTS, *((index, 0) for index in ARRAYS)] if index != 0x1000}
+    nodes, heard, drives = odd(2, silent)
+    assert {reading.problem for reading in nodes[1].values() if reading.value is None} == {"no answer"}
+    assert sum(count for (node, _, _), count in drives.asked.items() if node == 1) == 2 + 2 * 2
+    assert row(nodes, heard, "drive", 1).found.startswith("1000:0 0x20192, 1018:1 (no answer), 1018:2 (no answer)")
+    assert row(nodes, heard, "state", 2).ok
+
+
+def test_devices_that_are_no_drives_and_nodes_that_are_only_heard():
+    answers = {
+        (1, 0x1000, 0): value_answer(0x1000, 0, 0x00030191, 4),
+        (1, 0x6041, 0): abort_answer(0x6041, 0, "object does not exist"),
+        (2, 0x1000, 0): None,
+        (3, 0x1000, 0): value_answer(0x1000, 0, 0, 4),  # a drive that names no profile
+        **{(3, *key): value_answer(*key, value, 4) for key, value in IDENTITY.items()},
+    }
+    nodes, heard, _ = odd(3, answers)
+    rows = table(findings_of(nodes, heard))
+    assert any(re.fullmatch(r"ok  no drive +1  +1000:0 0x30191, 1018:1 0x0, .*", line) for line in rows)
+    assert any(re.fullmatch(r"NO  only heard +2  +boot-up", line) for line in rows)
+    assert any("1018:1 0xFB, 1018:2 0x60500000, 1018:3 0x1700010, 1018:4 0x4D" in line for line in rows)
+    lines = list(bus_lines(bus_file(), nodes))
+    assert [line for line in lines if line.startswith("other_nodes")] == ["other_nodes = [1] # no drives"]
+    assert [line.split(" #")[0] for line in lines if line.startswith("node")] == ["node = 3"]
+
+
+def test_mapped_pdos_and_consumers_are_shown():
+    link = drives_of(1)
+    values = link.drives.nodes[0].values
+    values |= {(0x1800, 1): 0x181, (0x1A00, 0): 2, (0x1A00, 1): 0x60410010, (0x1A00, 2): 0x60640020}
+    values |= {(0x1400, 1): 0x80000201, (0x1600, 0): 1, (0x1600, 1): 0x60400010, (0x1016, 2): 0x7F001E}
+    nodes = scan_nodes(Uploads(link, bus_file()), OBJECTS, ARRAYS)
+    assert row(nodes, {}, "PDOs", 1).found == "tpdo 1 0x181 6041:0 6064:0; rpdo 1 0x201 off 6040:0"
+    assert "1016:0 0x2, 1016:1 0x0, 1016:2 0x7F001E" in row(nodes, {}, "supervision", 1).found
+
+
+def described(bus: str, joints: int = 2) -> str:
+    """robot.toml with `joints` and the text of `[bus]`."""
+    return bus_text(joints).split("[bus]")[0] + bus
+
+
+@pytest.fixture
+def scanned(tmp_path: Path) -> Path:
+    """What a scan of two drives wrote."""
+    with served("scan_two", 2):
+        assert scan("scan_two", "--toml", str(tmp_path / "bus.toml")) == 0
+    return tmp_path / "bus.toml"
+
+
+def test_what_a_scan_writes_is_no_go_for_track_until_it_is_filled_in(scanned, capsys):
+    bus, robot = scanned.read_text(), scanned.with_name("robot.toml")
+    for text, lines in ((described(bus), 5), (described(filled_in(bus)), 0)):
+        robot.write_text(text)
+        capsys.readouterr()
+        with served("scan_two", 2):
+            status = main(["check", str(robot)])
+        out, err = capsys.readouterr()
+        marked = [n for n, line in enumerate(text.splitlines(), 1) if "FILL IN" in line]
+        assert len(marked) == lines
+        rows = [line for line in out.splitlines() if "FILL IN" in line]
+        shown = f"robot.toml: lines {', '.join(map(str, marked))}: --track refuses"
+        assert [row.split(maxsplit=3) for row in rows] == ([["NO", "FILL", "IN", shown]] if lines else [])
+        assert (status == 1) if lines else ("FILL IN" not in err)
+        assert not lines or re.search("no go for --track: .*FILL IN", err)
+        assert re.search(r"ok  description +agrees with rated values", out)
+
+
+def test_what_a_scan_writes_records_once_it_is_filled_in(scanned, tmp_path):
+    robot = robot_of(described(filled_in(scanned.read_text())))
+    session = dry_session(tmp_path / "log.mcap", Task(reference=swing(2, seconds=0.4, amplitude=0.02)), robot=robot)
+    assert session.outcome.reason == "finished"
+    assert session.recording.samples["position"][:, 0].max() > 0.03
+
+
+def test_track_refuses_what_is_not_filled_in(scanned, tmp_path, capsys):
+    (tmp_path / "robot.toml").write_text(described(scanned.read_text()))
+    path = swing(2, seconds=2.0, amplitude=0.02)
+    rows = [f"{0.002 * k},{q[0]},{q[1]}" for k, q in enumerate(path)]
+    (tmp_path / "ref.csv").write_text("\n".join(["time_s,joint_1,joint_2", *rows]))
+    command = [
+        "record",
+        str(tmp_path / "robot.toml"),
+        "--track",
+        str(tmp_path / "ref.csv"),
+        "-o",
+        str(tmp_path / "log.mcap"),
+    ]
+    ear = Ear("scan_two")
+    assert main([*command, "--yes"]) == 1
+    assert "FILL IN: expected none in [bus]" in capsys.readouterr().err
+    assert ear.frames() == []
+    assert not (tmp_path / "log.mcap").exists()
+    assert main([*command, "--dry-run"]) == 0
+
+
+def test_only_marks_in_bus_count():
+    marked = "[controller] # FILL IN\nbandwidth_hz = 5 # FILL IN"
+    text = bus_text(1).replace("[controller]\nbandwidth_hz = 5", marked)
+    assert lines_to_fill_in(robot_of(text)) == []
+    below = "\n[parameters] # FILL IN\nM1 = 1 # FILL IN\n"
+    text = text.replace("node = 1", "node = 1 # FILL IN") + below
+    number = next(n for n, line in enumerate(text.splitlines(), 1) if "node = 1" in line)
+    assert lines_to_fill_in(robot_of(text)) == [number]
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["socketcan", "--bitrate", "500000"], "--bitrate = 500000: of socketcan: expected none: ip link set can0"),
+        (["slcan"], "--bitrate is missing: a wrong one destroys the frames of others"),
+        (["slcan", "--bitrate", "123"], "--bitrate = 123"),
+        (["virtual", "--toml", "here.toml"], "here.toml: already exists"),
+    ],
+)
+def test_options_that_are_refused(options, said, tmp_path, monkeypatch, capsys):
+    (tmp_path / "here.toml").write_text("mine")
+    monkeypatch.chdir(tmp_path)
+    assert main(["scan", "--channel", "can0", "--interface", *options]) == 1
+    assert said in capsys.readouterr().err
+    assert (tmp_path / "here.toml").read_text() == "mine"
+
+
+def test_an_empty_bus(tmp_path, capsys):
+    assert scan("scan_nobody", "--toml", str(tmp_path / "bus.toml")) == 1
+    assert "bus: virtual scan_nobody: no node answers" in capsys.readouterr().err
+    assert not (tmp_path / "bus.toml").exists()
+
+
+@pytest.mark.parametrize(
+    ("values", "lines"),
+    [
+        ({}, ['reference = "6074"', "rated_torque_nm = 0.42", "counts_per_turn = 65536"]),
+        ({(0x6091, 1): 9, (0x6092, 1): 2304}, ['reference = "6074"', "rated_torque_nm = 0.42", "counts_per_turn = 256"]),
+        ({(0x6091, 2): 0, (0x6092, 2): 4}, ['reference = "6074"', "rated_torque_nm = 0.42", "counts_per_turn = 16384"]),
+        ({(0x6092, 1): 0}, ['reference = "6074"', "rated_torque_nm = 0.42", "counts_per_turn = 65536"]),
+        ({(0x6092, 1): 0, (0x608F, 2): 0, (0x6076, 0): 0}, ['reference = "6074"']),
+        ({(0x6074, 0): None, (0x6075, 0): 1250}, ['actual = "6077"', "rated_torque_nm = 0.42", "counts_per_turn = 65536"]),
+        ({(0x6074, 0): None, (0x6077, 0): None, (0x6075, 0): 1250}, ['actual = "6078"', "rated_current_a = 1.25"]),
+        ({(0x6074, 0): None, (0x30D0, 0): 7}, ['reference = "30D0"', "counts_per_turn = 65536"]),
+    ],
+)  # fmt: skip
+def test_units_and_efforts_of_a_drive(values, lines):
+    link = drives_of(1)
+    (node,) = link.drives.nodes
+    for key, value in values.items():
+        node.types.setdefault(key, "I32")
+        node.values[key] = 0 if value is None else value
+        if value is None:
+            del node.values[key]
+    nodes = scan_nodes(Uploads(link, bus_file()), OBJECTS, ARRAYS)
+    written = list(bus_lines(bus_file(), nodes))
+    at = next(k for k, line in enumerate(written) if line.startswith("node = 1"))
+    stated = [line.split(" #")[0] for line in written[at + 1 :] if not line.startswith("#")]
+    assert stated[: len(lines)] == lines
+    assert len(stated) == len(lines) + (lines[0] == 'actual = "6078"')
+    assert ("FILL IN" in written[at + 1]) == ("30D0" in written[at + 1])
+
+
+def test_a_drive_with_the_node_id_of_the_master():
+    drive = bus_text(1).replace("node = 1\n", "node = 127\n").replace("[bus]", "[bus]\nmaster_node = 5")
+    robot = robot_of(drive)
+    nodes = scan_nodes(Uploads(LockStepLink(SimulatedDrives(robot, bus_of(robot))), bus_file()), OBJECTS, ARRAYS)
+    bus = "\n".join(bus_lines(bus_file(), nodes))
+    assert list(nodes) == [127]
+    assert robot_of(described(bus, 1)).bus.master_node == 126
