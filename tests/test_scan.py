@@ -231,14 +231,14 @@ def test_odd_answers_are_said_as_such():
     }
     nodes, heard, drives = odd(2, answers)
     assert row(nodes, heard, "state", 1).found == (
-        "6041:0 0x250 switch on disabled (4 bytes: expected 2), 6064:0 -5 (2 bytes: expected 4)"
+        "6041 0x250 switch on disabled (4 bytes: expected 2), 6064 -5 (2 bytes: expected 4)"
     )
-    assert row(nodes, heard, "modes", 1).found == "6502:0 (more than 4 bytes: expected 4)"
-    assert row(nodes, heard, "rated mA, mN m", 1).found == "6075:0 (general error (0x08000000)), 6076:0 420"
+    assert row(nodes, heard, "modes", 1).found == "6502 (more than 4 bytes: expected 4)"
+    assert row(nodes, heard, "rated mA, mN m", 1).found == "6075 (general error (0x08000000)), 6076 420"
     units = row(nodes, heard, "units per turn", 1)
     assert units.found.startswith("6092:1 -, 6092:2 -, 6091:1 1, 6091:2 1, 608F:1 65536, 608F:2 1")
     limits = row(nodes, heard, "limits", 1).found
-    assert "6080:0 (no answer)" in limits
+    assert "6080 (no answer)" in limits
     assert drives.asked[1, 0x6080, 0] == 2
     bad = {f.subject for f in findings_of(nodes, heard) if f.node == 1 and not f.ok}
     assert bad == {"state", "modes", "rated mA, mN m", "limits"}
@@ -275,7 +275,7 @@ def test_a_node_that_falls_silent_does_not_hold_up_the_scan():
     nodes, heard, drives = odd(2, silent)
     assert {reading.problem for reading in nodes[1].values() if reading.value is None} == {"no answer"}
     assert sum(count for (node, _, _), count in drives.asked.items() if node == 1) == 2 + 2 * 2
-    assert row(nodes, heard, "drive", 1).found.startswith("1000:0 0x20192, 1018:1 (no answer), 1018:2 (no answer)")
+    assert row(nodes, heard, "drive", 1).found.startswith("1000 0x20192, 1018:1 (no answer), 1018:2 (no answer)")
     assert row(nodes, heard, "state", 2).ok
 
 
@@ -289,7 +289,7 @@ def test_devices_that_are_no_drives_and_nodes_that_are_only_heard():
     }
     nodes, heard, _ = odd(3, answers)
     rows = table(findings_of(nodes, heard))
-    assert any(re.fullmatch(r"ok  no drive +1  +1000:0 0x30191, 1018:1 0x0, .*", line) for line in rows)
+    assert any(re.fullmatch(r"ok  no drive +1  +1000 0x30191, 1018:1 0x0, .*", line) for line in rows)
     assert any(re.fullmatch(r"NO  only heard +2  +boot-up", line) for line in rows)
     assert any("1018:1 0xFB, 1018:2 0x60500000, 1018:3 0x1700010, 1018:4 0x4D" in line for line in rows)
     lines = list(bus_lines(bus_file(), nodes))
@@ -303,8 +303,8 @@ def test_mapped_pdos_and_consumers_are_shown():
     values |= {(0x1800, 1): 0x181, (0x1A00, 0): 2, (0x1A00, 1): 0x60410010, (0x1A00, 2): 0x60640020}
     values |= {(0x1400, 1): 0x80000201, (0x1600, 0): 1, (0x1600, 1): 0x60400010, (0x1016, 2): 0x7F001E}
     nodes = scan_nodes(Uploads(link, bus_file()), OBJECTS, ARRAYS)
-    assert row(nodes, {}, "PDOs", 1).found == "tpdo 1 0x181 6041:0 6064:0; rpdo 1 0x201 off 6040:0"
-    assert "1016:0 0x2, 1016:1 0x0, 1016:2 0x7F001E" in row(nodes, {}, "supervision", 1).found
+    assert row(nodes, {}, "PDOs", 1).found == "tpdo 1 0x181 6041 6064; rpdo 1 0x201 off 6040"
+    assert "1016 0x2, 1016:1 0x0, 1016:2 0x7F001E" in row(nodes, {}, "supervision", 1).found
 
 
 def described(bus: str, joints: int = 2) -> str:

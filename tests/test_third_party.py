@@ -3,10 +3,12 @@
 import json
 import os
 import queue
+import re
 import shutil
 import signal
 import subprocess
 import threading
+import tomllib
 from pathlib import Path
 
 import canopen
@@ -31,6 +33,7 @@ from test_recording_processes import (
     wait_for,
 )
 
+from acquisition.bus import open_link
 from acquisition.recording import read_recording
 from acquisition.simulated import SimulatedDrives, serve
 from acquisition.simulated import node as simulated_supervision
@@ -118,6 +121,45 @@ def test_a_third_party_drive_is_configured_and_recorded(folder, npm):
     assert (
         q_counts.tolist() == counts[first : first + len(q_counts)].tolist()
     )  # one after the other; a busy machine sends late
+
+
+@pytest.mark.slow
+def test_a_third_party_drive_is_scanned(folder, npm):
+    """Beside two simulated drives; what goes to the drives are reads of objects."""
+    if not THIRD_PARTY_DRIVE.exists():
+        pytest.skip("the third-party drive is not here: ../shared/tools/third_party_drive.js")
+    group, number = channel_of(folder)
+    drive = node(npm, THIRD_PARTY_DRIVE, "7", group, number, "120")
+    ear = open_link(bus_at(folder), passive=True)
+    try:
+        assert drive.stderr is not None
+        assert "node 7" in drive.stderr.readline()
+        with drives(folder):
+            where = ("--interface", "udp_multicast", "--channel", f"{group}:{number}")
+            scan = acquire(folder, "scan", *where, "--toml", str(folder / "bus.toml"))
+            output, errors = scan.communicate(timeout=60)
+        assert scan.returncode == 0, errors
+        frames = []
+        while (frame := ear.take(0)) is not None:
+            frames.append(frame)
+    finally:
+        ear.close()
+        end(drive, signal.SIGTERM)
+    print(output)
+    from_nodes = [base + node for base in (0x580, 0x700) for node in (1, 2, 7)]
+    sent = [frame for frame in frames if frame.can_id not in from_nodes]
+    assert len(sent) > 127
+    assert {(frame.can_id & 0x780, frame.data[0]) for frame in sent} == {(0x600, 0x40)}
+    (bus,) = tomllib.loads(
+        (folder / "bus.toml").read_text().replace("# counts_per_turn = ...", "counts_per_turn = 1")
+    ).values()
+    assert [found["node"] for found in bus["drive"]] == [1, 2, 7]
+    assert bus["drive"][2] == {"node": 7, "reference": "6074", "rated_torque_nm": 0.42, "counts_per_turn": 1}
+    rows = [line for line in output.splitlines() if re.match(r"(ok|NO) .*  7  ", line)]
+    assert any("1018:1 0x123, 1018:2 0x192, 1018:3 0x1, 1018:4 0x7" in row for row in rows)
+    assert any("6075 5000, 6076 420" in row for row in rows)
+    assert any("tpdo 1 0x187 6041 6064 6074; tpdo 2 0x287 606C 6077 6078; rpdo 1 0x207" in row for row in rows)
+    assert any("6092:1 -, 6092:2 -, 6091:1 -, 6091:2 -, 608F:1 -, 608F:2 -" in row for row in rows)
 
 
 @pytest.mark.slow

@@ -50,7 +50,7 @@ def findings_of(nodes: Mapping[int, Readings], heard: Mapping[int, set[str]]) ->
 
 def _words(readings: Readings, index: int, sub: int) -> str:
     value, problem = readings[index, sub]
-    words = f"{index:04X}:{sub}"
+    words = f"{index:04X}:{sub}".removesuffix(":0")
     if value is None:
         return f"{words} -" if "not exist" in problem else f"{words} ({problem})"
     words += f" 0x{value:X}" if index in _HEXADECIMAL else f" {value}"
@@ -67,8 +67,8 @@ def _pdos(readings: Readings) -> Iterator[str]:
         can_id = readings[parameters, 1].value
         entries = [reading.value or 0 for key, reading in readings.items() if key[0] == mapping and key[1]]
         if can_id is not None and (entries or not can_id & NOT_VALID):
-            objects = " ".join(f"{entry >> 16:04X}:{entry >> 8 & 0xFF}" for entry in entries)
-            yield f"{name} 0x{can_id & 0x7FF:03X}{' off' if can_id & NOT_VALID else ''} {objects}"
+            objects = (f" {entry >> 16:04X}:{entry >> 8 & 0xFF}".removesuffix(":0") for entry in entries)
+            yield f"{name} 0x{can_id & 0x7FF:03X}{' off' if can_id & NOT_VALID else ''}{''.join(objects)}"
 
 
 def bus_lines(file: BusFile, nodes: Mapping[int, Readings]) -> Iterator[str]:
