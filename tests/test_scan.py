@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import canopen
 import pytest
 from dry_sessions import Through, dry_session, swing
 from faulty_drives import FaultyDrives
@@ -47,9 +48,9 @@ class Ear:
 
 
 @contextmanager
-def served(channel: str, n: int) -> Iterator[None]:
-    """`n` simulated drives in real time, nodes from 1."""
-    robot, stop, booted = robot_of(bus_text(n, channel=channel)), threading.Event(), threading.Event()
+def served(channel: str, n: int, text: str = "") -> Iterator[None]:
+    """Simulated drives in real time: `n`, nodes from 1, or those of `text`."""
+    robot, stop, booted = robot_of(text or bus_text(n, channel=channel)), threading.Event(), threading.Event()
     drives = SimulatedDrives(robot, bus_of(robot))
     thread = threading.Thread(target=serve, args=(drives, stop.is_set, booted.set), daemon=True)
     thread.start()
@@ -121,8 +122,10 @@ def drives_of(n: int, kind: type[SimulatedDrives] = SimulatedDrives, **tap) -> L
     "frame",
     [b"", b"\x82\x00", b"\x40\x41\x60\x00" + bytes(3), b"\x2b\x40\x60\x00\x06" + bytes(3), b"\x60" + bytes(7)],
 )
-@pytest.mark.parametrize("can_id", [0x000, 0x080, 0x201, 0x600, 0x601, 0x680, 0x77F])
+@pytest.mark.parametrize("can_id", [0x000, 0x080, 0x201, 0x581, 0x600, 0x601, 0x680, 0x77F])
 def test_nothing_but_a_read_can_be_sent(can_id, frame):
+    if can_id != 0x601:
+        frame = frame or b"\x40\x41\x60\x00" + bytes(4)  # a read, but to an identifier of another service
     frames: list[Frame] = []
     uploads = Uploads(drives_of(1, tap=frames.append), bus_file())
     with pytest.raises(AcquisitionError, match="is no SDO read"):
@@ -227,6 +230,7 @@ def test_odd_answers_are_said_as_such():
         (1, 0x6064, 0): value_answer(0x6064, 0, -5, 2),
         (1, 0x6502, 0): b"\x41\x02\x65\x00\x08\x00\x00\x00",  # the beginning of an upload of 8 bytes
         (1, 0x6080, 0): None,
+        (2, 0x6074, 0): value_answer(0x6074, 0, 7, 4),
         (2, 0x607D, 1): value_answer(0x607D, 1, -70000, 4),
     }
     nodes, heard, drives = odd(2, answers)
@@ -243,9 +247,12 @@ def test_odd_answers_are_said_as_such():
     bad = {f.subject for f in findings_of(nodes, heard) if f.node == 1 and not f.ok}
     assert bad == {"state", "modes", "rated mA, mN m", "limits"}
     assert row(nodes, heard, "limits", 2).found.startswith("607D:1 -70000, ")
-    assert all(f.ok for f in findings_of(nodes, heard) if f.node == 2)
+    assert {f.subject for f in findings_of(nodes, heard) if f.node == 2 and not f.ok} == {"efforts"}
+    written = list(bus_lines(bus_file(), nodes))
+    efforts = [line.split(" #")[0] for line in written if line.startswith(("reference", "actual"))]
+    assert efforts == ['reference = "6074"', 'actual = "6077"']  # whatever 6074h is in the second, it is not CiA 402's
     # 608Fh stands in where 6092h is not there.
-    assert sum("counts_per_turn = 65536 #" in line for line in bus_lines(bus_file(), nodes)) == 2
+    assert sum("counts_per_turn = 65536 #" in line for line in written) == 2
 
 
 def test_a_server_that_aborts_the_long_upload_before_is_asked_again():
@@ -270,6 +277,37 @@ def test_a_server_that_aborts_the_long_upload_before_is_asked_again():
     assert again == nodes
 
 
+def test_pythons_canopen_as_a_node():
+    """An SDO server of others: an upload in segments, a size of its own, an object without a value, and none at all."""
+    dictionary = canopen.ObjectDictionary()
+    for index, kind, value in (
+        (0x1000, canopen.objectdictionary.UNSIGNED32, 0x20192),
+        (0x6041, canopen.objectdictionary.UNSIGNED16, 0x21),
+        (0x6064, canopen.objectdictionary.INTEGER32, -5),
+        (0x6502, canopen.objectdictionary.UNSIGNED64, 0x80),
+        (0x6075, canopen.objectdictionary.UNSIGNED32, None),
+        (0x6076, canopen.objectdictionary.UNSIGNED16, 420),
+    ):
+        variable = canopen.objectdictionary.ODVariable(f"object {index:04X}", index)
+        variable.data_type, variable.value = kind, value
+        dictionary.add_object(variable)
+    network = canopen.Network()
+    network.connect(interface="virtual", channel="scan_canopen")
+    link = open_link(bus_file("scan_canopen"), passive=False)
+    try:
+        network.create_node(9, dictionary)
+        uploads = Uploads(link, bus_file())
+        nodes = scan_nodes(uploads, OBJECTS, ARRAYS)
+    finally:
+        link.close()
+        network.disconnect()
+    assert list(nodes) == [9]
+    assert row(nodes, {}, "state", 9).found == "6041 0x21 ready to switch on, 6064 -5"
+    assert row(nodes, {}, "modes", 9).found == "6502 (more than 4 bytes: expected 4)"
+    assert row(nodes, {}, "rated mA, mN m", 9).found == "6075 (abort (0x060A0023)), 6076 420 (2 bytes: expected 4)"
+    assert row(nodes, {}, "limits", 9).found == "607D:1 -, 607D:2 -, 607F -, 6080 -, 6085 -"
+
+
 def test_a_node_that_falls_silent_does_not_hold_up_the_scan():
     silent = {(1, index, sub): None for index, sub in [*OBJECTS, *((index, 0) for index in ARRAYS)] if index != 0x1000}
     nodes, heard, drives = odd(2, silent)
@@ -284,7 +322,7 @@ def test_devices_that_are_no_drives_and_nodes_that_are_only_heard():
         (1, 0x1000, 0): value_answer(0x1000, 0, 0x00030191, 4),
         (1, 0x6041, 0): abort_answer(0x6041, 0, "object does not exist"),
         (2, 0x1000, 0): None,
-        (3, 0x1000, 0): value_answer(0x1000, 0, 0, 4),  # a drive that names no profile
+        (3, 0x1000, 0): abort_answer(0x1000, 0, "general error"),  # a drive that names no profile
         **{(3, *key): value_answer(*key, value, 4) for key, value in IDENTITY.items()},
     }
     nodes, heard, _ = odd(3, answers)
@@ -429,10 +467,14 @@ def test_units_and_efforts_of_a_drive(values, lines):
     assert ("FILL IN" in written[at + 1]) == ("30D0" in written[at + 1])
 
 
-def test_a_drive_with_the_node_id_of_the_master():
-    drive = bus_text(1).replace("node = 1\n", "node = 127\n").replace("[bus]", "[bus]\nmaster_node = 5")
-    robot = robot_of(drive)
-    nodes = scan_nodes(Uploads(LockStepLink(SimulatedDrives(robot, bus_of(robot))), bus_file()), OBJECTS, ARRAYS)
-    bus = "\n".join(bus_lines(bus_file(), nodes))
-    assert list(nodes) == [127]
-    assert robot_of(described(bus, 1)).bus.master_node == 126
+def test_a_drive_with_the_node_id_of_the_master(tmp_path):
+    """Its heartbeats are no sign of a master: 127 is the node id that many drives come with."""
+    drive = (
+        bus_text(1, channel="scan_127").replace("node = 1\n", "node = 127\n").replace("[bus]", "[bus]\nmaster_node = 5")
+    )
+    with served("scan_127", 1, drive):
+        ear = Ear("scan_127")
+        assert scan("scan_127", "--toml", str(tmp_path / "bus.toml")) == 0
+        assert 0x77F in {frame.can_id for frame in ear.frames()}
+    bus = robot_of(described((tmp_path / "bus.toml").read_text(), 1)).bus
+    assert (bus.drive[0].node, bus.master_node) == (127, 126)

@@ -33,7 +33,7 @@ Readings = dict[tuple[int, int], Reading]  # by index and sub-index
 class Uploads:
     """A link that sends SDO read requests only, and from the first frame of another master or error frame on nothing.
 
-    `heard`: by node, the services received other than SDO answers.
+    `heard`: the services received, by node.
     """
 
     def __init__(self, link: MasterLink, file: BusFile) -> None:
@@ -68,7 +68,7 @@ class Uploads:
             self._refusal = f"{sign}: another master is active"
         self._refuse()
         service, _, node = service_of(frame, self.bus.file.sync_can_id).rpartition(" of node ")
-        if service and service != "SDO answer":
+        if service:
             self.heard.setdefault(int(node), set()).add(service)
         return frame
 

@@ -10,9 +10,7 @@ from .replay import add_bus
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_bus(parser)
-    parser.add_argument(
-        "--bitrate", type=int, metavar="BIT/S", help="of an adapter; that of socketcan is set by ip link"
-    )
+    parser.add_argument("--bitrate", type=int, metavar="BIT/S", help="of an adapter; ip link sets that of socketcan")
     add_path(parser, "--toml", "BUS.toml", "write [bus] with a block for each drive, to be filled in")
 
 
@@ -33,11 +31,9 @@ def run(options: argparse.Namespace) -> None:
         raise AcquisitionError(text, key="--bitrate", value=bitrate, expected=f"one of {', '.join(map(str, BITRATES))}")
     if out is not None and out.exists():
         raise AcquisitionError("already exists", place=str(out), expected="a new name; descriptions are not replaced")
-    # No heartbeat is a master's by its node id: 127 is the default of many drives.
-    bit_s = bitrate or BITRATES[-1]
-    file = BusFile(
-        interface=interface, channel=options.channel, bitrate=bit_s, drive=(), sync_period_s=1.0, master_node=0
-    )
+    bit_s = {} if bitrate is None else {"bitrate": bitrate}
+    # No heartbeat is a sign of a master (node 0 has none): 127, the default, is the node id of many new drives.
+    file = BusFile(interface=interface, channel=options.channel, drive=(), sync_period_s=1.0, master_node=0, **bit_s)
     link = open_link(file, passive=False)
     try:
         uploads = Uploads(link, file)
