@@ -20,6 +20,7 @@ cd {root}
 for k in 1 2 3 4 5 6 7 8 9 10; do
   sleep 1; {python} -m acquisition check {folder}/robot.toml > {folder}/check.txt 2>&1 && break
 done
+{python} -m acquisition scan --interface socketcan --channel vcan0 --toml {folder}/bus.toml > {folder}/scan.txt 2>&1
 {python} -m acquisition record {folder}/robot.toml -o {folder}/log.mcap --duration 3 > {folder}/told.txt 2>&1
 """
 
@@ -37,6 +38,9 @@ def test_a_session_over_the_kernels_can(tmp_path: Path) -> None:
     job.write_text(JOB.format(root=ROOT, python=sys.executable, folder=tmp_path))
     subprocess.run(["sh", str(UML), str(job)], capture_output=True, timeout=300, check=False)
     assert re.search(r"ok  description +agrees", (tmp_path / "check.txt").read_text())
+    shown = (tmp_path / "scan.txt").read_text()
+    assert re.search(r"ok  state +1, 2  6041 0x250 switch on disabled, 6064 0\n", shown), shown
+    assert re.search(r"\nbitrate = \d+ # FILL IN", (tmp_path / "bus.toml").read_text())
     assert (tmp_path / "told.txt").read_text().endswith("CAN frames; finished\n")
     recording = read_recording(tmp_path / "log.mcap")
     frames = recording.frames["vcan0"]
