@@ -1,6 +1,7 @@
 """The recording: reads and writes the MCAP file, decodes its frames to rows on the SYNC grid."""
 
 from .decoding import UNCERTAIN, Decoded, decode
+from .following import RecordingFollower
 from .reader import NO_SAMPLES, Recording, has_reference, read_recording, rewrite
 from .rows import (
     ERROR,

@@ -76,39 +76,87 @@ def _read(records: "_Records", place: str, name: str, accept: Accept, wanted: Wa
     if records.first != _MAGIC:
         expected = f"a recording: `robot-acquire import {place} --robot ROBOT.toml --map MAP.toml -o LOG.mcap` makes it"
         raise AcquisitionError(f"is not an MCAP file (begins with {records.first!r})", place=place, expected=expected)
-    metadata: dict[str, str] | None = None
-    attachments: dict[str, bytes] = {}
-    chunks = _Chunks(wanted)
-    complete = False
+    found = _Found(place, name, accept, wanted)
     for opcode, at, content in records:
         try:
-            if opcode == Opcode.METADATA:
-                record = mcap.records.Metadata.read(_stream(content))
-                if record.name == name:
-                    if metadata is not None:
-                        raise ValueError(f"a second metadata record {name!r}")
-                    metadata = dict(record.metadata)
-                    accept(metadata, place)
-            elif opcode == Opcode.ATTACHMENT:
-                record = mcap.records.Attachment.read(_stream(content))
-                _check_crc(zlib.crc32(content[:-4]), content[-4:])
-                if record.name in attachments:
-                    raise ValueError(f"a second attachment {record.name!r}")
-                attachments[record.name] = record.data
-            elif opcode == Opcode.CHUNK:
-                chunks.add(mcap.records.Chunk.read(_stream(content)))
-            elif opcode == Opcode.DATA_END:
-                _check_crc(records.crc_before, content[:4])
-                complete = True
+            found.add(opcode, content, records.crc_before)
+            if found.complete:
                 break
         except _DAMAGE as error:
             if not records.has_end and records.only_zeros_follow():
                 break  # the last record of a cut file: incomplete, followed by nothing or by unwritten disk space
             what = str(error) or type(error).__name__
             raise AcquisitionError(f"damaged at byte {at}: {what}", place=place) from error
-    if records.has_end and not complete:
+    if records.has_end and not found.complete:
         raise AcquisitionError("damaged: it has an end, but the records before do not lead to it", place=place)
-    return metadata, attachments, chunks.messages, not records.has_end, records.sha256()
+    return found.metadata, found.attachments, found.chunks.messages, not records.has_end, records.sha256()
+
+
+class _Found:
+    """The content of the records so far; `complete` after the last one with data. Arguments as of `read_content`."""
+
+    def __init__(self, place: str, name: str, accept: Accept, wanted: Wanted) -> None:
+        self._place, self._name, self._accept = place, name, accept
+        self.metadata: dict[str, str] | None = None
+        self.attachments: dict[str, bytes] = {}
+        self.chunks, self.complete = _Chunks(wanted), False
+
+    def add(self, opcode: int, content: bytes, crc_before: int | None = None) -> None:
+        """Add a record. Raises one of `_DAMAGE`; `crc_before`: of all bytes before it, if known."""
+        if opcode == Opcode.METADATA:
+            record = mcap.records.Metadata.read(_stream(content))
+            if record.name == self._name:
+                if self.metadata is not None:
+                    raise ValueError(f"a second metadata record {self._name!r}")
+                self.metadata = dict(record.metadata)
+                self._accept(self.metadata, self._place)
+        elif opcode == Opcode.ATTACHMENT:
+            record = mcap.records.Attachment.read(_stream(content))
+            _check_crc(zlib.crc32(content[:-4]), content[-4:])
+            if record.name in self.attachments:
+                raise ValueError(f"a second attachment {record.name!r}")
+            self.attachments[record.name] = record.data
+        elif opcode == Opcode.CHUNK:
+            self.chunks.add(mcap.records.Chunk.read(_stream(content)))
+        elif opcode == Opcode.DATA_END:
+            if crc_before is not None:
+                _check_crc(crc_before, content[:4])
+            self.complete = True
+
+
+class GrowingContent:
+    """The content of a file that another program writes, without a lock: `read` adds the records since the last call.
+
+    Raises `AcquisitionError` where the file is not one that is being written, or is damaged.
+    """
+
+    def __init__(self, path: Path, name: str, accept: Accept, wanted: Wanted) -> None:
+        self._path, self._file, self._at = path, path.open("rb"), len(_MAGIC)
+        self.found = _Found(str(path), name, accept, wanted)
+
+    def read(self) -> bool:
+        """Whether there were new records."""
+        place, before = str(self._path), self._at
+        try:
+            there, ours = self._path.stat(), os.fstat(self._file.fileno())
+        except FileNotFoundError as error:
+            raise AcquisitionError("is gone: moved or deleted while it was written", place=place) from error
+        if (there.st_dev, there.st_ino) != (ours.st_dev, ours.st_ino):
+            raise AcquisitionError("was replaced by another file", place=place)
+        if there.st_size < self._at:
+            raise AcquisitionError(f"was cut: {there.st_size} bytes, {self._at} of which were read before", place=place)
+        self._file.seek(0)
+        if self._file.read(len(_MAGIC)) != _MAGIC:
+            raise AcquisitionError("is not a recording", place=place)
+        self._file.seek(self._at)
+        data = self._file.read(_MAX_CHUNK_BYTES)
+        for opcode, begin, end in _records(data):
+            try:
+                self.found.add(opcode, data[begin:end])
+            except _DAMAGE as error:
+                raise AcquisitionError(f"damaged at byte {before + begin}: {error}", place=place) from error
+            self._at = before + end
+        return self._at > before
 
 
 class _Records:
@@ -187,8 +235,13 @@ class _Chunks:
     def __init__(self, wanted: Wanted) -> None:
         self._wanted, self._size = wanted, 0
         self._schemas: dict[int, str] = {}
-        self._channels: dict[int, Messages | None] = {}  # by channel id; None: not of a wanted topic
+        self._channels: dict[int, str | None] = {}  # topic by channel id; None: not a wanted one
         self.messages: dict[str, Messages] = {}
+
+    def take(self) -> dict[str, Messages]:
+        """The messages since the last call."""
+        taken, self.messages = self.messages, {topic: Messages(m.layout) for topic, m in self.messages.items()}
+        return taken
 
     def add(self, chunk: Any) -> None:
         content = _unpack(chunk)
@@ -200,20 +253,19 @@ class _Chunks:
                 number, _, stamp_ns, _ = _MESSAGE.unpack_from(content, begin)
                 if number not in self._channels:
                     raise ValueError(f"a message on channel {number}, which is not described")
-                messages = self._channels[number]
-                if messages is not None:
-                    messages.add(stamp_ns, content[begin + _MESSAGE.size : end])
+                topic = self._channels[number]
+                if topic is not None:
+                    self.messages[topic].add(stamp_ns, content[begin + _MESSAGE.size : end])
             elif opcode == Opcode.SCHEMA:
                 schema = mcap.records.Schema.read(_stream(content[begin:end]))
                 self._schemas[schema.id] = schema.data.decode()
             elif opcode == Opcode.CHANNEL:
                 channel = mcap.records.Channel.read(_stream(content[begin:end]))
-                layout, topic = self._schemas.get(channel.schema_id, ""), None
+                layout, self._channels[channel.id] = self._schemas.get(channel.schema_id, ""), None
                 if self._wanted(channel.topic):
-                    topic = self.messages.setdefault(channel.topic, Messages(layout))
-                    if topic.layout != layout:
+                    self._channels[channel.id] = channel.topic
+                    if self.messages.setdefault(channel.topic, Messages(layout)).layout != layout:
                         raise ValueError(f"{channel.topic} changes its layout")
-                self._channels[channel.id] = topic
 
 
 def _unpack(chunk: Any) -> bytes:

@@ -23,7 +23,7 @@ from .writer import EFFORT_TIMINGS, FRAMES_TOPIC, SCHEMA_VERSION, Header, Record
 FIRST_DATE_NS = 946_684_800 * 10**9  # 2000-01-01; stamps before it count from the start of a computer or a recording
 
 NO_SAMPLES = "no samples: "  # begins the event that gives the reason
-_READ = re.compile(f"/samples|/events|/health|{FRAMES_TOPIC.pattern}")  # all topics but those for viewers
+READ_TOPICS = re.compile(f"/samples|/events|/health|{FRAMES_TOPIC.pattern}")  # all topics but those for viewers
 
 
 class _EventText(msgspec.Struct):
@@ -131,7 +131,7 @@ def read_recording(path: str | PathLike[str]) -> Recording:
     """
     path = Path(path)
     place = Place(str(path))
-    metadata, attachments, topics, cut, sha256 = read_content(path, "recording", _check_metadata, _READ.fullmatch)
+    metadata, attachments, topics, cut, sha256 = read_content(path, "recording", check_metadata, READ_TOPICS.fullmatch)
     note = " (the file is cut before its description)" if cut else ""
     if metadata is None:
         place.refuse(text=f"holds no metadata record 'recording'{note}", expected="a recording of robot-acquire")
@@ -147,21 +147,17 @@ def read_recording(path: str | PathLike[str]) -> Recording:
             continue
         where = Place(f"{place}: {topic}")
         if topic == "/samples":
-            samples = _rows(blocks, sample_layouts(robot), where)
+            samples = rows_of(blocks, sample_layouts(robot), where)
             check_samples(samples, -1, str(where))
         elif match := FRAMES_TOPIC.fullmatch(topic):
-            frames[match[1]] = _rows(blocks, [FRAME], where)
+            frames[match[1]] = rows_of(blocks, [FRAME], where)
             check_frames(frames[match[1]], str(where))
-    events = _decode_json(topics, "/events", _EventText, path)
-    health = _decode_json(topics, "/health", dict[str, float | None], path)
+    events, health = events_of(topics, path)
     return Recording(
         samples=samples,
         frames=frames,
-        events=tuple(Event(stamp_ns=stamp, kind=e.kind, text=e.text) for stamp, e in events),
-        health=tuple(
-            Health(stamp_ns=stamp, counters={k: math.nan if v is None else v for k, v in counters.items()})
-            for stamp, counters in health
-        ),
+        events=events,
+        health=health,
         metadata=metadata,
         attachments=attachments,
         robot=robot,
@@ -187,7 +183,7 @@ def has_reference(path: Path) -> bool:
     return all(b"'reference'" in text for text in schemas)
 
 
-def _rows(blocks: Messages, known: list[np.dtype[np.void]], place: Place) -> Block:
+def rows_of(blocks: Messages, known: list[np.dtype[np.void]], place: Place) -> Block:
     """Concatenated rows. The schema's text is compared with known layouts, never evaluated."""
     dtype = next((layout for layout in known if repr(layout.descr) == blocks.layout), None)
     if dtype is None:
@@ -199,6 +195,19 @@ def _rows(blocks: Messages, known: list[np.dtype[np.void]], place: Place) -> Blo
     return rows
 
 
+def events_of(topics: Mapping[str, Messages], path: Path) -> tuple[tuple[Event, ...], tuple[Health, ...]]:
+    """Events and counters in messages by topic."""
+    events = _decode_json(topics, "/events", _EventText, path)
+    health = _decode_json(topics, "/health", dict[str, float | None], path)
+    return (
+        tuple(Event(stamp_ns=stamp, kind=e.kind, text=e.text) for stamp, e in events),
+        tuple(
+            Health(stamp_ns=stamp, counters={k: math.nan if v is None else v for k, v in counters.items()})
+            for stamp, counters in health
+        ),
+    )
+
+
 def _decode_json(topics: Mapping[str, Messages], topic: str, kind: Any, path: Path) -> list[tuple[int, Any]]:
     try:
         messages = topics[topic].items() if topic in topics else ()
@@ -207,7 +216,8 @@ def _decode_json(topics: Mapping[str, Messages], topic: str, kind: Any, path: Pa
         Place(f"{path}: {topic}").refuse(text=str(error))
 
 
-def _check_metadata(metadata: Mapping[str, str], place: str) -> None:
+def check_metadata(metadata: Mapping[str, str], place: str) -> None:
+    """Refuse a recording of a newer version, or with damaged metadata."""
     text = metadata.get("schema_version", "")
     if not re.fullmatch("[0-9]{1,9}", text, re.ASCII) or int(text) < 1:
         Place(place).refuse("schema_version", text, "a whole number from 1")

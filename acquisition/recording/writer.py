@@ -218,11 +218,12 @@ class RecordingWriter:
         """Add the recorder's counters; one that is not finite is stored as null and read as NaN."""
         self._json("/health", "robot_idim/health", {"type": "object"}, stamp_ns, dict(counters))
 
-    def flush(self) -> None:
-        """Write everything so far to the disk."""
+    def flush(self, *, sync: bool = True) -> None:
+        """Write everything so far to the file, where other programs see it; with `sync` to the disk."""
         self._writer.flush()
         self._file.flush()
-        os.fsync(self._file.fileno())
+        if sync:
+            os.fsync(self._file.fileno())
 
     def close(self) -> None:
         """Write the end of the file; does nothing if it is closed."""

@@ -1,4 +1,4 @@
-"""Writes the frames of a session: flushed every half second, with status and counters, decoded at the end."""
+"""Writes the frames of a session: on the disk every half second, with status and counters, decoded at the end."""
 
 import shutil
 from contextlib import suppress
@@ -79,9 +79,10 @@ class Recorder:
         self._flushed_ns: int | None = None
 
     def add(self, block: Block) -> None:
-        """Write frames in the order of reception."""
+        """Write frames in the order of reception; programs that follow the file see them at once."""
         if len(block):
             self._writer.frames(self.channel, block)
+            self._writer.flush(sync=False)
             self._recent.append(block)
 
     def event(self, stamp_ns: int, kind: str, text: str) -> None:
