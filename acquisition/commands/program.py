@@ -11,6 +11,7 @@ PROGRAM = Program(
         "scan": "find the drives of an unknown bus, by listening and SDO reads only",
         "check": "check which drives answer, and whether they match the description",
         "record": "record drives; nothing moves without --track",
+        "mark": "note a text in a recording while another terminal records it",
         "disable": "stop and disable all drives, even if another program enabled them; never refused",
         "simulate": "simulated drives that any CANopen master can use",
         "import": "make a recording from tables (CSV, MAT), a ROS 2 bag or a CAN log (candump, ASC, BLF, TRC)",

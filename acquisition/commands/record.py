@@ -60,6 +60,8 @@ def run(options: argparse.Namespace) -> int:
     def show(status: "Status", left_s: float | None) -> None:
         line.show(*live_line(robot, status, left_s))
 
+    if sys.stderr.isatty():
+        print(f"watch it in a second terminal: robot-identify view {options.output} --follow", file=sys.stderr)
     line.show(("starting", False))
     interface = UserInterface(stop=stop, confirm=confirm, show=show, announce=announce)
     try:

@@ -2,6 +2,7 @@
 
 from .decoding import UNCERTAIN, Decoded, decode
 from .following import RecordingFollower
+from .marks import add_mark, take_marks
 from .reader import NO_SAMPLES, Recording, has_reference, read_recording, rewrite
 from .rows import (
     ERROR,

@@ -135,7 +135,11 @@ def as_tables(found: Mapping[str, Any]) -> Group:
     )
     events = _table(
         ("event", since, ""),
-        [(event.kind, _seconds(event.stamp_ns, found), event.text) for event in found["events"][:_SHOWN]],
+        [
+            (event.kind, _seconds(event.stamp_ns, found), event.text)
+            for k, event in enumerate(found["events"])
+            if k < _SHOWN or event.kind == "operator"
+        ],
     )
     tables = [table for table in (facts, joints, extras, holes, events) if table.row_count]
     return Group(*(part for table in tables for part in (_Trimmed(table), Text())))

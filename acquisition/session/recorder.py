@@ -8,7 +8,17 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import AcquisitionError
-from ..recording import FRAME, NO_SAMPLES, Block, Header, RecordingWriter, decode, read_recording, written_by_master
+from ..recording import (
+    FRAME,
+    NO_SAMPLES,
+    Block,
+    Header,
+    RecordingWriter,
+    decode,
+    read_recording,
+    take_marks,
+    written_by_master,
+)
 from ..robot import Bus, Payload, Robot, resolve
 
 FLUSH_S = 0.5
@@ -98,6 +108,7 @@ class Recorder:
         elapsed_s = (stamp_ns - self._flushed_ns) * 1e-9
         if 0 <= elapsed_s < FLUSH_S and not now:
             return None
+        self._note_marks(stamp_ns)
         recent = np.concatenate(self._recent) if self._recent else np.zeros(0, FRAME)
         self._recent = []
         self._status = status = self._next_status(recent, elapsed_s, drops)
@@ -133,8 +144,13 @@ class Recorder:
         self._writer.flush()
         frames = read_recording(self._path).frames.get(self.channel, np.zeros(0, FRAME))
         found = write_decoded(self._writer, frames, self._robot, stamp_ns, str(self._path))
+        self._note_marks(stamp_ns)
         self._writer.close()
         return found
+
+    def _note_marks(self, stamp_ns: int) -> None:
+        for age_ns, text in take_marks(self._path):
+            self.event(max(0, stamp_ns - age_ns), "operator", text)
 
     def close(self) -> None:
         """Close the file as it is."""

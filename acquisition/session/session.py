@@ -184,7 +184,7 @@ class _Session:
     def phases(self) -> None:
         """Run one phase after the other."""
         if self._task.reference is None:
-            self._run("record", self._record())
+            self._run("record", self._record(), self._task.duration_s)
             return
         reference = self._task.reference
         self._run("enable", self._enable())
@@ -195,15 +195,17 @@ class _Session:
             # From the held targets, not from measured positions: the difference between them would be a step of the target.
             path = approach(joints_of(self._robot, self._bus, self._held), reference[0], self._robot, self._period_s)
             check_limits(path, self._robot, self._period_s, "the approach to the reference's start")
-            self._run("approach", self._follow(path))
+            self._run("approach", self._follow(path), len(path) * self._period_s)
         if not self._stop.reason:
-            self._run("track", self._follow(reference))
+            self._run("track", self._follow(reference), len(reference) * self._period_s)
         self._run("stop", self._hold())
         self._run("disable", self._disable())
 
-    def _run(self, name: str, orders: Iterator[Orders | None]) -> None:
+    def _run(self, name: str, orders: Iterator[Orders | None], planned_s: float | None = None) -> None:
         """Run a phase: for each SYNC its orders, which apply from that SYNC on, then SYNC, answers and guards."""
         self._log.event(max(self._pace.next_ns, self._link.now_ns()), "phase", name)
+        if planned_s is not None:
+            self._note("plan", f"{name} {planned_s:g} s")
         for order in orders:
             if order is not None:
                 self._held = [target for _, target in order]

@@ -17,7 +17,7 @@ from .robot_drawing import pose_stride
 
 TRACKING_PHASE = "track"  # the phase used by a fit
 MAX_LINES = 2000  # of the log
-ROUTINE_EVENTS = ("phase", "mark", "disabled", "end")  # kinds that are no warnings
+ROUTINE_EVENTS = ("phase", "plan", "mark", "operator", "disabled", "end")  # kinds that are no warnings
 MAX_LAGS = 60  # of the autocorrelation, in decimated samples
 MAX_RESIDUAL_SIGMAS = 4.0  # range of the drawn distribution
 MIN_SPECTRUM_SAMPLES = 16  # fewer give no spectrum

@@ -1,0 +1,18 @@
+"""`robot-acquire mark`: note a text in a recording that is being written."""
+
+import argparse
+
+from .command_line import add_path
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    add_path(parser, "recording", "LOG.mcap")
+    parser.add_argument("text", metavar="TEXT", help="the note; the recording has it with the time, as an event")
+
+
+def run(options: argparse.Namespace) -> None:
+    """Note the text for the recorder."""
+    from ..recording import add_mark
+
+    add_mark(options.recording, options.text)

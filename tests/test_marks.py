@@ -1,0 +1,91 @@
+"""Marks of an operator: noted beside a recording that is being written, copied into it, shown by `info`."""
+
+import os
+import time
+from pathlib import Path
+
+import pytest
+from dry_sessions import dry_session, swing
+from made_up_buses import bus_text, robot_of
+
+from acquisition.commands import main
+from acquisition.recording import read_recording
+from acquisition.session import InlineLog, Recorder, Task
+
+
+class Marked(InlineLog):
+    """Another terminal notes marks at the beginning, in the middle, and after the last SYNC."""
+
+    path: Path
+    polls = 0
+
+    def poll(self, stamp_ns):
+        self.polls += 1
+        if self.polls in (3, 700):
+            assert main(["mark", str(self.path), f"bumped\n{self.polls} times"]) == 0
+        return super().poll(stamp_ns)
+
+    def finish(self, stamp_ns):
+        assert main(["mark", str(self.path), "at the end"]) == 0
+        return super().finish(stamp_ns)
+
+
+def test_marks_are_events_of_the_recording(tmp_path, capsys):
+    path = tmp_path / "log.mcap"
+    done = dry_session(path, Task(reference=swing(2)), log_of=type("Here", (Marked,), {"path": path}))
+    assert done.events("operator") == ["bumped 3 times", "bumped 700 times", "at the end"]
+    marks = [e.stamp_ns for e in done.recording.events if e.kind == "operator"]
+    assert marks == sorted(marks)
+    assert marks[1] < done.recording.samples["stamp_ns"][-1]
+    assert not list(tmp_path.glob("*.marks*"))
+    capsys.readouterr()
+    assert main(["info", str(path)]) == 0
+    shown = capsys.readouterr().out
+    assert all(text in shown for text in done.events("operator"))
+
+
+def test_a_mark_keeps_its_time_and_what_is_no_mark_is_left_out(tmp_path):
+    path, robot = tmp_path / "log.mcap", robot_of(bus_text(2))
+    recorder = Recorder(path, robot, source="test", place="robot.toml")
+    second = 10**9
+    lines = [
+        f'[{time.time_ns() - 2 * second}, "before"]',
+        "nonsense",
+        "[1]",
+        f'[{time.time_ns() + 9 * second}, "ahead"]',
+        "[null, 1]",
+    ]
+    (tmp_path / "log.mcap.marks").write_bytes("\n".join(lines).encode() + b"\n\xff\n")
+    recorder.finish(100 * second)
+    found = [e for e in read_recording(path).events if e.kind == "operator"]
+    assert [e.text for e in found] == ["before", "ahead"]
+    assert 97.5 < found[0].stamp_ns / second <= 98
+    assert found[1].stamp_ns == 100 * second
+
+
+@pytest.mark.parametrize("kind", ["finished", "cut", "none", "table"])
+def test_a_mark_without_a_recording_that_is_written(tmp_path, capsys, kind):
+    path = tmp_path / "log.mcap"
+    recorder = Recorder(path, robot_of(bus_text(2)), source="test", place="robot.toml")
+    if kind == "finished":
+        recorder.finish(10**9)
+    elif kind == "none":
+        path.unlink()
+    elif kind == "table":
+        path.write_text("t,q1")
+    if kind in ("cut", "table"):
+        os.utime(path, (time.time() - 20, time.time() - 20))
+    assert main(["mark", str(path), "too late"]) == 1
+    error = capsys.readouterr().err
+    assert error.startswith(f"robot-acquire: {path}: ")
+    assert error.count("\n") == 1
+    assert not list(tmp_path.glob("*.marks*"))
+
+
+def test_phases_say_how_long_they_take(tmp_path):
+    done = dry_session(tmp_path / "log.mcap", Task(reference=swing(2, seconds=1.0)))
+    plans = done.events("plan")
+    assert [text.split()[0] for text in plans] == ["approach", "track"]
+    begin = {e.text: e.stamp_ns for e in done.recording.events if e.kind == "phase"}
+    tracked_s = (begin["stop"] - begin["track"]) * 1e-9
+    assert float(plans[1].split()[1]) == pytest.approx(tracked_s, abs=0.01)
