@@ -1,9 +1,11 @@
 """`robot-identify view`: draw a recording in Rerun, before a fit."""
 
 import argparse
+import os
+import sys
 from pathlib import Path
 
-from acquisition.commands import Progress, add_path, from_options
+from acquisition.commands import Progress, add_flag, add_path, from_options
 
 from ..errors import IdentificationError
 from .arguments import add_recordings, add_settings, print_results, refuse_outputs, sources
@@ -14,7 +16,10 @@ def add(parser: argparse.ArgumentParser) -> None:
     add_recordings(parser.add_argument_group("inputs"))
     add_settings(parser)
     outputs = parser.add_argument_group("outputs")
-    add_path(outputs, "-o --out", "VIEW.rrd", "file to write (default: LOG.rrd)")
+    add_path(outputs, "-o --out", "VIEW.rrd", "file to write (default: LOG.rrd; with --follow a viewer opens)")
+    live = parser.add_argument_group("while another terminal records")
+    add_flag(live, "--follow", "show the recording while it is written; a picture, not a guard")
+    add_path(live, "--fit", "FIT.json", "with --follow: also the residual torque of this fit")
 
 
 def run(options: argparse.Namespace) -> None:
@@ -22,6 +27,10 @@ def run(options: argparse.Namespace) -> None:
     if options.out and len(options.recordings) > 1:
         text = f"one file for {len(options.recordings)} recordings"
         raise IdentificationError(text, key="--out", value=str(options.out), expected="no --out: LOG.rrd each")
+    if options.follow:
+        return _follow(options)
+    if options.fit:
+        raise IdentificationError("has no effect", key="--fit", value=str(options.fit), expected="--follow with it")
     outs = [options.out or Path(str(path).removesuffix(path.suffix) + ".rrd") for path in options.recordings]
     refuse_outputs([*options.recordings, options.robot], *outs)
     with Progress("reading") as progress:
@@ -33,3 +42,18 @@ def run(options: argparse.Namespace) -> None:
             progress.say("writing the Rerun file")
             write_rrd(out, draw_recording(signals, from_options(Overrides, options)))
     print_results(f"look at it: rerun --bind 127.0.0.1 {' '.join(map(str, outs))}")
+
+
+def _follow(options: argparse.Namespace) -> None:
+    """Show one recording while it is written, with a low priority: the recorder comes first."""
+    from ..view import follow_recording
+
+    if len(options.recordings) > 1:
+        raise IdentificationError(key="--follow", value=len(options.recordings), expected="one recording")
+    refuse_outputs([*options.recordings, options.fit], options.out)
+    os.nice(10)
+    (path,) = options.recordings
+    follow_recording(
+        path, options.fit, options.out, lambda text: print(f"warning: {text}", file=sys.stderr, flush=True)
+    )
+    print_results(f"{path}: the recording has ended and is whole")

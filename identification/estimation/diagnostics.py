@@ -42,6 +42,7 @@ def torque_errors(tau: Array, predicted: Array, speed: Array, names: tuple[str, 
             moving_rows=int(m.sum()),
             standing_rows=int((~m).sum()),
             autocorrelation=autocorrelation(r),
+            residual_rms=float(np.sqrt(np.mean(r**2))),
         )
         for name, t, r, m in [*each, ("all", tau, rho, moving)]
     )

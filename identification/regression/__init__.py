@@ -3,7 +3,16 @@
 from .bandwidth import with_bandwidth
 from .filtering import Decimation, forward_backward_3db_hz
 from .load import LoadFriction, load_columns, load_friction
-from .motion import BLOCK_SAMPLES, SPLINE_REACH, FilteredMotion, Motion, differentiate, sampled_at
+from .motion import (
+    BLOCK_SAMPLES,
+    SPLINE_REACH,
+    FilteredMotion,
+    Motion,
+    differentiate,
+    later,
+    motion_between,
+    sampled_at,
+)
 from .payload import PayloadColumns, payload_of
 from .problem import Problem, RowBlock, make_problem, row_blocks
 from .rows import (

@@ -37,7 +37,7 @@ class TorqueError(msgspec.Struct, frozen=True, kw_only=True):
     """Relative torque error 100 |Y - W beta| / |Y| in percent, of all, moving and standing rows; the torque's unit.
 
     In moving rows the joint is faster than 2 % of its peak speed. None without such rows or torque. `autocorrelation` is of the
-    residual at a lag of one decimated sample.
+    residual at a lag of one decimated sample, `residual_rms` in the unit.
     """
 
     name: str = ""
@@ -47,6 +47,7 @@ class TorqueError(msgspec.Struct, frozen=True, kw_only=True):
     moving_rows: int = 0
     standing_rows: int = 0
     autocorrelation: float | None = None
+    residual_rms: float | UnsetType = UNSET
     unit: str | UnsetType = UNSET
 
     @property

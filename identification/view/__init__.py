@@ -18,6 +18,9 @@ from .sensitivity import draw_sensitivity as draw_sensitivity
 
 if TYPE_CHECKING:
     from .html_page import write_html as write_html
+    from .live import follow_recording as follow_recording
     from .rerun_panels import write_rrd as write_rrd
 else:
-    __getattr__, __dir__ = lazy_names(__name__, {"rerun_panels": ("write_rrd",), "html_page": ("write_html",)})
+    __getattr__, __dir__ = lazy_names(
+        __name__, {"rerun_panels": ("write_rrd",), "html_page": ("write_html",), "live": ("follow_recording",)}
+    )

@@ -1,0 +1,269 @@
+"""The live page of a recording that is being written (`view --follow`): a picture for engineers, not a guard.
+
+It reads the file alone, so that it cannot hold the recorder up.
+"""
+
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+from msgspec import UNSET
+
+from acquisition.recording import Block, RecordingFollower
+from acquisition.robot import Robot
+
+from ..arrays import Array
+from ..errors import IdentificationError
+from ..methods import stored_beta
+from ..model import InverseModel, base_parameters
+from ..regression import Decimation, later, motion_between, predicted_torque
+from ..report import FitFile, read_fit
+from .panels import GREEN, GREY, LIGHT, ORANGE, REFERENCE, RESIDUAL, Chart, Color
+from .rerun_panels import show, shown_text
+
+RED: Color = (200, 30, 30)
+PORT, VIEWER_MEMORY = 9876, "1GB"
+POLL_S = 0.05
+STALLED_S, GIVE_UP_S = 1.0, 15.0  # without growth; the recorder writes every half second
+MAX_FINISH_S = 600.0  # without growth after the end of the session: the recorder decodes
+SHOWN_S = 20.0  # of the plots
+BAND = 4.0  # times the rms residual of the fit
+CUT_PERIODS = 5.0  # of the lowest cut-off, at both ends of the filtered rows
+_RATED = {"N m": "rated_torque_nm", "N": "rated_force_n", "A": "rated_current_a"}
+_LOSSES = ("late", "missing", "kernel_drops")
+Lines = dict[str, tuple[Color, float]]  # level lines of a plot by name
+
+
+def follow_recording(path: Path, fit: Path | None, out: Path | None, warn: Callable[[str], None]) -> None:
+    """Show the recording at `path` until it is whole, in a viewer on this machine, or written to `out`.
+
+    With `fit`, its JSON file, also the residual torque. `warn` gets warnings, one line each. Raises `AcquisitionError` or
+    `IdentificationError` where the recording cannot be followed any more: it is gone, replaced, cut, or not written.
+    """
+    follower = RecordingFollower(path)
+    residual = None if fit is None else Residual(read_fit(fit), str(fit), follower.robot)
+    recording = rr.RecordingStream(f"live {shown_text(follower.robot.name)}")
+    if out is None:
+        _open_viewer(recording)
+    else:
+        recording.save(out)
+    page, grown_s = LivePage(recording, follower.robot, residual), time.monotonic()
+    try:
+        while not follower.ended:
+            now_s = time.monotonic()
+            if follower.read():
+                grown_s = now_s
+            page.add(follower, stalled=now_s - grown_s > STALLED_S, warn=warn)
+            if now_s - grown_s > (MAX_FINISH_S if page.over else GIVE_UP_S):
+                expected = "the recorder to write; `robot-acquire recover` repairs a recording that was cut"
+                raise IdentificationError(
+                    f"has not grown for {now_s - grown_s:.0f} s", place=str(path), expected=expected
+                )
+            time.sleep(POLL_S)
+    finally:
+        recording.disconnect()
+
+
+def _open_viewer(recording: Any) -> None:
+    """Connect to the viewer on this machine; if there is none, open one with limited memory."""
+    with socket.socket() as port:
+        if port.connect_ex(("127.0.0.1", PORT)):
+            options = ("--bind", "127.0.0.1", "--port", str(PORT), "--memory-limit", VIEWER_MEMORY)
+            command, null = [sys.executable, "-m", "rerun", *options], subprocess.DEVNULL
+            subprocess.Popen(command, stdin=null, stdout=null, stderr=null, start_new_session=True)
+    recording.connect_grpc(f"rerun+http://127.0.0.1:{PORT}/proxy")
+
+
+class Residual:
+    """Measured minus modelled torque of the newest rows, both through the filters of a fit."""
+
+    def __init__(self, stored: FitFile, place: str, robot: Robot) -> None:
+        self._model = InverseModel(robot)
+        self._base = base_parameters(self._model)
+        self._beta = stored_beta(stored, self._base, place)
+        rms = [joint.residual_rms for joint in stored.joints]
+        if stored.sample_rate_hz is None or UNSET in rms:
+            raise IdentificationError("has no rms residuals", place=place, expected="a fit of this version: fit again")
+        self.band = [BAND * float(value) for value in rms if value is not UNSET]
+        assert robot.bus is not None
+        self._rate_hz, ratio = 1.0 / robot.bus.sync_period_s, stored.sample_rate_hz * robot.bus.sync_period_s
+        self._decimation = Decimation(factor=max(1, round((stored.decimation or 1) / ratio)))
+        below = stored.cutoff_hz is not None and stored.cutoff_hz < 0.5 * self._rate_hz
+        self._cutoff_hz, self._lag_s = stored.cutoff_hz if below else None, stored.torque_lag_s or 0.0
+        self._rows: Block | None = None
+        self._shown_ns = 0
+
+    def add(self, rows: Block) -> tuple[Array, Array]:
+        """Stamps (k,) in ns and residuals (k, n) that the new rows complete."""
+        rate_hz, n_d, cutoff_hz = self._rate_hz, self._decimation.factor, self._cutoff_hz
+        margin = round(CUT_PERIODS * rate_hz / min(cutoff_hz or rate_hz, 0.4 * rate_hz / n_d))
+        rows = rows if self._rows is None else np.concatenate([self._rows, rows])
+        gaps = np.flatnonzero(np.diff(rows["stamp_ns"]) * rate_hz > 1.5e9)
+        rows = rows[gaps[-1] + 1 :] if len(gaps) else rows
+        self._rows = rows[-3 * margin :]
+        if len(rows) <= 2 * margin:
+            return np.zeros(0), np.zeros((0, len(self.band)))
+        tau = later(rows["effort"], self._lag_s * rate_hz)
+        motion = motion_between(
+            rows["position"], tau, cutoff_hz=cutoff_hz, sample_rate_hz=rate_hz, start=0, stop=len(rows)
+        )
+        rho = motion.tau - predicted_torque(motion, self._model, self._base, self._beta)
+        at = self._decimation.instants(len(rows))
+        stamps = rows["stamp_ns"][at]
+        new = (at >= margin) & (at < len(rows) - margin) & (stamps > self._shown_ns)
+        if new.any():
+            self._shown_ns = int(stamps[new][-1])
+        return stamps[new], self._decimation.filtered(rho.T).T[new]
+
+
+class LivePage:
+    """The page: state on top, then by joint following error, effort, position, residual; then the events."""
+
+    def __init__(self, recording: Any, robot: Robot, residual: Residual | None) -> None:
+        self._recording, self._robot, self._residual = recording, robot, residual
+        self._phase, self._left_from, self._losses = "begins", (0, 0.0), dict.fromkeys(_LOSSES, 0.0)
+        self._first_ns = self._last_ns = 0
+        self._target: Array | None = None  # of the last row
+        self._laid_out: bool | None = None  # with the target
+        self._warned, self.over = False, False
+        self._levels = {"error": _error_limits(robot), "effort": _effort_levels(robot), "position": _ranges(robot)}
+        if residual is not None:
+            self._levels["residual"] = [_band("band", ORANGE, half) for half in residual.band]
+
+    def add(self, follower: RecordingFollower, *, stalled: bool, warn: Callable[[str], None]) -> None:
+        """Add what a `read` of the follower has found."""
+        for event in follower.events:
+            self._first_ns = self._first_ns or event.stamp_ns
+            if event.kind == "phase":
+                self._phase, self._left_from = event.text, (0, 0.0)
+            elif event.kind == "plan":
+                self._left_from = event.stamp_ns, float(event.text.split()[-2])
+            self.over |= event.kind in ("end", "fault")
+            self._recording.set_time("time", duration=1e-9 * (event.stamp_ns - self._first_ns))
+            level = "WARN" if event.kind in ("fault", "warning", "not disabled") else "INFO"
+            self._recording.log("events", rr.TextLog(shown_text(f"{event.kind}: {event.text}"), level=level))
+        for health in follower.health:
+            self._losses = {name: health.counters.get(name, 0.0) for name in _LOSSES}
+            self._last_ns = max(self._last_ns, health.stamp_ns)
+            if health.counters.get("sched_fifo") == 0.0 and not self._warned:
+                self._warned = True
+                warn("the session runs without SCHED_FIFO: a viewer on this machine may delay it; use another machine")
+        if follower.rows is not None:
+            self._add_rows(follower.rows)
+        if self._laid_out != (self._target is not None):
+            self._lay_out()
+        self._show_state(follower.problem, stalled=stalled)
+
+    def _add_rows(self, rows: Block) -> None:
+        stamps, q = rows["stamp_ns"], rows["position"]
+        self._first_ns, self._last_ns = self._first_ns or int(stamps[0]), max(self._last_ns, int(stamps[-1]))
+        series: dict[str, tuple[Array, list[Array]]] = {"effort": (stamps, [rows["effort"]]), "position": (stamps, [q])}
+        if "reference" in (rows.dtype.names or ()):
+            # As the guard: a drive reaches a target one period after it was sent.
+            first = rows["reference"][:1] if self._target is None else self._target
+            before = np.concatenate([first, rows["reference"][:-1]])
+            series |= {"error": (stamps, [q - before]), "position": (stamps, [rows["reference"], q])}
+            self._target = rows["reference"][-1:]
+        if self._residual is not None:
+            at, rho = self._residual.add(rows)
+            series["residual"] = at, [rho]
+        for name, (at, columns) in series.items():
+            for j in range(self._robot.n if len(at) else 0):
+                levels = [value for _, value in self._levels[name][j].values()]
+                self._send(f"{name}/{j + 1}/measured", at, np.stack([x[:, j] for x in columns], axis=1))
+                if levels:
+                    self._send(f"{name}/{j + 1}/levels", at[[0, -1]], np.tile(levels, (2, 1)))
+
+    def _send(self, path: str, stamps: Array, values: Array) -> None:
+        times = rr.TimeColumn("time", duration=(stamps - self._first_ns).astype("timedelta64[ns]"))
+        self._recording.send_columns(path, indexes=[times], columns=rr.Scalars.columns(scalars=values))
+
+    def _lay_out(self) -> None:
+        rows = [rrb.Spatial2DView(origin="state")]
+        window = rrb.VisibleTimeRange(
+            "time",
+            start=rrb.TimeRangeBoundary.cursor_relative(seconds=-SHOWN_S),
+            end=rrb.TimeRangeBoundary.cursor_relative(),
+        )
+        for name, levels in self._levels.items():
+            views = []
+            for j, joint in enumerate(self._robot.joints):
+                unit = self._robot.effort_units[j] if name in ("effort", "residual") else joint.position_unit
+                names, colors = [name], [RESIDUAL if name == "residual" else LIGHT]
+                if name == "position" and self._target is not None:
+                    names, colors = ["target", name], [REFERENCE, LIGHT]
+                self._style(f"{name}/{j + 1}/measured", names, colors)
+                self._style(f"{name}/{j + 1}/levels", list(levels[j]), [color for color, _ in levels[j].values()])
+                title = {"error": "following error"}.get(name, name)
+                views.append(
+                    rrb.TimeSeriesView(
+                        origin=f"{name}/{j + 1}",
+                        name=shown_text(f"{title} {joint.name} [{unit}]"),
+                        time_ranges=[window],
+                        plot_legend=rrb.PlotLegend(visible=False),
+                    )
+                )
+            rows.append(rrb.Horizontal(*views))
+        columns = rrb.TextLogColumns(timeline_columns=["time"], text_log_columns=["LogLevel", "Body"])
+        rows.append(rrb.TextLogView(origin="events", name="events", columns=columns))
+        shares = [1.0, *(3.0 for _ in self._levels), 2.0]
+        panel = rrb.TimePanel(state="collapsed", timeline="time", play_state="following")
+        page = rrb.Vertical(*rows, row_shares=shares, name="live")
+        self._recording.send_blueprint(rrb.Blueprint(page, panel, collapse_panels=True, auto_views=False))
+        self._laid_out = self._target is not None
+
+    def _style(self, path: str, names: list[str], colors: list[Color]) -> None:
+        if names:
+            widths = [3.0 if one == "target" else 1.0 for one in names]  # it lies behind the position
+            lines = rr.SeriesLines(names=names, colors=colors, widths=widths, aggregation_policy="MinMax")
+            self._recording.log(path, lines, static=True)
+
+    def _show_state(self, problem: str, *, stalled: bool) -> None:
+        """The state, red where the file has stopped growing in the session."""
+        begin_ns, planned_s = self._left_from
+        left_s = max(0.0, planned_s - 1e-9 * (self._last_ns - begin_ns))
+        words = [f"{self._phase}{f', {left_s:.0f} s left' if begin_ns else ''}"]
+        words += [f"{name.replace('kernel_drops', 'dropped')} {count:g}" for name, count in self._losses.items()]
+        words += [f"no rows: {problem}"] * bool(problem)
+        color = GREY if self.over else RED if stalled else GREEN
+        if stalled and not self.over:
+            words.insert(0, "THE FILE HAS STOPPED GROWING: what is shown is old")
+        chart = Chart(path=("state",), title="recording", size=(1400.0, 40.0))
+        chart.line(0.0, 20.0, 1400.0, 20.0, color, 12.0)
+        chart.label(700.0, 12.0, "   |   ".join(words), LIGHT)
+        show(self._recording, chart)
+
+
+def _error_limits(robot: Robot) -> list[Lines]:
+    return [_band("abort", RED, joint.si("following_error")) for joint in robot.joints]
+
+
+def _ranges(robot: Robot) -> list[Lines]:
+    ranges = [joint.si("position") for joint in robot.joints]
+    return [{} if x is None else {"low": (RED, x[0]), "high": (RED, x[1])} for x in ranges]
+
+
+def _effort_levels(robot: Robot) -> list[Lines]:
+    """Rated and largest efforts of each joint, with all its motors at theirs."""
+    assert robot.bus is not None
+    pairs = list(zip(robot.bus.drive, robot.motors, strict=True))
+    rated = [getattr(drive, _RATED.get(motor.recorded_unit, ""), None) for drive, motor in pairs]
+    found = []
+    for name, color, motors in (("rated", ORANGE, rated), ("saturation", RED, [m.saturation for _, m in pairs])):
+        to_joint = np.abs(robot.R.T) * np.abs(robot.gain)
+        # A motor without a value leaves the joints that it turns without one.
+        joints = to_joint @ np.nan_to_num(np.array(motors, dtype=float))
+        unknown = (to_joint != 0) @ np.isnan(np.array(motors, dtype=float))
+        found.append([{} if lacks else _band(name, color, x) for x, lacks in zip(joints, unknown, strict=True)])
+    return [rated_levels | largest for rated_levels, largest in zip(*found, strict=True)]
+
+
+def _band(name: str, color: Color, half: float | None) -> Lines:
+    return {} if half is None else {name: (color, half), f"-{name}": (color, -half)}
