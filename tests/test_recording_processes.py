@@ -426,3 +426,38 @@ def test_known_errors_are_one_line(folder):
         assert process.returncode == 1, arguments
         assert errors.count("\n") == 1
         assert expected in errors
+
+
+@pytest.mark.slow
+def test_a_follower_that_is_killed_in_motion_harms_nothing(folder):
+    """It is nice, holds no socket of the bus and no lock; the recording is whole, and the motion goes on to its end."""
+    out, picture = folder / "log.mcap", folder / "live.rrd"
+    with drives(folder), tracking(folder, out, "--speed", "0.4") as session:
+        follow = [sys.executable, "-m", "identification", "view", str(out), "--follow", "-o", str(picture)]
+        follower = subprocess.Popen(follow, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT)
+        until = time.monotonic() + 40
+        while not (picture.exists() and picture.stat().st_size > 20_000):
+            assert follower.poll() is None, follower.communicate()
+            assert time.monotonic() < until
+            time.sleep(0.05)
+        assert os.getpriority(os.PRIO_PROCESS, follower.pid) == 10
+        names = [os.readlink(link) for link in Path(f"/proc/{follower.pid}/fd").iterdir()]
+        of_bus = [
+            line.split()[9]
+            for kind in ("udp", "udp6")
+            for line in Path(f"/proc/net/{kind}").read_text().splitlines()[1:]
+        ]
+        assert not {f"socket:[{inode}]" for inode in of_bus} & set(names)
+        assert not [
+            line for line in Path("/proc/locks").read_text().splitlines() if line.split()[-4] == str(follower.pid)
+        ]
+        assert session.poll() is None
+        follower.kill()
+        follower.communicate(timeout=30)
+        _, errors = session.communicate(timeout=90)
+    assert session.returncode == 0, errors
+    recording = read_recording(out)
+    assert not recording.cut
+    assert texts(recording, "end") == ["finished"]
+    assert syncs_tracked(recording) >= 6 / SYNC_S
+    assert len(recording.samples) > 0

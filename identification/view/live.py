@@ -66,9 +66,13 @@ def follow_recording(path: Path, fit: Path | None, out: Path | None, warn: Calla
                 raise IdentificationError(
                     f"has not grown for {now_s - grown_s:.0f} s", place=str(path), expected=expected
                 )
-            time.sleep(POLL_S)
+            _wait()
     finally:
         recording.disconnect()
+
+
+def _wait() -> None:
+    time.sleep(POLL_S)
 
 
 def _open_viewer(recording: Any) -> None:
@@ -95,6 +99,7 @@ class Residual:
         assert robot.bus is not None
         self._rate_hz, ratio = 1.0 / robot.bus.sync_period_s, stored.sample_rate_hz * robot.bus.sync_period_s
         self._decimation = Decimation(factor=max(1, round((stored.decimation or 1) / ratio)))
+        self._passband_hz = 0.4 * self._rate_hz / self._decimation.factor
         below = stored.cutoff_hz is not None and stored.cutoff_hz < 0.5 * self._rate_hz
         self._cutoff_hz, self._lag_s = stored.cutoff_hz if below else None, stored.torque_lag_s or 0.0
         self._rows: Block | None = None
@@ -102,22 +107,22 @@ class Residual:
 
     def add(self, rows: Block) -> tuple[Array, Array]:
         """Stamps (k,) in ns and residuals (k, n) that the new rows complete."""
-        rate_hz, n_d, cutoff_hz = self._rate_hz, self._decimation.factor, self._cutoff_hz
-        margin = round(CUT_PERIODS * rate_hz / min(cutoff_hz or rate_hz, 0.4 * rate_hz / n_d))
+        rate_hz, cutoff_hz = self._rate_hz, self._cutoff_hz
+        ends = [0 if f is None else round(CUT_PERIODS * rate_hz / f) for f in (cutoff_hz, self._passband_hz)]
         rows = rows if self._rows is None else np.concatenate([self._rows, rows])
         gaps = np.flatnonzero(np.diff(rows["stamp_ns"]) * rate_hz > 1.5e9)
         rows = rows[gaps[-1] + 1 :] if len(gaps) else rows
-        self._rows = rows[-3 * margin :]
-        if len(rows) <= 2 * margin:
+        self._rows = rows[-3 * sum(ends) :]
+        if len(rows) <= 2 * sum(ends):
             return np.zeros(0), np.zeros((0, len(self.band)))
         tau = later(rows["effort"], self._lag_s * rate_hz)
-        motion = motion_between(
-            rows["position"], tau, cutoff_hz=cutoff_hz, sample_rate_hz=rate_hz, start=0, stop=len(rows)
-        )
+        # The ends of the low-pass are cut off before they disturb the decimation, and those of the decimation after it.
+        part = {"start": ends[0], "stop": len(rows) - ends[0]}
+        motion = motion_between(rows["position"], tau, cutoff_hz=cutoff_hz, sample_rate_hz=rate_hz, **part)
         rho = motion.tau - predicted_torque(motion, self._model, self._base, self._beta)
-        at = self._decimation.instants(len(rows))
-        stamps = rows["stamp_ns"][at]
-        new = (at >= margin) & (at < len(rows) - margin) & (stamps > self._shown_ns)
+        at = self._decimation.instants(len(rho))
+        stamps = rows["stamp_ns"][ends[0] + at]
+        new = (at >= ends[1]) & (at < len(rho) - ends[1]) & (stamps > self._shown_ns)
         if new.any():
             self._shown_ns = int(stamps[new][-1])
         return stamps[new], self._decimation.filtered(rho.T).T[new]
