@@ -451,7 +451,7 @@ def test_a_follower_that_is_killed_in_motion_harms_nothing(folder):
         assert not [
             line for line in Path("/proc/locks").read_text().splitlines() if line.split()[-4] == str(follower.pid)
         ]
-        assert session.poll() is None
+        assert session.poll() is None, session.communicate()
         follower.kill()
         follower.communicate(timeout=30)
         _, errors = session.communicate(timeout=90)

@@ -46,12 +46,12 @@ def run(options: argparse.Namespace) -> None:
 
 def _follow(options: argparse.Namespace) -> None:
     """Show one recording while it is written, with a low priority: the recorder comes first."""
+    os.nice(10)  # before the imports, which take a second of a core
     from ..view import follow_recording
 
     if len(options.recordings) > 1:
         raise IdentificationError(key="--follow", value=len(options.recordings), expected="one recording")
     refuse_outputs([*options.recordings, options.fit], options.out)
-    os.nice(10)
     (path,) = options.recordings
     follow_recording(
         path, options.fit, options.out, lambda text: print(f"warning: {text}", file=sys.stderr, flush=True)
