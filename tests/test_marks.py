@@ -89,3 +89,16 @@ def test_phases_say_how_long_they_take(tmp_path):
     begin = {e.text: e.stamp_ns for e in done.recording.events if e.kind == "phase"}
     tracked_s = (begin["stop"] - begin["track"]) * 1e-9
     assert float(plans[1].split()[1]) == pytest.approx(tracked_s, abs=0.01)
+
+
+def test_info_shows_marks_behind_many_other_events(tmp_path, capsys):
+    path = tmp_path / "log.mcap"
+    recorder = Recorder(path, robot_of(bus_text(2)), source="test", place="robot.toml")
+    for k in range(25):
+        recorder.event(10**9 + k, "mark", f"event {k}.")
+    recorder.event(2 * 10**9, "operator", "a loud noise")
+    recorder.finish(3 * 10**9)
+    assert main(["info", str(path)]) == 0
+    shown = capsys.readouterr().out
+    assert "a loud noise" in shown
+    assert "event 24." not in shown
