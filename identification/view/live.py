@@ -21,7 +21,7 @@ from acquisition.robot import Robot
 
 from ..arrays import Array
 from ..errors import IdentificationError
-from ..methods import stored_beta
+from ..methods import stored_beta, with_stored_gains
 from ..model import InverseModel, base_parameters
 from ..regression import Decimation, later, motion_between, predicted_torque
 from ..report import FitFile, read_fit
@@ -89,7 +89,8 @@ class Residual:
     """Measured minus modelled torque of the newest rows, both through the filters of a fit."""
 
     def __init__(self, stored: FitFile, place: str, robot: Robot) -> None:
-        self._model = InverseModel(robot)
+        self._robot, self._gained = robot, with_stored_gains(stored, robot)
+        self._model = InverseModel(self._gained)
         self._base = base_parameters(self._model)
         self._beta = stored_beta(stored, self._base, place)
         rms = [joint.residual_rms for joint in stored.joints]
@@ -115,7 +116,8 @@ class Residual:
         self._rows = rows[-3 * sum(ends) :]
         if len(rows) <= 2 * sum(ends):
             return np.zeros(0), np.zeros((0, len(self.band)))
-        tau = later(rows["effort"], self._lag_s * rate_hz)
+        effort = self._gained.joint_effort(self._robot.motor_effort(rows["effort"]))
+        tau = later(effort, self._lag_s * rate_hz)
         # The ends of the low-pass are cut off before they disturb the decimation, and those of the decimation after it.
         part = {"start": ends[0], "stop": len(rows) - ends[0]}
         motion = motion_between(rows["position"], tau, cutoff_hz=cutoff_hz, sample_rate_hz=rate_hz, **part)
