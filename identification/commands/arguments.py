@@ -8,6 +8,7 @@ import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING
@@ -174,7 +175,8 @@ def write_pictures(
 
         pictures = draw(view)
         if report is not None:
-            view.write_html(report, view.join_pictures(pictures))
+            whole = view.join_pictures(pictures)  # of several recordings each picture's document is that of its own
+            view.write_html(report, whole if len(pictures) == 1 else replace(whole, document=document))
         for rrd, picture in zip(rrds, pictures, strict=False):
             view.write_rrd(rrd, picture)
 

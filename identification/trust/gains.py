@@ -22,9 +22,9 @@ def gains_test(evidence: FitData) -> TrustLine | None:
     motors = [m for m, motor in enumerate(robot.motors) if f"K:{motor.name}" in evidence.gains]
     half = 100 * evidence.intervals.half[[names.index(f"K:{robot.motors[m].name}") for m in motors]]
     K, labels = robot.gain[motors], [robot.motors[m].name for m in motors]
-    figures = tuple(
-        Figure(name=n, value=k, half_width=abs(k) * h / 100) for n, k, h in zip(labels, K, half, strict=True)
-    )
+    described = np.array([np.nan if (g := robot.motors[m].gain) is None else g for m in motors])
+    beside = zip(labels, K, half, np.where(np.isfinite(described), described, K), strict=True)
+    figures = tuple(Figure(name=n, value=k, half_width=abs(k) * h / 100, expected=d) for n, k, h, d in beside)
     unsure = [f"{n} ±{h:.2g} %" for n, h in zip(labels, half, strict=True) if h >= MAX_HALF_PERCENT]
     worst = float(half.max())
 
@@ -39,7 +39,6 @@ def gains_test(evidence: FitData) -> TrustLine | None:
             f"no drive gain is usable ({', '.join(unsure) or 'one is negative'}): check which recording has the payload"
         )
         return line("do not use", text, "drive gains not determined")
-    described = np.array([np.nan if (g := robot.motors[m].gain) is None else g for m in motors])
     factor = K / described
     if len(unsure) == len(motors):
         text = f"no drive gain is known to {MAX_HALF_PERCENT:g} % ({', '.join(unsure)}): use a heavier payload"
