@@ -17,7 +17,7 @@ from identification.commands import main
 from identification.data import Recordings
 from identification.errors import IdentificationError
 from identification.estimation import one_thread, weighted_least_squares
-from identification.methods import identify, identify_ls, validate
+from identification.methods import identify, identify_ls, validate_all
 from identification.methods.gains import solve_with_gains
 from identification.methods.system import stack_of, stack_recordings
 from identification.model import InverseModel, described_parameters, payload_parameters
@@ -278,7 +278,7 @@ def test_a_fit_of_the_free_robot_predicts_what_a_loaded_one_needs(pair):
     beta = identify_ls(free, Overrides()).beta
 
     def error(signals):
-        return validate(signals, Overrides(), lambda base: beta)[1][-1].moving_relative_error_percent
+        return validate_all([(signals, Overrides())], lambda base: beta)[1][-1].moving_relative_error_percent
 
     stated = error(loaded)
     mass_alone = error(with_stated(loaded, 2.0))
