@@ -120,7 +120,7 @@ def folder(tmp_path_factory):
 
 
 def run_fit(folder, names, *options):
-    return main(["fit", *(str(folder / f"{name}.mcap") for name in names.split()), "--workers", "1", *options])
+    return main(["fit", *(str(folder / f"{name}.mcap") for name in names.split()), "--workers", "1", "--all", *options])
 
 
 STATED = "2@0.05,0.02,0"
