@@ -13,7 +13,7 @@ from identification.errors import IdentificationError
 from identification.report import print_whole
 from identification.study import VariedFit, moves_of, sensitivity_document, vary
 from identification.study.sensitivity import Variant, fit_variant
-from identification.view import write_sensitivity_rrd
+from identification.view import draw_sensitivity, write_html, write_rrd
 from identification.view.sensitivity import sensitivity_drawing
 
 SCARA = REPLAY / "scara" / "session.mcap"
@@ -128,8 +128,11 @@ def test_a_chart_has_both_methods_in_every_variant_that_has_a_fit(tmp_path):
     (_, ls_rule, _), (_, ls_noise, _) = chart.crosses
     assert ls_noise < ls_rule, "upwards, as the value"
     assert {"cut-off", "position noise"} <= {text for _, _, text, _ in chart.labels}
-    write_sensitivity_rrd(tmp_path / "a.rrd", "log.mcap", fits, sensitivity_document("log.mcap", fits))
+    picture = draw_sensitivity({"log.mcap": "0" * 64}, fits, sensitivity_document("log.mcap", fits))
+    write_rrd(tmp_path / "a.rrd", picture)
+    write_html(tmp_path / "a.html", picture)
     assert (tmp_path / "a.rrd").stat().st_size > 1000
+    assert "M1 ± 95 %" in (tmp_path / "a.html").read_text()
 
 
 def test_a_recording_that_cannot_be_fitted_by_the_rules_is_refused():
