@@ -29,13 +29,13 @@ class RecordOptions:
     ] = None
     payload: Annotated[
         str | None,
-        option("the mass that the robot carries, in kg, and its centre of mass in m; stored", "KG[@X,Y,Z]", str),
+        option("the mass that the robot carries, in kg, and its centre of mass in m", "KG[@X,Y,Z]", str),
     ] = None
     passive: Annotated[bool, option("never send anything, because another master owns the bus")] = False
     dry_run: Annotated[bool, option("use simulated drives, without a bus")] = False
     duration_s: Annotated[
         float | None, option("seconds to record (default: until Ctrl-C)", "S", float, "--duration")
     ] = None
-    speed: Annotated[float, option("speed factor of --track, above 0 to 1 (default 1)", "X", float)] = 1.0
+    speed: Annotated[float, option("speed factor of --track, above 0 and at most 1 (default 1)", "X", float)] = 1.0
     reset_faults: Annotated[bool, option("with --track, reset drive faults without asking")] = False
     unsupervised_drives: Annotated[bool, option("allow --track with drives that do not supervise themselves")] = False

@@ -66,7 +66,9 @@ class Overrides:
         float | None,
         option("low-pass cut-off of the position in Hz, or none (default: 5 times the bandwidth)", "F", cutoff),
     ] = None
-    decimation: Annotated[int | None, option("samples per decimated row", "N", positive, "--decimate")] = None
+    decimation: Annotated[
+        int | None, option("samples per row of the fit (default: by the bandwidth)", "N", positive, "--decimate")
+    ] = None
     span: Annotated[
         Span | None,
         option(
@@ -123,7 +125,7 @@ class IterationOptions:
             "regular|ls|FIT.json",
         ),
     ] = "regular"
-    tolerance_percent: Annotated[float, option("stop when all changes are smaller", "P", above_zero)] = 2.5
+    tolerance_percent: Annotated[float, option("stop when no value changes by more than P %%", "P", above_zero)] = 2.5
     max_iterations: Annotated[int, option("maximum number of passes", "N", positive)] = 10
 
 
@@ -140,19 +142,19 @@ class CellOptions:
     coloured_percent: Annotated[
         float,
         option(
-            "AR(0.98) noise of the recorded torque, %% of the rms torque",
+            "slow noise, AR(0.98), of the recorded torque, %% of the rms torque",
             "P",
             not_negative,
             "--effort-coloured-percent",
         ),
     ] = 0.0
     disturbance_percent: Annotated[
-        float, option("AR(0.98) disturbance torque on the joints, %% of the rms torque", "P", not_negative)
+        float, option("slow disturbance torque on the joints, AR(0.98), %% of the rms torque", "P", not_negative)
     ] = 0.0
     recorded: Annotated[
         Literal["mean", "tick"],
         option(
-            "recorded torque: mean of the control periods before and after, or command of the tick",
+            "recorded torque: mean of the commands before and after the sample, or (tick) the command from the sample on",
             flag="--effort-recorded",
         ),
     ] = "mean"
@@ -170,7 +172,7 @@ class StudyOptions:
 
     runs: Annotated[int, option("number of runs", "N", positive)] = 20
     cutoffs: Annotated[
-        tuple[float, ...], option("cut-offs, as multiples of the bandwidth", "A,B,none", list_of_cutoffs)
+        tuple[float, ...], option("cut-offs, as multiples of the bandwidth, or none", "A,B,none", list_of_cutoffs)
     ] = (
         5.0,
         10.0,
@@ -205,8 +207,8 @@ class StudyOptions:
         option("approximate period of the reference in s; the length is a whole number of periods", "S", above_zero),
     ] = 10.0
     sample_rate_hz: Annotated[float, option("sample rate in Hz", "F", above_zero, "--rate-hz")] = 1000.0
-    low_speed_percent: Annotated[float | None, option("see `robot-identify fit`", "P", percent_below_100)] = None
-    seed: Annotated[int, option("seed of reference and noise", "K", whole)] = 0
+    low_speed_percent: Annotated[float | None, option("as in `robot-identify fit`", "P", percent_below_100)] = None
+    seed: Annotated[int, option("seed of the random reference and noise", "K", whole)] = 0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -216,5 +218,5 @@ class ReferenceOptions:
     period_s: Annotated[float, option("period of the Fourier series in s", "S", above_zero, "--period")] = 10.0
     harmonics: Annotated[int, option("number of harmonics", "H", at_least_two)] = 10
     periods: Annotated[int, option("number of repetitions", "N", positive)] = 3
-    seed: Annotated[int, option("seed of the search", "K", whole)] = 1
+    seed: Annotated[int, option("seed of the random search", "K", whole)] = 1
     limits_percent: Annotated[float, option("percentage of each limit that may be used", "P", percent)] = 80.0

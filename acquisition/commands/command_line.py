@@ -26,7 +26,7 @@ T = TypeVar("T", bound="DataclassInstance")
 
 STATUSES = (
     "exit status: 0 done; 1 an error, in one line on standard error; 2 wrong usage; "
-    "3 done, but the result is not to be trusted (robot-identify fit, validate); 130 interrupted by Ctrl-C"
+    "3 done, but the result is not to be trusted (robot-identify fit, fleet, validate); 130 interrupted by Ctrl-C"
 )
 DISTRIBUTION = "robot-idim"
 PACKAGES = ("numpy", "scipy", "pin", "rerun-sdk", "mcap", "rosbags", "python-can", "canopen", "msgspec")

@@ -18,16 +18,16 @@ def add(parser: argparse.ArgumentParser) -> None:
     text = "CSV or MAT files in the order that the map numbers them; or one ROS 2 bag (folder, .mcap, .db3); or one CAN log"
     add_path(inputs, "tables", "FILE", text, nargs="+")
     add_path(inputs, "--robot", "ROBOT.toml", "the robot's description", required=True)
-    add_path(inputs, "--map", "MAP.toml", "meaning of the columns; only for tables")
+    add_path(inputs, "--map", "MAP.toml", "meaning of the columns; tables need it")
     add_options(inputs, RecordOptions, "payload")
     bag = parser.add_argument_group("ROS 2 bag")
     bag.add_argument("--topic", metavar="NAME", help="topic of sensor_msgs/msg/JointState, such as /joint_states")
     text = (
-        "unit of the effort: 'N m' at the joints (prismatic: force in N), or A, V, ... at the motors; one for all joints, "
-        "or one per joint separated by commas"
+        "required with --topic, unit of the effort: 'N m' at the joints (prismatic: force in N), or A, V, ... at the motors; "
+        "one for all joints, or one per joint separated by commas"
     )
     bag.add_argument("--effort-unit", metavar="UNIT", help=text)
-    text = "sample rate after interpolation (default: the roundest rate of the stamps)"
+    text = "sample rate in Hz after interpolation (default: the rate of the time stamps, rounded)"
     bag.add_argument("--resample-hz", type=float, metavar="HZ", help=text)
     outputs = parser.add_argument_group("outputs")
     add_path(outputs, "-o --output", "LOG.mcap", "the recording to write", required=True)

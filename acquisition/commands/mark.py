@@ -8,7 +8,7 @@ from .command_line import add_path
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_path(parser, "recording", "LOG.mcap", "the recording that is being written")
-    parser.add_argument("text", metavar="TEXT", help="the note; the recording has it with the time, as an event")
+    parser.add_argument("text", metavar="TEXT", help="the note; it is stored as an event, with the time")
 
 
 def run(options: argparse.Namespace) -> None:

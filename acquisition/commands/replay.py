@@ -10,7 +10,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_path(parser, "recording", "LOG.mcap", "the recording")
     add_bus(parser)
-    parser.add_argument("--speed", type=float, default=1.0, metavar="X", help="speed factor (default 1)")
+    parser.add_argument("--speed", type=float, default=1.0, metavar="X", help="speed factor, above 0 (default 1)")
     add_flag(parser, "--onto-bus", "allow an interface that may lead to hardware")
 
 

@@ -10,7 +10,7 @@ from .replay import add_bus
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_bus(parser)
-    parser.add_argument("--bitrate", type=int, metavar="BIT/S", help="of an adapter; ip link sets that of socketcan")
+    parser.add_argument("--bitrate", type=int, metavar="BIT/S", help="needed for an adapter; ip link sets socketcan's")
     add_path(parser, "--toml", "BUS.toml", "write [bus] with a block for each drive, to be filled in")
 
 

@@ -10,9 +10,9 @@ from .command_line import add_flag, add_path
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_path(parser, "robot", "ROBOT.toml", "description of robot and drives")
-    add_path(parser, "--replay", "LOG.mcap", "replay the samples of this recording")
-    add_flag(parser, "--unsupervised", "drives do not detect a lost SYNC or a lost master")
-    parser.add_argument("--duration", type=float, metavar="S", help="seconds (default: until Ctrl-C)")
+    add_path(parser, "--replay", "LOG.mcap", "the drives follow the samples of this recording")
+    add_flag(parser, "--unsupervised", "simulate drives that do not detect a lost SYNC or a lost master")
+    parser.add_argument("--duration", type=float, metavar="S", help="seconds to run (default: until Ctrl-C)")
 
 
 def run(options: argparse.Namespace) -> None:

@@ -32,7 +32,7 @@ _URDF_OPTIONS = {
     "--speed": ("V", "maximum speed, rad/s or m/s; if the URDF has one too, the smaller is used"),
     "--acceleration": ("A", "maximum acceleration, rad/s² or m/s²"),
     "--following-error": ("Q", "maximum following error, rad or m"),
-    "--bandwidth-hz": ("F", "bandwidth of the position loop; if several are given, the lowest is used"),
+    "--bandwidth-hz": ("F", "bandwidth of the position loop in Hz; if several are given, the lowest is used"),
 }
 
 
@@ -87,7 +87,8 @@ def add_recordings(inputs: "argparse._ArgumentGroup") -> None:
     add_path(inputs, "recordings", "LOG.mcap", "one or more recordings of one robot", nargs="+")
     add_path(inputs, "--robot", "ROBOT.toml", "use this description instead of the recording's own")
     text = (
-        "what the robot carried in a recording, instead of what that says: kg and centre of mass in m, none, or unknown"
+        "what the robot carried in the recording NAME, instead of what is stored there: kg and centre of mass in m, none, or "
+        "unknown; once for each recording"
     )
     inputs.add_argument("--payload", metavar="NAME=KG[@X,Y,Z]", action="append", default=[], help=text)
 

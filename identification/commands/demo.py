@@ -24,11 +24,11 @@ def add(parser: argparse.ArgumentParser) -> None:
     add_path(parser, "--out", "DIR", "folder for results (default: session)", default=Path("session"))
     parser.add_argument("--robot", choices=["scara", "tx40"], default="tx40", help="the simulated robot (default tx40)")
     parser.add_argument(
-        "--noise", type=not_negative, default=3.0, metavar="P", help="torque noise, %% of rms (default 3)"
+        "--noise", type=not_negative, default=3.0, metavar="P", help="torque noise, %% of the rms torque (default 3)"
     )
-    text = "the same with drives in A and a second run with 2 kg: the drive gains, beside the true ones"
+    text = "instead record drives in A, without and with 2 kg, and compare the drive gains with the true ones"
     add_flag(parser, "--gains", text)
-    add_flag(parser, "--all", "print both fits whole, and all parameters")
+    add_flag(parser, "--all", "print the whole fits by least squares and iv, and all parameters")
     add_overwrite(parser)
 
 

@@ -21,11 +21,11 @@ def add(parser: argparse.ArgumentParser) -> None:
     add_path(inputs, "--fit", "FIT.json", "take parameters and noise from this fit (default: [parameters])")
     text = "earlier recordings of the robot, whose information is added to that of the trajectory"
     add_path(inputs, "--after", "LOG.mcap", text, nargs="+", default=[])
-    text = "payload in kg, and its centre of mass in m: of a second run of the reference, to identify drive gains"
+    text = "payload of a second run of the reference, to identify drive gains: kg, and its centre of mass in m"
     inputs.add_argument("--payload", metavar="KG[@X,Y,Z]", help=text)
     text = (
-        "standard deviation of the torque noise per row of the fit, one value or one per joint (default: of FIT.json, "
-        "else 2 %% of the rms torque)"
+        "standard deviation of the torque noise per row of the fit, in the unit of the effort, one value or one per joint "
+        "(default: of FIT.json, else 2 %% of the rms torque)"
     )
     inputs.add_argument("--noise", type=list_of_factors, metavar="A,B", help=text)
     add_options(parser.add_argument_group("reference"), ReferenceOptions)

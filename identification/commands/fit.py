@@ -42,10 +42,10 @@ def add(parser: argparse.ArgumentParser) -> None:
     add_options(parser.add_argument_group("settings of instrumental variables"), IterationOptions)
     add_work(parser)
     outputs = parser.add_argument_group("outputs")
-    outputs.add_argument("--require", choices=["trust"], help="exit status 3 if the verdict is worse, for scripts")
+    outputs.add_argument("--require", choices=["trust"], help="exit status 3 also if the verdict is `caution`")
     add_flag(outputs, "--all", "print everything: all parameters, tests, passes, settings")
     add_path(outputs, "--json", "FILE", "write the fit as JSON")
-    add_pictures(outputs, "write trajectories and fit as a Rerun file")
+    add_pictures(outputs, "write trajectories and fit as a Rerun file; of several recordings FILE_LOG.rrd each")
 
 
 def run(options: argparse.Namespace) -> int:

@@ -28,7 +28,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     add_settings(parser, method=True)
     add_work(parser)
     outputs = parser.add_argument_group("outputs")
-    text = "the table to write; finished rows are stored in the folder FLEET.parquet.rows and not fitted again"
+    text = "the table to write; finished rows are stored in the folder FLEET.parquet.rows; the next run does not fit them again"
     add_path(outputs, "-o --out", "FLEET.parquet", text, required=True)
     add_pictures(outputs, "draw the drift with control limits as a Rerun file")
 

@@ -22,8 +22,8 @@ def add(parser: argparse.ArgumentParser) -> None:
     add_recordings(parser.add_argument_group("inputs"))
     add_options(add_settings(parser), Overrides, "low_speed_percent")
     outputs = parser.add_argument_group("outputs")
-    add_path(outputs, "--json", "FILE", "write all sets and the recommended terms as JSON")
-    add_pictures(outputs, "draw friction over speed, with the usual and the recommended terms")
+    add_path(outputs, "--json", "FILE", "write all sets of terms that were tried, and the recommended one, as JSON")
+    add_pictures(outputs, "draw friction over speed as a Rerun file, with the usual and the recommended terms")
     add_flag(outputs, "--write", "write the recommended terms into the file of --robot")
 
 

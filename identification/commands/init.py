@@ -14,7 +14,7 @@ from .arguments import add_urdf_options, chain_of, refuse_outputs
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_path(parser, "robot", "ROBOT.urdf", "the URDF", nargs="?")
-    text = "without a URDF: a letter for each joint, R revolute or P prismatic; the rows are to be filled in"
+    text = "without a URDF: a letter for each joint, R revolute or P prismatic; the DH rows are to be filled in"
     parser.add_argument("--dh", metavar="RRPRRR", help=text)
     add_urdf_options(parser)
     add_path(parser, "--bus", "BUS.toml", "the [bus] that `robot-acquire scan` wrote, instead of example drives")

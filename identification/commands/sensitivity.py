@@ -16,7 +16,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     text = "white noise to add to the recorded position, rad or m rms (default: 1e-6,1e-5,2e-5)"
     parser.add_argument("--position-noise", type=list_of_factors, metavar="A,B", default=(1e-6, 1e-5, 2e-5), help=text)
     add_flag(parser, "--all", "also print the values and intervals of all fits")
-    add_pictures(parser, "draw them as a Rerun file, one chart per parameter")
+    add_pictures(parser, "draw the fits as a Rerun file, one chart per parameter")
     add_work(parser)
 
 

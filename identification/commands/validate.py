@@ -27,7 +27,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     inputs = parser.add_argument_group("inputs")
     add_path(inputs, "fit", "FIT.json", "the fit, as `fit --json` writes it")
     add_recordings(inputs)
-    add_settings(parser)
+    add_settings(parser).description = "The settings in FIT.json stand in for the defaults below."
     outputs = parser.add_argument_group("outputs")
     add_path(outputs, "--json", "FILE", "write the errors as JSON")
     add_report(outputs)

@@ -16,9 +16,9 @@ def add(parser: argparse.ArgumentParser) -> None:
     add_recordings(parser.add_argument_group("inputs"))
     add_settings(parser)
     outputs = parser.add_argument_group("outputs")
-    add_path(outputs, "-o --out", "VIEW.rrd", "file to write (default: LOG.rrd; with --follow a viewer opens)")
+    add_path(outputs, "-o --out", "VIEW.rrd", "file to write (default: LOG.rrd, or a viewer with --follow)")
     live = parser.add_argument_group("while another terminal records")
-    add_flag(live, "--follow", "show the recording while it is written; a picture, not a guard")
+    add_flag(live, "--follow", "show the recording while it is written; only a picture, it does not stop the robot")
     add_path(live, "--fit", "FIT.json", "with --follow: also the residual torque of this fit")
 
 
