@@ -52,12 +52,12 @@ def test_noise_of_the_real_record_moves_least_squares_and_not_instrumental_varia
     assert spent < 60
     print_whole(sensitivity_document("emps.mcap", fits), short=True)
     printed = [line.split() for line in capsys.readouterr().out.splitlines()]
-    section = (ROOT / "identification" / "README.md").read_text().split("      emps.mcap: LS moves")[1].split("\n\n")[0]
+    section = (ROOT / "identification" / "method.md").read_text().split("      emps.mcap: LS moves")[1].split("\n\n")[0]
     shown = [line.split() for line in f"emps.mcap: LS moves{section}".splitlines()]
     assert len(shown) == 12
     # Moves by a start are rounding errors: their digits are of one machine.
     assert [line for line in shown if line not in printed and line[0] != "start"] == [], (
-        "the README shows the real record"
+        "the page of the method shows the real record"
     )
 
 
