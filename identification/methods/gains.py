@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ..arrays import Array
 from ..errors import IdentificationError
 from ..estimation import Estimate, Intervals, System, instrumental_variables, intervals_from, weighted_least_squares
-from ..regression import base_places
+from ..regression import base_places, predicted_drive_torques
 from ..trust import FitData
 from .gain_results import EstimatedPayload, Gains
 from .settled import leave_out_collinear_terms
@@ -36,14 +36,11 @@ def motors_of(observed: StackedSystem) -> tuple[int, ...]:
 def measured_instruments(observed: StackedSystem, x: Array) -> Array:
     """Z = [W L -Ê] of the measured motion, about all parameters x; the rows of the system."""
     n, of = observed.regression.tau.shape[1], observed.parameters
-    names, load = observed.problem.base.names, observed.load
-    places, blocks = [] if load is None else [names[i] for i in load.places], list[Array]()
-    measured = drive_torques(observed.observations)
-    for k, (one, drives) in enumerate(zip(observed.observations, measured, strict=True)):
-        W, beta = one.regression.system.W, of.base(x, k)
-        beta = np.where(np.isin(names, places), 0.0, beta)  # where W is linearised, the links have load friction
-        known = one.regression.tau - drives
-        blocks.append(of.columns(W, k, (W @ beta).reshape(n, -1).T - known).reshape(n, -1, len(of.names)))
+    blocks = list[Array]()
+    for k, one in enumerate(observed.observations):
+        W = one.regression.system.W
+        drives = predicted_drive_torques(one.problem, W, of.base(x, k))
+        blocks.append(of.columns(W, k, drives).reshape(n, -1, len(of.names)))
     return np.concatenate(blocks, axis=1).reshape(-1, len(of.names))
 
 

@@ -46,6 +46,7 @@ from .system import (
     Regression,
     decimated_regressor,
     known_torque_rows,
+    predicted_drive_torques,
     predicted_torque,
     reduced_regression,
     regained,

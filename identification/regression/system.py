@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..estimation import SpanFactors, Spans, System, one_thread
-from ..model import BaseParameters, InverseModel, direct_model
+from ..model import BaseParameters, InverseModel, direct_model, load_parameters
 from .filtering import Decimation
 from .load import LoadFriction, RigidBodyColumns, load_friction
 from .motion import Motion, differentiate
@@ -181,6 +181,15 @@ def known_torque_rows(problem: Problem) -> Array:
     if known is None:
         return np.zeros((settings.decimator.rows(settings.stop - settings.start), problem.signals.robot.n))
     return np.asarray(settings.decimator.filtered(known[settings.start : settings.stop].T).T)
+
+
+def predicted_drive_torques(problem: Problem, W: Array, beta: Array) -> Array:
+    """Torques (rows, n) of the drives by beta (b,), of rows W (n rows, b) about beta, measured or simulated."""
+    load = np.isin(
+        problem.base.names, load_parameters(problem.base)
+    )  # where W is linearised, the links have load friction
+    torque = (W @ np.where(load, 0.0, beta)).reshape(len(problem.signals.robot.joints), -1).T
+    return np.asarray(torque - known_torque_rows(problem))
 
 
 def torque_rate(problem: Problem, beta: Array) -> Array:

@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 from ..arrays import Array
 from ..data import Work
 from ..estimation import SpanFactors, System, one_thread, stacked
-from ..model import load_parameters, why_not_positive
+from ..model import why_not_positive
 from ..regression import (
     OwnParameters,
     Problem,
     decimated_regressor,
-    known_torque_rows,
     lowest_nearby,
     moving_rows_of,
+    predicted_drive_torques,
     rows_of_block,
 )
 from .experiment import EARLY_RATE_PER_BANDWIDTH, RATE_PER_BANDWIDTH, Experiment
@@ -141,13 +141,6 @@ def stack_instruments(
         tracking_percent=max_or_none([one.tracking_percent for one in each]),
         load_unknown=any(one.load_unknown for one in each),
     )
-
-
-def _drive_torques(problem: Problem, one: Instruments) -> Array:
-    """Torques (rows, n) of the drives that the instruments of a recording predict."""
-    base, n = problem.base, len(problem.signals.robot.joints)
-    beta = np.where(np.isin(base.names, load_parameters(base)), 0.0, one.beta)  # Z is linearised: the links have it
-    return np.asarray((one.Z @ beta).reshape(n, -1).T - known_torque_rows(problem))
 
 
 def max_or_none(figures: Sequence[float | None]) -> float | None:
@@ -286,7 +279,10 @@ class ClosedLoops:
         each = tuple(self.work.run(Simulation.instruments, tasks))
         drives: list[Array | None] = [None] * len(each)
         if self.parameters.motors:
-            drives = [_drive_torques(s.problem, one) for s, one in zip(self.simulations, each, strict=True)]
+            drives = [
+                predicted_drive_torques(s.problem, one.Z, one.beta)
+                for s, one in zip(self.simulations, each, strict=True)
+            ]
         return stack_instruments(each, beta, self.parameters, self.names, drives)
 
     def replicas(self, beta: Array, covariance: Array | None) -> tuple[Replica, ...]:
