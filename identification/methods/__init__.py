@@ -20,7 +20,6 @@ from .parameters import (
     consistent_fit,
     fitted_parameters,
     least_squares_parameters,
-    other_meaning,
     signals_as_fitted,
     stored_beta,
     stored_robot,

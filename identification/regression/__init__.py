@@ -13,7 +13,7 @@ from .motion import (
     motion_between,
     sampled_at,
 )
-from .payload import PayloadColumns, payload_of
+from .payload import payload_of
 from .problem import Problem, RowBlock, make_problem, row_blocks
 from .rows import (
     RowStates,
