@@ -106,7 +106,7 @@ def identify(
         except IdentificationError as error:
             if method is not None or motors_of(observed):
                 raise
-            raise IdentificationError(f"{error}; least squares: --method wls") from error
+            raise IdentificationError.of(error, "; least squares: --method wls") from error
     else:
         if iteration is not None:
             raise IdentificationError(

@@ -98,7 +98,7 @@ def make_settings(signals: Signals, overrides: Overrides, motion: FilteredMotion
             *check_recorded_positions(signals.robot, signals.t_s, signals.q, signals.recording),
         ]
     except AcquisitionError as error:
-        raise IdentificationError(str(error)) from error
+        raise IdentificationError.of(error) from error
     release_pages(signals.q)
     bandwidth_hz = signals.robot.bandwidth_hz
     cutoff_hz: float | None = CUTOFF_PER_BANDWIDTH * bandwidth_hz
