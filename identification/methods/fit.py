@@ -291,16 +291,6 @@ class Fit:
         return essential_names(self.essential, self.estimate, self.intervals)
 
     @property
-    def widest_essential_percent(self) -> float | None:
-        """The largest half-width of an essential parameter in percent of its value; None if there are none."""
-        with np.errstate(divide="ignore", invalid="ignore"):
-            percent = 100 * self.intervals.half / np.abs(self.estimate.beta)
-        essential = set(self.essential_names)
-        return max(
-            (float(p) for name, p in zip(self.estimate.names, percent, strict=True) if name in essential), default=None
-        )
-
-    @property
     def beta(self) -> Array:
         """(b,) values of all base parameters, of the first recording; zero if left out."""
         return self.estimate.values_of(self.recordings[0].parameters.names)

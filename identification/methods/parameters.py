@@ -17,7 +17,7 @@ from ..estimation import Estimate, Intervals
 from ..model import BaseParameters, InverseModel, base_parameters
 from ..regression import Overrides, base_name
 from ..report import FitFile, Parameter, ParameterSet
-from .fit import Fit
+from .fit import Fit, essential_names
 
 
 def fitted_parameters(fit: Fit) -> ParameterSet:
@@ -31,7 +31,7 @@ def least_squares_parameters(fit: Fit) -> ParameterSet:
 
 
 def _estimated(label: str, fit: Fit, e: Estimate, intervals: Intervals) -> ParameterSet:
-    essential = set(fit.essential.estimate.names)
+    essential = essential_names(fit.essential, e, intervals)
     known = dict(zip(fit.base.names, zip(fit.base.units, fit.base.expressions, strict=True), strict=True))
     return ParameterSet(
         label=label,

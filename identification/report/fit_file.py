@@ -58,7 +58,8 @@ class TorqueError(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class FTest(msgspec.Struct, frozen=True, kw_only=True):
-    """An F test: of leaving out all parameters but the essential ones, `names`, or of sharing the own ones, `names`.
+    """An F test: of leaving out all but the essential parameters, `names`, and those with an interval wider than the value; or
+    of sharing the own ones, `names`.
 
     A small p rejects that. The effective values are corrected for the residual's correlation.
     """

@@ -12,7 +12,7 @@ from ..arrays import Array
 from ..errors import IdentificationError
 from ..estimation import Estimate, are_moving, estimate_deviations, f_tail, instrumental_variables, spans_of, whitened
 from ..model import JointTerm
-from ..regression import base_name, standing_joints
+from ..regression import base_name, base_places, standing_joints
 from ..report import Assumed
 from .columns import added_columns_test
 from .fit_data import FitData, RecordingData, Span
@@ -96,7 +96,7 @@ def essential_test(evidence: FitData) -> TrustLine:
     rows = [base.names.index(base_name(one)) for one in evidence.essential]
     sources = [idm.sources[c] for c in np.flatnonzero(base.K[rows].any(axis=0))]
     if any(not isinstance(x, JointTerm) or x.kind == "rotor" for x in sources):
-        return TrustLine(name, "ok", f"{len(evidence.essential)} of {len(evidence.base)}")
+        return TrustLine(name, "ok", f"{len(evidence.essential)} of {len(base_places(evidence.least_squares.names))}")
     text = "no inertia has an interval narrower than its value: record faster, longer motion"
     return TrustLine(name, "caution", text, finding="no inertia is determined")
 
