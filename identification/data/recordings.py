@@ -14,6 +14,7 @@ from acquisition.files import field_of
 from acquisition.recording import OPTIONAL, Recording, read_recording
 from acquisition.robot import (
     SIMULATED_CONTROLLER,
+    Controller,
     FrictionTerm,
     Joint,
     Payload,
@@ -65,8 +66,10 @@ def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signa
     first_ns, was = int(stamps[0]), recording.robot
     names = [name for name in ("position", "effort", "reference", *OPTIONAL) if name in fields]
     columns = {name: _resample(grid, stamps, field_of(samples, name)) for name in names}
-    law = was.files.get(SIMULATED_CONTROLLER)
+    law, assumed = was.files.get(SIMULATED_CONTROLLER), list[str]()
     if robot is not None and law is not None:  # it belongs to the drives of this recording, not to the description
+        if robot.controller != Controller(bandwidth_hz=was.controller.bandwidth_hz):
+            assumed = [f"{path.name}: the given [controller] is not used: the drives of a dry run have their own"]
         robot = robot_from_files({**robot.files, SIMULATED_CONTROLLER: law}, str(path))
     if robot is not None and robot.n == was.n:
         _refuse_other_units(was, robot, path)
@@ -104,7 +107,7 @@ def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signa
         payload=recording.payload,
         began=recording.began,
         off_grid=off_grid,
-        assumed=(),
+        assumed=tuple(assumed),
         **columns,
     )
 
