@@ -144,13 +144,13 @@ class Recorder:
         self._writer.flush()
         frames = read_recording(self._path).frames.get(self.channel, np.zeros(0, FRAME))
         found = write_decoded(self._writer, frames, self._robot, stamp_ns, str(self._path))
-        self._note_marks(stamp_ns)
+        self._note_marks(stamp_ns, last=True)
         self._writer.close()
         return found
 
-    def _note_marks(self, stamp_ns: int) -> None:
-        for age_ns, text in take_marks(self._path):
-            self.event(max(0, stamp_ns - age_ns), "operator", text)
+    def _note_marks(self, stamp_ns: int, *, last: bool = False) -> None:
+        for age_ns, text in take_marks(self._path, self._writer, last=last):
+            self._writer.event(max(0, stamp_ns - age_ns), "operator", text)
 
     def close(self) -> None:
         """Close the file as it is."""
