@@ -113,7 +113,8 @@ def check_drives(link: MasterLink, bus: Bus) -> list[Finding]:
             differences = [str(error)]
         findings += [Finding("description", text, ok=False) for text in differences]
         findings += [] if differences else [Finding("description", _agreement(bus))]
-    return [*findings, _jitter(master)]
+    findings.append(_jitter(master))
+    return findings + [Finding("node ids", f"two devices answer as node {node}", ok=False) for node in master.doubled]
 
 
 def _of_drive(master: Master, drive: Drive) -> list[Finding]:

@@ -17,7 +17,6 @@ from .writer import RecordingWriter
 
 MAX_SILENT_S = 5.0  # since the last change of a file that is being written
 MAX_BYTES = 2**20  # of marks that are taken together: a recorder must not be held up
-LAST_WAIT_S = 1.0  # for the lock, where the last marks are taken
 
 
 def add_mark(recording: Path, text: str) -> None:
@@ -36,35 +35,27 @@ def add_mark(recording: Path, text: str) -> None:
 def take_marks(recording: Path, writer: RecordingWriter, *, last: bool = False) -> list[tuple[int, str]]:
     """Ages in ns and texts of the marks since the last call; their file goes. After the `last` call none can be added.
 
-    Never raises: other lines are left out. A file stays if it cannot be taken, is too large, or others hold the lock.
+    Never raises: other lines are left out. What cannot be taken stays: no file, too large, or others keep the lock.
     """
-    until_s = time.monotonic() + LAST_WAIT_S * last
-    while not _locked(writer):
-        if time.monotonic() >= until_s:
-            return []
+    for _ in range(100 if last else 1):
+        with suppress(OSError):  # another has the lock, or the file system has none
+            fcntl.flock(writer, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            break
         time.sleep(0.01)
-    found, names = list[tuple[int, str]](), (".marks.taken", ".marks")  # older versions left the first after a kill
-    for line in [line for name in names for line in _taken(Path(f"{recording.resolve()}{name}"))]:
-        with suppress(msgspec.MsgspecError, ValueError, RecursionError):
-            stamp_ns, text = msgspec.json.decode(line, type=tuple[int, str])
-            found.append((min(max(0, time.time_ns() - stamp_ns), 10**10), one_line(text)))
+    else:
+        return []
+    found = list[tuple[int, str]]()
+    for name in (".marks.taken", ".marks"):  # older versions left the first after a kill
+        path, lines = Path(f"{recording.resolve()}{name}"), list[bytes]()
+        with suppress(OSError):  # there is none, which is usual
+            if path.is_file() and path.stat().st_size <= MAX_BYTES:
+                content = path.read_bytes()
+                path.unlink()
+                lines = content.splitlines()
+        for line in lines:
+            with suppress(msgspec.MsgspecError, ValueError, RecursionError):
+                stamp_ns, text = msgspec.json.decode(line, type=tuple[int, str])
+                found.append((min(max(0, time.time_ns() - stamp_ns), 10**10), one_line(text)))
     if not last:
         fcntl.flock(writer, fcntl.LOCK_UN)
     return found
-
-
-def _locked(writer: RecordingWriter) -> bool:
-    with suppress(OSError):  # another has the lock, or the file system has none
-        fcntl.flock(writer, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        return True
-    return False
-
-
-def _taken(path: Path) -> list[bytes]:
-    """Lines of a file, which goes; what is no file, or too large, stays."""
-    with suppress(OSError):  # there is none, which is usual
-        if path.is_file() and path.stat().st_size <= MAX_BYTES:
-            content = path.read_bytes()
-            path.unlink()
-            return content.splitlines()
-    return []

@@ -166,6 +166,7 @@ class _Session:
             self._master.choose_mode(Mode.CYCLIC_SYNCHRONOUS_POSITION)
             self._note("mark", *refuse_slow_ramps(self._master))
             self._note("warning", *self._heartbeat.request())
+        self._master.refuse_doubled()
         self._master.start()
         self._started = True
         self._pace.start()
