@@ -1,7 +1,4 @@
-"""Marks of an operator for a recording that is being written: lines of `LOG.mcap.marks`, which the recorder takes over.
-
-Marks are added, taken and refused (after the last were taken) under a lock (flock) of the recording.
-"""
+"""Marks of an operator for a recording that is being written: lines of `LOG.mcap.marks`, which the recorder takes over."""
 
 import fcntl
 import json
@@ -22,7 +19,7 @@ MAX_BYTES = 2**20  # of marks that are taken together: a recorder must not be he
 def add_mark(recording: Path, text: str) -> None:
     """Append the time and a text. Raises `AcquisitionError` where the recording is not being written."""
     with recording.open("rb") as file:
-        fcntl.flock(file, fcntl.LOCK_EX)
+        fcntl.flock(file, fcntl.LOCK_EX)  # marks are not taken, and the file does not end, in between
         status = os.fstat(file.fileno())
         file.seek(max(0, status.st_size - 8))
         if file.read() == b"\x89MCAP0\r\n" or time.time() - status.st_mtime > MAX_SILENT_S:
@@ -46,16 +43,15 @@ def take_marks(recording: Path, writer: RecordingWriter, *, last: bool = False) 
         return []
     found = list[tuple[int, str]]()
     for name in (".marks.taken", ".marks"):  # older versions left the first after a kill
-        path, lines = Path(f"{recording.resolve()}{name}"), list[bytes]()
+        path = Path(f"{recording.resolve()}{name}")
         with suppress(OSError):  # there is none, which is usual
             if path.is_file() and path.stat().st_size <= MAX_BYTES:
                 content = path.read_bytes()
                 path.unlink()
-                lines = content.splitlines()
-        for line in lines:
-            with suppress(msgspec.MsgspecError, ValueError, RecursionError):
-                stamp_ns, text = msgspec.json.decode(line, type=tuple[int, str])
-                found.append((min(max(0, time.time_ns() - stamp_ns), 10**10), one_line(text)))
+                for line in content.splitlines():
+                    with suppress(msgspec.MsgspecError, ValueError, RecursionError):
+                        stamp_ns, text = msgspec.json.decode(line, type=tuple[int, str])
+                        found.append((min(max(0, time.time_ns() - stamp_ns), 10**10), one_line(text)))
     if not last:
         fcntl.flock(writer, fcntl.LOCK_UN)
     return found

@@ -57,9 +57,8 @@ class Recorder:
     def __init__(self, path: Path, robot: Robot, *, source: str, place: str, payload: Payload | None = None) -> None:
         assert robot.bus is not None
         self._path, self._robot, self._place = path, robot, place
-        mapped_by_traffic = any(drive.mapping == "traffic" for drive in robot.bus.drive)
-        self._bus: Bus | None = None if mapped_by_traffic else resolve(robot, place)
         file = robot.bus
+        self._bus: Bus | None = None if file.mapped_by_traffic else resolve(robot, place)
         if path.exists():
             expected = "a new name; recordings are not replaced"
             raise AcquisitionError("already exists", place=str(path), expected=expected)

@@ -301,10 +301,9 @@ class _Session:
         return safe_stop(self._master, after_sync=lambda: self._log.poll(self._link.now_ns()))
 
     def _is_disabled(self, drive: Drive) -> bool:
-        try:
+        with suppress(AcquisitionError):
             return self._master.state(drive) in DISABLED
-        except AcquisitionError:
-            return False
+        return False
 
     def reports(self, unconfirmed: list[int]) -> list[str]:
         """Error reports of drives in fault, one line each, without those that did not confirm."""
