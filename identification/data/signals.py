@@ -19,6 +19,7 @@ from ..arrays import Array
 from ..errors import IdentificationError
 
 NAME = "arrays"  # in place of a recording's name
+COLUMNS = ("t_s", "q", "q_ref", "effort", *OPTIONAL)  # of `Signals`, with a row for each sample
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,7 +80,7 @@ class Signals:
 
     def __post_init__(self) -> None:
         N, n = self.q.shape
-        parts = {name: getattr(self, name) for name in ("t_s", "q", "q_ref", "effort", *OPTIONAL)}
+        parts = {name: getattr(self, name) for name in COLUMNS}
         for name, part in parts.items():
             shape = (N,) if name == "t_s" else (N, n)
             if part is not None and part.shape != shape:
