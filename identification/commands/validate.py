@@ -50,9 +50,9 @@ def run(options: argparse.Namespace) -> int:
             signals, lines = methods.signals_as_fitted(
                 source.load(), path, stored, place, chosen=options.robot is not None
             )
-            overrides = from_options(Overrides, options).over(methods.stored_settings(stored, signals))
+            overrides, of_lag = methods.stored_settings(stored, signals, from_options(Overrides, options))
             recordings.append((signals, overrides))
-            notes += lines
+            notes += lines + of_lag
         progress.say("predicting")
         validated, errors = methods.validate_all(recordings, lambda base: methods.stored_beta(stored, base, place))
         of_set: tuple[TorqueError, ...] = ()

@@ -67,7 +67,7 @@ def fit_file(fit: Fit) -> FitFile:
                     source=lag.source,
                     prior=KnownLagFile(**vars(lag.prior)),
                     effort_timing=signals.effort_timing,
-                    effort_provenance=signals.provenance,
+                    effort_object=signals.effort_object,
                 )
                 for lag in fit.lags
                 if signals.recording in lag.recordings
