@@ -246,9 +246,7 @@ def validate(
     )
     signals, notes = methods.signals_as_fitted(signals, path, stored, "the fit", chosen=in_memory)
     settings, of_lag = methods.stored_settings(stored, signals, overrides or Overrides())
-    each, errors = methods.validate_all(
-        [(signals, settings)], lambda base: methods.stored_beta(stored, base, "the fit")
-    )
+    each, errors = methods.validate_all([(signals, settings)], stored, "the fit")
     doubts = (*each[0].settings.warnings, *notes, *of_lag, *stored.warnings_of("the fit"))
     return methods.validation_file(each, "the fit", errors, doubts)
 

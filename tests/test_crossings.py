@@ -12,6 +12,7 @@ from gain_cases import with_gains as described_with
 from test_friction_terms import described, model_of
 
 from acquisition.robot import Payload, Robot
+from identification import validate
 from identification.data import RecordingFile, Recordings, Serial, Signals, Work, processes
 from identification.methods import Fit, identify
 from identification.regression import Overrides
@@ -108,3 +109,9 @@ def test_two_recordings_are_fitted_with_what_they_have(concerns, columns, worker
     assert (fit.gains is not None) == ("gains" in concerns)
     if fit.gains:
         assert abs(fit.gains.values[0] - TRUE[1]) < 2 * fit.gains.half[0] < 0.2
+    # The mean of own parameters is validated, and load friction where the fit has it linearised.
+    tolerance = 0.02 if "own" in concerns else 1e-4 if "load" in concerns else 1e-9
+    for one, path in zip(fit.recordings, paths, strict=True):
+        again = validate(fit, path)
+        assert again.relative_error_percent == pytest.approx(one.errors[-1].relative_error_percent, rel=tolerance)
+        assert again.warnings == []

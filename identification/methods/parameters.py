@@ -15,7 +15,7 @@ from ..data import Signals, load_signals
 from ..errors import IdentificationError
 from ..estimation import Estimate, Intervals
 from ..model import BaseParameters, InverseModel, base_parameters
-from ..regression import Overrides, base_name
+from ..regression import Overrides, Problem, base_name, payload_of
 from ..report import FitFile, Parameter, ParameterSet
 from .fit import Fit
 
@@ -157,6 +157,13 @@ def stored_beta(stored: FitFile, base: BaseParameters, place: str) -> Array:
     return np.array([np.mean(values.get(name, 0.0)) for name in base.names])
 
 
+def payload_beta(stored: FitFile, problem: Problem) -> Array:
+    """(b,) base parameters of a recording's payload: as the fit found it, if it is stated alike there; else a ball's."""
+    payload = problem.signals.payload
+    found = {one.stated: one.base_parameters for one in stored.payloads or ()}.get(payload.text if payload else "")
+    return np.array([found.get(name, 0.0) for name in problem.base.names]) if found else payload_of(problem)
+
+
 def signals_as_fitted(
     signals: Signals, recording: Path, stored: FitFile, place: str, *, chosen: bool
 ) -> tuple[Signals, list[str]]:
@@ -177,4 +184,4 @@ def signals_as_fitted(
             f"{place}: {names}: perhaps not the same quantities as those of robot {signals.robot.name} here"
         ]
     note = f"{signals.recording}: its description does not have the parameters of the fit ({names}): that of {place} is used"
-    return load_signals(recording, robot), [note]
+    return replace(load_signals(recording, robot), payload=signals.payload), [note]
