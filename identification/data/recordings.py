@@ -82,7 +82,7 @@ def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signa
         ):
             if name in columns:
                 columns[name] = to_joint(to_motor(columns[name]))
-    extras = {}
+    extras, provenance = {}, recording.metadata.get("effort_provenance", "")
     if "extra" in fields:
         own_s = 1e-9 * (samples["stamp_ns"] - first_ns)
         extras = {column: (own_s, x) for column, x in zip(extra_columns(was), samples["extra"].T, strict=True)}
@@ -103,7 +103,8 @@ def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signa
         health=_health(recording, first_ns),
         extras=extras,
         effort_timing=recording.effort_timing,
-        provenance=recording.metadata.get("effort_provenance", ""),
+        provenance=provenance,
+        effort_object=recording.metadata.get("effort_object", provenance),
         payload=recording.payload,
         began=recording.began,
         off_grid=off_grid,

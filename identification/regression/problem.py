@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from ..arrays import Array
-from ..data import RecordingFile, Signals
+from ..data import COLUMNS, RecordingFile, Signals
 from ..errors import IdentificationError
 from ..model import BaseParameters, InverseModel, base_parameters
 from .bandwidth import with_bandwidth
@@ -56,8 +56,8 @@ class Problem:
 
     def without_samples(self) -> "Problem":
         """The same without samples: settings, model and `source`."""
-        s, arrays = self.signals, ("t_s", "q", "q_ref", "effort", "known_torque", "feedforward")
-        none = {name: x[:0] for name in arrays if (x := getattr(s, name)) is not None}
+        s = self.signals
+        none = {name: x[:0] for name in COLUMNS if (x := getattr(s, name)) is not None}
         signals = replace(s, **none, health={}, extras={})
         return replace(self, signals=signals, recorded=signals, motion=FilteredMotion(signals))
 

@@ -87,7 +87,8 @@ class LagFile(msgspec.Struct, frozen=True, kw_only=True):
     source: str
     prior: KnownLagFile
     effort_timing: str = "unknown"
-    effort_provenance: str = ""
+    effort_object: str = ""
+    effort_provenance: str = ""  # of a file of an earlier version, in place of the object
 
 
 class TrustLineFile(msgspec.Struct, frozen=True, kw_only=True):
