@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import REPLAY
+from conftest import REPLAY, robot_named
+from fits_of_records import ls_of
 from loops import simulate
 from made_up_buses import bus_of, bus_text, robot_of
 from scipy.interpolate import CubicSpline
@@ -12,12 +13,12 @@ from scipy.interpolate import CubicSpline
 import acquisition.commands.checking as checking_module
 from acquisition.protocol import State
 from acquisition.recording import read_recording
-from acquisition.robot import DriveFile, demand_ripple_warnings, load_robot
+from acquisition.robot import DriveFile, load_robot, ripple_notes
 from acquisition.robot.bus import demand_ripple
 from acquisition.simulated import DrivenPlant, LoopGains, SimulatedDrives, cascaded_loops, describe_loops
 from acquisition.simulated.mechanism import JointwisePlant, cubic
 from identification.data import load_signals
-from identification.methods import identify_ls
+from identification.methods import fit_document, identify_ls
 from identification.model import InverseModel, direct_model
 from identification.regression import Overrides, make_settings
 from identification.simulation import Reference, described_robot, drive_loops, recorded_loop
@@ -112,14 +113,14 @@ def test_the_reference_between_targets_is_continuous_in_position_and_speed():
 
 
 @pytest.mark.slow
-def test_check_and_report_warn_of_the_ripple_where_it_matters(monkeypatch):
+def test_check_and_report_note_the_ripple_where_it_matters(monkeypatch):
     at_10_hz = bus_text(1).replace("bandwidth_hz = 5", "bandwidth_hz = 10")  # SYNC every 2 ms
 
-    def warnings_of(text: str) -> tuple[str, ...]:
+    def notes_of(text: str) -> tuple[str, ...]:
         robot = robot_of(text)
-        return demand_ripple_warnings(robot.bus, robot.controller.bandwidth_hz)
+        return ripple_notes(robot.bus, robot.controller.bandwidth_hz)
 
-    (text,) = warnings_of(at_10_hz)
+    (text,) = notes_of(at_10_hz)
     assert "up to 0.5 % of the inertia, (w T)²/3" in text
     for harmless in (
         at_10_hz.replace("sync_period_s = 0.002", "sync_period_s = 0.001"),
@@ -127,7 +128,7 @@ def test_check_and_report_warn_of_the_ripple_where_it_matters(monkeypatch):
         at_10_hz.replace("bandwidth_hz = 10", ""),
         at_10_hz[: at_10_hz.index("[bus]")],
     ):
-        assert warnings_of(harmless) == ()
+        assert notes_of(harmless) == ()
     names = ("6074", "6874:0", "6077", "30D0")
     reports = {name: DriveFile(node=1, reference=name, counts_per_turn=1).reports_demand for name in names}
     assert reports == {"6074": True, "6874:0": True, "6077": False, "30D0": False}
@@ -136,9 +137,25 @@ def test_check_and_report_warn_of_the_ripple_where_it_matters(monkeypatch):
     robot = robot_of(at_10_hz)
     found = checking_module.check(robot, bus_of(robot))
     assert [(f.found, f.ok) for f in found if f.subject == "effort"] == [(text, True)]
-    signals = load_signals(REPLAY / "tx40" / "session.mcap")
-    assert text in identify_ls(signals, Overrides()).warnings
-    assert text not in identify_ls(replace(signals, provenance="tables"), Overrides()).warnings
+
+
+@pytest.mark.slow
+def test_one_demand_a_sync_is_noted_in_the_report_and_no_warning(demand_tx40):
+    """The demo's drives record the mean since the SYNC before: no note either. Noise is 0, the ripple 0.5 % at most."""
+    signals = load_signals(demand_tx40 / "log.mcap")
+    fit, told = identify_ls(signals, Overrides(low_speed_percent=20.0)), "effort (6074) is sampled at one phase"
+    assert fit.warnings == ()
+    assert [note[: len(told)] for note in fit.notes] == [told]
+    verdict = fit_document(signals, fit).sections[0]
+    for section in (verdict, verdict.short):
+        assert f"note: {fit.notes[0]}" in section.lines
+    assert identify_ls(replace(signals, provenance="tables"), Overrides()).notes == ()
+    base, beta = study_truth(signals.robot)
+    for name in ("ZZ1R", "ZZ2R"):
+        i = base.names.index(name)
+        assert fit.estimate.beta[i] == pytest.approx(beta[i], rel=demand_ripple(10.0, 0.002))
+    demo = ls_of(REPLAY / "tx40" / "session.mcap")
+    assert (demo.notes, demo.warnings) == ((), ())
 
 
 def test_only_a_recording_of_simulated_drives_states_their_law():
@@ -194,9 +211,8 @@ def test_a_pendulum_without_friction_keeps_its_energy(of_the_description):
 
 @pytest.fixture(scope="module")
 def dry_tx40(tmp_path_factory):
-    """Twelve seconds of the simulated TX40 without noise, its drives reporting actual values."""
-    text = (REPLAY / "tx40" / "robot.toml").read_text().replace('reference = "6074"', 'actual = "6077"')
-    robot, out = robot_of(text), tmp_path_factory.mktemp("dry") / "a.mcap"
+    """Twelve seconds of the simulated TX40 without noise."""
+    robot, out = robot_named("tx40"), tmp_path_factory.mktemp("dry") / "a.mcap"
     record_simulated_session(robot, "robot.toml", out, noise_percent=0.0)
     return robot, out
 

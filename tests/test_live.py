@@ -3,7 +3,9 @@
 import os
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -120,6 +122,18 @@ def begun(recorded: Recording, path: Path) -> Session:
     return session
 
 
+def clocked(monkeypatch: pytest.MonkeyPatch, at_poll: Callable[[], object]) -> None:
+    """The follower's time goes on by a poll where it waits, whatever the machine does meanwhile."""
+    polls = [0]
+
+    def wait() -> None:
+        polls[0] += 1
+        at_poll()
+
+    monkeypatch.setattr(live, "time", SimpleNamespace(monotonic=lambda: polls[0] * live.POLL_S))
+    monkeypatch.setattr(live, "_wait", wait)
+
+
 @pytest.mark.parametrize(
     ("harm", "text"),
     [
@@ -134,8 +148,7 @@ def test_a_recording_that_cannot_be_followed_any_more_is_one_line(tmp_path, reco
     path, polls = tmp_path / "log.mcap", iter(range(10**6))
     session = begun(recorded, path)
     monkeypatch.setattr(os, "nice", lambda by: by)
-    monkeypatch.setattr(live, "GIVE_UP_S", 0.5)
-    monkeypatch.setattr(live, "_wait", lambda: harm(path) if next(polls) == 2 else time.sleep(0.02))
+    clocked(monkeypatch, lambda: harm(path) if next(polls) == 2 else None)
     assert main(["view", str(path), "--follow", "-o", str(tmp_path / "live.rrd")]) == 1
     lines = capsys.readouterr().err.splitlines()
     assert [line for line in lines if not line.startswith("warning: the session runs without SCHED_FIFO")] == lines[-1:]
@@ -170,6 +183,7 @@ def test_the_state_is_red_where_the_file_has_stopped_growing(tmp_path, recorded,
     session = begun(recorded, path)
     red = [int.from_bytes(bytes((*live.RED, 255)), "big")]
     monkeypatch.setattr(live, "STALLED_S", 0.2)
+    clocked(monkeypatch, lambda: None)
     for give_up_s in (0.1, 0.6):  # before and after
         monkeypatch.setattr(live, "GIVE_UP_S", give_up_s)
         with pytest.raises(IdentificationError, match="not grown"):

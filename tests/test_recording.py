@@ -292,9 +292,9 @@ def test_reads_nine_seconds_of_six_joints_at_5_khz_quickly(tmp_path: Path) -> No
         writer.samples(samples)
     times_s = []
     for _ in range(3):
-        start_s = time.perf_counter()
+        start_s = time.process_time()
         recording = read_recording(tmp_path / "a.mcap")
-        times_s.append(time.perf_counter() - start_s)
+        times_s.append(time.process_time() - start_s)
     assert recording.samples is not None
     assert recording.samples.tobytes() == samples.tobytes()
     assert min(times_s) < 0.25  # about 0.03 s; ten times that means rows are read one by one

@@ -411,14 +411,14 @@ def test_a_hangup_that_is_ignored_stays_so():
 def test_a_recorder_that_hangs_is_noticed(tmp_path, monkeypatch):
     monkeypatch.setattr(recorder_logs, "MAX_SILENT_S", 1.0)
     log = recorder_logs.ProcessLog(tmp_path / "a.mcap", robot_of(bus_text(1)), "robot.toml", recorder_logs.Role.FED)
-    until_s = time.monotonic() + 10
+    until_s = time.monotonic() + 60
     while log.poll(time.time_ns()) is None:  # it lives
         assert time.monotonic() < until_s
         time.sleep(0.05)
     os.kill(log.pid, signal.SIGSTOP)
     try:
         text = ""
-        while not text and time.monotonic() < until_s + 10:
+        while not text and time.monotonic() < until_s + 60:
             time.sleep(0.05)
             try:
                 log.poll(time.time_ns())

@@ -14,12 +14,12 @@ from pathlib import Path
 import canopen
 import numpy as np
 import pytest
+from busy_machine import SYNC_S, slow_bus_text
 from conftest import ROOT
 from made_up_buses import bus_of, bus_text, robot_of
 from test_recording_processes import (
-    HEARTBEAT,
     LAST,
-    SYNC_S,
+    PATIENCE_S,
     acquire,
     bus_at,
     count,
@@ -40,7 +40,6 @@ from acquisition.simulated import node as simulated_supervision
 
 __all__ = ["folder", "port"]  # fixtures
 
-SLOW_SYNC_S = 0.05  # a session ends where a drive leaves three SYNCs unanswered: a busy machine holds node.js up
 THIRD_PARTY_DRIVE = ROOT.parent / "shared" / "tools" / "third_party_drive.js"
 PACKAGES = ("canopen@6.2.1", "@msgpack/msgpack@3")
 
@@ -86,7 +85,7 @@ def test_a_third_party_drive_is_configured_and_recorded(folder, npm):
         pytest.skip("the third-party drive is not here: ../shared/tools/third_party_drive.js")
     group, number = channel_of(folder)
     channel = f"{group}:{number}"
-    text = bus_text(1, period_s=SLOW_SYNC_S, ratio=1.0, interface="udp_multicast", channel=channel, extra=HEARTBEAT)
+    text = slow_bus_text(1, ratio=1.0, channel=channel)
     text = text.replace("node = 1\n", "node = 7\n").replace("65536", "6553600")
     (folder / "npm.toml").write_text(text)
     out = folder / "log.mcap"
@@ -95,7 +94,7 @@ def test_a_third_party_drive_is_configured_and_recorded(folder, npm):
         assert drive.stderr is not None
         assert "node 7" in drive.stderr.readline()
         session = acquire(folder, "record", str(folder / "npm.toml"), "-o", str(out), "--duration", "3")
-        _, errors = session.communicate(timeout=60)
+        _, errors = session.communicate(timeout=PATIENCE_S)
         assert session.returncode == 0, errors
     finally:
         output = end(drive, signal.SIGTERM)[1]
@@ -103,7 +102,7 @@ def test_a_third_party_drive_is_configured_and_recorded(folder, npm):
     frames = frames_of(recording)
     syncs = count(frames, 0x80)
     pdos = frames[frames["can_id"] == 0x187]
-    assert syncs >= 0.5 * 3 / SLOW_SYNC_S
+    assert syncs >= 0.5 * 3 / SYNC_S
     assert syncs - LAST <= len(pdos) <= syncs  # each is answered once; its values tell that none lacks in between
     assert "node 7 end: rx" in output
     # k counts SYNCs since it became operational; T is 1 ms whatever the clock.
@@ -137,7 +136,7 @@ def test_a_third_party_drive_is_scanned(folder, npm):
         with drives(folder):
             where = ("--interface", "udp_multicast", "--channel", f"{group}:{number}")
             scan = acquire(folder, "scan", *where, "--toml", str(folder / "bus.toml"))
-            output, errors = scan.communicate(timeout=60)
+            output, errors = scan.communicate(timeout=PATIENCE_S)
         assert scan.returncode == 0, errors
         frames = []
         while (frame := ear.take(0)) is not None:
@@ -166,7 +165,7 @@ def test_a_third_party_drive_is_scanned(folder, npm):
 def test_a_third_party_master_is_recorded_passively(folder, npm):
     """It configures and moves our simulated drives; sent and recorded are equal in number and value."""
     group, master_port = channel_of(folder)
-    syncs = 200
+    syncs = 120
     text = (folder / "robot.toml").read_text()
     for number in (1, 2):
         text = text.replace(f"node = {number}\n", f'mapping = "traffic"\nnode = {number}\n')
@@ -175,7 +174,7 @@ def test_a_third_party_master_is_recorded_passively(folder, npm):
     with drives(folder), listening(folder, "passive.toml", out) as listener:
         script, period_ms = ROOT / "tests" / "third_party_master.js", f"{SYNC_S * 1e3:g}"
         master = node(npm, script, group, master_port, str(syncs), period_ms, "1", "2")
-        output, errors = master.communicate(timeout=60)
+        output, errors = master.communicate(timeout=PATIENCE_S)
         assert master.returncode == 0, errors
         ids = (0x80, 0x181, 0x182, 0x201, 0x202)
         wait_for(out, lambda r: all(len(data) >= syncs for data in data_by_id(r, *ids).values()), listener)
@@ -233,7 +232,7 @@ def test_pythons_canopen_is_master_of_the_simulated_drives(monkeypatch):
     remote.sdo.RESPONSE_TIMEOUT = 5.0
     try:
         thread.start()
-        remote.nmt.wait_for_bootup(timeout=30)
+        remote.nmt.wait_for_bootup(timeout=PATIENCE_S)
         remote.nmt.state = "PRE-OPERATIONAL"
         assert remote.sdo["status"].raw & 0x4F == 0x40
         with pytest.raises(canopen.SdoAbortedError):
@@ -249,7 +248,7 @@ def test_pythons_canopen_is_master_of_the_simulated_drives(monkeypatch):
         pdo.add_callback(lambda received: seen.put(bytes(received.data)))
         for _ in range(5):
             network.sync.transmit()
-            assert len(seen.get(timeout=10)) == 8
+            assert len(seen.get(timeout=PATIENCE_S)) == 8
         for word, bits in ((0x06, 0x21), (0x07, 0x23), (0x0F, 0x27)):
             remote.sdo["control"].raw = word
             network.sync.transmit()  # it comes to the drive before the request of its status

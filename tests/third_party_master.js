@@ -6,7 +6,7 @@
 const dgram = require('dgram'), { encode, decode } = require('@msgpack/msgpack');
 const { Device, Eds } = require('canopen');
 const [group, port, syncs, period] = [process.argv[2], +process.argv[3], +process.argv[4], +process.argv[5]];
-const sdoTimeout = 5000, longestWait = 60; // ms; the package's own SDO timeout is 30 ms
+const sdoTimeout = 5000, longestWait = period + 200; // ms; the package's own SDO timeout is 30 ms
 const nodes = process.argv.slice(6).map(Number);
 const device = new Device({ id: 127, eds: new Eds() });
 const socket = dgram.createSocket({ type: 'udp4', reuseAddr: true });
@@ -63,13 +63,12 @@ async function main() {
   for (const node of nodes) await configure(node);
   for (const node of nodes) device.nmt.startNode(node);
   await sleep(50);
-  for (let k = 0; k < syncs; k++) {
-    const at = Date.now();
+  for (let k = 0, at = Date.now(); k < syncs; k++, at = Math.max(at + period, Date.now() - period / 4)) {
     send(0x80, Buffer.alloc(0));
     while (Date.now() < at + period) await sleep(1);
     await answered(k + 1, at + longestWait);
     for (const node of nodes) {
-      const data = Buffer.alloc(6), target = k < 20 ? 0 : Math.round(50000 * (1 - Math.cos((k - 20) * 0.02)));
+      const data = Buffer.alloc(6), target = k < 20 ? 0 : Math.round(50000 * (1 - Math.cos((k - 20) * 0.04)));
       data.writeUInt16LE(controlword(status[node] || 0x40), 0);
       data.writeInt32LE(target, 2);
       targets[node].push(target);

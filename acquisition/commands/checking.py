@@ -25,7 +25,7 @@ from ..bus import (
 )
 from ..errors import AcquisitionError, one_line
 from ..protocol import NOT_VALID, PARAMETERS, State, frame_bits
-from ..robot import FILL_IN, MAX_LOAD, Bus, Drive, Robot, demand_ripple_warnings, lines_to_fill_in
+from ..robot import FILL_IN, MAX_LOAD, Bus, Drive, Robot, lines_to_fill_in, ripple_notes
 from ..session import DEVIATIONS, real_time_scheduling, sync_jitter
 
 SCALES = {0x608F: "encoder increments per turns", 0x6091: "gear", 0x6092: "feed", 0x60A8: "position unit"}
@@ -53,9 +53,7 @@ def check(robot: Robot, bus: Bus) -> list[Finding]:
     try:
         sock = socket_of(handle)
         findings = [_load(bus), Finding("second stop", second_stop(bus.file))]
-        findings += [
-            Finding("effort", text) for text in demand_ripple_warnings(bus.file, robot.controller.bandwidth_hz)
-        ]
+        findings += [Finding("effort", text) for text in ripple_notes(bus.file, robot.controller.bandwidth_hz)]
         if lines := lines_to_fill_in(robot):
             text = f"robot.toml: lines {', '.join(map(str, lines))}: --track refuses"
             findings.append(Finding(FILL_IN, text, ok=False, track=True))

@@ -1,6 +1,6 @@
 """The robot's description: joints, motors, limits, bus and drives; the references that it may follow."""
 
-from .bus import BITRATES, FILL_IN, BusFile, DriveFile, EffortTiming, demand_ripple_warnings, parse_homed
+from .bus import BITRATES, FILL_IN, BusFile, DriveFile, EffortTiming, parse_homed, ripple_notes
 from .description import Capsule, Controller, Edges, FrictionTerm, Joint, LowSpeed, RobotFile, low_speed_by_method
 from .drives import (
     MAX_LOAD,

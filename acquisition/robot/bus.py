@@ -191,8 +191,8 @@ def demand_ripple(bandwidth_hz: float, sync_period_s: float) -> float:
     return (2 * math.pi * bandwidth_hz * sync_period_s) ** 2 / 3
 
 
-def demand_ripple_warnings(bus: BusFile | None, bandwidth_hz: float | None) -> tuple[str, ...]:
-    """A warning if the ripple may be large and the effort of a drive is a torque demand."""
+def ripple_notes(bus: BusFile | None, bandwidth_hz: float | None) -> tuple[str, ...]:
+    """A note if the ripple may be large and the effort of a drive is a torque demand."""
     if bus is None or bandwidth_hz is None or not any(drive.reports_demand for drive in bus.drive):
         return ()
     ripple = demand_ripple(bandwidth_hz, bus.sync_period_s)

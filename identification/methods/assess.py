@@ -23,7 +23,7 @@ from ..trust import FitData, Lag, TrustLine, held_out_recordings, trust_in
 from .fit import Fit, FittedRecording, InstrumentEvidence, LeastSquares, Pass, essential_names
 from .gains import add_scale_variance, results_of
 from .observation import position_noise_line
-from .recording_report import gain_warnings, recording_warnings, ripple_warnings
+from .recording_report import gain_warnings, recording_warnings
 from .system import StackedSystem
 from .timing import add_lag_variance
 
@@ -123,7 +123,7 @@ def own_test(observed: StackedSystem, full: Estimate) -> FTest | None:
 def _warnings(observed: StackedSystem) -> tuple[str, ...]:
     """Warnings of the settings and the recordings; several recordings may share one."""
     problems = [observed.observations[k].problem for k in observed.order]
-    of_settings = [[*p.settings.warnings, *gain_warnings(p.signals), *ripple_warnings(p.signals)] for p in problems]
+    of_settings = [[*p.settings.warnings, *gain_warnings(p.signals)] for p in problems]
     if len(problems) == 1:
         return (*of_settings[0], *recording_warnings(problems[0].signals))
     named = [f"{p.signals.recording}: {text}" for p in problems for text in recording_warnings(p.signals)]

@@ -6,6 +6,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.robot import ripple_notes
+
 from ..arrays import Array
 from ..estimation import Estimate, InstrumentTests, Intervals, Reduction
 from ..model import BaseParameters
@@ -294,6 +296,12 @@ class Fit:
     def beta(self) -> Array:
         """(b,) values of all base parameters, of the first recording; zero if left out."""
         return self.estimate.values_of(self.recordings[0].parameters.names)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is no fault: torque demands sampled at one phase of the control, an error of inertias that is no lag."""
+        robots = [one.problem.signals.robot for one in self.recordings if one.problem.signals.of_drives]
+        return tuple(dict.fromkeys(text for r in robots for text in ripple_notes(r.bus, r.controller.bandwidth_hz)))
 
     @property
     def distrust(self) -> tuple[str, ...]:

@@ -77,7 +77,7 @@ def _verdict_section(fit: Fit) -> Section:
     reason = f": {fit.iv.reason}" if fit.iv and fit.iv.reason else ""
     lines = [f"assumed: {', '.join(one.what for one in fit.trust.assumed)}"] if fit.trust.assumed else []
     status = f"status: {fit.status}{reason}"
-    lines += [status, error_line(fit.errors)]
+    lines += [status, error_line(fit.errors), *(f"note: {text}" for text in fit.notes)]
     if fit.status in NO_FIXED_POINT:
         error = relative_error_percent(fit.tau, fit.tau - fit.least_squares.tau_predicted)
         lines.append(f"least squares has a torque error of {_percent(error)} of all rows: --method wls")

@@ -6,8 +6,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.robot import demand_ripple_warnings
-
 from ..arrays import Array
 from ..data import ON_GRID, Signals
 from ..regression import Settings, forward_backward_3db_hz
@@ -187,12 +185,6 @@ def settings_lines(signals: Signals, settings: Settings, *, used: str) -> tuple[
 def recording_warnings(signals: Signals) -> tuple[str, ...]:
     """Warnings of the recorder, such as another SYNC period than described."""
     return tuple(f"recording: {event.text}" for event in signals.events if event.kind == "warning")
-
-
-def ripple_warnings(signals: Signals) -> tuple[str, ...]:
-    """Warnings of torque demands sampled at one phase of the control: an error of inertias that is no lag."""
-    bus, bandwidth_hz = signals.robot.bus, signals.robot.controller.bandwidth_hz
-    return demand_ripple_warnings(bus, bandwidth_hz) if signals.of_drives else ()
 
 
 def gain_warnings(signals: Signals) -> tuple[str, ...]:
