@@ -104,7 +104,7 @@ def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signa
         payload=recording.payload,
         began=recording.began,
         off_grid=off_grid,
-        assumed=(),
+        motion_hz=None,
         **columns,
     )
 

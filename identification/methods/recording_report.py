@@ -192,7 +192,7 @@ def recording_warnings(signals: Signals) -> tuple[str, ...]:
 def ripple_warnings(signals: Signals) -> tuple[str, ...]:
     """Warnings of torque demands sampled at one phase of the control: an error of inertias that is no lag."""
     bus, bandwidth_hz = signals.robot.bus, signals.robot.controller.bandwidth_hz
-    return demand_ripple_warnings(bus, bandwidth_hz) if signals.of_drives else ()
+    return demand_ripple_warnings(bus, bandwidth_hz) if signals.of_drives and signals.motion_hz is None else ()
 
 
 def gain_warnings(signals: Signals) -> tuple[str, ...]:
