@@ -208,16 +208,18 @@ def test_an_effort_of_the_wrong_kind_or_sign_is_refused(keys, key):
 
 
 def test_the_limit_of_a_joint_is_the_smaller_of_its_own_and_of_its_drive():
-    limits = effort_limits(urdf_arm(), "here")
+    limits = effort_limits(urdf_arm())
     assert limits.names == ("joint elbow", "joint rail")
     assert limits.limits == pytest.approx([0.3 * 2.0 * 50, 40.0])  # the saturation of the drive; the URDF
-    assert effort_limits(urdf_arm(elbow="effort_nm = 7"), "here").limits == pytest.approx([7.0, 40.0])
+    assert effort_limits(urdf_arm(elbow="effort_nm = 7")).limits == pytest.approx([7.0, 40.0])
 
 
-def test_a_drive_gives_no_more_than_its_object_holds_and_a_coupled_motor_has_a_limit_of_its_own():
-    limits = effort_limits(TX40, "here")
+def test_the_range_of_an_object_is_no_limit_and_a_coupled_motor_has_one_of_its_own():
+    assert effort_limits(TX40).names == ()
+    motors = tuple(msgspec.structs.replace(motor, saturation=2.0) for motor in TX40.motors)
+    limits = effort_limits(dataclasses.replace(TX40, motors=motors))
     assert limits.names == (*(f"joint joint_{j}" for j in (1, 2, 3, 4, 6)), "motor motor_5")
-    assert limits.limits[0] == pytest.approx(32.767 * 3.0 * 32)  # 16 bits of per mille of the rated torque
+    assert limits.limits[[0, -1]] == pytest.approx([2.0 * 32, 2.0])
     tau = np.array([1.0, 2, 3, 4, 5, 6])
     assert limits.directions @ tau == pytest.approx([1, 2, 3, 4, 6, TX40.motor_effort(tau[None])[0, 4]])
     assert limits.units[-1] == "N m"
@@ -234,6 +236,6 @@ def test_efforts_in_newton_metres_do_not_limit_amperes():
         },
         "here",
     )
-    limits = effort_limits(robot, "here")
+    limits = effort_limits(robot)
     assert (limits.names, limits.units) == (("joint elbow",), ("A",))
     assert limits.limits == pytest.approx([0.3 * 50])

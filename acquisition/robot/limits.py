@@ -11,9 +11,7 @@ import numpy as np
 
 from ..arrays import Array
 from ..errors import Place
-from ..protocol import range_of
 from .description import Joint
-from .resolving import resolve
 from .robot import Robot
 
 MAX_RANGE_EXCESS = 0.5  # of a joint's range; positions further beyond the limits are refused
@@ -45,18 +43,14 @@ class EffortLimits:
     units: tuple[str, ...]
 
 
-def effort_limits(robot: Robot, place: str) -> EffortLimits:
-    """Limits of a robot's efforts: at each joint the smaller of the stated limit and that of its drive.
+def effort_limits(robot: Robot) -> EffortLimits:
+    """Limits of a robot's efforts: at each joint the smaller of the stated limit and the `saturation` of its drive.
 
-    A drive is limited by `saturation` and by the range of its effort object. For coupled joints, the effort of a motor is a sum
-    over joints, and its limit applies to that sum. Stated efforts, in N m or N, are not used if the drive gain is not known.
-    `place` names the description in errors.
+    For coupled joints, the effort of a motor is a sum over joints, and its limit applies to that sum. Stated efforts, in N m
+    or N, are not used if the drive gain is not known. The rated effort, which drives exceed for seconds, and the range of the
+    object that reports it are no limits.
     """
     ranges = np.array([math.inf if m.saturation is None else m.saturation for m in robot.motors])
-    if robot.bus is not None:
-        for i, drive in enumerate(resolve(robot, place).drives):
-            _, most = range_of(drive.effort.entry.type)
-            ranges[i] = min(ranges[i], most * abs(drive.effort.scale))
     rows: list[tuple[str, Array, float, str]] = []
     # Recorded efforts of the motors = to_motor · joint efforts.
     to_motor = np.linalg.inv(robot.R.T) / robot.gain[:, None]
