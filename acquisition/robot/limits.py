@@ -1,4 +1,4 @@
-"""Limits of the description: efforts of joints and drives; recorded positions and speeds checked.
+"""Limits of the description: efforts of joints and drives; recorded positions, speeds and efforts checked.
 
 Impossible positions have causes that a fit does not show: degrees read as radians, a wrong ratio, a counter that wraps, a
 foreign sample. A small overshoot of a stated limit only gives a warning.
@@ -17,6 +17,7 @@ from .robot import Robot
 MAX_RANGE_EXCESS = 0.5  # of a joint's range; positions further beyond the limits are refused
 MAX_SPEED_RATIO = 3.0  # times the speed limit
 MAX_UNSTATED_SPEED = {"revolute": 100.0, "prismatic": 30.0}  # rad/s, m/s; no joint of a robot is faster
+MIN_EFFORT_RATIO = 1.2  # times the effort limit: from there on a warning
 MIN_OVERSHOOT = 0.01  # of the range, and of the speed limit; below there is no warning
 NOISE_DEVIATIONS = 8.0  # of a sample's noise: smaller differences over one sample are no speed
 SPEED_WINDOW_S = 0.05  # over which positions and speeds are compared, to reduce noise of single samples
@@ -87,6 +88,18 @@ def check_recorded_positions(robot: Robot, stamp_s: Array, q: Array, place: str)
         overshoots += _position(joint, stamp_s, x, at)
         overshoots += _speed(joint, stamp_s, x, at)
     return tuple(overshoots)
+
+
+def check_recorded_efforts(robot: Robot, effort: Array) -> tuple[str, ...]:
+    """Warnings about joint efforts (N, n) that exceed a limit by a fifth or more: a wrong gain, ratio or unit."""
+    limits = effort_limits(robot)
+    found = zip(limits.names, limits.directions, limits.limits, limits.units, strict=True)
+    peaks = [(name, float(np.abs(effort @ row).max(initial=0.0)), most, unit) for name, row, most, unit in found]
+    return tuple(
+        f"effort of {name} up to {peak:.4g} {unit}: limit {most:.4g} {unit}"
+        for name, peak, most, unit in peaks
+        if peak >= MIN_EFFORT_RATIO * most
+    )
 
 
 def check_recorded_velocities(robot: Robot, q: Array, v: Array, rate_hz: float, place: str) -> tuple[str, ...]:

@@ -8,7 +8,14 @@ import numpy as np
 
 from acquisition.errors import AcquisitionError
 from acquisition.files import release_pages
-from acquisition.robot import Edges, Joint, LowSpeed, check_recorded_positions, low_speed_by_method
+from acquisition.robot import (
+    Edges,
+    Joint,
+    LowSpeed,
+    check_recorded_efforts,
+    check_recorded_positions,
+    low_speed_by_method,
+)
 
 from ..arrays import Array
 from ..data import Signals
@@ -63,6 +70,7 @@ class Settings:
         torque_lag_s: lag of the recorded torque in s, positive if late, that is corrected; 0 for none.
         known_lag: the lag as known without a fit, by user and recording.
         span: the samples `start` to `stop` in words; `span_rule`: the setting.
+        overloads: recorded efforts beyond a limit of the description, each a warning too.
         warnings: rules of the method that are not followed.
     """
 
@@ -77,6 +85,7 @@ class Settings:
     known_lag: KnownLag
     span: str
     span_rule: Span
+    overloads: tuple[str, ...]
     warnings: tuple[str, ...]
 
     @property
@@ -97,7 +106,12 @@ def make_settings(signals: Signals, overrides: Overrides, motion: FilteredMotion
         warnings = [*check_recorded_positions(signals.robot, signals.t_s, signals.q, signals.recording)]
     except AcquisitionError as error:
         raise IdentificationError(str(error)) from error
+    # A fit with --gains starts with gains of one where none is described: its efforts are no torques yet.
+    looked_for = signals.robot.identified_gain is not None
+    overloads = () if looked_for else check_recorded_efforts(signals.robot, signals.effort)
+    warnings += overloads
     release_pages(signals.q)
+    release_pages(signals.effort)
     bandwidth_hz = signals.robot.bandwidth_hz
     highest_hz = signals.motion_hz or CUTOFF_PER_BANDWIDTH * bandwidth_hz
     cutoff_hz: float | None = highest_hz
@@ -182,6 +196,7 @@ def make_settings(signals: Signals, overrides: Overrides, motion: FilteredMotion
         torque_lag_s=lag.value_s,
         known_lag=lag,
         span=span,
+        overloads=overloads,
         span_rule=span_rule,
         warnings=tuple(warnings),
     )
