@@ -109,6 +109,7 @@ def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signa
         began=recording.began,
         off_grid=off_grid,
         assumed=tuple(assumed),
+        motion_hz=None,
         **columns,
     )
 

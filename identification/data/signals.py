@@ -54,6 +54,7 @@ class Signals:
         began: when the recording began, None if unknown.
         off_grid: largest offset of a sample's time from the grid, in periods; above `ON_GRID` samples are interpolated.
         assumed: what the description does not state and a fit assumes, as warnings.
+        motion_hz: of the rules if the description states no bandwidth: above it positions are only noise; else None.
     """
 
     t_s: Array
@@ -78,6 +79,7 @@ class Signals:
     began: datetime | None = None
     off_grid: float = 0.0
     assumed: tuple[str, ...] = ()
+    motion_hz: float | None = None
 
     def __post_init__(self) -> None:
         N, n = self.q.shape

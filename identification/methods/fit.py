@@ -300,7 +300,8 @@ class Fit:
     @property
     def notes(self) -> tuple[str, ...]:
         """What is no fault: torque demands sampled at one phase of the control, an error of inertias that is no lag."""
-        robots = [one.problem.signals.robot for one in self.recordings if one.problem.signals.of_drives]
+        each = [one.problem.signals for one in self.recordings]
+        robots = [s.robot for s in each if s.of_drives and s.motion_hz is None]
         return tuple(dict.fromkeys(text for r in robots for text in ripple_notes(r.bus, r.controller.bandwidth_hz)))
 
     @property

@@ -52,7 +52,7 @@ class Problem:
         settings = self.settings
         if settings.filtered and settings.cutoff_hz is not None:
             return settings.cutoff_hz
-        return rule_cutoff_hz(self.signals.robot.bandwidth_hz, self.signals.sample_rate_hz)
+        return rule_cutoff_hz(self.signals)
 
     def without_samples(self) -> "Problem":
         """The same without samples: settings, model and `source`."""
@@ -80,7 +80,7 @@ class Problem:
         if self.gains is not None:
             signals = with_gains(signals, self.gains)
         robot = replace(signals.robot, controller=self.signals.robot.controller)  # with its bandwidth
-        signals = replace(signals, robot=robot, assumed=self.signals.assumed)
+        signals = replace(signals, robot=robot, motion_hz=self.signals.motion_hz)
         found = replace(self, signals=signals, recorded=signals, motion=FilteredMotion(signals))
         return found.corrected(self.settings.torque_lag_s)
 
@@ -139,7 +139,7 @@ def make_problem(signals: Signals, overrides: Overrides) -> Problem:
             _refuse_unknown_motors(signals, overrides.gains)
         gains = np.ones(signals.robot.n)
         signals = with_gains(signals, gains)
-    signals = with_bandwidth(signals, overrides)
+    signals = with_bandwidth(signals)
     motion, model = FilteredMotion(signals), InverseModel(signals.robot)
     settings = make_settings(signals, overrides, motion)
     problem = Problem(

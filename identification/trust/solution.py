@@ -224,6 +224,15 @@ def motion_test(evidence: FitData) -> TrustLine | None:
     return TrustLine("motion", "caution", text, finding=f"{', '.join(names)} does not move")
 
 
+def effort_test(evidence: FitData) -> TrustLine | None:
+    """Recorded efforts beyond a limit of the description, which no drive gives."""
+    overloads = dict.fromkeys(text for part in evidence.recordings for text in part.problem.settings.overloads)
+    if not overloads:
+        return None
+    text = f"{'; '.join(overloads)}: check drive_gain, ratio and unit of the effort, or correct the limit"
+    return TrustLine("effort", "caution", text, finding="effort beyond its limit")
+
+
 def rows_test(e: FitData) -> TrustLine | None:
     """The recording with most missing or repeated rows; else one whose encoders are slower than the log."""
     several, every = len(e.recordings) > 1, [part.steps for part in e.recordings]
@@ -299,7 +308,7 @@ def list_assumptions(evidence: FitData, lines: Mapping[str, TrustLine]) -> Itera
 TESTS: tuple[Callable[[FitData], TrustLine | None], ...] = (
     *(gains_test, fixed_point_test, physical_test, units_test, replay_test, added_columns_test, lag_test),
     *(held_out_test, halves_test, consistent_test, ends_test, essential_test, instruments_test),
-    *(prewhitened_test, position_noise_test, motion_test, rows_test),
+    *(prewhitened_test, position_noise_test, motion_test, effort_test, rows_test),
 )
 
 
