@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import hypothesis
 import numpy as np
 import pytest
 from made_up_recordings import write
@@ -13,6 +14,9 @@ from identification.commands import main as identify
 from identification.model import InverseModel
 from identification.study import random_reference
 
+# However long this machine takes for an example.
+hypothesis.settings.register_profile("busy", deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow])
+hypothesis.settings.load_profile("busy")
 ROOT = Path(__file__).resolve().parents[1]
 REPLAY = ROOT / "replay_data"
 ACQUIRE, IDENTIFY = acquire.__self__, identify.__self__  # whose method each is

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from dry_sessions import Through, dry_session, findings, swing
+from dry_sessions import Through, dry_session, findings, heard_at_once, swing
 from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.bus import Frame, Link, open_bus, open_link, service_of
@@ -113,16 +113,14 @@ def test_replay_onto_drives_is_refused_and_nothing_is_sent(tracked):
 
 
 @pytest.mark.parametrize("can_id", [0x80, 0x83, 0x185, 0x585, 0x705, 0x123])
-def test_replay_is_refused_whoever_is_heard(tracked, can_id):
+def test_replay_is_refused_whoever_is_heard(tracked, can_id, monkeypatch):
     file = bus_file(f"replay_{can_id:03X}")
     somebody, ear = Link(open_bus(file, passive=False), passive=False), Ear(file)
-    timer = threading.Timer(0.1, somebody.send, (can_id, b"\x01"))
-    timer.start()
+    monkeypatch.setattr(running, "open_link", heard_at_once(partial(somebody.send, can_id, b"\x01")))
     try:
         with pytest.raises(AcquisitionError) as caught:
             replay(tracked, file, Stop())
     finally:
-        timer.join()
         somebody.close()
     assert service_of(Frame(0, can_id, b""), 0x80) in str(caught.value)
     assert [frame.can_id for frame in ear.frames()] == [can_id]
@@ -151,7 +149,7 @@ def test_replay_begins_at_once_whatever_the_clock_of_the_recording_was(tracked, 
     frames["time_ns"] += 1_700_000_000_000_000_000
     monkeypatch.setattr(running, "read_recording", lambda _: replace(recording, frames={channel: frames}))
     stop = Stop()
-    timer = threading.Timer(10.0, lambda: setattr(stop, "reason", "not begun"))
+    timer = threading.Timer(60.0, lambda: setattr(stop, "reason", "not begun"))
     timer.start()
     assert replay(tracked, bus_file("replay_since_1970"), stop, speed=1000.0) > 100
     timer.cancel()

@@ -8,16 +8,17 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 import canopen
 import pytest
-from dry_sessions import Through, dry_session, swing
+from dry_sessions import Through, dry_session, heard_at_once, swing
 from faulty_drives import FaultyDrives
 from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.bus import Frame, Link, Uploads, open_bus, open_link, scan_nodes
-from acquisition.commands import main
+from acquisition.commands import checking, main
 from acquisition.commands.checking import table
 from acquisition.commands.command_line import Progress
 from acquisition.commands.scanning import ARRAYS, OBJECTS, bus_lines, findings_of
@@ -138,13 +139,11 @@ MASTERS = [(0x000, b"\x01\x00"), (0x080, b""), (0x605, bytes(8)), (0x201, bytes(
 
 
 @pytest.mark.parametrize(("can_id", "data"), MASTERS)
-def test_beside_another_master_nothing_is_sent(can_id, data, capsys):
+def test_beside_another_master_nothing_is_sent(can_id, data, capsys, monkeypatch):
     channel = f"scan_beside_{can_id:03X}"
     other, ear = Link(open_bus(bus_file(channel), passive=False), passive=False), Ear(channel)
-    timer = threading.Timer(0.2, other.send, (can_id, data))
-    timer.start()
+    monkeypatch.setattr("acquisition.bus.open_link", heard_at_once(partial(other.send, can_id, data)))
     assert scan(channel) == 1
-    timer.join()
     other.close()
     assert [frame.can_id for frame in ear.frames()] == [can_id]
     assert "another master is active: expected none during a scan; nothing was sent" in capsys.readouterr().err
@@ -429,7 +428,10 @@ def scanned(tmp_path: Path) -> Path:
     return tmp_path / "bus.toml"
 
 
-def test_what_a_scan_writes_is_no_go_for_track_until_it_is_filled_in(scanned, capsys):
+def test_what_a_scan_writes_is_no_go_for_track_until_it_is_filled_in(scanned, capsys, monkeypatch):
+    monkeypatch.setattr(
+        checking, "_jitter", lambda master: checking.Finding("SYNC", "even, whatever this machine does")
+    )
     bus, robot = scanned.read_text(), scanned.with_name("robot.toml")
     for text, lines in ((described(bus), 5), (described(filled_in(bus)), 0)):
         robot.write_text(text)
