@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final, NoReturn
+from typing import Any, Final, NoReturn, Self
 
 _NO_VALUE: Final = object()
 _MAX_VALUE_LENGTH = 80  # files may contain anything
@@ -49,6 +49,13 @@ class RobotIdimError(Exception):
             key = f"{key} = {shown or repr(value)}"[: len(key) + _MAX_VALUE_LENGTH]
         parts = (place, key, text, expected and f"expected {expected}")
         super().__init__(one_line(": ".join(part for part in parts if part)))
+
+    @classmethod
+    def of(cls, error: "RobotIdimError", more: str = "") -> Self:
+        """The same error with its data, of this class; its message ends with `more`."""
+        found = cls(f"{error}{more}")
+        found.__dict__.update(vars(error))
+        return found
 
 
 class AcquisitionError(RobotIdimError):

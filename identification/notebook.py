@@ -245,11 +245,9 @@ def validate(
         (recording, Path()) if isinstance(recording, Signals) else (load_signals(recording), Path(recording))
     )
     signals, notes = methods.signals_as_fitted(signals, path, stored, "the fit", chosen=in_memory)
-    settings = (overrides or Overrides()).over(methods.stored_settings(stored, signals))
-    each, errors = methods.validate_all(
-        [(signals, settings)], lambda base: methods.stored_beta(stored, base, "the fit")
-    )
-    doubts = (*each[0].settings.warnings, *notes, *stored.warnings_of("the fit"))
+    settings, of_lag = methods.stored_settings(stored, signals, overrides or Overrides())
+    each, errors = methods.validate_all([(signals, settings)], stored, "the fit")
+    doubts = (*each[0].settings.warnings, *notes, *of_lag, *stored.warnings_of("the fit"))
     return methods.validation_file(each, "the fit", errors, doubts)
 
 

@@ -91,8 +91,8 @@ class Overrides:
     torque_lag_s: Annotated[
         float | Literal["none"] | None,
         option(
-            "known delay of the recorded torque in s (positive: late), which the fit compensates, or none (default: half a "
-            "period early for a held command)",
+            "known delay of the recorded torque in s (positive: late), which the fit compensates, or none (default: estimated "
+            "if the reference is recorded, else by effort_timing)",
             "S",
             seconds_or_none,
         ),

@@ -20,7 +20,7 @@ from acquisition.simulated.mechanism import JointwisePlant, cubic
 from identification.data import load_signals
 from identification.methods import fit_document, identify_ls
 from identification.model import InverseModel, direct_model
-from identification.regression import Overrides
+from identification.regression import Overrides, make_settings
 from identification.simulation import Reference, described_robot, drive_loops, recorded_loop
 from identification.study import record_simulated_session, study_truth
 
@@ -171,6 +171,24 @@ def test_only_a_recording_of_simulated_drives_states_their_law():
     assert set(described.files) - set(robot.files) == {"simulated_controller.toml"}
     scara = load_robot(REPLAY / "scara" / "robot.toml")  # states a law, which its drives have
     assert describe_loops(scara, loops) is scara
+
+
+@pytest.mark.parametrize(
+    ("controller", "told"),
+    [
+        ("bandwidth_hz = 10.0", False),  # as recorded
+        ("bandwidth_hz = 5.0", True),
+        ('bandwidth_hz = 10.0\nstructure = "pid"', True),
+    ],
+)
+def test_a_controller_that_a_dry_run_does_not_use_is_told(controller, told):
+    text = (REPLAY / "tx40" / "robot.toml").read_text()
+    recording, loop = REPLAY / "tx40" / "session.mcap", "[controller]\nbandwidth_hz = 10.0"
+    assert loop in text
+    signals = load_signals(recording, robot_of(text.replace(loop, f"[controller]\n{controller}")))
+    assert signals.robot.controller == load_signals(recording).robot.controller
+    warning = "session.mcap: the given [controller] is not used: the drives of a dry run have their own"
+    assert (warning in make_settings(signals, Overrides()).warnings) == told
 
 
 @pytest.mark.parametrize("of_the_description", [True, False])

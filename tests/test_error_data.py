@@ -1,14 +1,19 @@
 """What a caller reads from an error: the file or the place in it, the key, the value, and what was expected."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import REPLAY
 from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.bus import read_log
 from acquisition.errors import AcquisitionError
 from acquisition.robot import check_limits, load_robot
+from identification import IdentificationError, fit
+from identification.data import load_signals
+from identification.simulation import described_robot
 
 
 def data_of(caught):
@@ -104,3 +109,36 @@ def test_of_a_log(tmp_path: Path):
         list(read_log(tmp_path / "a.txt"))
     assert caught.value.place == str(tmp_path / "a.txt")
     assert caught.value.expected == ".log (candump), .asc, .blf or .trc"
+
+
+@pytest.mark.parametrize(
+    ("change", "key", "value"),
+    [
+        ({"low_speed_percent": 99.0}, "decimated rows", 7),
+        ({"q": [1.0, 0.0]}, "parameters not excited", ["Fv2", "Fc2"]),
+        ({"q": [100.0, 1.0]}, "", None),  # beyond the limits of position
+    ],
+)
+def test_the_default_method_gives_the_data_of_the_method_asked_for(change, key, value):
+    signals = load_signals(REPLAY / "scara" / "session.mcap")
+    scale, caught = change.pop("q", 1.0), []
+    signals = replace(signals, q=signals.q * scale, q_ref=signals.q_ref * scale)
+    for method in (None, "iv"):
+        with pytest.raises(IdentificationError) as refused:
+            fit(signals.q, signals.effort, 1000.0, signals.robot, signals.q_ref, method=method, **change)
+        caught.append(refused)
+    assert data_of(caught[0]) == data_of(caught[1])
+    assert data_of(caught[0])[1:3] == (key, value)
+    assert caught[0].value.expected or key == "parameters not excited"
+    assert caught[0].value.place or key
+
+
+def test_of_what_cannot_be_simulated():
+    robot = load_signals(REPLAY / "scara" / "session.mcap").robot
+    with pytest.raises(AcquisitionError) as caught:
+        described_robot(replace(robot, parameters={"ZZ9": 0.061}))
+    expected = "such as XX1, XY1, XZ1 ... Fc2"
+    assert data_of(caught) == ("robot SCARA", "parameters.ZZ9", 0.061, expected)
+    assert str(caught.value) == (
+        f"robot SCARA: parameters.ZZ9 = 0.061: not a standard parameter of this robot: expected {expected}"
+    )

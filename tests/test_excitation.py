@@ -6,6 +6,7 @@ import re
 from dataclasses import replace
 from types import SimpleNamespace
 
+import msgspec
 import numpy as np
 import pytest
 from conftest import REPLAY, robot_named
@@ -38,7 +39,16 @@ from identification.regression import Overrides, load_friction, make_problem, re
 from identification.study import Noise, closed_loop, write_signals
 from identification.view import draw_excitation, write_rrd
 
-SCARA, TX40 = robot_named("scara"), robot_named("tx40")
+
+def limited(robot):
+    """With a saturation of each motor, far above what motions need."""
+    drives = robot.bus.drive
+    most = [32.767 * drive.rated_torque_nm for drive in drives]
+    motors = (msgspec.structs.replace(motor, saturation=x) for motor, x in zip(robot.motors, most, strict=True))
+    return replace(robot, motors=tuple(motors))
+
+
+SCARA, TX40 = limited(robot_named("scara")), limited(robot_named("tx40"))
 SERIES = Series(period_s=4.0, harmonics=4)
 K = 2 * SERIES.harmonics - 1  # free coefficients of a joint
 
@@ -46,7 +56,7 @@ K = 2 * SERIES.harmonics - 1  # free coefficients of a joint
 def with_text(name, old, new, count=-1):
     text = (REPLAY / name / "robot.toml").read_text()
     assert old in text
-    return robot_from_files({"robot.toml": text.replace(old, new, count).encode()}, "here")
+    return limited(robot_from_files({"robot.toml": text.replace(old, new, count).encode()}, "here"))
 
 
 def asymmetric():
@@ -54,7 +64,7 @@ def asymmetric():
     text = (REPLAY / "tx40" / "robot.toml").read_text()
     text = text.replace("following_error_deg = 15", 'following_error_deg = 15\nfriction = "asymmetric"', 3)
     text = re.sub(r"^(F[vc])([123]) = (.*)$", r"\1p\2 = \3\n\1n\2 = 1\3", text, flags=re.MULTILINE)
-    return robot_from_files({"robot.toml": text.encode()}, "here")
+    return limited(robot_from_files({"robot.toml": text.encode()}, "here"))
 
 
 ASYMMETRIC = asymmetric()
@@ -327,6 +337,17 @@ def test_without_parameters_the_torque_is_said_not_to_be_checked():
         found = excite(robot, ExcitationSettings(period_s=2.0, harmonics=2), knowledge, "here")
     assert found.warnings == ("torque not checked: no parameters, neither a fit nor [parameters]",)
     assert found.noise.tolist() == [1.0, 1.0]
+
+
+@pytest.mark.parametrize("bounded", [False, True])
+def test_joints_whose_torque_nothing_limits_are_named(bounded, monkeypatch):
+    """The range of the object that reports an effort is no limit: 3145 N m at a joint of the TX40."""
+    monkeypatch.setattr(search, "STARTS", 1)
+    robot = SCARA if bounded else robot_named("scara")
+    found = excite(robot, ExcitationSettings(period_s=2.0, harmonics=2), prior_information(robot), "here")
+    told = "torque of joint shoulder, elbow is not limited: no effort_nm or effort_n, no saturation of its motor"
+    assert found.warnings == (() if bounded else (told,))
+    assert len(found.limits.effort.limits) == (2 if bounded else 0)
 
 
 def test_noise_is_stated_or_that_of_a_fit_or_a_share_of_the_torque(tmp_path):
@@ -655,7 +676,7 @@ def loaded_scara(terms=(*USUAL, "load")):
     return upright([list(terms)] * 2, "mu1 = 0.3\nmu2 = 0.3\n" if "load" in terms else "")
 
 
-LOADED = {"scara": loaded_scara(), "tx40": loaded_tx40()}
+LOADED = {"scara": limited(loaded_scara()), "tx40": limited(loaded_tx40())}
 
 
 @pytest.mark.parametrize("robot", LOADED.values(), ids=LOADED)

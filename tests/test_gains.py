@@ -17,7 +17,7 @@ from identification.commands import main
 from identification.data import Recordings
 from identification.errors import IdentificationError
 from identification.estimation import one_thread, weighted_least_squares
-from identification.methods import identify, identify_ls, validate_all
+from identification.methods import fit_file, identify, identify_ls, validate_all
 from identification.methods.gains import solve_with_gains
 from identification.methods.system import stack_of, stack_recordings
 from identification.model import InverseModel, described_parameters, payload_parameters
@@ -275,15 +275,65 @@ def test_the_position_noise_of_a_lone_loaded_recording_is_that_of_the_recording(
 
 def test_a_fit_of_the_free_robot_predicts_what_a_loaded_one_needs(pair):
     free, loaded = (with_gains(one, WHITE.gains, None) for one in pair)
-    beta = identify_ls(free, Overrides()).beta
+    stored = fit_file(identify_ls(free, Overrides()))
 
     def error(signals):
-        return validate_all([(signals, Overrides())], lambda base: beta)[1][-1].moving_relative_error_percent
+        return validate_all([(signals, Overrides())], stored, "the fit")[1][-1].moving_relative_error_percent
 
     stated = error(loaded)
     mass_alone = error(with_stated(loaded, 2.0))
     assert stated < 8
     assert mass_alone > 2 * stated or error(replace(loaded, payload=None)) > mass_alone > stated
+
+
+def validated(folder, name, out, *options):
+    """Torque error of the fit `out` in percent, and the warnings."""
+    found = out.with_suffix(".validated.json")
+    assert main(["validate", str(out), str(folder / f"{name}.mcap"), *options, "--json", str(found)]) == 0
+    file = json.loads(found.read_text())
+    return file["relative_error_percent"], file["warnings"]
+
+
+@pytest.mark.parametrize(
+    ("names", "options"),
+    [
+        ("free_true loaded_true", ["--payload", "loaded_true=2"]),
+        ("free_true loaded_true", ["--payload", "loaded_true=unknown"]),
+        ("loaded_true", ["--payload", "loaded_true=2"]),
+        ("free loaded", ["--gains"]),
+    ],
+)
+def test_a_payload_that_a_fit_found_is_that_of_its_recording(folder, tmp_path, names, options):
+    out, name = tmp_path / "fit.json", names.split()[-1]
+    run_fit(folder, names, *options, "--json", str(out))
+    fit = json.loads(out.read_text())
+    (of_fit,) = [
+        x["relative_error_percent"] for x in fit.get("recordings", [fit]) if x.get("recording", name).startswith(name)
+    ]
+    stated = options if "--payload" in options else []
+    error, _ = validated(folder, name, out, *stated)
+    assert error == pytest.approx(of_fit, rel=1e-6)
+    for other in (f"{name}=none", f"{name}=1.5@0.05,0.02,0"):
+        assert validated(folder, name, out, "--payload", other)[0] > 1.5 * of_fit
+
+
+def test_a_payload_is_that_of_the_option_where_the_description_of_the_fit_is_used(folder, tmp_path, capsys):
+    toml = tmp_path / "offset.toml"
+    text = with_gains(planned(WHITE, None, 0), WHITE.gains, None).robot.files["robot.toml"].decode()
+    toml.write_text(text.replace('name = "shoulder"\n', 'name = "shoulder"\noffset = true\n'))
+    out = tmp_path / "fit.json"
+    assert run_fit(folder, "free_true", "--robot", str(toml), "--json", str(out)) == 0
+    errors = []
+    for payload in ("none", "2@0.05,0.02,0", "2@0.3,0.3,0"):
+        error, warnings = validated(folder, "loaded_true", out, "--payload", f"loaded_true={payload}")
+        assert any("its description does not have the parameters of the fit (Off1)" in text for text in warnings)
+        errors.append(error)
+    assert len({round(error, 3) for error in errors}) == 3
+    assert min(errors) == errors[1]
+    capsys.readouterr()
+    unknown = ["--payload", "loaded_true=unknown"]
+    assert main(["validate", str(out), str(folder / "loaded_true.mcap"), *unknown]) == 1
+    assert "payload = 'unknown mass, centre of mass not stated': expected its mass" in capsys.readouterr().err
 
 
 def test_without_a_reference_the_gains_are_those_of_the_measured_motion(pair, fit):

@@ -97,6 +97,13 @@ def test_motor_side_goes_through_the_robots_rule(tmp_path: Path, two: Robot) -> 
     assert recording.attachments["robot.toml"] == ROBOT.encode()
 
 
+def test_an_effort_beyond_its_limit_is_told(tmp_path: Path) -> None:
+    text = ROBOT.replace('name = "second"\n', 'name = "second"\neffort_nm = 16\n')
+    robot = robot_from_files({"robot.toml": text.encode()}, "two")
+    result = run(tmp_path, robot, MAP, csv(tmp_path / "a.csv", "p1,p2,c1,c2", Q, CURRENT))
+    assert result.warnings == ("effort of joint second up to 20 N m: limit 16 N m",)
+
+
 def test_joint_side_stands_as_it_is(tmp_path: Path, two: Robot) -> None:
     """Where a joint has a zero, which would do nothing, it is refused."""
     table_map = MAP.replace("motor", "joint").replace("mA", "mN m") + '[reference]\ncolumns = ["p2", "p1"]\n'

@@ -19,7 +19,7 @@ from acquisition.robot import check_recorded_velocities, load_robot
 from identification.commands import main as identify
 from identification.data import Recordings, Signals, load_signals
 from identification.errors import IdentificationError
-from identification.methods import Fit, Iteration, identify_iv, identify_ls, validate_all
+from identification.methods import Fit, Iteration, fit_file, identify_iv, identify_ls, validate_all
 from identification.model import InverseModel, described_parameters
 from identification.regression import Overrides, make_problem, torque_rate
 from identification.study import write_signals
@@ -124,7 +124,7 @@ def test_without_the_pulses_the_fit_says_caution(method):
 def test_a_validation_counts_the_known_torque():
     fit = fitted(records()[0], "ls")
     errors = [
-        validate_all([(signals, Overrides())], lambda base: fit.beta)[1][-1]
+        validate_all([(signals, Overrides())], fit_file(fit), "the fit")[1][-1]
         for signals in (records()[1], without("known_torque"))
     ]
     assert errors[0].moving_relative_error_percent < 2.0

@@ -10,11 +10,17 @@ from conftest import REPLAY, needs_data, robot_named
 
 from acquisition.errors import AcquisitionError
 from acquisition.importing import import_tables
-from acquisition.robot import check_recorded_positions, effort_limits, load_robot, robot_from_files
+from acquisition.robot import (
+    check_recorded_efforts,
+    check_recorded_positions,
+    effort_limits,
+    load_robot,
+    robot_from_files,
+)
 from identification.data import Signals, load_signals
 from identification.errors import IdentificationError
-from identification.methods import identify_ls
-from identification.regression import Overrides
+from identification.methods import identify, identify_ls
+from identification.regression import Overrides, make_problem, make_settings
 
 T = np.arange(4000) / 1000
 ROBOT = robot_named("scara")
@@ -208,16 +214,18 @@ def test_an_effort_of_the_wrong_kind_or_sign_is_refused(keys, key):
 
 
 def test_the_limit_of_a_joint_is_the_smaller_of_its_own_and_of_its_drive():
-    limits = effort_limits(urdf_arm(), "here")
+    limits = effort_limits(urdf_arm())
     assert limits.names == ("joint elbow", "joint rail")
     assert limits.limits == pytest.approx([0.3 * 2.0 * 50, 40.0])  # the saturation of the drive; the URDF
-    assert effort_limits(urdf_arm(elbow="effort_nm = 7"), "here").limits == pytest.approx([7.0, 40.0])
+    assert effort_limits(urdf_arm(elbow="effort_nm = 7")).limits == pytest.approx([7.0, 40.0])
 
 
-def test_a_drive_gives_no_more_than_its_object_holds_and_a_coupled_motor_has_a_limit_of_its_own():
-    limits = effort_limits(TX40, "here")
+def test_the_range_of_an_object_is_no_limit_and_a_coupled_motor_has_one_of_its_own():
+    assert effort_limits(TX40).names == ()
+    motors = tuple(msgspec.structs.replace(motor, saturation=2.0) for motor in TX40.motors)
+    limits = effort_limits(dataclasses.replace(TX40, motors=motors))
     assert limits.names == (*(f"joint joint_{j}" for j in (1, 2, 3, 4, 6)), "motor motor_5")
-    assert limits.limits[0] == pytest.approx(32.767 * 3.0 * 32)  # 16 bits of per mille of the rated torque
+    assert limits.limits[[0, -1]] == pytest.approx([2.0 * 32, 2.0])
     tau = np.array([1.0, 2, 3, 4, 5, 6])
     assert limits.directions @ tau == pytest.approx([1, 2, 3, 4, 6, TX40.motor_effort(tau[None])[0, 4]])
     assert limits.units[-1] == "N m"
@@ -234,6 +242,47 @@ def test_efforts_in_newton_metres_do_not_limit_amperes():
         },
         "here",
     )
-    limits = effort_limits(robot, "here")
+    limits = effort_limits(robot)
     assert (limits.names, limits.units) == (("joint elbow",), ("A",))
     assert limits.limits == pytest.approx([0.3 * 50])
+
+
+@pytest.mark.parametrize(
+    ("key", "ratio", "told"),
+    [
+        ("effort_nm", 1.19, False),
+        ("effort_nm", 1.21, True),
+        ("saturation", 1.19, False),
+        ("saturation", 1.21, True),
+        ("rated_torque_nm", 5.0, False),
+    ],
+)
+def test_an_effort_a_fifth_beyond_its_limit_is_told_and_its_fit_not_trusted(key, ratio, told):
+    signals = load_signals(REPLAY / "scara" / "session.mcap")
+    robot, peak = signals.robot, np.abs(signals.effort[:, 0]).max()
+    limit = {key: float(peak / ratio) / (1.0 if key == "effort_nm" else abs(robot.R[0, 0]))}
+    (first, *joints), (motor, *motors), bus = robot.joints, robot.motors, robot.bus
+    if key == "effort_nm":
+        first = msgspec.structs.replace(first, **limit)
+    elif key == "saturation":
+        motor = msgspec.structs.replace(motor, **limit)
+    else:
+        bus = msgspec.structs.replace(bus, drive=(msgspec.structs.replace(bus.drive[0], **limit), *bus.drive[1:]))
+    robot = dataclasses.replace(robot, joints=(first, *joints), motors=(motor, *motors), bus=bus)
+    fit = identify(dataclasses.replace(signals, robot=robot), Overrides(), method="iv")
+    text = f"effort of joint shoulder up to {peak:.4g} N m: limit {peak / ratio:.4g} N m"
+    assert (text in fit.warnings, fit.trust.verdict) == (told, "caution" if told else "trust")
+    assert fit.trust.finding == ("effort beyond its limit" if told else "")
+    assert [line.text.split(": check")[0] for line in fit.trust.lines if line.test == "effort"] == [text] * told
+
+
+def test_the_limit_of_a_urdf_counts_and_gains_that_are_looked_for_are_not_judged_by_it():
+    effort = np.array([[10.0, 40.0], [-35.0, -47.9]])
+    assert check_recorded_efforts(urdf_arm(), effort) == ()
+    told = ("effort of joint elbow up to 37 N m: limit 30 N m", "effort of joint rail up to 50 N: limit 40 N")
+    assert check_recorded_efforts(urdf_arm(), np.array([[-37.0, 50.0]])) == told
+    signals = load_signals(REPLAY / "scara" / "session.mcap")
+    joints = tuple(msgspec.structs.replace(joint, effort_nm=0.01) for joint in signals.robot.joints)
+    low = dataclasses.replace(signals, robot=dataclasses.replace(signals.robot, joints=joints))
+    assert len(make_settings(low, Overrides()).overloads) == 2
+    assert make_problem(low, Overrides(gains=("all",))).settings.overloads == ()

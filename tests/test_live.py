@@ -4,9 +4,11 @@ import os
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
+import msgspec
 import numpy as np
 import pytest
 from conftest import REPLAY
@@ -221,3 +223,16 @@ def test_the_residual_is_that_of_the_whole_recording(tmp_path, recorded):
         assert np.abs(shown[:, 0] - expected).max() < 0.05 * 4 * rms[j]
         _, band = values(rrd, f"/residual/{j + 1}/levels")
         np.testing.assert_allclose(band[-1], [4 * rms[j], -4 * rms[j]])
+
+
+def test_the_level_of_an_effort_is_the_limit_that_counts():
+    """The smaller of the joint's own and its drive's, as of `excite`; none where none is stated."""
+    robot = read_recording(SCARA).robot
+    motor = msgspec.structs.replace(robot.motors[0], saturation=2.0)
+    limited = replace(robot, motors=(motor, robot.motors[1]))
+    most = 2.0 * abs(robot.R[0, 0])
+    for effort_nm, expected in ((None, most), (0.5 * most, 0.5 * most), (2 * most, most)):
+        joint = msgspec.structs.replace(robot.joints[0], effort_nm=effort_nm)
+        levels = live._effort_levels(replace(limited, joints=(joint, robot.joints[1])))
+        assert levels[0]["limit"][1] == pytest.approx(expected)
+        assert "limit" not in levels[1]

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from blueprints import has_one_parent_each
 from conftest import REPLAY, ROOT
 from fits_of_records import iv_of, signals_of
 
@@ -60,6 +61,7 @@ def test_demo_goes_from_the_bus_to_the_picture(capsys, tmp_path):
     assert within >= 56
     names = {p.name for p in (tmp_path / "out").iterdir()}
     assert names == {"session.mcap", "ls.json", "iv.json", "truth.json", "demo.rrd"}
+    assert has_one_parent_each(tmp_path / "out" / "demo.rrd")
     iv, ls, true = (json.loads((tmp_path / "out" / f"{n}.json").read_text()) for n in ("iv", "ls", "truth"))
     assert ls["verdict"] == "caution"  # the lag, which least squares cannot find
     assert iv["status"] == "converged"

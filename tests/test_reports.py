@@ -1,12 +1,14 @@
 """What the reports of a fit and of a validation say: the verdict first, by the rows that move, then what is essential."""
 
+import re
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from conftest import REPLAY
 from fits_of_records import iv_of, ls_of, signals_of
 
-from identification.methods import Validated, fit_document, recording_document, validation_document
+from identification.methods import Validated, fit_document, fit_file, recording_document, validation_document
 from identification.report import Section
 
 SCARA = REPLAY / "scara" / "session.mcap"
@@ -24,10 +26,12 @@ def test_the_verdict_comes_first_and_is_of_the_rows_that_move():
     moving = fit.errors[-1].moving_relative_error_percent
     every = fit.errors[-1].relative_error_percent
     assert f"{moving:.3g}" != f"{every:.3g}", "here standing rows make a difference"
-    held, widest = fit.trust.line("held-out blocks").value, fit.widest_essential_percent
+    held, names = fit.trust.line("held-out blocks").value, fit.estimate.names
+    a, b = (100 * fit.intervals.half[k] / abs(fit.beta[k]) for k in map(names.index, ("ZZ1R", "ZZ2")))
+    assert a < b
     assert document.title == (
-        f"SCARA: IV (asked for), converged, trust; {moving:.3g} % torque error of moving rows, {held:.2g} % held out, "
-        f"essentials to ±{widest:.2g} %"
+        f"SCARA: IV (asked for), converged, trust; {moving:.3g} % torque error of moving rows, {held:.2g} % held out; "
+        f"2 of 8 parameters determined, half of them to ±{(a + b) / 2:.2g} %, the worst (ZZ2) to ±{b:.2g} %"
     )
     verdict = document.sections[0]
     assert verdict.lines[0] == "assumed: drive gains, ratios, lengths, sample rate, control law"
@@ -36,6 +40,35 @@ def test_the_verdict_comes_first_and_is_of_the_rows_that_move():
     assert verdict.lines[2].endswith(f"{every:.3g} % of all rows")
     assert verdict.lines[3].startswith("essential (by least squares): 2 of 8 parameters")
     assert verdict.warnings == ("a wrong gain",)
+
+
+@pytest.mark.parametrize("wide", [(), ("Fv1", "Fc2"), None])
+@pytest.mark.parametrize("kept", [("ZZ1R", "Fv1", "Fc2", "ZZ2"), None])
+def test_first_line_lines_table_and_json_count_the_same_parameters(kept, wide):
+    """Of the `kept` by the F test those with an interval narrower than the value; of `wide`, None for all, it is wider."""
+    fit = iv_of(SCARA)
+    names = fit.estimate.names
+    kept, wide = names if kept is None else kept, names if wide is None else wide
+    by = np.where(np.isin(names, wide), 1.5 * np.abs(fit.beta), fit.intervals.half)
+    intervals = replace(fit.intervals, low=fit.beta - by, high=fit.beta + by)
+    fit = replace(with_essential(fit, kept), intervals=intervals)
+    fit = replace(fit, least_squares=replace(fit.least_squares, essential=replace(fit.essential, F=1.0)))
+    expected = {name for name in kept if name not in wide}
+    document, file = fit_document(signals_of(SCARA), fit), fit_file(fit)
+    assert {row[0] for row in document.sections[2].table.rows if row[6] == "yes"} == expected
+    flagged = [p for p in file.parameters if p.essential]
+    assert {p.name for p in flagged} == set(file.essential.names) == expected
+    percents = {p.name: 100 * p.half / abs(p.value) for p in flagged}
+    text = f"; {len(expected)} of 8 parameters determined"
+    if percents:
+        worst = max(percents, key=percents.get)
+        median = np.median(list(percents.values()))
+        text += f", half of them to ±{median:.2g} %, the worst ({worst}) to ±{percents[worst]:.2g} %"
+    assert document.title.endswith(text)
+    line = document.sections[0].lines[3]
+    assert line.startswith(f"essential (by least squares): {len(expected)} of 8 parameters; ")
+    counts = [re.search(rf"(\d+) {what}", line) for what in ("of", "with an interval wider", "left out")]
+    assert sum(int(found[1]) for found in counts if found) == 8, line
 
 
 @pytest.mark.parametrize("everything", [False, True])

@@ -8,7 +8,7 @@ from itertools import pairwise
 import msgspec
 import numpy as np
 import pytest
-from conftest import REPLAY
+from conftest import REPLAY, ROOT
 from fits_of_records import iv_of, ls_of, signals_of
 from independent_robots import plant
 from independent_simulator import (
@@ -23,13 +23,15 @@ from looked_at import looked_at
 from scipy.signal import lfilter
 
 from identification.data import Signals
-from identification.estimation import System, instrumental_variables, intervals
+from identification.estimation import SPANS, System, instrumental_variables, intervals
 from identification.estimation.diagnostics import autoregression
 from identification.methods import Fit, identify, identify_ls
+from identification.methods.system import SPANS_OF_IV
 from identification.regression import Overrides
 from identification.trust import LEVELS, FitData, Trust, TrustLine, trust_in
 from identification.trust.columns import missing_terms
 from identification.trust.solution import (
+    TESTS,
     _combine_failures,
     _solve_whitened,
     essential_test,
@@ -157,9 +159,21 @@ def test_held_out_blocks_far_off_and_no_positive_m_together_are_not_to_be_used()
         assert ("--consistent" in judged.text) == (level == "do not use")
 
 
+def test_the_tables_of_the_guides_have_every_line():
+    longer = {"held out": "held-out blocks"}
+    names = {one.__name__.removesuffix("_test").replace("_", " ") for one in TESTS}
+    for guide, head in (("README.md", "| line | what is wrong "), ("method.md", "| line | what it means ")):
+        _, rest = (ROOT / "identification" / guide).read_text().split(head)
+        lines = re.findall(r"^\| `(.*?)` \|", rest.split("\n\n")[0], flags=re.MULTILINE)
+        assert sorted(lines) == sorted(longer.get(name, name) for name in names)
+    counts = re.findall(r"(\d+)(?: spans of time,| or) with instruments (\d+)", rest)
+    assert counts == [(str(SPANS), str(SPANS_OF_IV))] * 2
+
+
 def test_an_inertia_that_is_not_known_to_its_own_size_is_doubted():
     _, evidence = examined("wls", "scara")
-    assert essential_test(evidence).level == "ok"
+    of_some = replace(evidence, estimate=evidence.estimate.part(np.arange(5)))  # as with --essential
+    assert (essential_test(of_some).level, essential_test(of_some).text) == ("ok", f"{len(evidence.essential)} of 8")
     told = essential_test(replace(evidence, essential=("Fv1", "Fc1", "Fc2")))
     assert (told.level, told.finding) == ("caution", "no inertia is determined")
     fit, _ = examined("wls", "scara")

@@ -415,7 +415,7 @@ def test_parameters_are_drawn_with_their_names_and_deviations(essential, written
     rings = [
         np.mean(strip[:-1], axis=0) for strip in file.static.get("/parameters/rings", {}).get("LineStrips2D:strips", [])
     ]
-    assert len(dots) == len(fit.essential.estimate.names)
+    assert len(dots) == len(fit.essential_names)
     x, y = np.array(sorted([*dots.tolist(), *map(list, rings)], key=lambda point: point[1])).T
     order = np.argsort(fit.estimate.beta)
     assert len(x) == len(names) <= 20, "one column"
@@ -427,7 +427,7 @@ def test_parameters_are_drawn_with_their_names_and_deviations(essential, written
         assert left[0] < x[i] < right[0]
         assert left[1] == pytest.approx(y[i], abs=1e-3)
     marked = {name for name, level in zip(names, y, strict=True) if level in dots[:, 1]}
-    assert marked == set(fit.essential.estimate.names)
+    assert marked == set(fit.essential_names)
 
 
 def test_the_residual_is_shown_against_white_noise(written):

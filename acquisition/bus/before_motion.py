@@ -9,7 +9,7 @@ import numpy as np
 
 from ..arrays import Array
 from ..errors import AcquisitionError
-from ..protocol import DISABLED, State, error_words
+from ..protocol import ANSWER, DISABLED, State, error_words
 from ..recording import ERROR
 from ..robot import Bus, Drive, DriveFile, Robot, axis_of, parse_homed
 from .frames import other_node, sign_of_master
@@ -25,6 +25,8 @@ def listen_for_others(master: Master) -> AcquisitionError | None:
         frame = master.link.receive(until_ns)
         if frame is None or frame.flags & ERROR:
             continue
+        if frame.can_id & 0x780 == ANSWER:
+            master.dispatch(frame)
         sign, node = sign_of_master(frame, master.bus), other_node(frame, master.bus)
         if sign is not None:
             expected = "none; `robot-acquire record --passive` records without sending. Nothing was sent"
@@ -38,7 +40,7 @@ def listen_for_others(master: Master) -> AcquisitionError | None:
 
 
 def refuse_enabled(master: Master) -> list[int]:
-    """Nodes in fault, found by reading only. Raises `AcquisitionError` where a drive is enabled."""
+    """Nodes in fault, found by reading only. Raises `AcquisitionError`: a drive is enabled, or two are one node."""
     in_fault = []
     for drive in master.bus.drives:
         state = master.state(drive)
@@ -48,6 +50,8 @@ def refuse_enabled(master: Master) -> list[int]:
             raise AcquisitionError(problem, place=f"node {drive.node}", expected=expected)
         if state is State.FAULT:
             in_fault.append(drive.node)
+    master.wait(master.link.now_ns() + 30_000_000)  # for a second device's answer to the last request
+    master.refuse_doubled()
     return in_fault
 
 

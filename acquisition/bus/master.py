@@ -1,10 +1,12 @@
 """A CANopen master over a link: NMT, SDO, PDO configuration, orders, and the last values of every node."""
 
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from ..errors import AcquisitionError
 from ..protocol import (
+    ABORTS,
     ANSWER,
     EMERGENCY,
     HEARTBEAT,
@@ -75,6 +77,8 @@ class Master:
         self.by_node = {watch.drive.node: watch for watch in self.nodes}
         self._by_pdo = {pdo.can_id: (watch, pdo) for watch in self.nodes for pdo in watch.drive.tpdos}
         self._answers: dict[int, bytes] = {}
+        self._unanswered = Counter[int]()  # SDO requests of any master, by node; a late answer is one too
+        self.doubled: set[int] = set()  # nodes with more SDO answers than requests: two devices have their id
         self.sync_times: list[int] = []
         self.synced_ns: int | None = None  # when we sent the last SYNC
         self.at_sync: Callable[[], None] = lambda: None  # called at every SYNC, from any producer
@@ -112,8 +116,9 @@ class Master:
             if self.bus.file.sync_producer == "recorder":
                 self.bus_error = "another producer sends SYNC"  # drives would apply targets at its times
             self._next_sync()
-        elif function == ANSWER:
+        elif function == ANSWER and node:
             self._answers[node] = frame.data
+            self._note_answer(node, answer_of(frame.data))
         elif node in self.by_node and function == HEARTBEAT and frame.data:
             watch = self.by_node[node]
             # Time of the link: an adapter may stamp frames by its own clock.
@@ -126,7 +131,20 @@ class Master:
             if code:  # 0: the error is cleared
                 self.by_node[node].emergency = code
         else:
+            self._unanswered[node] += function == REQUEST
             self._note_sign(frame)
+
+    def _note_answer(self, node: int, answer: Transfer) -> None:
+        # Transfers in segments are left open here: their server may abort them, besides the next answer or in time.
+        if answer.kind != "other" and (answer.kind, answer.number) != ("abort", ABORTS["timed out"]):
+            self._unanswered[node] -= 1
+            self.doubled |= {node} if self._unanswered[node] < 0 else set()
+
+    def refuse_doubled(self) -> None:
+        """Raise `AcquisitionError` where two devices have answered as one node."""
+        if self.doubled:
+            expected = "one device for each node id: disconnect one, and change its id"
+            raise AcquisitionError(f"two devices answer as node {min(self.doubled)}", place="bus", expected=expected)
 
     def _note_sign(self, frame: Frame) -> None:
         # Our own frames never come here: a link leaves out those that its interface returns.
@@ -196,6 +214,7 @@ class Master:
         """Send an SDO request without waiting; `answered` returns its answer."""
         self._answers.pop(node, None)
         self.link.send(REQUEST + node, request)
+        self._unanswered[node] += 1
 
     def answered(self, node: int, request: bytes) -> bytes | None:
         """The answer to a request sent by `post`, once; None until it has arrived."""

@@ -1,7 +1,7 @@
 """The nodes of an unknown bus and what they state, read by SDO (upload); nothing else can be sent."""
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from ..errors import AcquisitionError
@@ -33,12 +33,12 @@ Readings = dict[tuple[int, int], Reading]  # by index and sub-index
 class Uploads:
     """A link that sends SDO read requests only, and from the first frame of another master or error frame on nothing.
 
-    `heard`: the services received, by node.
+    `heard`: the services received, by node. `say` is called with the node of each request.
     """
 
-    def __init__(self, link: MasterLink, file: BusFile) -> None:
+    def __init__(self, link: MasterLink, file: BusFile, say: Callable[[str], None] = lambda text: None) -> None:
         self.bus, self.heard = Bus(file=file, drives=()), dict[int, set[str]]()
-        self._link, self._received, self._refusal = link, deque[Frame](), ""
+        self._link, self._say, self._received, self._refusal = link, say, deque[Frame](), ""
         self._sent = self._next_ns = 0
 
     def now_ns(self) -> int:
@@ -52,6 +52,7 @@ class Uploads:
         if not REQUEST < can_id <= REQUEST + 127 or data[:1] != b"\x40" or data[4:] != bytes(4):
             self._refusal = f"frame 0x{can_id:03X} is no SDO read"
         self._refuse()
+        self._say(f"asking node {can_id - REQUEST} of 1 to 127")
         self._next_ns, self._sent = self.now_ns() + REQUEST_INTERVAL_NS, self._sent + 1
         self._link.send(can_id, data)
 
@@ -97,6 +98,7 @@ def _read_node(master: Master, node: int, objects: Sequence[tuple[int, int]], ar
         readings[index, sub] = reading
         if index in arrays and not sub:
             keys += [(index, k + 1) for k in range(min(reading.value or 0, MAX_ENTRIES))]
+    master.refuse_doubled()
     return readings
 
 

@@ -111,7 +111,8 @@ def check_drives(link: MasterLink, bus: Bus) -> list[Finding]:
             differences = [str(error)]
         findings += [Finding("description", text, ok=False) for text in differences]
         findings += [] if differences else [Finding("description", _agreement(bus))]
-    return [*findings, _jitter(master)]
+    findings.append(_jitter(master))
+    return findings + [Finding("node ids", f"two devices answer as node {node}", ok=False) for node in master.doubled]
 
 
 def _of_drive(master: Master, drive: Drive) -> list[Finding]:
@@ -159,11 +160,9 @@ def _scale(master: Master, drive: Drive) -> str:
 def _agreement(bus: Bus) -> str:
     """The values that were compared."""
     identity = [d.name for d in bus.drives if d.dictionary is not None and d.dictionary.identity]
-    rated = [d.name for d in bus.drives if d.rated]
-    if not identity and not rated:
-        return "nothing to compare: no dictionary with an identity and no rated value"
-    compared = (("identity", identity), ("rated values", rated))
-    return "agrees with " + " and ".join(f"{what} of {', '.join(names)}" for what, names in compared if names)
+    compared = {"identity": identity, "rated values": [d.name for d in bus.drives if d.rated]}
+    agree = " and ".join(f"{what} of {', '.join(names)}" for what, names in compared.items() if names)
+    return f"agrees with {agree}" if agree else "nothing to compare: no dictionary with an identity and no rated value"
 
 
 def _mapped(master: Master, node: int) -> str:
@@ -212,9 +211,8 @@ def _positions(robot: Robot, master: Master) -> list[Finding]:
         findings.append(Finding("joint positions", text))
         for drive, file in zip(master.bus.drives, master.bus.file.drive, strict=True):
             homed = is_homed(master, drive, file)
-            text = "not described: the drive's zero may be its position at power-on"
-            if homed is not None:
-                text = f"{'yes' if homed else 'NO'} ({file.homed})"
+            stated = f"{'yes' if homed else 'NO'} ({file.homed})"
+            text = "not described: the drive's zero may be its position at power-on" if homed is None else stated
             findings.append(Finding("homed", text, ok=homed is not False, node=drive.node, track=True))
     except AcquisitionError as error:
         findings.append(Finding("joint positions", str(error), ok=False))

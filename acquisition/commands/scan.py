@@ -1,9 +1,10 @@
 """`robot-acquire scan`: the nodes of an unknown bus and what they state, by listening and SDO reads only."""
 
 import argparse
+from contextlib import closing
 
 from ..errors import AcquisitionError, one_line
-from .command_line import add_path
+from .command_line import Progress, add_path
 from .replay import add_bus
 
 
@@ -34,18 +35,15 @@ def run(options: argparse.Namespace) -> None:
     bit_s = {} if bitrate is None else {"bitrate": bitrate}
     # No heartbeat is a sign of a master (node 0 has none): 127, the default, is the node id of many new drives.
     file = BusFile(interface=interface, channel=options.channel, drive=(), sync_period_s=1.0, master_node=0, **bit_s)
-    link = open_link(file, passive=False)
-    try:
-        uploads = Uploads(link, file)
+    with closing(open_link(file, passive=False)) as link, Progress("listening") as line:
+        uploads = Uploads(link, file, line.say)
         nodes = scan_nodes(uploads, OBJECTS, ARRAYS)
-    finally:
-        link.close()
     print(*table(findings_of(nodes, uploads.heard)), sep="\n")
     if not nodes:
         expected = "one at least: drives on, cable, terminators, bitrate"
         raise AcquisitionError("no node answers", place=f"bus: {interface} {options.channel}", expected=expected)
     if out is not None:
-        text = "\n".join([*bus_lines(file, nodes), ""])
+        text = "\n".join([*bus_lines(file, nodes, uploads.heard), ""])
         with atomic_write(out) as partial:
             partial.write_text(text, encoding="utf-8")
         print(one_line(f"{out}: to be filled in: {text.count(FILL_IN)} lines with {FILL_IN}"))

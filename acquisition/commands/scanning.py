@@ -1,7 +1,7 @@
 """`robot-acquire scan`: what the nodes of a bus state, as rows of a table and as `[bus]` of robot.toml."""
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import suppress
 
 from ..bus import Readings
@@ -43,7 +43,10 @@ def findings_of(nodes: Mapping[int, Readings], heard: Mapping[int, set[str]]) ->
             ok = all("not exist" in readings[key].problem for key in keys if readings[key].problem)
             rows.append(Finding(subject, ", ".join(_words(readings, *key) for key in keys), ok=ok, node=node))
         if is_drive(readings):
-            rows.append(Finding("PDOs", "; ".join(_pdos(readings)) or "none is mapped", node=node))
+            problems = {reading.problem for (index, _), reading in readings.items() if 0x1400 <= index < 0x1C00}
+            unread = sorted(problem for problem in problems if problem and "not exist" not in problem)
+            text = "; ".join([*_pdos(readings), *unread]) or "none is mapped"
+            rows.append(Finding("PDOs", text, ok=not unread, node=node))
     silent = [node for node in sorted(heard) if node not in nodes]
     return rows + [Finding("only heard", ", ".join(sorted(heard[node])), ok=False, node=node) for node in silent]
 
@@ -71,16 +74,18 @@ def _pdos(readings: Readings) -> Iterator[str]:
             yield f"{name} 0x{can_id & 0x7FF:03X}{' off' if can_id & NOT_VALID else ''}{''.join(objects)}"
 
 
-def bus_lines(file: BusFile, nodes: Mapping[int, Readings]) -> Iterator[str]:
-    """`[bus]` with a block for each drive; lines with `FILL_IN` need the engineer."""
+def bus_lines(file: BusFile, nodes: Mapping[int, Readings], heard: Collection[int] = ()) -> Iterator[str]:
+    """`[bus]` with a block for each drive; lines with `FILL_IN` need the engineer. No node of `heard` is the master's."""
     yield "[bus]"
     yield f"interface = {json.dumps(file.interface)}"
     yield f"channel = {json.dumps(file.channel)}"
     yield f"bitrate = {file.bitrate}" + (f" # {FILL_IN}: as ip link shows it" if file.interface == "socketcan" else "")
     yield f"sync_period_s = 0.002 # {FILL_IN}: the period that you want; robot-acquire check shows the load of the bus"
     yield f"other_nodes = {[node for node, readings in nodes.items() if not is_drive(readings)]} # no drives"
-    if 127 in nodes:
-        yield f"master_node = {max(set(range(1, 127)) - set(nodes))} # of this program; no device has it"
+    free = max(set(range(1, 128)) - {*nodes, *heard}, default=None)
+    if free != 127:
+        text = f"master_node = {free} # of this program; no device has it"
+        yield text if free else f"# master_node = ... # {FILL_IN}: of this program; no node id is free"
     for node, readings in nodes.items():
         yield from _drive_lines(node, readings) if is_drive(readings) else ()
 
@@ -96,7 +101,7 @@ def _drive_lines(node: int, readings: Readings) -> Iterator[str]:
         certain = "" if key[0] >= 0x6000 else f"{FILL_IN}: if it is "
         yield f'{"actual" if "actual" in meaning else "reference"} = "{key[0]:04X}" # {certain}{meaning}'
         if rated := RULES[rule].rated:
-            raw = readings[0x6075 if "current" in rated else 0x6076, 0].value
+            raw = (readings[0x6075 if "current" in rated else 0x6076, 0].value or 0) % 0xFFFFFFFF  # with all bits: none
             yield f"{rated} = {raw / 1000:.10g}" if raw else f"# {rated} = ... # {FILL_IN}: the drive states none"
     counts = position_units_per_turn({key: reading.value for key, reading in readings.items()})
     comment = f"# {FILL_IN}: turn the motor once and compare, sign too; counts_per_m if it slides"

@@ -64,7 +64,7 @@ def import_bag(
     position_side(robot, "joint", "position", place)
     stamps_ns, received, parts, warnings = _joint_states(bag, topic, joints)
     position = parts["position"]
-    parts["effort"], provenance = _effort(robot, parts.get("effort"), options.effort_unit, place)
+    parts["effort"], provenance, effort_object = _effort(robot, parts.get("effort"), options.effort_unit, place)
     _refuse_several_publishers(position, parts["effort"], joints, place)
     if "velocity" in parts and not np.isfinite(parts["velocity"]).all():
         del parts["velocity"]
@@ -82,7 +82,7 @@ def import_bag(
         effort_provenance=provenance,
         effort_timing="measured",
         payload=payload,
-        notes=grid.notes,
+        notes={**grid.notes, "effort_object": effort_object},
     )
     return write_samples(header, grid, warnings, str(place), out)
 
@@ -120,8 +120,8 @@ def _alternating_share(x: Array) -> Array:
     return np.asarray(np.maximum(alternating.sum(axis=0) - 2, 0) / len(windows))  # two may be chance
 
 
-def _effort(robot: Robot, effort: Array | None, effort_unit: Sequence[str], place: Place) -> tuple[Array, str]:
-    """Joint efforts (N, n) and their origin. A bag does not contain their unit."""
+def _effort(robot: Robot, effort: Array | None, effort_unit: Sequence[str], place: Place) -> tuple[Array, str, str]:
+    """Joint efforts (N, n), their origin, and what they are. A bag does not contain their unit."""
     if effort is None:
         place.refuse(expected="measured torques or currents in them", text="messages have no effort")
     _refuse_no_effort(robot, effort, place)
@@ -131,8 +131,9 @@ def _effort(robot: Robot, effort: Array | None, effort_unit: Sequence[str], plac
     if at_joint and len(effort_unit) == 1:  # an effort in N m is a force in N where a joint slides
         units = tuple("N m" if joint.type == "revolute" else "N" for joint in robot.joints)
     side = effort_side(robot, units, "joint" if at_joint else None, "effort", place)
+    what = f"{', '.join(effort_unit)} at the {side}"
     joint_effort, rule = effort_at_joint(robot, effort * factors, side)
-    return joint_effort, f"effort of {place}: {', '.join(effort_unit)} at the {side}, as stated; {rule}"
+    return joint_effort, f"effort of {place}: {what}, as stated; {rule}", what
 
 
 def _refuse_no_effort(robot: Robot, effort: Array, place: Place) -> None:

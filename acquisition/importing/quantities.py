@@ -90,15 +90,15 @@ class Source:
         self._check_kinds(key, units, side)
         return self.robot.joint_velocity(values) if side == "motor" else values
 
-    def effort(self, key: str, quantity: Quantity) -> tuple[Array, str]:
-        """Joint efforts (N, n) in the robot's units, and their origin."""
+    def effort(self, key: str, quantity: Quantity) -> tuple[Array, str, str]:
+        """Joint efforts (N, n) in the robot's units, their origin, and what they are: unit and side."""
         units, values = self._read(key, quantity, EFFORT_UNITS)
         side = effort_side(self.robot, units, quantity.side, key, self.place)
         unit = quantity.unit if isinstance(quantity.unit, str) else ", ".join(quantity.unit)
         columns = ", ".join(str(column) for column in quantity.columns)
-        origin = f"{self.tables[quantity.table - 1].name}: {columns}: {unit} at the {side}"
+        what = f"{unit} at the {side}"
         joint_effort, rule = effort_at_joint(self.robot, values, side)
-        return joint_effort, f"{origin}; {rule}"
+        return joint_effort, f"{self.tables[quantity.table - 1].name}: {columns}: {what}; {rule}", what
 
     def effort_of_one_side(self, key: str, quantity: Quantity) -> Array:
         """Known torques (N, n) on the joints in N m, forces in N; feed-forward by motor in the units of the recorded effort."""

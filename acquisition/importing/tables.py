@@ -78,7 +78,7 @@ def import_tables(
     except OSError as error:
         place.refuse(text=f"cannot be read: {error.strerror}")
     source = Source(tables=tables, robot=robot, place=place)
-    parts, provenance = _parts(source, table_map)
+    parts, provenance, effort_object = _parts(source, table_map)
     rows = len(parts["position"])
     for key, part in parts.items():
         if len(part) != rows:
@@ -94,22 +94,22 @@ def import_tables(
         effort_provenance=provenance,
         effort_timing=table_map.effort_timing,
         payload=payload,
-        notes=grid.notes,
+        notes={**grid.notes, "effort_object": effort_object},
     )
     return write_samples(header, grid, (), names, out)
 
 
-def _parts(source: Source, table_map: TableMap) -> tuple[dict[str, Array], str]:
-    """All quantities of the map, at the joint (feed-forward: at the motor), and the origin of the efforts."""
+def _parts(source: Source, table_map: TableMap) -> tuple[dict[str, Array], str, str]:
+    """All quantities of the map, at the joint (feed-forward: at the motor), and origin and object of the efforts."""
     parts = {"position": source.position("position", table_map.position)}
-    parts["effort"], provenance = source.effort("effort", table_map.effort)
+    parts["effort"], provenance, effort_object = source.effort("effort", table_map.effort)
     if table_map.reference is not None:
         parts["reference"] = source.position("reference", table_map.reference)
     for name in OPTIONAL:
         quantity = getattr(table_map, name)
         if quantity is not None:
             parts[name] = (source.velocity if name == "velocity" else source.effort_of_one_side)(name, quantity)
-    return parts, provenance
+    return parts, provenance, effort_object
 
 
 def _on_grid(source: Source, table_map: TableMap, parts: Mapping[str, Array]) -> GridValues:

@@ -10,7 +10,7 @@ from ..arrays import Array, Ints
 from ..errors import Place
 from ..files import atomic_write
 from ..recording import MAX_STAMP_NS, Header, RecordingWriter, sample_dtype
-from ..robot import check_recorded_positions, check_recorded_velocities
+from ..robot import check_recorded_efforts, check_recorded_positions, check_recorded_velocities
 from .stamps import MIN_GAP_STEP, row_numbers, rows_in_time, stamps_warning
 
 POSITION = "position"
@@ -285,6 +285,7 @@ def write_samples(header: Header, grid: GridValues, warnings: Sequence[str], pla
     robot, parts, stamps = header.robot, grid.parts, grid.stamps_ns(place)
     t_s = (stamps - stamps[0]) * np.float64(1e-9)
     overshoots = check_recorded_positions(robot, t_s, parts["position"], place)
+    overshoots += check_recorded_efforts(robot, parts["effort"])
     zero = [joint.name for joint, column in zip(robot.joints, parts["effort"].T, strict=True) if not column.any()]
     warnings = [*warnings, *grid.warnings, *([f"the effort of {', '.join(zero)} is zero in all rows"] if zero else [])]
     if "velocity" in parts:

@@ -63,6 +63,7 @@ from .states import (
     toward,
 )
 from .transfers import (
+    ABORTS,
     ANSWER,
     HIGHEST_CAN_ID,
     LOWEST_CAN_ID,

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import AcquisitionError, Place
-from ..robot import Robot, resolve, robot_from_files
+from ..robot import resolve, robot_from_files
 from .content import GrowingContent
 from .decoding import decode
 from .reader import READ_TOPICS, Event, Health, check_metadata, events_of, rows_of
@@ -38,10 +38,8 @@ class RecordingFollower:
         self.metadata, self.robot = found.metadata, robot_from_files(found.attachments, f"{path}: robot.toml")
         if self.robot.bus is None:
             raise AcquisitionError("is of no bus", place=str(path), expected="a recording of `robot-acquire record`")
-        self._file, self._bus = (
-            self.robot.bus,
-            None if _mapped_by_traffic(self.robot) else resolve(self.robot, str(path)),
-        )
+        self._file = self.robot.bus
+        self._bus = None if self._file.mapped_by_traffic else resolve(self.robot, str(path))
         self._frames = np.zeros(0, FRAME)
         self._last: Block | None = None  # the last row that was given
         self.rows: Block | None = None
@@ -95,7 +93,3 @@ class RecordingFollower:
         rows = rows[rows["stamp_ns"] > shown_ns + half_ns]
         if len(rows):
             self.rows, self._last = rows, rows[-1]
-
-
-def _mapped_by_traffic(robot: Robot) -> bool:
-    return robot.bus is not None and any(drive.mapping == "traffic" for drive in robot.bus.drive)

@@ -43,9 +43,7 @@ def overview(recording: Recording, row_warnings: str = "") -> dict[str, Any]:
         first_ns = int(min(first for first, _ in spans.values()))
     return {
         "robot": robot.name,
-        "source": metadata.get("source", ""),
-        "created": metadata.get("created", ""),
-        "software": metadata.get("software", ""),
+        **{key: metadata.get(key, "") for key in ("source", "created", "software")},
         "cut": recording.cut,
         "samples": 0 if samples is None else len(samples),
         "sample_rate_hz": recording.sample_rate_hz,
@@ -57,8 +55,7 @@ def overview(recording: Recording, row_warnings: str = "") -> dict[str, Any]:
         "step_jitter_s": (0.0, 0.0) if samples is None else _step_jitter(samples["stamp_ns"]),
         "no_samples": recording.no_samples if samples is None else "",
         "row_doubts": row_warnings,
-        "effort_provenance": metadata.get("effort_provenance", ""),
-        "times": metadata.get("times", ""),
+        **{key: metadata.get(key, "") for key in ("effort_provenance", "times")},
         "payload": recording.payload,
         "payload_text": recording.payload and recording.payload.describe(robot.joints[-1].name),
         "gaps": () if samples is None else gaps(samples, recording.sample_rate_hz, _own_syncs(recording)),
@@ -180,13 +177,8 @@ def _facts(found: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         yield "steps", f"jitter sd {sd:.4f} ms, worst {worst:.4f} ms, gaps left out"
     else:
         yield "samples", found["no_samples"]
-    if found["row_doubts"]:
-        yield "rows", found["row_doubts"]
-    if found["times"]:
-        yield "times", found["times"]
-    yield "effort", found["effort_provenance"]
-    if found["payload_text"]:
-        yield "payload", found["payload_text"]
+    texts = {"rows": "row_doubts", "times": "times", "effort": "effort_provenance", "payload": "payload_text"}
+    yield from ((name, found[key]) for name, key in texts.items() if found[key])
     for count in found["frames"]:
         text = f"{count['frames']} frames, {count['sent']} of them sent, {count['duration_s']:g} s"
         yield f"CAN {count['channel']}", text

@@ -225,6 +225,10 @@ class RecordingWriter:
         if sync:
             os.fsync(self._file.fileno())
 
+    def fileno(self) -> int:
+        """Descriptor of the file, for locks."""
+        return self._file.fileno()
+
     def close(self) -> None:
         """Write the end of the file; does nothing if it is closed."""
         if self._file.closed:

@@ -14,7 +14,13 @@ from .drives import (
     refuse_load,
     refuse_out_of_range,
 )
-from .limits import EffortLimits, check_recorded_positions, check_recorded_velocities, effort_limits
+from .limits import (
+    EffortLimits,
+    check_recorded_efforts,
+    check_recorded_positions,
+    check_recorded_velocities,
+    effort_limits,
+)
 from .payload import Payload, parse_payload
 from .reference import (
     HARMONICS,

@@ -178,6 +178,11 @@ class BusFile(TomlTable, frozen=True):
             if node in nodes[:i]:
                 self.refuse(f"drive[{i}].node", node, "a node id not used before")
 
+    @property
+    def mapped_by_traffic(self) -> bool:
+        """Whether PDOs of a drive are known only from the SDO writes of another master."""
+        return any(drive.mapping == "traffic" for drive in self.drive)
+
 
 def demand_ripple(bandwidth_hz: float, sync_period_s: float) -> float:
     """(w T)²/3: difference of a torque demand at SYNC from its mean, as a share of the inertia; w: of the position loop."""

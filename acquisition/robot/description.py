@@ -178,7 +178,8 @@ class Controller(TomlTable, frozen=True):
     """`[controller]`: how the drives follow their reference. Least squares needs only `bandwidth_hz`."""
 
     bandwidth_hz: Annotated[
-        Positive | None, note("bandwidth of the position loop, Hz; cut-off and decimation follow from it")
+        Positive | None,
+        note("bandwidth of the position loop, Hz; sets cut-off and decimation (default: by the motion)"),
     ] = None
     structure: Annotated[Structure | None, note("control law (default: a PD of the bandwidth)")] = None
     sample_rate_hz: Annotated[Positive | None, note("rate of the control law, Hz")] = None

@@ -1,4 +1,4 @@
-"""Limits of the description: efforts of joints and drives; recorded positions and speeds checked.
+"""Limits of the description: efforts of joints and drives; recorded positions, speeds and efforts checked.
 
 Impossible positions have causes that a fit does not show: degrees read as radians, a wrong ratio, a counter that wraps, a
 foreign sample. A small overshoot of a stated limit only gives a warning.
@@ -11,14 +11,13 @@ import numpy as np
 
 from ..arrays import Array
 from ..errors import Place
-from ..protocol import range_of
 from .description import Joint
-from .resolving import resolve
 from .robot import Robot
 
 MAX_RANGE_EXCESS = 0.5  # of a joint's range; positions further beyond the limits are refused
 MAX_SPEED_RATIO = 3.0  # times the speed limit
 MAX_UNSTATED_SPEED = {"revolute": 100.0, "prismatic": 30.0}  # rad/s, m/s; no joint of a robot is faster
+MIN_EFFORT_RATIO = 1.2  # times the effort limit: from there on a warning
 MIN_OVERSHOOT = 0.01  # of the range, and of the speed limit; below there is no warning
 NOISE_DEVIATIONS = 8.0  # of a sample's noise: smaller differences over one sample are no speed
 SPEED_WINDOW_S = 0.05  # over which positions and speeds are compared, to reduce noise of single samples
@@ -45,18 +44,14 @@ class EffortLimits:
     units: tuple[str, ...]
 
 
-def effort_limits(robot: Robot, place: str) -> EffortLimits:
-    """Limits of a robot's efforts: at each joint the smaller of the stated limit and that of its drive.
+def effort_limits(robot: Robot) -> EffortLimits:
+    """Limits of a robot's efforts: at each joint the smaller of the stated limit and the `saturation` of its drive.
 
-    A drive is limited by `saturation` and by the range of its effort object. For coupled joints, the effort of a motor is a sum
-    over joints, and its limit applies to that sum. Stated efforts, in N m or N, are not used if the drive gain is not known.
-    `place` names the description in errors.
+    For coupled joints, the effort of a motor is a sum over joints, and its limit applies to that sum. Stated efforts, in N m
+    or N, are not used if the drive gain is not known. The rated effort, which drives exceed for seconds, and the range of the
+    object that reports it are no limits.
     """
     ranges = np.array([math.inf if m.saturation is None else m.saturation for m in robot.motors])
-    if robot.bus is not None:
-        for i, drive in enumerate(resolve(robot, place).drives):
-            _, most = range_of(drive.effort.entry.type)
-            ranges[i] = min(ranges[i], most * abs(drive.effort.scale))
     rows: list[tuple[str, Array, float, str]] = []
     # Recorded efforts of the motors = to_motor · joint efforts.
     to_motor = np.linalg.inv(robot.R.T) / robot.gain[:, None]
@@ -93,6 +88,18 @@ def check_recorded_positions(robot: Robot, stamp_s: Array, q: Array, place: str)
         overshoots += _position(joint, stamp_s, x, at)
         overshoots += _speed(joint, stamp_s, x, at)
     return tuple(overshoots)
+
+
+def check_recorded_efforts(robot: Robot, effort: Array) -> tuple[str, ...]:
+    """Warnings about joint efforts (N, n) that exceed a limit by a fifth or more: a wrong gain, ratio or unit."""
+    limits = effort_limits(robot)
+    found = zip(limits.names, limits.directions, limits.limits, limits.units, strict=True)
+    peaks = [(name, float(np.abs(effort @ row).max(initial=0.0)), most, unit) for name, row, most, unit in found]
+    return tuple(
+        f"effort of {name} up to {peak:.4g} {unit}: limit {most:.4g} {unit}"
+        for name, peak, most, unit in peaks
+        if peak >= MIN_EFFORT_RATIO * most
+    )
 
 
 def check_recorded_velocities(robot: Robot, q: Array, v: Array, rate_hz: float, place: str) -> tuple[str, ...]:

@@ -31,9 +31,9 @@ class Payload:
 
     @property
     def text(self) -> str:
-        """What `parse_payload` reads, if the mass is known: `2.805@0.03,0.15,-0.16`."""
-        center = ",".join(map(repr, self.center_of_mass_m or ()))
-        return f"{self.mass_kg!r}@{center}" if center else repr(self.mass_kg)
+        """As options state it: `2.805@0.03,0.15,-0.16`, or `unknown`."""
+        center, mass = ",".join(map(repr, self.center_of_mass_m or ())), self.mass_kg or "unknown"
+        return f"{mass}@{center}" if center else f"{mass}"
 
     def describe(self, last_joint: str = "the last joint") -> str:
         """For people: `2.805 kg at 0.03, 0.15, -0.16 m in tool0`."""

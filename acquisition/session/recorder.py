@@ -57,9 +57,8 @@ class Recorder:
     def __init__(self, path: Path, robot: Robot, *, source: str, place: str, payload: Payload | None = None) -> None:
         assert robot.bus is not None
         self._path, self._robot, self._place = path, robot, place
-        mapped_by_traffic = any(drive.mapping == "traffic" for drive in robot.bus.drive)
-        self._bus: Bus | None = None if mapped_by_traffic else resolve(robot, place)
         file = robot.bus
+        self._bus: Bus | None = None if file.mapped_by_traffic else resolve(robot, place)
         if path.exists():
             expected = "a new name; recordings are not replaced"
             raise AcquisitionError("already exists", place=str(path), expected=expected)
@@ -144,13 +143,13 @@ class Recorder:
         self._writer.flush()
         frames = read_recording(self._path).frames.get(self.channel, np.zeros(0, FRAME))
         found = write_decoded(self._writer, frames, self._robot, stamp_ns, str(self._path))
-        self._note_marks(stamp_ns)
+        self._note_marks(stamp_ns, last=True)
         self._writer.close()
         return found
 
-    def _note_marks(self, stamp_ns: int) -> None:
-        for age_ns, text in take_marks(self._path):
-            self.event(max(0, stamp_ns - age_ns), "operator", text)
+    def _note_marks(self, stamp_ns: int, *, last: bool = False) -> None:
+        for age_ns, text in take_marks(self._path, self._writer, last=last):
+            self._writer.event(max(0, stamp_ns - age_ns), "operator", text)
 
     def close(self) -> None:
         """Close the file as it is."""

@@ -76,15 +76,14 @@ def record(
     if robot.bus is None:
         expected = "a [bus] section with one drive per motor"
         raise AcquisitionError(place=place, key="bus", value=None, expected=expected)
-    mapped_by_traffic = any(drive.mapping == "traffic" for drive in robot.bus.drive)
     if options.passive and (options.track is not None or options.dry_run):
         raise AcquisitionError("sends nothing", place="--passive", expected="no --track and no --dry-run")
-    if mapped_by_traffic and not options.passive:
+    if robot.bus.mapped_by_traffic and not options.passive:
         expected = "'table' or 'dictionary' in an active session"
         raise AcquisitionError(place=place, key="mapping", value="traffic", expected=expected)
     payload = None if options.payload is None else parse_payload(options.payload, robot)
     task = _task_of(robot, robot.bus.sync_period_s, options, operator)
-    bus = None if mapped_by_traffic else resolve(robot, place)  # before anything is opened
+    bus = None if robot.bus.mapped_by_traffic else resolve(robot, place)  # before anything is opened
     if bus is None or options.passive:
         return _listen(robot, place, out, task, operator, payload)
     refuse_load(bus, place)

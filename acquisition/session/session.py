@@ -166,6 +166,7 @@ class _Session:
             self._master.choose_mode(Mode.CYCLIC_SYNCHRONOUS_POSITION)
             self._note("mark", *refuse_slow_ramps(self._master))
             self._note("warning", *self._heartbeat.request())
+        self._master.refuse_doubled()
         self._master.start()
         self._started = True
         self._pace.start()
@@ -300,10 +301,9 @@ class _Session:
         return safe_stop(self._master, after_sync=lambda: self._log.poll(self._link.now_ns()))
 
     def _is_disabled(self, drive: Drive) -> bool:
-        try:
+        with suppress(AcquisitionError):
             return self._master.state(drive) in DISABLED
-        except AcquisitionError:
-            return False
+        return False
 
     def reports(self, unconfirmed: list[int]) -> list[str]:
         """Error reports of drives in fault, one line each, without those that did not confirm."""

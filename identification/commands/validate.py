@@ -50,14 +50,14 @@ def run(options: argparse.Namespace) -> int:
             signals, lines = methods.signals_as_fitted(
                 source.load(), path, stored, place, chosen=options.robot is not None
             )
-            overrides = from_options(Overrides, options).over(methods.stored_settings(stored, signals))
+            overrides, of_lag = methods.stored_settings(stored, signals, from_options(Overrides, options))
             recordings.append((signals, overrides))
-            notes += lines
+            notes += lines + of_lag
         progress.say("predicting")
-        validated, errors = methods.validate_all(recordings, lambda base: methods.stored_beta(stored, base, place))
+        validated, errors = methods.validate_all(recordings, stored, place)
         of_set: tuple[TorqueError, ...] = ()
         if consistent is not None:
-            _, of_set = methods.validate_all(recordings, lambda base: methods.stored_beta(consistent, base, place))
+            _, of_set = methods.validate_all(recordings, consistent, place)
     of_settings = dict.fromkeys(text for one in validated for text in one.settings.warnings)
     warnings = (*of_settings, *notes, *stored.warnings_of(place))
     document = methods.validation_document(validated, name, errors, warnings, of_set)

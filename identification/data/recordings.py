@@ -14,6 +14,7 @@ from acquisition.files import field_of
 from acquisition.recording import OPTIONAL, Recording, read_recording
 from acquisition.robot import (
     SIMULATED_CONTROLLER,
+    Controller,
     FrictionTerm,
     Joint,
     Payload,
@@ -65,8 +66,10 @@ def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signa
     first_ns, was = int(stamps[0]), recording.robot
     names = [name for name in ("position", "effort", "reference", *OPTIONAL) if name in fields]
     columns = {name: _resample(grid, stamps, field_of(samples, name)) for name in names}
-    law = was.files.get(SIMULATED_CONTROLLER)
+    law, assumed = was.files.get(SIMULATED_CONTROLLER), list[str]()
     if robot is not None and law is not None:  # it belongs to the drives of this recording, not to the description
+        if robot.controller != Controller(bandwidth_hz=was.controller.bandwidth_hz):
+            assumed = [f"{path.name}: the given [controller] is not used: the drives of a dry run have their own"]
         robot = robot_from_files({**robot.files, SIMULATED_CONTROLLER: law}, str(path))
     if robot is not None and robot.n == was.n:
         _refuse_other_units(was, robot, path)
@@ -79,7 +82,7 @@ def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signa
         ):
             if name in columns:
                 columns[name] = to_joint(to_motor(columns[name]))
-    extras = {}
+    extras, provenance = {}, recording.metadata.get("effort_provenance", "")
     if "extra" in fields:
         own_s = 1e-9 * (samples["stamp_ns"] - first_ns)
         extras = {column: (own_s, x) for column, x in zip(extra_columns(was), samples["extra"].T, strict=True)}
@@ -100,11 +103,13 @@ def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signa
         health=_health(recording, first_ns),
         extras=extras,
         effort_timing=recording.effort_timing,
-        provenance=recording.metadata.get("effort_provenance", ""),
+        provenance=provenance,
+        effort_object=recording.metadata.get("effort_object", provenance),
         payload=recording.payload,
         began=recording.began,
         off_grid=off_grid,
-        assumed=(),
+        assumed=tuple(assumed),
+        motion_hz=None,
         **columns,
     )
 

@@ -19,6 +19,7 @@ from ..arrays import Array
 from ..errors import IdentificationError
 
 NAME = "arrays"  # in place of a recording's name
+COLUMNS = ("t_s", "q", "q_ref", "effort", *OPTIONAL)  # of `Signals`, with a row for each sample
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,7 +46,7 @@ class Signals:
         extras: the drives' extra objects: t_s (k,) from the first sample, and the recorded values (k,).
         effort_timing: `command` of an instant, held after it; `mean` over the control period around it, as this package
             simulates; `measured` at the instant, as in ROS joint states; or `unknown`.
-        provenance: origin of the efforts, in words.
+        provenance: origin of the efforts, in words; `effort_object`: the part of it that tells one effort from another.
         velocity: (N, n) measured speeds of the joints, rad/s or m/s, or None.
         known_torque: (N, n) known external torques on the joints, N m or N, or None.
         feedforward: (N, n) feedforward added to the controller's output, by motor in the unit of the recorded effort, or None.
@@ -53,6 +54,7 @@ class Signals:
         began: when the recording began, None if unknown.
         off_grid: largest offset of a sample's time from the grid, in periods; above `ON_GRID` samples are interpolated.
         assumed: what the description does not state and a fit assumes, as warnings.
+        motion_hz: of the rules if the description states no bandwidth: above it positions are only noise; else None.
     """
 
     t_s: Array
@@ -69,6 +71,7 @@ class Signals:
     extras: Mapping[ExtraColumn, tuple[Array, Array]] = field(default_factory=dict)
     effort_timing: EffortTiming = "unknown"
     provenance: str = ""
+    effort_object: str = ""
     velocity: Array | None = None
     known_torque: Array | None = None
     feedforward: Array | None = None
@@ -76,10 +79,11 @@ class Signals:
     began: datetime | None = None
     off_grid: float = 0.0
     assumed: tuple[str, ...] = ()
+    motion_hz: float | None = None
 
     def __post_init__(self) -> None:
         N, n = self.q.shape
-        parts = {name: getattr(self, name) for name in ("t_s", "q", "q_ref", "effort", *OPTIONAL)}
+        parts = {name: getattr(self, name) for name in COLUMNS}
         for name, part in parts.items():
             shape = (N,) if name == "t_s" else (N, n)
             if part is not None and part.shape != shape:
@@ -102,6 +106,11 @@ class Signals:
                     )
                 array.flags.writeable = False
                 release_pages(array)
+
+    @property
+    def lag_group(self) -> tuple[str, str, float]:
+        """What is equal in recordings whose torques have one lag: effort object, effort timing and rate."""
+        return self.effort_object, self.effort_timing, self.sample_rate_hz
 
     @property
     def of_drives(self) -> bool:

@@ -229,8 +229,10 @@ def _warnings(limits: Limits, mus: Sequence[str]) -> tuple[str, ...]:
         warnings.append("torque not checked: no parameters, neither a fit nor [parameters]")
     elif not limits.robot.gain_known:
         warnings.append("limits in N m or N not checked: efforts are in A or V, drive gains unknown")
-    if limits.model is not None and not len(limits.effort.limits):
-        warnings.append("torque not checked: no joint has effort_nm or effort_n, no motor a saturation")
+    by_joint = zip(limits.robot.joints, limits.effort.directions.T, strict=True)
+    free = ", ".join(joint.name for joint, column in by_joint if not column.any())
+    if limits.model is not None and free:
+        warnings.append(f"torque of joint {free} is not limited: no effort_nm or effort_n, no saturation of its motor")
     if mus:
         warnings.append(f"load friction ({', '.join(mus)}) is not in the criterion, but in the effort limits")
     return tuple(warnings)

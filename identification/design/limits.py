@@ -193,7 +193,7 @@ def limits_of(
     The torque is limited by each of the `models`, with the same friction; `place` names the description in errors.
 
     Raises `IdentificationError`: where a joint states no limit, or friction alone needs more than a joint's or motor's
-    effort. Raises `AcquisitionError`: where the bus is described wrongly.
+    effort.
     """
     for i, joint in enumerate(robot.joints):
         for kind, tail in zip(KINDS, ("", "_s", "_s2"), strict=True):
@@ -202,7 +202,7 @@ def limits_of(
                 key = f"joint[{i}].{kind}_{unit}{tail}"
                 raise IdentificationError(f"joint {joint.name} states none", place=place, key=key, expected="a limit")
     ranges = np.array([joint.si("position") for joint in robot.joints])
-    limits = effort_limits(robot, place)
+    limits = effort_limits(robot)
     coulomb = np.zeros(len(limits.limits))
     for model in models[:1]:
         fastest = np.abs(model.directions) @ np.array([joint.si("speed") for joint in robot.joints])

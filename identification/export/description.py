@@ -166,7 +166,7 @@ def _motors_and_controller(chain: Chain) -> Iterator[str]:
     yield ""
     yield "[controller]"
     if chain.bandwidth_hz is None:
-        yield f"# bandwidth_hz = ... # {FILL_IN}: of the position loop; sets the filters, fits need it"
+        yield f"# bandwidth_hz = ... # {FILL_IN}: of the position loop; sets the filters, excite needs it"
     else:
         yield f"bandwidth_hz = {_number(chain.bandwidth_hz)} # of the position loop; sets the filters"
     yield f"# {FILL_IN}, for iv fits and realistic simulations: the drives' control law, in recorded effort per motor rad"

@@ -8,7 +8,6 @@ which has no shapes, a motor that turns with several joints is a fixed tendon (i
 
 import math
 import xml.etree.ElementTree as ET
-from dataclasses import replace
 from xml.dom import minidom
 from xml.dom.minidom import Element
 
@@ -227,8 +226,8 @@ def make_urdf(model: InverseModel) -> str:
 
 
 def _efforts(robot: Robot) -> list[float]:
-    """Maximum effort of each joint, N m or N, without the bus, which may name files that are missing."""
-    found = effort_limits(replace(robot, bus=None), f"robot {robot.name}")
+    """Maximum effort of each joint, N m or N."""
+    found = effort_limits(robot)
     known = dict(zip(found.names, found.limits, strict=True)) if robot.gain_known else {}
     return [known.get(f"joint {joint.name}", joint.si("effort") or UNLIMITED) for joint in robot.joints]
 

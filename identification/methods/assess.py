@@ -102,19 +102,19 @@ def fit_of(observed: StackedSystem, evidence: FitData, solved: LeastSquares, rep
 
 def own_test(observed: StackedSystem, full: Estimate) -> FTest | None:
     """F test, by least squares, of the recordings' own parameters against shared ones; None if there are none."""
-    parameters, rows = observed.parameters, observed.regression
+    parameters = observed.parameters
     if not parameters.any:
         return None
+    observed = observed.at(full.values_of(parameters.names))  # after `with_motors` columns of load friction are zero
+    rows = observed.regression
     W, Y = rows.system.weighted(full.weights)
     shared = list(dict.fromkeys(map(base_name, parameters.names)))
     merge = np.array([[float(base_name(name) == one) for one in shared] for name in parameters.names])
-    norm = np.linalg.norm(Y - W @ full.beta)
-    together = W @ merge
-    scale = np.linalg.norm(together, axis=0)
-    left = np.linalg.norm(Y - together / scale @ np.linalg.lstsq(together / scale, Y)[0])
+    scaled = [A / np.linalg.norm(A, axis=0) for A in (W, W @ merge)]
+    norm, left = (float(np.linalg.norm(Y - A @ np.linalg.lstsq(A, Y)[0])) for A in scaled)
     rho = (rows.tau - observed.predicted(full)) * full.weights * rows.fast
     extra, freedom = len(parameters.names) - len(shared), full.rows - len(parameters.names)
-    F = float((left**2 - norm**2) / extra / (norm**2 / freedom)) if norm > 0 else float("inf")
+    F = (left**2 - norm**2) / extra / (norm**2 / freedom) if norm > 0 else float("inf")
     F, p, F_effective, p_effective = f_tests(F, extra, full.rows, len(parameters.names), autocorrelation(rho) or 0.0)
     names = tuple(name for name in parameters.names if "@" in name)
     return FTest(names=names, F=F, p_value=p, F_effective=F_effective, p_effective=p_effective)

@@ -293,16 +293,6 @@ class Fit:
         return essential_names(self.essential, self.estimate, self.intervals)
 
     @property
-    def widest_essential_percent(self) -> float | None:
-        """The largest half-width of an essential parameter in percent of its value; None if there are none."""
-        with np.errstate(divide="ignore", invalid="ignore"):
-            percent = 100 * self.intervals.half / np.abs(self.estimate.beta)
-        essential = set(self.essential_names)
-        return max(
-            (float(p) for name, p in zip(self.estimate.names, percent, strict=True) if name in essential), default=None
-        )
-
-    @property
     def beta(self) -> Array:
         """(b,) values of all base parameters, of the first recording; zero if left out."""
         return self.estimate.values_of(self.recordings[0].parameters.names)
@@ -310,7 +300,8 @@ class Fit:
     @property
     def notes(self) -> tuple[str, ...]:
         """What is no fault: torque demands sampled at one phase of the control, an error of inertias that is no lag."""
-        robots = [one.problem.signals.robot for one in self.recordings if one.problem.signals.of_drives]
+        each = [one.problem.signals for one in self.recordings]
+        robots = [s.robot for s in each if s.of_drives and s.motion_hz is None]
         return tuple(dict.fromkeys(text for r in robots for text in ripple_notes(r.bus, r.controller.bandwidth_hz)))
 
     @property

@@ -67,7 +67,7 @@ def fit_file(fit: Fit) -> FitFile:
                     source=lag.source,
                     prior=KnownLagFile(**vars(lag.prior)),
                     effort_timing=signals.effort_timing,
-                    effort_provenance=signals.provenance,
+                    effort_object=signals.effort_object,
                 )
                 for lag in fit.lags
                 if signals.recording in lag.recordings
@@ -84,7 +84,7 @@ def fit_file(fit: Fit) -> FitFile:
             for parameter, percent in zip(fitted_parameters(fit).parameters.values(), e.sigma_percent, strict=True)
         ],
         gains=_gains(fit.gains) if fit.gains else UNSET,
-        payloads=[_payload(one) for one in fit.payloads] or UNSET,
+        payloads=[_payload(one, fit) for one in fit.payloads] or UNSET,
         **consistent_keys(fit),
         essential=FTest(
             names=fit.essential_names,
@@ -114,12 +114,13 @@ def _gains(g: Gains) -> list[DriveGain]:
     ]
 
 
-def _payload(one: EstimatedPayload) -> PayloadOfFit:
+def _payload(one: EstimatedPayload, fit: Fit) -> PayloadOfFit:
     units = (*["kg m²"] * 6, *["kg m"] * 3, "kg")
     columns = zip(LINK, one.values.tolist(), units, one.from_prior.tolist(), one.half.tolist(), strict=True)
     parameters = [StandardParameter(*column) for column in columns]
-    stated = "unknown" if one.payload.mass_kg is None else one.payload.text
-    return PayloadOfFit(recording=one.recording, stated=stated, parameters=parameters)
+    found = next(p.known for r in fit.recordings if (p := r.parameters.payload) and p.payload == one.payload)
+    added = dict(zip(fit.base.names, found.tolist(), strict=True))
+    return PayloadOfFit(recording=one.recording, stated=one.payload.text, parameters=parameters, base_parameters=added)
 
 
 def validation_file(

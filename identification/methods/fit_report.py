@@ -55,11 +55,22 @@ def first_line(fit: Fit) -> str:
     figures = [headline(fit.errors)]
     if (held := fit.trust.line("held-out blocks").value) is not None:
         figures.append(f"{held:.2g} % held out")
-    if (widest := fit.widest_essential_percent) is not None:
-        figures.append(f"essentials to ±{widest:.2g} %")
     return (
-        f"{fit.method.upper()} ({fit.method_reason}), {fit.status}, {fit.trust.verdict}{finding}; {', '.join(figures)}"
+        f"{fit.method.upper()} ({fit.method_reason}), {fit.status}, {fit.trust.verdict}{finding}; {', '.join(figures)}; "
+        f"{_determined(fit)}"
     )
+
+
+def _determined(fit: Fit) -> str:
+    """How many parameters the recordings determine, and how closely."""
+    e, essential = fit.estimate, set(fit.essential_names)
+    found = zip(e.names, fit.intervals.half, np.abs(e.beta), strict=True)
+    percents = {name: 100 * float(half / value) for name, half, value in found if name in essential}
+    text = f"{len(percents)} of {len(fit.least_squares.full.names)} parameters determined"
+    if not percents:
+        return text
+    middle, worst = np.median(list(percents.values())), max(percents, key=percents.__getitem__)
+    return f"{text}, half of them to ±{middle:.2g} %, the worst ({worst}) to ±{percents[worst]:.2g} %"
 
 
 def _verdict_section(fit: Fit) -> Section:
@@ -98,14 +109,14 @@ def _trust_section(fit: Fit) -> Section:
 
 
 def _essential_line(fit: Fit) -> str:
-    reduction = fit.essential
-    by = " (by least squares)" if fit.iv else ""
-    line = f"essential{by}: {len(fit.essential_names)} of {len(fit.least_squares.full.names)} parameters"
+    reduction, count, of = fit.essential, len(fit.essential_names), len(fit.least_squares.full.names)
+    by, kept = " (by least squares)" if fit.iv else "", len(reduction.estimate.names)
+    line = f"essential{by}: {count} of {of} parameters"
+    line += f"; {kept - count} with an interval wider than the value" if kept > count else ""
     if not math.isfinite(reduction.F):
         return line
-    left_out = len(fit.least_squares.full.names) - len(reduction.estimate.names)
     return (
-        f"{line}; {left_out} left out: F test p = {reduction.p_value:.2g} "
+        f"{line}; {of - kept} left out: F test p = {reduction.p_value:.2g} "
         f"(corrected for correlation p = {reduction.p_effective:.2g})"
     )
 

@@ -11,7 +11,6 @@ from typing import Literal
 
 import numpy as np
 
-from ..arrays import Array
 from ..data import Recordings, Signals, check_one_robot
 from ..errors import IdentificationError
 from ..estimation import (
@@ -24,9 +23,8 @@ from ..estimation import (
     one_thread,
     torque_errors,
 )
-from ..model import BaseParameters
-from ..regression import Overrides, base_places, make_problem, payload_of, torque_of_recording
-from ..report import Method, TorqueError
+from ..regression import Overrides, base_places, make_problem, torque_of_recording
+from ..report import FitFile, Method, TorqueError
 from ..simulation import Instruments
 from ..trust import FitData, covariance_of_all
 from .assess import assess_iv, evidence_of_ls, fit_of, position_noise_of
@@ -51,6 +49,7 @@ from .iteration import (
     rows_of_last,
     start_values,
 )
+from .parameters import payload_beta, stored_beta
 from .recording_report import Validated
 from .settled import solve_with_load_friction
 from .system import StackedSystem, stack_of
@@ -106,7 +105,7 @@ def identify(
         except IdentificationError as error:
             if method is not None or motors_of(observed):
                 raise
-            raise IdentificationError(f"{error}; least squares: --method wls") from error
+            raise IdentificationError.of(error, "; least squares: --method wls") from error
     else:
         if iteration is not None:
             raise IdentificationError(
@@ -286,14 +285,14 @@ def solve_least_squares(observed: StackedSystem, full: Estimate, *, essential: b
 
 @one_thread
 def validate_all(
-    recordings: Sequence[tuple[Signals, Overrides]], values: Callable[[BaseParameters], Array]
+    recordings: Sequence[tuple[Signals, Overrides]], stored: FitFile, place: str
 ) -> tuple[tuple[Validated, ...], tuple[TorqueError, ...]]:
-    """Torque errors of given base parameters on recordings of one robot, each with its settings; nothing is fitted.
+    """Torque errors of a stored fit on recordings of one robot, each with its settings; nothing is fitted.
 
     Parameters
     ----------
     recordings : each with what replaces its settings.
-    values : the parameters (b,) for the base parameters of the robot, in their order.
+    stored : the fit, with what it found of payloads; `place` names it in errors.
 
     Returns
     -------
@@ -304,7 +303,8 @@ def validate_all(
     each, parts = [], []
     for signals, overrides in recordings:
         problem = make_problem(signals, overrides)
-        parts.append(torque_of_recording(problem, values(problem.base) + payload_of(problem)))
+        beta = stored_beta(stored, problem.base, place) + payload_beta(stored, problem)
+        parts.append(torque_of_recording(problem, beta))
         each.append(Validated(signals, problem.settings, torque_errors(*parts[-1], names), *parts[-1][:2]))
     tau, predicted, speed = (np.concatenate(x) for x in zip(*parts, strict=True))
     return tuple(each), torque_errors(tau, predicted, speed, names)

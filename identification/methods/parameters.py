@@ -15,9 +15,9 @@ from ..data import Signals, load_signals
 from ..errors import IdentificationError
 from ..estimation import Estimate, Intervals
 from ..model import BaseParameters, InverseModel, base_parameters
-from ..regression import Overrides, base_name
+from ..regression import Overrides, Problem, base_name, payload_of
 from ..report import FitFile, Parameter, ParameterSet
-from .fit import Fit
+from .fit import Fit, essential_names
 
 
 def fitted_parameters(fit: Fit) -> ParameterSet:
@@ -31,7 +31,7 @@ def least_squares_parameters(fit: Fit) -> ParameterSet:
 
 
 def _estimated(label: str, fit: Fit, e: Estimate, intervals: Intervals) -> ParameterSet:
-    essential = set(fit.essential.estimate.names)
+    essential = essential_names(fit.essential, e, intervals)
     known = dict(zip(fit.base.names, zip(fit.base.units, fit.base.expressions, strict=True), strict=True))
     return ParameterSet(
         label=label,
@@ -64,20 +64,26 @@ def true_parameters(base: BaseParameters, true: Array) -> ParameterSet:
     )
 
 
-def stored_settings(stored: FitFile, signals: Signals) -> Overrides:
-    """The settings of a stored fit for another recording; known values have none.
+def stored_settings(stored: FitFile, signals: Signals, given: Overrides) -> tuple[Overrides, list[str]]:
+    """The settings of a stored fit for another recording, those `given` first, and warnings; known values have none.
 
     The lag of the fit is used if timing, effort objects and rate are equal, else what is known of the recording's own.
     """
     if stored.sample_rate_hz is None:
-        return Overrides()
+        return given, []
     rate_hz, low = signals.sample_rate_hz, stored.low_speed_percent
     n_d = stored.decimation and max(1, round(stored.decimation * rate_hz / stored.sample_rate_hz))
     lag_s: float | Literal["none"] | None = "none" if stored.torque_lag_s is None else stored.torque_lag_s
-    if stored.lag is not UNSET:
-        like = (stored.lag.effort_timing, stored.lag.effort_provenance, stored.sample_rate_hz)
-        lag_s = stored.lag.value_s if like == (signals.effort_timing, signals.provenance, rate_hz) else None
-    return Overrides(
+    notes = list[str]()
+    if (lag := stored.lag) is not UNSET:
+        fitted = (lag.effort_object or lag.effort_provenance, lag.effort_timing, stored.sample_rate_hz)
+        names = zip(("effort object", "effort timing", "rate in Hz"), fitted, signals.lag_group, strict=True)
+        others = [f"its {name} is {here}, that of the fit {there}" for name, there, here in names if here != there]
+        lag_s = None if others else lag.value_s
+        if others and given.torque_lag_s is None:
+            text = f"the lag of the fit, {1e3 * lag.value_s:.3g} ms, is not used: {'; '.join(others)}"
+            notes = [f"{signals.recording}: {text}; --torque-lag-s states one"]
+    found = Overrides(
         cutoff_hz=stored.cutoff_hz or 0.0,
         decimation=n_d,
         span=stored.span_rule,
@@ -85,6 +91,7 @@ def stored_settings(stored: FitFile, signals: Signals) -> Overrides:
         low_speed_percent=None if low is None else LowSpeed(ls=low.get("ls"), iv=low.get("iv")),
         torque_lag_s=lag_s,
     )
+    return given.over(found), notes
 
 
 def stored_robot(stored: FitFile, place: str) -> Robot | None:
@@ -150,6 +157,13 @@ def stored_beta(stored: FitFile, base: BaseParameters, place: str) -> Array:
     return np.array([np.mean(values.get(name, 0.0)) for name in base.names])
 
 
+def payload_beta(stored: FitFile, problem: Problem) -> Array:
+    """(b,) base parameters of a recording's payload: as the fit found it, if it is stated alike there; else a ball's."""
+    payload = problem.signals.payload
+    found = {one.stated: one.base_parameters for one in stored.payloads or ()}.get(payload.text if payload else "")
+    return np.array([found.get(name, 0.0) for name in problem.base.names]) if found else payload_of(problem)
+
+
 def signals_as_fitted(
     signals: Signals, recording: Path, stored: FitFile, place: str, *, chosen: bool
 ) -> tuple[Signals, list[str]]:
@@ -170,4 +184,4 @@ def signals_as_fitted(
             f"{place}: {names}: perhaps not the same quantities as those of robot {signals.robot.name} here"
         ]
     note = f"{signals.recording}: its description does not have the parameters of the fit ({names}): that of {place} is used"
-    return load_signals(recording, robot), [note]
+    return replace(load_signals(recording, robot), payload=signals.payload), [note]

@@ -189,7 +189,7 @@ class StackedSystem:
             return None
         signals = [one.problem.signals for one in self.observations]
         with suppress(IdentificationError):
-            return self.at_cutoff(min(rule_cutoff_hz(s.robot.bandwidth_hz, s.sample_rate_hz) for s in signals))
+            return self.at_cutoff(min(map(rule_cutoff_hz, signals)))
         return None
 
     def with_motors(self, motors: tuple[int, ...]) -> "StackedSystem":

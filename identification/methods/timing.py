@@ -27,7 +27,7 @@ def lag_groups(observed: StackedSystem) -> list[list[int]]:
     groups: dict[object, list[int]] = {}
     for k, one in enumerate(observed.observations):
         signals, known = one.problem.signals, one.problem.settings.known_lag
-        key = (signals.effort_timing, signals.provenance, signals.sample_rate_hz, known.sd_s == 0.0 and known.value_s)
+        key = (*signals.lag_group, known.sd_s == 0.0 and known.value_s)
         groups.setdefault(key, []).append(k)
     return list(groups.values())
 

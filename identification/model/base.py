@@ -139,15 +139,13 @@ def _expression(row: Array, own: int, names: tuple[str, ...]) -> str:
 
 def known_parameters(dynamics: InverseModel) -> Array:
     """Standard parameters chi (p,) of the description's `[parameters]`, zero if not stated."""
-    values, names = dynamics.robot.parameters, dynamics.names
+    values, names, place = dynamics.robot.parameters, dynamics.names, f"robot {dynamics.robot.name}"
     if not values:
-        raise IdentificationError(f"robot {dynamics.robot.name}: no [parameters] to simulate with")
+        raise IdentificationError("no [parameters] to simulate with", place=place)
     for name, value in values.items():
         if name not in names:
-            raise IdentificationError(
-                f"robot {dynamics.robot.name}: parameters.{name} = {value:g}: not a standard parameter of this robot; "
-                f"expected names such as {', '.join(names[:3])} ... {names[-1]}"
-            )
+            text, expected = "not a standard parameter of this robot", f"such as {', '.join(names[:3])} ... {names[-1]}"
+            raise IdentificationError(text, place=place, key=f"parameters.{name}", value=value, expected=expected)
     return np.array([values.get(name, 0.0) for name in names])
 
 

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from ..arrays import Array
-from ..data import RecordingFile, Signals
+from ..data import COLUMNS, RecordingFile, Signals
 from ..errors import IdentificationError
 from ..model import BaseParameters, InverseModel, base_parameters
 from .bandwidth import with_bandwidth
@@ -52,12 +52,12 @@ class Problem:
         settings = self.settings
         if settings.filtered and settings.cutoff_hz is not None:
             return settings.cutoff_hz
-        return rule_cutoff_hz(self.signals.robot.bandwidth_hz, self.signals.sample_rate_hz)
+        return rule_cutoff_hz(self.signals)
 
     def without_samples(self) -> "Problem":
         """The same without samples: settings, model and `source`."""
-        s, arrays = self.signals, ("t_s", "q", "q_ref", "effort", "known_torque", "feedforward")
-        none = {name: x[:0] for name in arrays if (x := getattr(s, name)) is not None}
+        s = self.signals
+        none = {name: x[:0] for name in COLUMNS if (x := getattr(s, name)) is not None}
         signals = replace(s, **none, health={}, extras={})
         return replace(self, signals=signals, recorded=signals, motion=FilteredMotion(signals))
 
@@ -80,7 +80,7 @@ class Problem:
         if self.gains is not None:
             signals = with_gains(signals, self.gains)
         robot = replace(signals.robot, controller=self.signals.robot.controller)  # with its bandwidth
-        signals = replace(signals, robot=robot, assumed=self.signals.assumed)
+        signals = replace(signals, robot=robot, motion_hz=self.signals.motion_hz)
         found = replace(self, signals=signals, recorded=signals, motion=FilteredMotion(signals))
         return found.corrected(self.settings.torque_lag_s)
 
@@ -139,7 +139,7 @@ def make_problem(signals: Signals, overrides: Overrides) -> Problem:
             _refuse_unknown_motors(signals, overrides.gains)
         gains = np.ones(signals.robot.n)
         signals = with_gains(signals, gains)
-    signals = with_bandwidth(signals, overrides)
+    signals = with_bandwidth(signals)
     motion, model = FilteredMotion(signals), InverseModel(signals.robot)
     settings = make_settings(signals, overrides, motion)
     problem = Problem(

@@ -8,7 +8,14 @@ import numpy as np
 
 from acquisition.errors import AcquisitionError
 from acquisition.files import release_pages
-from acquisition.robot import Edges, Joint, LowSpeed, check_recorded_positions, low_speed_by_method
+from acquisition.robot import (
+    Edges,
+    Joint,
+    LowSpeed,
+    check_recorded_efforts,
+    check_recorded_positions,
+    low_speed_by_method,
+)
 
 from ..arrays import Array
 from ..data import Signals
@@ -22,6 +29,7 @@ CUTOFF_PER_BANDWIDTH = 5.0  # w_fq >= 5 w_dyn, section 2.3 of Janot2014
 DECIMATED_PER_BANDWIDTH = 2.0  # w_fp >= 2 w_dyn
 CUT_PERIODS = 5.0  # border of 5 periods of the cut-off: 50 samples at 1 kHz and 100 Hz
 STANDSTILL_SPEED = 0.01  # of the peak speed of the fastest joint: a joint that never exceeds it shows only noise
+MAX_CUTOFF_SHARE = 0.4  # of the sample rate, of the rule's cut-off
 LAG_REACH = 3.0  # deviations that the lag may differ from the known one
 NOTHING, UNKNOWN_LAG_S = "nothing", 0.002  # deviation of an unknown lag
 
@@ -62,6 +70,7 @@ class Settings:
         torque_lag_s: lag of the recorded torque in s, positive if late, that is corrected; 0 for none.
         known_lag: the lag as known without a fit, by user and recording.
         span: the samples `start` to `stop` in words; `span_rule`: the setting.
+        overloads: recorded efforts beyond a limit of the description, each a warning too.
         warnings: rules of the method that are not followed.
     """
 
@@ -76,6 +85,7 @@ class Settings:
     known_lag: KnownLag
     span: str
     span_rule: Span
+    overloads: tuple[str, ...]
     warnings: tuple[str, ...]
 
     @property
@@ -87,21 +97,24 @@ class Settings:
 def make_settings(signals: Signals, overrides: Overrides, motion: FilteredMotion | None = None) -> Settings:
     """Settings for a recording: rules from the position loop's bandwidth, then robot.toml, then options.
 
-    Cut-off 5 times the bandwidth; decimation n_d = 0.8 (f_m / 2) / f_p with f_p twice the bandwidth; the span between
-    first and last motion, or the recording's tracking phase; 5 periods of the cut-off cut where that span reaches an end of
-    the recording. `motion` is that of the recording, if there is one.
+    Cut-off 5 times the bandwidth, or the end of the motion if no bandwidth is stated; decimation n_d = 0.8 (f_m / 2) / f_p
+    with f_p twice the bandwidth; the span between first and last motion, or the recording's tracking phase; 5 periods of the
+    cut-off cut where that span reaches an end of the recording. `motion` is that of the recording, if there is one.
     """
     fs, stored = signals.sample_rate_hz, signals.robot.identification
     try:
-        warnings = [
-            *signals.assumed,
-            *check_recorded_positions(signals.robot, signals.t_s, signals.q, signals.recording),
-        ]
+        places = check_recorded_positions(signals.robot, signals.t_s, signals.q, signals.recording)
     except AcquisitionError as error:
-        raise IdentificationError(str(error)) from error
+        raise IdentificationError.of(error) from error
+    # A fit with --gains starts with gains of one where none is described: its efforts are no torques yet.
+    looked_for = signals.robot.identified_gain is not None
+    overloads = () if looked_for else check_recorded_efforts(signals.robot, signals.effort)
+    warnings = [*signals.assumed, *places, *overloads]
     release_pages(signals.q)
+    release_pages(signals.effort)
     bandwidth_hz = signals.robot.bandwidth_hz
-    cutoff_hz: float | None = CUTOFF_PER_BANDWIDTH * bandwidth_hz
+    highest_hz = signals.motion_hz or CUTOFF_PER_BANDWIDTH * bandwidth_hz
+    cutoff_hz: float | None = highest_hz
     for choice in (stored.cutoff_hz, overrides.cutoff_hz):
         cutoff_hz = cutoff_hz if choice is None else choice
     cutoff_hz = cutoff_hz or None
@@ -116,7 +129,13 @@ def make_settings(signals: Signals, overrides: Overrides, motion: FilteredMotion
             )
         warnings.append(f"no low-pass: 5 times the bandwidth is {cutoff_hz:g} Hz, above half the rate, {fs / 2:g} Hz")
         cutoff_hz = None
-    if cutoff_hz is not None and cutoff_hz < CUTOFF_PER_BANDWIDTH * bandwidth_hz * (1 - 1e-9):
+    if signals.motion_hz is not None:
+        lowpass = "no low-pass" if cutoff_hz is None else f"low-pass at {cutoff_hz:.3g} Hz"
+        warnings.append(
+            f"controller.bandwidth_hz is not stated: {lowpass}, a PD of {bandwidth_hz:.3g} Hz simulated if no loop is "
+            f"described; {signals.recording} has only noise above {signals.motion_hz:.3g} Hz"
+        )
+    elif cutoff_hz is not None and cutoff_hz < highest_hz * (1 - 1e-9):
         warnings.append(
             f"the cut-off of {cutoff_hz:g} Hz is below 5 times the bandwidth of {bandwidth_hz:g} Hz: it distorts the "
             "accelerations and the estimates"
@@ -140,10 +159,11 @@ def make_settings(signals: Signals, overrides: Overrides, motion: FilteredMotion
             shown=f"{bandwidth_hz:g}",
             expected=f"a period shorter than the {N / fs:.3g} s of {signals.recording}",
         )
-    rule = decimation_rule(fs, bandwidth_hz)
+    rows_hz = signals.motion_hz or DECIMATED_PER_BANDWIDTH * bandwidth_hz
+    rule = decimation_rule(fs, rows_hz / DECIMATED_PER_BANDWIDTH)
     decimation = overrides.decimation or stored.decimation or rule
     passband_hz = 0.8 * fs / (2 * decimation)
-    if decimation > rule and passband_hz < DECIMATED_PER_BANDWIDTH * bandwidth_hz:
+    if decimation > rule and signals.motion_hz is None and passband_hz < rows_hz:
         warnings.append(
             f"decimation by {decimation} keeps {passband_hz:g} Hz, less than twice the bandwidth of {bandwidth_hz:g} Hz"
         )
@@ -156,7 +176,7 @@ def make_settings(signals: Signals, overrides: Overrides, motion: FilteredMotion
     lag = known_lag(signals, overrides)
     early, late = (fs * (lag.value_s + way * LAG_REACH * lag.sd_s) for way in (-1, 1))
     start, stop = max(start, math.ceil(-early)), min(stop, N - math.ceil(late))  # others may have no torque
-    filtered = cutoff_hz is not None and cutoff_hz <= CUTOFF_PER_BANDWIDTH * bandwidth_hz * (1 + 1e-9)
+    filtered = cutoff_hz is not None and cutoff_hz <= highest_hz * (1 + 1e-9)
     given = overrides.low_speed_percent
     if stop - start < 30 * decimation:
         raise IdentificationError(
@@ -176,6 +196,7 @@ def make_settings(signals: Signals, overrides: Overrides, motion: FilteredMotion
         torque_lag_s=lag.value_s,
         known_lag=lag,
         span=span,
+        overloads=overloads,
         span_rule=span_rule,
         warnings=tuple(warnings),
     )
@@ -211,9 +232,10 @@ def standing_joints(peak: Array, joints: Sequence[Joint]) -> tuple[str, ...]:
     return tuple(joint.name for joint, speed, limit in zip(joints, peak, limits, strict=True) if not speed > limit)
 
 
-def rule_cutoff_hz(bandwidth_hz: float, sample_rate_hz: float) -> float:
+def rule_cutoff_hz(signals: Signals) -> float:
     """Cut-off by the rule, at most 0.4 times the rate."""
-    return min(CUTOFF_PER_BANDWIDTH * bandwidth_hz, 0.4 * sample_rate_hz)
+    highest_hz = signals.motion_hz or CUTOFF_PER_BANDWIDTH * signals.robot.bandwidth_hz
+    return min(highest_hz, MAX_CUTOFF_SHARE * signals.sample_rate_hz)
 
 
 def decimation_rule(sample_rate_hz: float, bandwidth_hz: float) -> int:
@@ -228,13 +250,13 @@ def _span(
     signals: Signals, filtered: FilteredMotion, cutoff_hz: float | None, wanted: Span
 ) -> tuple[int, int, str, tuple[str, ...]]:
     """First and last sample, the span in words, and standing joints, if these are determined."""
-    N, fs = len(signals.q), signals.sample_rate_hz
+    N = len(signals.q)
     if wanted == "all":
         return 0, N, "all samples", ()
     if signals.track is not None:
         return *signals.track, "the recording's tracking phase", ()
     if cutoff_hz is None:  # the filter of the rule separates motion from noise, also if the fit has none
-        cutoff_hz = rule_cutoff_hz(signals.robot.bandwidth_hz, fs)
+        cutoff_hz = rule_cutoff_hz(signals)
     speed = np.empty(signals.q.shape, dtype=np.float32)
     for a in range(0, N, BLOCK_SAMPLES):
         b = min(N, a + BLOCK_SAMPLES)

@@ -180,7 +180,8 @@ def known_torque_rows(problem: Problem) -> Array:
     settings, known = problem.settings, problem.signals.known_torque
     if known is None:
         return np.zeros((settings.decimator.rows(settings.stop - settings.start), problem.signals.robot.n))
-    return np.asarray(settings.decimator.filtered(known[settings.start : settings.stop].T).T)
+    # Contiguous, since sums round otherwise along a column of the file than along one that another process sent.
+    return np.asarray(settings.decimator.filtered(np.ascontiguousarray(known[settings.start : settings.stop].T)).T)
 
 
 def predicted_drive_torques(problem: Problem, W: Array, beta: Array) -> Array:

@@ -58,7 +58,8 @@ class TorqueError(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class FTest(msgspec.Struct, frozen=True, kw_only=True):
-    """An F test: of leaving out all parameters but the essential ones, `names`, or of sharing the own ones, `names`.
+    """An F test: of leaving out all but the essential parameters, `names`, and those with an interval wider than the value; or
+    of sharing the own ones, `names`.
 
     A small p rejects that. The effective values are corrected for the residual's correlation.
     """
@@ -86,7 +87,8 @@ class LagFile(msgspec.Struct, frozen=True, kw_only=True):
     source: str
     prior: KnownLagFile
     effort_timing: str = "unknown"
-    effort_provenance: str = ""
+    effort_object: str = ""
+    effort_provenance: str = ""  # of a file of an earlier version, in place of the object
 
 
 class TrustLineFile(msgspec.Struct, frozen=True, kw_only=True):

@@ -101,8 +101,9 @@ class DriveGain(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class PayloadOfFit(msgspec.Struct, frozen=True, kw_only=True):
-    """A payload as `stated`, and the body nearest to its estimate; `recording`: the first one with it."""
+    """A payload as `stated`, its nearest body, and its share of the base parameters; `recording`: the first with it."""
 
     recording: str
     stated: str
     parameters: list[StandardParameter]
+    base_parameters: dict[str, float] | UnsetType = UNSET

@@ -270,7 +270,7 @@ def described_robot(robot: Robot, payload: Payload | None = None) -> tuple[Rigid
         if payload is not None:
             loaded = direct_model(dynamics, add_payload(dynamics, parameters, payload))
     except IdentificationError as error:
-        raise AcquisitionError(str(error)) from error
+        raise AcquisitionError.of(error) from error
     ranges = np.array([joint.si("position") or (-POSES_RANGE, POSES_RANGE) for joint in robot.joints])
     poses = np.random.default_rng(0).uniform(ranges[:, 0], ranges[:, 1], (POSES, robot.n))
     M = model.inertia(poses)

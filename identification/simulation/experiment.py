@@ -84,7 +84,7 @@ class Experiment:
         self.problem, self.slip_noise, self.gain_update, self.spans = problem, slip_noise, gain_update, spans
         self.directions, self.bandwidth_hz = problem.model.coulomb_directions, robot.bandwidth_hz
         self.reference_kind: Literal["recorded", "surrogate"] = "surrogate" if signals.q_ref is None else "recorded"
-        self._cutoff_hz = rule_cutoff_hz(self.bandwidth_hz, signals.sample_rate_hz)
+        self._cutoff_hz = rule_cutoff_hz(signals)
         self.loop = recorded_loop(robot)
         if self.loop is not None and signals.q_ref is None:
             self.loop = replace(self.loop, gravity=not self.loop.gravity_at_q)

@@ -280,7 +280,7 @@ class ClosedLoops:
         drives: list[Array | None] = [None] * len(each)
         if self.parameters.motors:
             drives = [
-                predicted_drive_torques(s.problem, one.Z, one.beta)
+                predicted_drive_torques(s.problem.with_samples(), one.Z, one.beta)
                 for s, one in zip(self.simulations, each, strict=True)
             ]
         return stack_instruments(each, beta, self.parameters, self.names, drives)

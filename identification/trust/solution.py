@@ -12,7 +12,7 @@ from ..arrays import Array
 from ..errors import IdentificationError
 from ..estimation import Estimate, are_moving, estimate_deviations, f_tail, instrumental_variables, spans_of, whitened
 from ..model import JointTerm
-from ..regression import base_name, standing_joints
+from ..regression import base_name, base_places, standing_joints
 from ..report import Assumed
 from .columns import added_columns_test
 from .fit_data import FitData, RecordingData, Span
@@ -96,7 +96,7 @@ def essential_test(evidence: FitData) -> TrustLine:
     rows = [base.names.index(base_name(one)) for one in evidence.essential]
     sources = [idm.sources[c] for c in np.flatnonzero(base.K[rows].any(axis=0))]
     if any(not isinstance(x, JointTerm) or x.kind == "rotor" for x in sources):
-        return TrustLine(name, "ok", f"{len(evidence.essential)} of {len(evidence.base)}")
+        return TrustLine(name, "ok", f"{len(evidence.essential)} of {len(base_places(evidence.least_squares.names))}")
     text = "no inertia has an interval narrower than its value: record faster, longer motion"
     return TrustLine(name, "caution", text, finding="no inertia is determined")
 
@@ -224,6 +224,15 @@ def motion_test(evidence: FitData) -> TrustLine | None:
     return TrustLine("motion", "caution", text, finding=f"{', '.join(names)} does not move")
 
 
+def effort_test(evidence: FitData) -> TrustLine | None:
+    """Recorded efforts beyond a limit of the description, which no drive gives."""
+    overloads = dict.fromkeys(text for part in evidence.recordings for text in part.problem.settings.overloads)
+    if not overloads:
+        return None
+    text = f"{'; '.join(overloads)}: check drive_gain, ratio and unit of the effort, or correct the limit"
+    return TrustLine("effort", "caution", text, finding="effort beyond its limit")
+
+
 def rows_test(e: FitData) -> TrustLine | None:
     """The recording with most missing or repeated rows; else one whose encoders are slower than the log."""
     several, every = len(e.recordings) > 1, [part.steps for part in e.recordings]
@@ -299,7 +308,7 @@ def list_assumptions(evidence: FitData, lines: Mapping[str, TrustLine]) -> Itera
 TESTS: tuple[Callable[[FitData], TrustLine | None], ...] = (
     *(gains_test, fixed_point_test, physical_test, units_test, replay_test, added_columns_test, lag_test),
     *(held_out_test, halves_test, consistent_test, ends_test, essential_test, instruments_test),
-    *(prewhitened_test, position_noise_test, motion_test, rows_test),
+    *(prewhitened_test, position_noise_test, motion_test, effort_test, rows_test),
 )
 
 

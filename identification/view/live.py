@@ -17,7 +17,7 @@ import rerun.blueprint as rrb
 from msgspec import UNSET
 
 from acquisition.recording import Block, RecordingFollower
-from acquisition.robot import Robot
+from acquisition.robot import Robot, effort_limits
 
 from ..arrays import Array
 from ..errors import IdentificationError
@@ -258,18 +258,19 @@ def _ranges(robot: Robot) -> list[Lines]:
 
 
 def _effort_levels(robot: Robot) -> list[Lines]:
-    """Rated and largest efforts of each joint, with all its motors at theirs."""
+    """Rated efforts of each joint, with all its motors at theirs, and its effort limit."""
     assert robot.bus is not None
-    pairs = list(zip(robot.bus.drive, robot.motors, strict=True))
-    rated = [getattr(drive, _RATED.get(motor.recorded_unit, ""), None) for drive, motor in pairs]
-    found = []
-    for name, color, motors in (("rated", ORANGE, rated), ("saturation", RED, [m.saturation for _, m in pairs])):
-        to_joint = np.abs(robot.R.T) * np.abs(robot.gain)
-        # A motor without a value leaves the joints that it turns without one.
-        joints = to_joint @ np.nan_to_num(np.array(motors, dtype=float))
-        unknown = (to_joint != 0) @ np.isnan(np.array(motors, dtype=float))
-        found.append([{} if lacks else _band(name, color, x) for x, lacks in zip(joints, unknown, strict=True)])
-    return [rated_levels | largest for rated_levels, largest in zip(*found, strict=True)]
+    pairs = zip(robot.bus.drive, robot.motors, strict=True)
+    motors = np.array([getattr(d, _RATED.get(m.recorded_unit, ""), None) for d, m in pairs], dtype=float)
+    to_joint = np.abs(robot.R.T) * np.abs(robot.gain)
+    # A motor without a value leaves the joints that it turns without one.
+    unknown = (to_joint != 0) @ np.isnan(motors)
+    rated = [None if lacks else x for x, lacks in zip(to_joint @ np.nan_to_num(motors), unknown, strict=True)]
+    limits = effort_limits(robot)
+    most = dict(zip(limits.names, limits.limits, strict=True))
+    of_joints = [most.get(f"joint {joint.name}") for joint in robot.joints]
+    bands = zip(rated, of_joints, strict=True)
+    return [_band("rated", ORANGE, low) | _band("limit", RED, high) for low, high in bands]
 
 
 def _band(name: str, color: Color, half: float | None) -> Lines:

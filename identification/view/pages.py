@@ -119,7 +119,7 @@ def draw_validation(validated: Sequence[Validated], document: Document, sha256: 
 
 def draw_recording(signals: Signals, overrides: Overrides) -> Picture:
     """A recording, with the panels that need no fit; entities as in `draw_fit`."""
-    refusal, settings, signals = None, None, with_bandwidth(signals, overrides)
+    refusal, settings, signals = None, None, with_bandwidth(signals)
     try:
         settings = make_settings(signals, overrides)
     except IdentificationError as error:

@@ -5,9 +5,11 @@ import re
 import tempfile
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
+from copy import copy
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
+from uuid import uuid4
 
 import numpy as np
 import rerun as rr
@@ -43,7 +45,9 @@ def write_rrd(path: Path, picture: Picture) -> None:
         def show_once(panel: Panel) -> Any:
             if panel.path not in shown:
                 shown[panel.path] = show(recording, panel)
-            return shown[panel.path]
+            view = copy(shown[panel.path])
+            view.id = uuid4()  # the viewer refuses a view under two parents
+            return view
 
         tabs = [arrange(page, show_once) for page in picture.pages if any(page.groups.values())]
         panels = [panel for page in picture.pages for group in page.groups.values() for panel in group]

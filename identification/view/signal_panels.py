@@ -96,13 +96,13 @@ def spectrum_drawings(signals: Signals, settings: Settings | None) -> list[Chart
     """Spectra of position and effort of all joints over the span of the settings, with cut-off frequencies."""
     robot, fs = signals.robot, signals.sample_rate_hz
     start, stop = (settings.start, settings.stop) if settings else (0, len(signals.q))
-    bandwidth = (robot.bandwidth_hz, "bandwidth")
+    bandwidth = [(robot.bandwidth_hz, "bandwidth")] if signals.motion_hz is None else []
     lowpass = [(settings.cutoff_hz, "low-pass")] if settings and settings.cutoff_hz is not None else []
     decimation = [(0.4 * fs / settings.decimation, "decimation")] if settings and settings.decimation > 1 else []
     drawings = []
     for key, x, units, marks in (
-        ("position", signals.q, [joint.position_unit for joint in robot.joints], [bandwidth, *lowpass]),
-        ("effort", signals.effort, robot.effort_units, [bandwidth, *decimation]),
+        ("position", signals.q, [joint.position_unit for joint in robot.joints], [*bandwidth, *lowpass]),
+        ("effort", signals.effort, robot.effort_units, [*bandwidth, *decimation]),
     ):
         names = [f"{joint.name} [{unit}/√Hz]" for joint, unit in zip(robot.joints, units, strict=True)]
         spectra = [_spectrum(x[start:stop, j], fs) for j in range(robot.n)]

@@ -1,0 +1,39 @@
+"""Every Rerun file that a command writes opens: each view of its layout stands under one parent."""
+
+import shutil
+
+import pytest
+from blueprints import has_one_parent_each
+from conftest import IDENTIFY, REPLAY
+
+SESSION, ROBOT = REPLAY / "scara" / "session.mcap", REPLAY / "scara" / "robot.toml"
+COMMANDS = {  # what stands before --rrd FILE; more than six essentials, two robots: the report is on several pages
+    "fit": [SESSION],
+    "view": [SESSION],
+    "view --follow": [SESSION],
+    "compare": [REPLAY / "scara" / "fit.json", REPLAY / "scara" / "truth.json"],
+    "friction": [SESSION],
+    "sensitivity": [SESSION, "--position-noise", "1e-4"],
+    "study": [ROBOT, "--runs", "1", "--duration-s", "3"],
+    "excite": [ROBOT, "--period", "3", "--harmonics", "3", "--periods", "2", "-o", "ref.csv"],
+    "fleet": ["fleet", "-o", "fleet.parquet"],
+}
+
+
+def test_the_commands_are_those_that_write_such_files():
+    """That of `demo` is looked at where it is made."""
+    commands = next(action for action in IDENTIFY.parser(*IDENTIFY.commands)._actions if action.choices).choices
+    writing = {name for name, parser in commands.items() if "--rrd" in parser._option_string_actions}
+    assert writing | {"view", "view --follow"} == set(COMMANDS)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", COMMANDS)
+def test_each_view_stands_under_one_parent(command, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("scara", "emps") if command == "fleet" else ():
+        (tmp_path / "fleet" / name).mkdir(parents=True)
+        shutil.copy(REPLAY / name / "session.mcap", tmp_path / "fleet" / name)
+    out = "-o" if command.startswith("view") else "--rrd"
+    assert IDENTIFY.main([*command.split(), *map(str, COMMANDS[command]), out, "a.rrd"]) == 0
+    assert has_one_parent_each(tmp_path / "a.rrd")

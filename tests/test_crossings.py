@@ -1,0 +1,117 @@
+"""Two recordings with every optional column x load friction, own parameters, drive gains x serially and by two workers."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from gain_cases import CENTRE, robot_of, with_motors
+from gain_cases import with_gains as described_with
+from test_friction_terms import described, model_of
+
+from acquisition.robot import Payload, Robot
+from identification import validate
+from identification.data import RecordingFile, Recordings, Serial, Signals, Work, processes
+from identification.methods import Fit, identify
+from identification.regression import Overrides
+from identification.study import Noise, closed_loop, random_reference, write_signals
+
+RATE_HZ = 500.0
+TRUE = np.array([2.0, 0.7])  # N m/A
+WRONG = np.array([2.0, 0.9])  # as described where gains are identified
+COLUMNS = ("velocity", "known_torque", "feedforward", "reference", "payload")
+SIMULATED = ("reference", "all")  # by instruments
+CONCERNS = ("load", "own", "gains")
+CARRIED = Payload(1.0, CENTRE["scara"])
+KNOWN = np.array([1.0, 0.05])  # N m, known torques
+
+
+@cache
+def arm(concerns: frozenset[str]) -> Robot:
+    """The SCARA with its efforts in A, with load friction and own offsets if asked for; its law is not described."""
+    optional = {"own": "offset", "load": "load"}
+    terms = ["viscous", "coulomb", *(term for concern, term in optional.items() if concern in concerns)]
+    more = ("mu1 = 0.3\nmu2 = 0.3\n" if "load" in concerns else "") + ("Off1 = 0.3\n" if "own" in concerns else "")
+    text = described("scara", [terms, terms], more).files["robot.toml"].decode()
+    law = ("structure", "sample_rate_hz", "position_gain", "velocity_gain", "velocity_estimate")
+    text = "\n".join(line for line in text.splitlines() if not line.startswith(law))
+    text = text[: text.index("[bus]")] + text[text.index("[parameters]") :]
+    own = '[identification]\nown = ["Off"]\n' if "own" in concerns else ""
+    return robot_of(with_motors(f"{text}\n{own}", "N m/A", TRUE))
+
+
+@cache
+def simulated(concerns: frozenset[str], seed: int, payload: Payload | None) -> Signals:
+    robot = arm(concerns)
+    q = random_reference(robot, duration_s=4.0, sample_rate_hz=RATE_HZ, seed=seed)
+    return closed_loop(
+        robot, q, RATE_HZ, noise=Noise(encoder_step=1e-6, effort_percent=2.0), seed=seed, payload=payload
+    )
+
+
+def recorded(concerns: frozenset[str], columns: frozenset[str], seed: int) -> Signals:
+    """A recording with these columns; the second one carries the payload."""
+    signals = simulated(concerns, seed, CARRIED if "payload" in columns and seed == 2 else None)
+    t_s = signals.t_s[:, None]
+    given = {}
+    if "velocity" in columns:
+        given["velocity"] = np.gradient(signals.q, signals.t_s, axis=0)
+    if "known_torque" in columns:  # a part of what the robot needs is from elsewhere
+        given["known_torque"] = KNOWN * np.sin(7 * t_s)
+        given["effort"] = signals.effort - given["known_torque"]
+    if "feedforward" in columns:
+        given["feedforward"] = 0.02 * KNOWN * np.sin(5 * t_s)
+    reference = signals.q_ref if "reference" in columns else None
+    signals = replace(signals, q_ref=reference, recording=f"r{seed}.mcap", **given)
+    return described_with(signals, WRONG, None) if "gains" in concerns else signals
+
+
+@pytest.fixture(scope="module")
+def workers() -> Iterator[Work]:
+    with processes(2) as work:
+        yield work
+
+
+def fitted(paths: list[Path], concerns: frozenset[str], work: Work) -> Fit:
+    overrides = Overrides(gains=("motor_2",) if "gains" in concerns else None)
+    return identify(Recordings(sources=tuple(map(RecordingFile.at, paths)), work=work), overrides)
+
+
+def bits(fit: Fit) -> list[bytes]:
+    arrays = fit.estimate.beta, fit.intervals.covariance, fit.tau_predicted
+    return [x.tobytes() for x in arrays] + [repr(fit.trust.lines).encode()]
+
+
+def off(fit: Fit) -> np.ndarray:
+    """Distances from the truth in half-widths."""
+    truth = dict(zip(fit.base.names, model_of(fit.problem.signals.robot)[2], strict=True))
+    true = np.array([truth[name.partition("@")[0]] for name in fit.estimate.names])
+    return np.abs(fit.estimate.beta - true) / fit.intervals.half
+
+
+@pytest.mark.parametrize(
+    "columns", [pytest.param(x, marks=pytest.mark.slow if x in SIMULATED else ()) for x in (*COLUMNS, "all")]
+)
+@pytest.mark.parametrize("concerns", ["plain", *CONCERNS, "all"])
+def test_two_recordings_are_fitted_with_what_they_have(concerns, columns, workers, tmp_path):
+    concerns = frozenset({"all": CONCERNS, "plain": ()}.get(concerns, (concerns,)))
+    columns = frozenset(COLUMNS if columns == "all" else (columns,))
+    paths = [tmp_path / f"r{seed}.mcap" for seed in (1, 2)]
+    for seed, path in enumerate(paths, 1):
+        write_signals(path, recorded(concerns, columns, seed), source="test")
+    fit = fitted(paths, concerns, Serial())
+    assert bits(fitted(paths, concerns, workers)) == bits(fit)
+    assert fit.status == ("converged" if "reference" in columns else "solved")
+    assert (off(fit) < 1.5).all()
+    assert (fit.own is not None) == ("own" in concerns)
+    assert (fit.gains is not None) == ("gains" in concerns)
+    if fit.gains:
+        assert abs(fit.gains.values[0] - TRUE[1]) < 2 * fit.gains.half[0] < 0.2
+    # The mean of own parameters is validated, and load friction where the fit has it linearised.
+    tolerance = 0.02 if "own" in concerns else 1e-4 if "load" in concerns else 1e-9
+    for one, path in zip(fit.recordings, paths, strict=True):
+        again = validate(fit, path)
+        assert again.relative_error_percent == pytest.approx(one.errors[-1].relative_error_percent, rel=tolerance)
+        assert again.warnings == []
