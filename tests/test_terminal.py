@@ -24,7 +24,7 @@ MAX_LINES, MAX_WIDTH = 40, 120
 NARROW = ("fit", "demo")  # their lines are of at most MAX_WIDTH characters
 # Data for other programs in place of a report: `schema`, `init` without -o, `info --json`.
 DATA = {"robot-identify": {"schema"}, "robot-acquire": set()}
-NEEDS_A_BUS = {"disable", "simulate", "replay", "record", "scan", "mark"}
+NEEDS_A_BUS = {"disable", "emulate", "replay", "record", "scan", "mark"}
 PREPARED = "robot-identify fit log.mcap --json fit.json", "robot-identify fit log.mcap --method wls --json ls.json"
 COMMANDS = (
     "robot-identify fit log.mcap --report fit.md",

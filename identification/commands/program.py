@@ -26,6 +26,7 @@ PROGRAM = Program(
         "demo": "record simulated drives, fit, and compare with the true parameters",
         "schema": "JSON Schema of robot.toml or of a fit's JSON file",
     },
+    gone={},
     errors=(AcquisitionError, IdentificationError),
 )
 main = PROGRAM.main
