@@ -164,7 +164,10 @@ def test_statuses_stand_in_the_help_and_in_the_readme(package, capsys):
 
 
 def test_what_is_gone_is_told_with_the_new_way(capsys):
-    for program, words, gone in ((acquire, ["simulate", "robot.toml"], "simulate is gone: use emulate"),):
+    for program, words, gone in (
+        (acquire, ["simulate", "robot.toml"], "simulate is gone: use emulate"),
+        (identify, ["schema", "robot"], "schema is gone: all keys of robot.toml are in identification/reference.md"),
+    ):
         with pytest.raises(SystemExit) as stopped:
             program(words)
         assert stopped.value.code == 2
