@@ -47,7 +47,7 @@ def in_shell(command: str, folder: Path) -> subprocess.CompletedProcess[str]:
         (identify, f"view {SESSION} -o r", ["r"]),
         (identify, f"simulate {SCARA} -o m --duration-s 2", ["m"]),
         (acquire, f"export {SESSION} -o c", ["c"]),
-        (acquire, f"decode {SESSION} -o m", ["m"]),
+        (acquire, f"import {SESSION} -o m", ["m"]),
         (acquire, f"info {SESSION}", []),
     ],
 )
@@ -165,6 +165,8 @@ def test_statuses_stand_in_the_help_and_in_the_readme(package, capsys):
 
 def test_what_is_gone_is_told_with_the_new_way(capsys):
     for program, words, gone in (
+        (acquire, ["decode", "a.mcap", "-o", "b.mcap"], "decode is gone: use import LOG.mcap -o OUT.mcap"),
+        (acquire, ["recover", "a.mcap", "-o", "b.mcap"], "recover is gone: use import CUT.mcap -o OUT.mcap"),
         (acquire, ["simulate", "robot.toml"], "simulate is gone: use emulate"),
         (identify, ["schema", "robot"], "schema is gone: all keys of robot.toml are in identification/reference.md"),
     ):

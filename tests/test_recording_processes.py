@@ -278,8 +278,8 @@ def test_a_killed_recorder_leaves_all_but_the_last_second_and_stops_the_session(
     output = json.loads(acquire(folder, "info", str(out), "--json").communicate(timeout=PATIENCE_S)[0])
     assert output["cut"] is True
     whole, decoded = folder / "whole.mcap", folder / "decoded.mcap"
-    assert acquire(folder, "recover", str(out), "-o", str(whole)).wait(PATIENCE_S) == 0
-    assert acquire(folder, "decode", str(whole), "-o", str(decoded)).wait(PATIENCE_S) == 0
+    assert acquire(folder, "import", str(out), "-o", str(whole)).wait(PATIENCE_S) == 0
+    assert acquire(folder, "import", str(whole), "-o", str(decoded)).wait(PATIENCE_S) == 0
     samples = read_recording(decoded).samples
     assert SEEN_SYNCS < count(frames, 0x80) - 3 <= len(samples)  # answers to the last ones may be behind the cut
     assert "reference" in samples.dtype.names

@@ -14,14 +14,16 @@ PROGRAM = Program(
         "mark": "note a text in a recording while another terminal records it",
         "disable": "stop and disable all drives, even if another program enabled them; never refused",
         "emulate": "simulated drives that any CANopen master can use",
-        "import": "make a recording from tables (CSV, MAT), a ROS 2 bag or a CAN log (candump, ASC, BLF, TRC)",
+        "import": "make a recording from tables, a ROS 2 bag, a CAN log, or the frames of a recording, which may be cut off",
         "info": "show what a recording contains",
-        "decode": "decode a recording's CAN frames into joint samples again",
         "export": "export joint samples as CSV or as a ROS 2 bag",
         "replay": "play the drives' frames and SYNC of a recording onto an idle bus",
-        "recover": "repair a recording that was cut off",
     },
-    gone={"simulate": "use emulate"},
+    gone={
+        "decode": "use import LOG.mcap -o OUT.mcap",
+        "recover": "use import CUT.mcap -o OUT.mcap",
+        "simulate": "use emulate",
+    },
     errors=(AcquisitionError,),
 )
 main = PROGRAM.main
