@@ -43,7 +43,7 @@ def in_shell(command: str, folder: Path) -> subprocess.CompletedProcess[str]:
         (identify, f"validate {FIT} {SESSION} --json j", ["j"]),
         (identify, f"compare {FIT} {FIT} --rrd r", ["r"]),
         (identify, f"base {SCARA} --json j", ["j"]),
-        (identify, f"study {SCARA} --runs 1 --duration-s 3 --json j --rrd r", ["j", "r"]),
+        (identify, f"study {SCARA} --runs 1 --duration-s 3 --json j", ["j"]),
         (identify, f"view {SESSION} -o r", ["r"]),
         (identify, f"simulate {SCARA} -o m --duration-s 2", ["m"]),
         (acquire, f"export {SESSION} -o c", ["c"]),
@@ -168,6 +168,7 @@ def test_what_is_gone_is_told_with_the_new_way(capsys):
         (acquire, ["decode", "a.mcap", "-o", "b.mcap"], "decode is gone: use import LOG.mcap -o OUT.mcap"),
         (acquire, ["recover", "a.mcap", "-o", "b.mcap"], "recover is gone: use import CUT.mcap -o OUT.mcap"),
         (acquire, ["simulate", "robot.toml"], "simulate is gone: use emulate"),
+        (identify, ["study", "robot.toml", "--rrd=s.rrd"], "study --rrd is gone: use --report FILE.html"),
         (identify, ["schema", "robot"], "schema is gone: all keys of robot.toml are in identification/reference.md"),
     ):
         with pytest.raises(SystemExit) as stopped:
