@@ -14,7 +14,6 @@ if TYPE_CHECKING:
 
 INF = float("inf")
 Span = Literal["motion", "all"]
-Controllers = Literal["described", "none"]
 
 
 def _value(
@@ -47,9 +46,7 @@ positive = _value("positive", int, lambda x: x >= 1)
 at_least_two = _value("at_least_two", int, lambda x: x >= 2)
 cutoff = _value("cutoff", lambda text: 0.0 if text == "none" else above_zero(text))
 seconds_or_none = _value("seconds_or_none", lambda text: text if text == "none" else finite(text))
-list_of_cutoffs = _values("cutoffs", cutoff)
 list_of_factors = _values("factors", above_zero)
-list_of_controllers = _values("controllers", _value("controller", str, ("described", "none").__contains__))
 list_of_values = _values("values", above_zero)
 list_of_names = _values("names", _value("name", str, bool))
 
@@ -131,7 +128,7 @@ class IterationOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class CellOptions:
-    """Imperfections of a simulated cell, none by default; in percent of each joint's rms torque unless stated."""
+    """Noise of a simulated cell, none by default; of the torque in percent of each joint's rms torque."""
 
     encoder_step: Annotated[float, option("encoder step, rad or m", "Q", not_negative)] = 0.0
     position: Annotated[float, option("encoder noise, rad or m rms", "Q", not_negative, "--position-noise")] = 0.0
@@ -148,66 +145,16 @@ class CellOptions:
             "--effort-coloured-percent",
         ),
     ] = 0.0
-    disturbance_percent: Annotated[
-        float, option("slow disturbance torque on the joints, AR(0.98), %% of the rms torque", "P", not_negative)
-    ] = 0.0
-    recorded: Annotated[
-        Literal["mean", "tick"],
-        option(
-            "recorded torque: mean of the commands before and after the sample, or (tick) the command from the sample on",
-            flag="--effort-recorded",
-        ),
-    ] = "mean"
     lag_samples: Annotated[int, option("delay of the recorded torque in samples", "K", whole)] = 0
-    stribeck_percent: Annotated[float, option("additional Coulomb friction at rest, %%", "P", not_negative)] = 0.0
-    asymmetry_percent: Annotated[
-        float, option("friction larger forwards and smaller backwards by P %%", "P", percent_below_100)
-    ] = 0.0
-    integral_hz: Annotated[float, option("integral rate of the controller in Hz, 0 for none", "F", not_negative)] = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class StudyOptions:
-    """Variations of a study (each run draws one value of each list, seeded by its number), and its simulated recordings."""
+    """Simulated recordings of a study; without `runs` also of a single one."""
 
     runs: Annotated[int, option("number of runs", "N", positive)] = 20
-    cutoffs: Annotated[
-        tuple[float, ...], option("cut-offs, as multiples of the bandwidth, or none", "A,B,none", list_of_cutoffs)
-    ] = (
-        5.0,
-        10.0,
-        0.0,
-    )
-    starts: Annotated[
-        tuple[float, ...], option("initial inertias, as multiples of the true ones", "A,B", list_of_factors)
-    ] = (
-        0.05,
-        1.0,
-        20.0,
-    )
-    gain_errors: Annotated[
-        tuple[float, ...],
-        option("controller gains given to the fit, as multiples of the true ones", "A,B", list_of_factors),
-    ] = (
-        0.7,
-        1.0,
-        1.3,
-    )
-    controllers: Annotated[
-        tuple[Controllers, ...],
-        option("described, or none (the fit does not get the control law)", "A,B", list_of_controllers),
-    ] = ("described",)
-    vary: Annotated[
-        Literal["listed", "everything"],
-        option("everything: also draw imperfections of the cell and a controller for each run"),
-    ] = "listed"
     duration_s: Annotated[float, option("length in s", "S", above_zero)] = 10.0
-    period_s: Annotated[
-        float,
-        option("approximate period of the reference in s; the length is a whole number of periods", "S", above_zero),
-    ] = 10.0
     sample_rate_hz: Annotated[float, option("sample rate in Hz", "F", above_zero, "--rate-hz")] = 1000.0
-    low_speed_percent: Annotated[float | None, option("as in `robot-identify fit`", "P", percent_below_100)] = None
     seed: Annotated[int, option("seed of the random reference and noise", "K", whole)] = 0
 
 

@@ -29,6 +29,6 @@ def simulate(
 ) -> Simulated:
     """As `ClosedLoop.follow`; `start` is position and speed, (n,) each."""
     fastest = np.abs(reference.dq @ model.directions.T).max(axis=0, initial=0.0)
-    robot = ClosedLoop(model, loop, start, fastest=fastest, substeps=substeps, cell=reference.disturbances)
+    robot = ClosedLoop(model, loop, start, fastest=fastest, substeps=substeps)
     motion, reason = robot.follow(reference, bound)
     return Simulated(*motion, reason)

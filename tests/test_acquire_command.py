@@ -53,7 +53,7 @@ def refused(capsys: pytest.CaptureFixture[str], arguments: list[str]) -> str:
     return captured.err
 
 
-def test_import_info_recover(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_import_info_repair(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log, cut, out = folder / "log.mcap", folder / "cut.mcap", folder / "out.mcap"
     assert main(import_command(folder, log)) == 0
     assert "log.mcap: SCARA, 300 samples at 1000 Hz, effort in N m\n" in capsys.readouterr().out
@@ -66,8 +66,8 @@ def test_import_info_recover(folder: Path, capsys: pytest.CaptureFixture[str]) -
     assert found["attachments"] == {"robot.toml": SCARA.stat().st_size}
     assert found["sha256"] == read_recording(log).sha256
     cut.write_bytes(log.read_bytes()[:-300])
-    assert main(["recover", str(cut), "-o", str(out)]) == 0
-    assert "out.mcap: SCARA, 300 samples, 0 CAN frames, 0 events\n" in capsys.readouterr().out
+    assert main(["import", str(cut), "-o", str(out)]) == 0
+    assert "out.mcap: SCARA, 300 samples at 1000 Hz\n" in capsys.readouterr().out
     recovered = read_recording(out).samples
     assert recovered is not None
     assert recovered.tobytes() == samples.tobytes()
@@ -147,7 +147,13 @@ def test_known_errors_are_one_line_and_leave_nothing(folder: Path, capsys: pytes
     assert "found a folder or a device" in refused(capsys, import_command(folder, folder))
     assert "is not an MCAP file" in refused(capsys, ["info", str(folder / "a.csv")])
     assert "a b.mcap: cannot be read" in refused(capsys, ["info", str(folder / "a\nb.mcap")])
-    assert "is not an MCAP file" in refused(capsys, ["recover", str(folder / "a.csv"), "-o", str(folder / "out")])
+    recording = ["import", str(folder / "a.mcap"), "-o", str(folder / "out")]
+    assert "a.mcap: cannot be read" in refused(capsys, recording)
+    assert "a second recording: expected one" in refused(capsys, [*recording[:2], *recording[1:]])
+    assert "--payload = '2': expected none" in refused(capsys, [*recording, "--payload", "2"])
+    assert "--robot is missing: expected the robot's" in refused(
+        capsys, ["import", str(folder / "a.csv"), *recording[2:]]
+    )
     assert sorted(folder.iterdir()) == before
 
 
@@ -162,7 +168,7 @@ def test_inputs_are_not_replaced(folder: Path, capsys: pytest.CaptureFixture[str
     assert main(import_command(folder, folder / "log.mcap")) == 0
     capsys.readouterr()
     log = str(folder / "log.mcap")
-    assert "is an input too" in refused(capsys, ["recover", log, "-o", log])
+    assert "is an input too" in refused(capsys, ["import", log, "-o", log])
     assert (folder / "a.csv").read_bytes() == content
     assert robot.read_bytes() == SCARA.read_bytes()
     assert not read_recording(folder / "log.mcap").cut
@@ -183,9 +189,7 @@ def test_an_output_that_exists_stays_until_the_new_one_is_whole(
     assert len(recording.samples) == 2
 
 
-@pytest.mark.parametrize(
-    "command", ["decode", "recover", "import", "import --topic /t", "import --map m.toml", "export"]
-)
+@pytest.mark.parametrize("command", ["import", "import --topic /t", "import --map m.toml", "export"])
 @pytest.mark.parametrize("name", ["log.mcap", "log.bin"])
 def test_a_recording_is_not_replaced(folder: Path, capsys: pytest.CaptureFixture[str], command: str, name: str) -> None:
     """By its suffix, or by what it holds; the option is asked for before anything is read."""

@@ -14,7 +14,6 @@ COMMANDS = {  # what stands before --rrd FILE; more than six essentials, two rob
     "compare": [REPLAY / "scara" / "fit.json", REPLAY / "scara" / "truth.json"],
     "friction": [SESSION],
     "sensitivity": [SESSION, "--position-noise", "1e-4"],
-    "study": [ROBOT, "--runs", "1", "--duration-s", "3"],
     "excite": [ROBOT, "--period", "3", "--harmonics", "3", "--periods", "2", "-o", "ref.csv"],
     "fleet": ["fleet", "-o", "fleet.parquet"],
 }

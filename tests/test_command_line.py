@@ -43,11 +43,11 @@ def in_shell(command: str, folder: Path) -> subprocess.CompletedProcess[str]:
         (identify, f"validate {FIT} {SESSION} --json j", ["j"]),
         (identify, f"compare {FIT} {FIT} --rrd r", ["r"]),
         (identify, f"base {SCARA} --json j", ["j"]),
-        (identify, f"study {SCARA} --runs 1 --duration-s 3 --json j --rrd r", ["j", "r"]),
+        (identify, f"study {SCARA} --runs 1 --duration-s 3 --json j", ["j"]),
         (identify, f"view {SESSION} -o r", ["r"]),
         (identify, f"simulate {SCARA} -o m --duration-s 2", ["m"]),
         (acquire, f"export {SESSION} -o c", ["c"]),
-        (acquire, f"decode {SESSION} -o m", ["m"]),
+        (acquire, f"import {SESSION} -o m", ["m"]),
         (acquire, f"info {SESSION}", []),
     ],
 )
@@ -161,6 +161,21 @@ def test_statuses_stand_in_the_help_and_in_the_readme(package, capsys):
     for status in ("0", "1", "2", "3", "130"):
         assert f"| {status} |" in readme
         assert f" {status} " in STATUSES
+
+
+def test_what_is_gone_is_told_with_the_new_way(capsys):
+    for program, words, gone in (
+        (acquire, ["decode", "a.mcap", "-o", "b.mcap"], "decode is gone: use import LOG.mcap -o OUT.mcap"),
+        (acquire, ["recover", "a.mcap", "-o", "b.mcap"], "recover is gone: use import CUT.mcap -o OUT.mcap"),
+        (acquire, ["simulate", "robot.toml"], "simulate is gone: use emulate"),
+        (identify, ["study", "robot.toml", "--rrd=s.rrd"], "study --rrd is gone: use --report FILE.html"),
+        (identify, ["schema", "robot"], "schema is gone: all keys of robot.toml are in identification/reference.md"),
+    ):
+        with pytest.raises(SystemExit) as stopped:
+            program(words)
+        assert stopped.value.code == 2
+        assert capsys.readouterr().err.splitlines()[-1].endswith(f": error: {gone}")
+    assert acquire(["info", "simulate"]) == 1, "a file of that name"
 
 
 def test_names_that_are_no_files_are_one_line(tmp_path, monkeypatch, capsys):

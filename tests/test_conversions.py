@@ -10,7 +10,7 @@ from acquisition.bus import read_log
 from acquisition.commands import main
 from acquisition.errors import AcquisitionError
 from acquisition.files import read_columns
-from acquisition.importing import decode_recording, export_bag, export_csv, import_log
+from acquisition.importing import export_bag, export_csv, import_log, import_recording
 from acquisition.recording import ERROR, SENT, UNCERTAIN, Header, RecordingWriter, decode, read_recording
 from acquisition.session import Recorder
 from identification import load_signals
@@ -223,7 +223,7 @@ def test_what_has_no_frames_or_no_samples_is_told(tmp_path):
             if name == "a.mcap":
                 writer.samples(some_samples(3))
     with pytest.raises(AcquisitionError, match="holds no CAN frames"):
-        decode_recording(tmp_path / "a.mcap", tmp_path / "o.mcap", None, "x")
+        import_recording(tmp_path / "a.mcap", tmp_path / "o.mcap", None, "x")
     with pytest.raises(AcquisitionError, match="holds no joint samples"):
         export_csv(tmp_path / "b.mcap", tmp_path / "o.csv")
 
@@ -257,7 +257,7 @@ def test_refused_rows_of_an_older_version_are_counted(tmp_path, capsys):
     recorded(log, lossy(1 / 32), whole)
     refusal = "12 of 400 rows of an older version are refused: their joints may be of different instants"
     assert f"rows      {refusal}" in told(capsys, "info", log)
-    assert refusal in told(capsys, "decode", log, "-o", out)
+    assert refusal in told(capsys, "import", log, "-o", out)
     assert len(read_recording(out).samples) == 388
     text = told(capsys, "info", out)
     assert f"rows      {refusal}" not in text
@@ -279,7 +279,7 @@ def test_why_there_are_no_samples_is_said_by_all_who_need_some(tmp_path, capsys)
     with pytest.raises(IdentificationError, match=why):
         load_signals(log)
     cut.write_bytes(log.read_bytes()[:-100])
-    assert f"no samples: {cut}: {why}" in told(capsys, "recover", cut, "-o", tmp_path / "b.mcap")
+    assert f"warning: no samples: {cut}: {why}" in told(capsys, "import", cut, "-o", tmp_path / "b.mcap")
 
 
 def test_a_recording_that_was_cut_is_recovered_with_its_samples(tmp_path, capsys):
@@ -289,7 +289,7 @@ def test_a_recording_that_was_cut_is_recovered_with_its_samples(tmp_path, capsys
     (tmp_path / "cut.mcap").write_bytes((tmp_path / "a.mcap").read_bytes())
     recorder.finish(3 * 10**9)
     out = tmp_path / "out.mcap"
-    assert "made up, 50 samples, 150 CAN frames" in told(capsys, "recover", tmp_path / "cut.mcap", "-o", out)
+    assert "made up, 50 samples at 500 Hz" in told(capsys, "import", tmp_path / "cut.mcap", "-o", out)
     assert read_recording(out).samples.tobytes() == read_recording(tmp_path / "a.mcap").samples.tobytes()
 
 
@@ -300,13 +300,13 @@ def test_recovery_copies_samples_unless_their_frames_refuse_them(tmp_path, capsy
     samples = decode(flat(session(syncs=400, targets=True)), ROBOT, bus_of(ROBOT), "x").samples
     recorded(log, lossy(1 / 8), samples, {UNCERTAIN: 0} if counted else {"missing": 0})
     cut.write_bytes(log.read_bytes()[:-8])
-    text = told(capsys, "recover", cut, "-o", out)
+    text = told(capsys, "import", cut, "-o", out)
     recovered = read_recording(out)
     why = "12.0% of the PDOs of a drive are missing"
     assert why in text
     if counted:
         assert recovered.samples.tobytes() == samples.tobytes()
-        assert "made up, 400 samples" in text
+        assert "made up, 400 samples at" in text
         assert recovered.events[-1].text.endswith("the 400 samples before the cut are copied")
     else:
         assert recovered.samples is None
@@ -336,14 +336,14 @@ def test_a_late_sync_of_ours_is_called_late(tmp_path, capsys):
 def test_what_goes_block_by_block_is_the_same(tmp_path, monkeypatch, capsys):
     frames = flat(session(targets=True))
     recorded(tmp_path / "a.mcap", frames)
-    decode_recording(tmp_path / "a.mcap", tmp_path / "b.mcap", None, "x")
+    import_recording(tmp_path / "a.mcap", tmp_path / "b.mcap", None, "x")
     export_csv(tmp_path / "b.mcap", tmp_path / "b.csv")
     export_bag(tmp_path / "b.mcap", tmp_path / "bag")
     overview = told(capsys, "info", tmp_path / "b.mcap")
     for name in ("rows._AT_ONCE", "rows._TAKEN", "decoding._AT_ONCE"):
         monkeypatch.setattr(f"acquisition.recording.{name}", 7)
     assert told(capsys, "info", tmp_path / "b.mcap") == overview
-    decode_recording(tmp_path / "a.mcap", tmp_path / "c.mcap", None, "x")
+    import_recording(tmp_path / "a.mcap", tmp_path / "c.mcap", None, "x")
     assert (
         read_recording(tmp_path / "c.mcap").samples.tobytes() == read_recording(tmp_path / "b.mcap").samples.tobytes()
     )

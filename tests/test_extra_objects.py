@@ -10,7 +10,7 @@ from made_up_buses import block, bus_of, bus_text, flat, frame, robot_of, sessio
 
 from acquisition.bus import WallClock, describe_step
 from acquisition.errors import AcquisitionError
-from acquisition.importing import decode_recording, export_csv
+from acquisition.importing import export_csv, import_recording
 from acquisition.recording import SENT, decode, overview, read_recording
 from acquisition.robot import Robot, extra_columns
 from acquisition.session import Recorder, Task
@@ -130,10 +130,10 @@ def test_a_wrong_period_loses_no_frame_and_the_corrected_description_decodes_it(
     (kept,) = recording.frames.values()
     assert kept.tobytes() == frames.tobytes()
     with pytest.raises(AcquisitionError, match="SYNC came every"):
-        decode_recording(tmp_path / "a.mcap", tmp_path / "b.mcap", None, "robot.toml")
+        import_recording(tmp_path / "a.mcap", tmp_path / "b.mcap", None, "robot.toml")
     assert not (tmp_path / "b.mcap").exists()
     corrected = robot_of(bus_text(2, period_s=0.0054))
-    assert decode_recording(tmp_path / "a.mcap", tmp_path / "b.mcap", corrected, "robot.toml").samples == 50
+    assert import_recording(tmp_path / "a.mcap", tmp_path / "b.mcap", corrected, "robot.toml").samples == 50
 
 
 def test_a_clock_that_is_set_is_told_apart_from_one_that_goes_on():

@@ -53,7 +53,7 @@ def test_a_study_says_how_long_a_run_took_and_what_is_zero(capsys, tmp_path):
     robot.write_text("".join(line for line in text.splitlines(True) if not line.startswith("Fc2")))
     (line,) = border_line(load_robot(robot))
     assert line.endswith("Fc2")
-    said = answer(capsys, "study", robot, "--runs", "1", "--duration-s", "2", "--cutoffs", "5", "--workers", "1")
+    said = answer(capsys, "study", robot, "--runs", "1", "--duration-s", "2", "--workers", "1")
     assert line in said
     assert said.endswith(" s a run\n")
 

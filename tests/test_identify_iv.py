@@ -19,7 +19,7 @@ from identification.methods import Fit, Iteration, identify_iv, identify_ls
 from identification.model import InverseModel, base_parameters, described_parameters, direct_model, why_not_positive
 from identification.regression import Overrides
 from identification.simulation import recorded_loop
-from identification.study import Noise, Run, RunFit, RunSettings, closed_loop, random_reference, summaries
+from identification.study import Noise, closed_loop, random_reference
 
 RAW = Overrides(cutoff_hz=0)
 SCARA = REPLAY / "scara" / "session.mcap"
@@ -339,79 +339,44 @@ def test_gains_of_the_wrong_length_or_sign_are_refused(capsys, tmp_path):
 @pytest.mark.slow
 def test_study_reports_both_methods(capsys, tmp_path):
     out = tmp_path / "study.json"
-    noise = ["--encoder-step", "2e-5", "--effort-noise-percent", "2"]
-    assert (
-        main(
-            [
-                "study",
-                str(REPLAY / "scara" / "robot.toml"),
-                "--runs",
-                "4",
-                *noise,
-                "--json",
-                str(out),
-                "--rrd",
-                str(tmp_path / "s.rrd"),
-            ]
-        )
-        == 0
-    )
-    assert (tmp_path / "s.rrd").stat().st_size > 1000
+    robot = str(REPLAY / "scara" / "robot.toml")
+    assert main(["study", robot, "--runs", "4", "--position-noise", "5e-6", "--json", str(out)]) == 0
     told = capsys.readouterr().out
     assert "SCARA: 4 runs" in told
-    assert "cell: encoder_step 2e-05, effort_percent 2" in told
+    assert "cell: position 5e-06, effort_percent 2" in told
     study = json.loads(out.read_text())
     assert [r["number"] for r in study["runs"]] == [0, 1, 2, 3]
-    assert {s["method"] for s in study["summaries"]} == {"wls", "iv"}
-    for s in study["summaries"]:
-        runs = [r for r in study["runs"] if r["cutoff"] == s["cutoff"]]
-        fits = [r["iv" if s["method"] == "iv" else "ls"] for r in runs]
-        low, high = (np.array([one[end] for one in fits]) for end in ("low", "high"))
+    assert [s["method"] for s in study["summaries"]] == ["wls", "iv"]
+    for s, kind in zip(study["summaries"], ("ls", "iv"), strict=True):
+        fits = [r[kind] for r in study["runs"]]
+        low, high, beta = (np.array([one[name] for one in fits]) for name in ("low", "high", "beta"))
         inside = (low <= study["true"]) & (study["true"] <= high)
         assert s["coverage_percent"] == pytest.approx(100 * inside.mean())
         assert s["coverage_percent"] > 80
+        bias = beta.mean(axis=0) - study["true"]
+        assert s["bias_percent"] == pytest.approx(100 * np.linalg.norm(bias) / np.linalg.norm(study["true"]))
+        assert s["bias_percent"] < 0.2
+        assert s["runs"] == 4
     for run in study["runs"]:
         assert run["status"] == "converged"
-        assert run["positive"]
-        assert run["error_iv"] <= 5 * run["error_tuned_ls"]
+        assert run["iv"]["positive"]
+        assert run["iv"]["error"] < 0.005
 
 
 @pytest.mark.slow
 def test_a_study_in_which_nothing_converges_says_so(capsys, tmp_path):
-    out, drawing = tmp_path / "study.json", tmp_path / "s.rrd"
-    command = ["study", str(REPLAY / "scara" / "robot.toml"), "--runs", "2", "--duration-s", "2", "--json", str(out)]
-    command += ["--low-speed-percent", "0"]
-    assert main([*command, "--rrd", str(drawing), "--position-noise", "0.05", "--cutoffs", "none"]) == 0
+    out, robot = tmp_path / "study.json", str(REPLAY / "scara" / "robot.toml")
+    command = ["study", robot, "--runs", "2", "--duration-s", "2", "--json", str(out)]
+    assert main([*command, "--report", str(tmp_path / "s.html"), "--position-noise", "0.05"]) == 0
     told = capsys.readouterr().out
     assert "iv" in told
     summaries = {s["method"]: s for s in json.loads(out.read_text())["summaries"]}
     assert summaries["wls"]["runs"] == 2
-    assert (summaries["iv"]["runs"], summaries["iv"]["converged_percent"]) == (0, 0.0)
-    assert summaries["iv"]["median_error_percent"] is None
-    assert drawing.stat().st_size > 1000
-    robot = str(REPLAY / "scara" / "robot.toml")
-    assert "cut-off 600 x bandwidth = 3000 Hz: expected below 500 Hz" in refused(
-        capsys, "study", robot, "--cutoffs", "600"
-    )
+    assert (summaries["iv"]["runs"], summaries["iv"]["coverage_percent"]) == (0, None)
+    assert (tmp_path / "s.html").stat().st_size > 1000
     assert "no run can be fitted: robot SCARA: controller.sample_rate_hz = 1000: expected 500" in refused(
         capsys, "study", robot, "--runs", "2", "--rate-hz", "500"
     )
-
-
-def test_a_study_counts_what_is_called_converged_and_should_not_be():
-    nan, true = np.full(2, np.nan), np.array([1.0, 2.0])
-    drawn = RunSettings(cutoff=5.0, start=1.0, gain_error=1.0, seed=1, controller="described", noise=Noise())
-    fit = RunFit(
-        beta=true, sigma=nan, error=0.02, verdict="trust", doubts=(), low=nan, high=nan,
-        essential=np.ones(2, dtype=bool), positive=True,
-    )  # fmt: skip
-    good = Run(number=0, drawn=drawn, status="converged", passes=2, error_tuned_ls=0.01, iv=fit)
-    wrong = dataclasses.replace(good, iv=dataclasses.replace(fit, error=0.06))
-    lost = dataclasses.replace(good, iv=dataclasses.replace(fit, positive=False))
-    honest = dataclasses.replace(lost, status="diverged", iv=dataclasses.replace(fit, error=0.06, positive=False))
-    for run, share in ((good, 0.0), (wrong, 20.0), (lost, 20.0), (honest, 0.0)):
-        iv = summaries([good, good, good, good, run], true)[1]
-        assert (iv.method, iv.false_percent) == ("iv", share)
 
 
 def test_robot_without_controller_uses_a_surrogate_and_says_so(capsys):

@@ -288,7 +288,7 @@ def test_a_study_and_a_simulation_of_a_urdf(here, capsys):
     assert run(capsys, "study", "arm.urdf", *short, "--runs", "1", "--json", "study.json")[0] == 0
     study = json.loads((here / "study.json").read_text())
     assert dict(zip(study["parameters"], study["true"], strict=True))["Fv1"] == 0.6
-    assert study["runs"][0]["error_ls"] < 0.5
+    assert study["runs"][0]["ls"]["error"] < 0.5
 
 
 def massless(name):

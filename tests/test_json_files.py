@@ -86,7 +86,7 @@ def made_by(function):
 
 def test_every_file_has_a_format_and_is_typed(fits, tmp_path, capsys):
     robot, out = REPLAY / "scara" / "robot.toml", tmp_path / "out.json"
-    study = ["study", robot, "--runs", "1", "--duration-s", "2", "--cutoffs", "5"]
+    study = ["study", robot, "--runs", "1", "--duration-s", "2"]
     for kind, command in (
         (FitFile, ["fit", SCARA, "--all", "--method", "wls"]),
         (ValidationFile, ["validate", fits["iv"], SCARA]),

@@ -10,7 +10,7 @@ from test_viewer_pages import urdf_robot
 
 from acquisition.errors import AcquisitionError
 from acquisition.files import meshes
-from acquisition.importing import recover_recording
+from acquisition.importing import import_recording
 from acquisition.recording import RecordingWriter, read_recording
 from acquisition.robot import load_robot, robot_from_files
 from identification.data import load_signals
@@ -65,7 +65,7 @@ def test_a_recovered_recording_has_them_too(tmp_path):
     robot = load_robot(described(tmp_path / "arm"))
     whole = recorded(tmp_path / "log.mcap", robot).read_bytes()
     (tmp_path / "cut.mcap").write_bytes(whole[:-40])
-    recover_recording(tmp_path / "cut.mcap", tmp_path / "out.mcap")
+    import_recording(tmp_path / "cut.mcap", tmp_path / "out.mcap")
     assert read_recording(tmp_path / "out.mcap").attachments == {
         "robot.toml": robot.files["robot.toml"],
         "robot.urdf": robot.files["robot.urdf"],

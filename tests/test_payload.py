@@ -15,7 +15,7 @@ from urdfs import ARM, joint, urdf
 
 from acquisition.commands import main
 from acquisition.errors import AcquisitionError
-from acquisition.importing import decode_recording
+from acquisition.importing import import_recording
 from acquisition.options import RecordOptions
 from acquisition.recording import Header, RecordingWriter, read_recording
 from acquisition.robot import Payload, Robot, load_robot, parse_payload, robot_from_files
@@ -182,7 +182,7 @@ def test_later_versions_may_say_more_of_a_payload(tmp_path):
     path = recorded(tmp_path / "a.mcap", None, payload=text)
     assert read_recording(path).payload == Payload(2.0, (0.0, 0.0, 1.0))
     path.write_bytes(path.read_bytes()[:-300])
-    assert main(["recover", str(path), "-o", str(tmp_path / "b.mcap")]) == 0
+    assert main(["import", str(path), "-o", str(tmp_path / "b.mcap")]) == 0
     assert read_recording(tmp_path / "b.mcap").metadata["payload"] == text
 
 
@@ -208,12 +208,12 @@ def test_what_is_written_again_keeps_the_payload(tmp_path, capsys):
     path = recorded(tmp_path / "a.mcap", HEAVY)
     cut, whole = tmp_path / "cut.mcap", tmp_path / "whole.mcap"
     cut.write_bytes(path.read_bytes()[:-300])
-    assert main(["recover", str(cut), "-o", str(whole)]) == 0
+    assert main(["import", str(cut), "-o", str(whole)]) == 0
     assert read_recording(whole).payload == HEAVY
     robot = robot_of(bus_text(2))
     dry, again = tmp_path / "dry.mcap", tmp_path / "again.mcap"
     record(robot, "robot.toml", dry, RecordOptions(dry_run=True, duration_s=0.2, payload="2@0,0,0.1"), UserInterface())
-    decode_recording(dry, again, robot_of(bus_text(2, ratio=60.0)), "robot.toml")
+    import_recording(dry, again, robot_of(bus_text(2, ratio=60.0)), "robot.toml")
     assert read_recording(again).payload == read_recording(dry).payload == Payload(2.0, (0.0, 0.0, 0.1))
 
 

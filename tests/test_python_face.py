@@ -29,9 +29,7 @@ def signals():
 
     robot = robot_named("scara")
     q_ref = random_reference(robot, duration_s=4.0, sample_rate_hz=1000.0, seed=3)
-    return closed_loop(
-        robot, q_ref, 1000.0, noise=Noise(encoder_step=1e-5, effort_percent=2.0, recorded="tick"), seed=3
-    )
+    return closed_loop(robot, q_ref, 1000.0, noise=Noise(encoder_step=1e-5, effort_percent=2.0), seed=3)
 
 
 @pytest.fixture(scope="module")

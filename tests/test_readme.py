@@ -67,8 +67,8 @@ def test_commands_without_hardware_run_as_they_stand(tmp_path, monkeypatch, caps
     printed = {}
     for command in [command for command in COMMANDS if command not in later] + later:
         program, *arguments = shlex.split(command)
-        runs = {"base", "info", "fit", "validate", "decode", "export", "view", "compare"}
-        if arguments[0] not in runs or not Path(arguments[1]).exists():
+        runs = {"base", "info", "fit", "validate", "import", "export", "view", "compare"}
+        if arguments[0] not in runs or not Path(arguments[1]).exists() or "map.toml" in arguments:
             continue
         assert PROGRAMS[program].main(arguments) == 0, command
         printed[command] = capsys.readouterr().out

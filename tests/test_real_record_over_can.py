@@ -7,7 +7,7 @@ import pytest
 from conftest import REPLAY, robot_named
 from dry_sessions import dry_session
 
-from acquisition.importing import decode_recording
+from acquisition.importing import import_recording
 from acquisition.recording import Header, RecordingWriter, read_recording, sample_dtype
 from acquisition.robot import Robot, robot_from_files
 from acquisition.session import Task
@@ -89,7 +89,7 @@ def test_decoding_again_with_a_corrected_rated_torque(over_can, tmp_path):
     recording = read_recording(over_can)
     text = recording.attachments["robot.toml"].decode().replace("rated_torque_nm = 0.3", "rated_torque_nm = 0.6")
     corrected = robot_from_files({"robot.toml": text.encode()}, "corrected.toml")
-    found = decode_recording(over_can, tmp_path / "out.mcap", corrected, "corrected.toml")
+    found = import_recording(over_can, tmp_path / "out.mcap", corrected, "corrected.toml")
     again = read_recording(tmp_path / "out.mcap")
     assert found.samples == len(recording.samples)
     assert again.samples["effort"] == pytest.approx(2 * recording.samples["effort"])

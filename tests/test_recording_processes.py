@@ -1,4 +1,4 @@
-"""Sessions over separate processes on loopback: simulate | record, kills, signals, full disks.
+"""Sessions over separate processes on loopback: emulate | record, kills, signals, full disks.
 
 They run on machines that are busy with other things: SYNC is slow, so that a process may be held up for a while, and what
 a test needs is waited for where it shows, on the bus or in the growing file.
@@ -107,7 +107,7 @@ def acquire(
 def drives(folder: Path, *options: str) -> Iterator["subprocess.Popen[str]"]:
     """Simulated drives that have reported that they run."""
     ear = open_link(bus_at(folder), passive=True)
-    command = ("simulate", str(folder / "robot.toml"), "--duration", "600", *options)
+    command = ("emulate", str(folder / "robot.toml"), "--duration", "600", *options)
     process = acquire(folder, *command, program=("-c", DRIVES))
     try:
         assert process.stderr is not None
@@ -278,8 +278,8 @@ def test_a_killed_recorder_leaves_all_but_the_last_second_and_stops_the_session(
     output = json.loads(acquire(folder, "info", str(out), "--json").communicate(timeout=PATIENCE_S)[0])
     assert output["cut"] is True
     whole, decoded = folder / "whole.mcap", folder / "decoded.mcap"
-    assert acquire(folder, "recover", str(out), "-o", str(whole)).wait(PATIENCE_S) == 0
-    assert acquire(folder, "decode", str(whole), "-o", str(decoded)).wait(PATIENCE_S) == 0
+    assert acquire(folder, "import", str(out), "-o", str(whole)).wait(PATIENCE_S) == 0
+    assert acquire(folder, "import", str(whole), "-o", str(decoded)).wait(PATIENCE_S) == 0
     samples = read_recording(decoded).samples
     assert SEEN_SYNCS < count(frames, 0x80) - 3 <= len(samples)  # answers to the last ones may be behind the cut
     assert "reference" in samples.dtype.names

@@ -25,7 +25,7 @@ from identification.methods import fitted_parameters
 from identification.model import InverseModel
 from identification.regression import Overrides
 from identification.report import Parameter, ParameterSet, comparison_document, comparison_section, differences
-from identification.study import Noise, Run, RunFit, RunSettings
+from identification.study import Run, RunFit
 from identification.trust import Figure, Trust, TrustLine
 from identification.view import draw_comparison, draw_fit, draw_recording, write_rrd
 from identification.view.charts import COMPARED, deviation_drawing, parameter_drawing, study_drawing
@@ -42,6 +42,7 @@ from identification.view.panels import (
     REFERENCE,
     RESIDUAL,
     SIMULATED,
+    VERMILLION,
 )
 from identification.view.rerun_panels import shown_text
 from identification.view.robot_drawing import pose_stride, robot_scene
@@ -418,32 +419,29 @@ def test_the_value_axis_is_the_asinh_scale_that_its_label_says():
 
 
 def test_a_study_joins_the_two_methods_of_a_run_and_draws_their_medians():
-    rng = np.random.default_rng(1)
-    true = np.array([1.0, 2.0])
+    nan = np.full(2, np.nan)
 
-    def a_run(number, cutoff, ls, iv, status="converged"):
+    def a_run(number, ls, iv, status="converged"):
         def fit(error):
-            beta = true + 0.01 * rng.standard_normal(2)
-            ends = {"low": beta - 0.2, "high": beta + 0.2}
-            known = {"verdict": "trust", "doubts": (), "essential": np.ones(2, dtype=bool), "positive": True}
-            return RunFit(beta=beta, sigma=np.full(2, 0.1), error=error, **ends, **known)
+            known = {"beta": nan, "low": nan, "high": nan, "essential": np.ones(2, dtype=bool), "positive": True}
+            return RunFit(error=error, verdict="trust", **known)
 
-        drawn = RunSettings(cutoff=cutoff, start=0.0, gain_error=0.0, seed=1, controller="described", noise=Noise())
-        return Run(number=number, drawn=drawn, status=status, ls=fit(ls), iv=None if iv is None else fit(iv))
+        return Run(number=number, status=status, ls=fit(ls), iv=None if iv is None else fit(iv))
 
-    runs = [a_run(k, 5.0, ls, iv) for k, (ls, iv) in enumerate([(0.1, 0.01), (0.2, 0.03), (0.3, 0.02)])]
-    runs += [a_run(3, 0.0, 0.9, 0.05), a_run(4, 0.0, 0.8, 0.07), a_run(5, 0.0, 0.7, None, "diverged")]
-    drawing = study_drawing(runs, true)
-    assert (len(drawing.crosses), len(drawing.dots)) == (6, 5)
+    runs = [a_run(k, ls, iv) for k, (ls, iv) in enumerate([(0.1, 0.01), (0.2, 0.03), (0.25, 0.02)])]
+    runs += [a_run(3, 0.05, None, "diverged"), a_run(4, 0.8, 0.7, "max_iterations")]
+    drawing = study_drawing(runs)
+    assert (len(drawing.crosses), len(drawing.dots)) == (5, 4)
+    assert [c for *_, c in drawing.dots] == [ORANGE, ORANGE, ORANGE, VERMILLION]
     ends = [tuple(map(tuple, s)) for s, c, _ in drawing.strokes if c == GREY]
     dots, crosses = ([(x, y) for x, y, _ in marks] for marks in (drawing.dots, drawing.crosses))
-    for cross, dot in zip(crosses[:5], dots, strict=True):
+    for cross, dot in zip([*crosses[:3], crosses[4]], dots, strict=True):
         assert (cross, dot) in ends, "of one run"
-    assert not any(cross in pair for pair in ends for cross in crosses[5:]), "no line to an estimate that is not there"
+    assert not any(crosses[3] in pair for pair in ends), "no line to an estimate that is not there"
     bars = [(s, c) for s, c, radius in drawing.strokes if radius == 2.0]
     labels = [text for _, _, text, c in drawing.labels if c in (PURPLE, ORANGE)]
-    assert labels == ["20 %", "2 %", "80 %", "6 %"]
-    assert [c for _, c in bars] == [PURPLE, ORANGE, PURPLE, ORANGE]
+    assert labels == ["20 %", "2 %"], "iv of converged runs alone"
+    assert [c for _, c in bars] == [PURPLE, ORANGE]
     assert bars[0][0][0][1] == bars[0][0][1][1] == crosses[1][1], "as high as the median run"
     assert bars[1][0][0][0] < dots[2][0] < bars[1][0][1][0], "over the runs it is of"
 

@@ -1,23 +1,29 @@
-"""`robot-acquire import`: a recording from tables (CSV, MAT), a ROS 2 bag or a CAN log."""
+"""`robot-acquire import`: a recording from tables (CSV, MAT), a ROS 2 bag, a CAN log or another recording."""
 
 import argparse
 import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, TextIO
 
-from ..errors import AcquisitionError
+from ..errors import AcquisitionError, one_line
 from ..options import RecordOptions
 from .command_line import Progress, add_options, add_overwrite, add_path
-from .decode import print_imported
+
+if TYPE_CHECKING:
+    from ..importing import ImportSummary
 
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     inputs = parser.add_argument_group("inputs")
-    text = "CSV or MAT files in the order that the map numbers them; or one ROS 2 bag (folder, .mcap, .db3); or one CAN log"
+    text = (
+        "CSV or MAT files in the order that the map numbers them; or one ROS 2 bag (folder, .mcap, .db3); or one CAN log "
+        "(candump .log, .asc, .blf, .trc); or one recording: its frames are decoded, and a cut one is repaired"
+    )
     add_path(inputs, "tables", "FILE", text, nargs="+")
-    add_path(inputs, "--robot", "ROBOT.toml", "the robot's description", required=True)
+    add_path(inputs, "--robot", "ROBOT.toml", "the robot's description; a recording has its own")
     add_path(inputs, "--map", "MAP.toml", "meaning of the columns; tables need it")
     add_options(inputs, RecordOptions, "payload")
     bag = parser.add_argument_group("ROS 2 bag")
@@ -35,17 +41,26 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Import a bag (with a topic), tables (with a map) or a CAN log, and print a summary."""
-    from ..files import refuse_clash
+    """Import a bag (with a topic), tables (with a map), a CAN log or a recording, and print a summary."""
+    from ..files import is_recording, refuse_clash
 
     refuse_clash([options.robot, options.map, *options.tables], options.output, overwrite=options.overwrite)
     with Progress("importing"):
-        from ..importing import BagOptions, import_bag, import_log, import_tables
+        from ..importing import BagOptions, import_bag, import_log, import_recording, import_tables
         from ..robot import load_robot, parse_payload
 
-        out, tables, robot = options.output, options.tables, load_robot(options.robot)
-        payload = None if options.payload is None else parse_payload(options.payload, robot)
-        if options.topic is not None:
+        out, tables = options.output, options.tables
+        again = options.topic is None and options.map is None and is_recording(tables[0])
+        robot = None if options.robot is None else load_robot(options.robot)
+        payload = None if options.payload is None or robot is None else parse_payload(options.payload, robot)
+        if again:
+            _refuse_bag_options(options)
+            _refuse_as_recording(options)
+            found = import_recording(tables[0], out, robot, str(options.robot or ""))
+        elif robot is None:
+            expected = "the robot's description; only recordings have their own"
+            raise AcquisitionError(key="--robot", value=None, expected=expected)
+        elif options.topic is not None:
             _refuse_as_bag(options)
             units = [unit.strip() for unit in options.effort_unit.split(",")]
             bag = BagOptions(topic=options.topic, effort_unit=units, resample_hz=options.resample_hz)
@@ -57,7 +72,18 @@ def run(options: argparse.Namespace) -> None:
             else:
                 _refuse_as_log(tables)
                 found = import_log(tables[0], out, robot, str(options.robot), payload)
-    print_imported(found, sys.stderr if options.topic is None and options.map is None else sys.stdout)
+    _print(found, sys.stderr if options.topic is None and options.map is None else sys.stdout)
+
+
+def _print(found: "ImportSummary", warnings: TextIO) -> None:
+    parts = [f"{found.out}: {found.robot}", f"{found.samples} samples at {found.sample_rate_hz:g} Hz"]
+    parts += [f"effort in {', '.join(dict.fromkeys(found.effort_units))}"] if found.effort_units else []
+    parts += ["with reference"] if found.has_reference else []
+    print(one_line(", ".join([*parts, *(f"with {name.replace('_', ' ')}" for name in found.optional)])))
+    if found.times:
+        print(one_line(f"times: {found.times}"))
+    for text in found.warnings:
+        print(one_line(f"warning: {text}"), file=warnings)
 
 
 def _refuse_bag_options(options: argparse.Namespace) -> None:
@@ -79,6 +105,14 @@ def _refuse_as_bag(options: argparse.Namespace) -> None:
         raise AcquisitionError("a bag does not contain it", key="--effort-unit", value=None, expected=expected)
     if options.resample_hz is not None and not 0 < options.resample_hz < math.inf:
         raise AcquisitionError(key="--resample-hz", value=options.resample_hz, expected="a number above 0")
+
+
+def _refuse_as_recording(options: argparse.Namespace) -> None:
+    if len(options.tables) > 1:
+        raise AcquisitionError("is a second recording", place=str(options.tables[1]), expected="one")
+    if options.payload is not None:
+        expected = "none with a recording, whose payload is kept; `robot-identify fit --payload` replaces it"
+        raise AcquisitionError(key="--payload", value=options.payload, expected=expected)
 
 
 def _refuse_as_log(paths: Sequence[Path]) -> None:

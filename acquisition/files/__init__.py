@@ -1,6 +1,6 @@
 """Files: atomic writing, tables, MAT files, meshes of a URDF, arrays on disk."""
 
-from .atomic import atomic_write, refuse_clash
+from .atomic import atomic_write, is_recording, refuse_clash
 from .meshes import MESHES, find_mesh, read_meshes
 from .on_disk import GrowingBytes, allocate, field_of, release_pages
 from .tables import format_numbers, read_columns, write_columns

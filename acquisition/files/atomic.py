@@ -54,15 +54,15 @@ def refuse_clash(
         if any(_same(output, path) for path in earlier):
             place.refuse(text="named twice; expected a different file for each output")
         earlier.append(output)
-        if not overwrite and _is_recording(output):
+        if not overwrite and output.is_file() and is_recording(output):
             expected = "another name" if overwrite is None else f"another {option}, or --overwrite"
             place.refuse(text="already exists and is a recording", expected=expected)
 
 
-def _is_recording(path: Path) -> bool:
-    """Whether a file exists that is a recording, by its suffix or its first bytes."""
-    if not path.is_file() or path.suffix.lower() == ".mcap":
-        return path.is_file()
+def is_recording(path: Path) -> bool:
+    """Whether a file is a recording, by its suffix or its first bytes."""
+    if path.suffix.lower() == ".mcap" or not path.is_file():
+        return path.suffix.lower() == ".mcap"
     with suppress(OSError), path.open("rb") as file:
         return file.read(len(MAGIC)) == MAGIC
     return False

@@ -1,4 +1,4 @@
-"""Recordings from frames: decode again, recover, import CAN logs."""
+"""Recordings from frames: of other recordings, also cut ones, and of CAN logs."""
 
 from collections import Counter
 from dataclasses import replace
@@ -11,6 +11,7 @@ from ..bus import SUFFIXES, Frame, block_of, read_log
 from ..errors import AcquisitionError, Place
 from ..files import atomic_write
 from ..recording import (
+    NO_SAMPLES,
     UNCERTAIN,
     Block,
     Decoded,
@@ -18,6 +19,7 @@ from ..recording import (
     Recording,
     RecordingWriter,
     decode,
+    has_reference,
     read_recording,
     rewrite,
     written_by_master,
@@ -27,8 +29,11 @@ from ..session import RecordedSummary, write_decoded
 from .time_base import ImportSummary
 
 
-def decode_recording(path: Path, out: Path, robot: Robot | None, place: str) -> ImportSummary:
-    """Decode the frames of a recording again, into a new recording.
+def import_recording(path: Path, out: Path, robot: Robot | None = None, place: str = "") -> ImportSummary:
+    """Write a recording again: samples decoded from its frames, and everything before the cut if it was cut off.
+
+    Without `robot`, samples of a cut recording are copied if there are no frames; also if these do not decode, unless
+    `row_warnings` refuses them.
 
     Parameters
     ----------
@@ -43,10 +48,12 @@ def decode_recording(path: Path, out: Path, robot: Robot | None, place: str) -> 
         There are no frames, or they do not decode with these drives.
     """
     recording = read_recording(path)
+    if recording.cut and robot is None:
+        return _repair(recording, path, out)
     if not recording.frames:
-        Place(str(path)).refuse(text="holds no CAN frames", expected="a recording of drives")
+        Place(str(path)).refuse(text="holds no CAN frames and is not cut off", expected="a recording of drives")
     frames = max(recording.frames.values(), key=len)
-    decoded = _decode_checked(frames, robot or recording.robot, str(path), place)
+    decoded = _decode_checked(frames, robot or recording.robot, str(path), place or f"{path}: robot.toml")
     decoded = replace(decoded, warnings=(*decoded.warnings, *_refused_row_warnings(recording, decoded)))
     notes = {**recording.metadata, "decoded_from": recording.sha256}
     header, end_ns = replace(recording.header, notes=notes, **_bus_header(decoded)), int(frames["time_ns"][-1])
@@ -86,16 +93,8 @@ def _is_older(recording: Recording) -> bool:
     return not any(UNCERTAIN in health.counters for health in recording.health)
 
 
-def recover_recording(path: Path, out: Path) -> tuple[Recording, RecordedSummary]:
-    """Repair a recording that was cut off: write everything before the cut as the recording `out`.
-
-    Samples are decoded from the frames. Without frames they are copied; also if the frames do not decode, unless
-    `row_warnings` refuses them. Returns what was read, and a summary of the samples. Raises `AcquisitionError` as
-    `read_recording`, and if the file is not cut or `out` cannot be written.
-    """
-    recording = read_recording(path)
-    if not recording.cut:
-        Place(str(path)).refuse(text="is not cut off: nothing to recover")
+def _repair(recording: Recording, path: Path, out: Path) -> ImportSummary:
+    """Write what was read of a recording that was cut off."""
     samples = recording.samples
     summary = RecordedSummary(frames=0, samples=0 if samples is None else len(samples), warnings=())
 
@@ -115,7 +114,14 @@ def recover_recording(path: Path, out: Path) -> tuple[Recording, RecordedSummary
 
     notes = {**recording.metadata, "recovered_from": recording.sha256}
     rewrite(recording, replace(recording.header, notes=notes), out, write)
-    return recording, summary
+    return ImportSummary(
+        out=out,
+        robot=recording.robot.name,
+        samples=summary.samples,
+        sample_rate_hz=recording.sample_rate_hz,
+        has_reference=summary.samples > 0 and has_reference(out),
+        warnings=summary.warnings or (f"{NO_SAMPLES}{summary.no_samples}",) * bool(summary.no_samples),
+    )
 
 
 def is_log(path: Path) -> bool:

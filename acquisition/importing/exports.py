@@ -91,7 +91,7 @@ def _samples(path: Path, warn: Callable[[str], None]) -> tuple[Block, Robot]:
     """Samples and robot; calls `warn` if samples are missing."""
     recording = read_recording(path)
     if recording.samples is None:
-        expected = "some; `robot-acquire decode` makes them from frames"
+        expected = "some; `robot-acquire import` makes them from frames"
         Place(str(path)).refuse(text=recording.no_samples, expected=expected)
     missing = [gap.missing for gap in gaps(recording.samples, recording.sample_rate_hz) if not gap.late]
     if missing:

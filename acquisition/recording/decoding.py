@@ -280,8 +280,8 @@ def _refuse_period(measured_s: float, stated_s: float, place: str) -> None:
     if abs(measured_s / stated_s - 1) > MAX_PERIOD_ERROR:
         Place(place).refuse(
             text=f"SYNC came every {measured_s * 1e3:.4g} ms; bus.sync_period_s = {stated_s:g} in robot.toml",
-            expected=f"{measured_s:.3g}; correct robot.toml and import again, or decode a recording's frames again by "
-            "`robot-acquire decode LOG.mcap --robot CORRECTED.toml -o OUT.mcap`",
+            expected=f"{measured_s:.3g}; correct robot.toml and import again, a recording by "
+            "`robot-acquire import LOG.mcap --robot CORRECTED.toml -o OUT.mcap`",
         )
 
 

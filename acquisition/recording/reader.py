@@ -133,8 +133,9 @@ def read_recording(path: str | PathLike[str]) -> Recording:
     place = Place(str(path))
     metadata, attachments, topics, cut, sha256 = read_content(path, "recording", check_metadata, READ_TOPICS.fullmatch)
     note = " (the file is cut before its description)" if cut else ""
+    expected = "a recording of robot-acquire, which `robot-acquire import --topic NAME` makes of a ROS 2 bag"
     if metadata is None:
-        place.refuse(text=f"holds no metadata record 'recording'{note}", expected="a recording of robot-acquire")
+        place.refuse(text=f"holds no metadata record 'recording'{note}", expected=expected)
     if "robot.toml" not in attachments:
         place.refuse(text=f"holds no robot.toml{note}", expected="the robot's description as an attachment")
     robot = robot_from_files(attachments, f"{place}: robot.toml")

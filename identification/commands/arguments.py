@@ -27,6 +27,14 @@ if TYPE_CHECKING:
     from ..report import Document
     from ..view import Picture
 
+GONE = {  # what older versions had: a command, an option, or an option of one command; and what to use instead
+    "schema": "all keys of robot.toml are in identification/reference.md",
+    "study --cutoffs": "use sensitivity LOG.mcap, which varies the cut-off",
+    "study --starts": "use sensitivity LOG.mcap, which varies the start",
+    "study --low-speed-percent": "state low_speed_percent in [identification]",
+    "study --encoder-step": "use --position-noise",
+    "study --rrd": "use --report FILE.html",
+}
 _URDF_OPTIONS = {
     "--range": ("Q", "position limits, ± rad or m; if the URDF has limits too, the narrower are used"),
     "--speed": ("V", "maximum speed, rad/s or m/s; if the URDF has one too, the smaller is used"),
@@ -75,11 +83,11 @@ def _stated(options: argparse.Namespace) -> dict[str, tuple[float, ...]]:
     return {option: values for option, values in given.items() if values is not None}
 
 
-def add_simulation(parser: argparse.ArgumentParser, **noise: float) -> None:
-    """Length, rate, seed and imperfections of a simulated recording; `noise` replaces defaults of the fields."""
+def add_simulation(parser: argparse.ArgumentParser, *names: str, **noise: float) -> None:
+    """Length, rate, seed and noise of a simulated recording; `noise` replaces defaults of the fields."""
     group = parser.add_argument_group("simulated recording")
-    add_options(group, StudyOptions, "duration_s", "period_s", "sample_rate_hz", "seed", seed=1)
-    add_options(parser.add_argument_group("imperfections of the simulated cell"), CellOptions, **noise)
+    add_options(group, StudyOptions, "duration_s", "sample_rate_hz", "seed", seed=1)
+    add_options(group, CellOptions, *names, **noise)
 
 
 def add_recordings(inputs: "argparse._ArgumentGroup") -> None:

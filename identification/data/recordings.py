@@ -55,11 +55,11 @@ def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signa
     path = Path(path)
     recording = read_recording(path)
     if recording.cut:
-        expected = f"a complete recording: `robot-acquire recover {path} -o OUT.mcap` repairs it"
+        expected = f"a complete recording: `robot-acquire import {path} -o OUT.mcap` repairs it"
         raise IdentificationError("is cut off", place=str(path), expected=expected)
     samples = recording.samples
     if samples is None or len(samples) == 0:
-        expected = "the channel /samples (`robot-acquire decode` makes it from frames)"
+        expected = "the channel /samples (`robot-acquire import` makes it from frames)"
         raise IdentificationError(recording.no_samples, place=str(path), expected=expected)
     stamps, fields = field_of(samples, "stamp_ns"), samples.dtype.names or ()
     grid, rate_hz, off_grid = _grid(stamps, recording.sample_rate_hz, path)

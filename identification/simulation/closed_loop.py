@@ -23,9 +23,8 @@ from ..model import (
     inertias,
     why_not_positive,
 )
-from .control_law import Control, ControlLaw, Disturbances, Reference, recorded_loop
+from .control_law import Control, ControlLaw, Reference, recorded_loop
 
-STRIBECK = 0.1  # of a direction's speed scale: the excess of Coulomb friction at rest falls by exp(-(v/this)²)
 STICTION = 1e-3  # of a direction's speed scale: Coulomb friction builds up linearly below this speed
 MAX_MODE_PASSES = 8  # to find the directions that stick; nearly always one or two suffice
 BRAKE = 1e9  # added to the inertia of a joint whose brake holds
@@ -45,22 +44,18 @@ class Friction:
     friction uses the links' torque of the previous step.
     """
 
-    def __init__(self, model: DirectModel, fastest: Array, v: Array, h: float, stribeck: float = 0.0) -> None:
-        """`fastest` (c,) are the maximum speeds of the directions, `v` (n,) the initial joint speeds, `h` the step in s.
-
-        Coulomb friction at rest is (1 + stribeck) times its level.
-        """
+    def __init__(self, model: DirectModel, fastest: Array, v: Array, h: float) -> None:
+        """`fastest` (c,) are the maximum speeds of the directions, `v` (n,) the initial joint speeds, `h` the step in s."""
         self._solve = _divide
         if len(v) > 1:
             from scipy.linalg import lapack  # takes as long to import as a fit by least squares
 
             self._solve = lapack.dposv
         self._model, self._h, self._S = model, h, model.directions
-        speed = np.maximum(fastest, 1e-9)
-        self._v_s, self._stribeck, self._falls = STICTION * speed, stribeck, STRIBECK * speed
+        self._v_s = STICTION * np.maximum(fastest, 1e-9)
         self._shaped = bool(model.shapes)
         self._rigid: Array | None = None  # torque of the links in the previous step
-        self._coulomb = (1 + stribeck) * (model.up + model.down) / 2
+        self._coulomb = (model.up + model.down) / 2
         self.set_static_level(self._coulomb)
         self._one_sided = bool(model.viscous_up.any() or model.viscous_down.any())
         self._V, self._added = model.viscous, model.rotor + 0.5 * h * model.viscous
@@ -78,8 +73,6 @@ class Friction:
         stuck = mode == 0
         level = np.where(stuck, (model.up - model.down) / 2, np.where(mode > 0, model.up, -model.down))
         self._stuck, self._level = bool(stuck.any()), level @ S + model.offset
-        if self._stribeck:
-            self._slips = np.where(stuck, 0.0, self._stribeck * level)
         self._creep = (S.T * (self._slope * stuck)) @ S
 
     def step(self, q: Array, v: Array, tau: Array, held: NDArray[np.bool_] | None = None) -> Array | None:
@@ -93,12 +86,11 @@ class Friction:
         if held is not None:
             M = M + np.diag(BRAKE * held)
         force = tau - bias - self._V.dot(v)
-        near = np.exp(-((self._S.dot(v) / self._falls) ** 2)) if self._stribeck else None
         if self._shaped:
             shape, steepness = self._shapes(bias if self._rigid is None else self._rigid, v)
         A = M
         for _ in range(MAX_MODE_PASSES):
-            level = self._level if near is None else self._level + (near * self._slips) @ self._S
+            level = self._level
             if self._shaped:
                 level = level + (self._mode * shape) @ self._S
                 A = M + 0.5 * h * (self._S.T * (steepness * (self._mode != 0))) @ self._S
@@ -151,17 +143,15 @@ class ClosedLoop:
         *,
         fastest: Array,
         substeps: int = 1,
-        cell: Disturbances | None = None,
     ) -> None:
         """`start` is position and speed, (n,) each; `fastest` (c,) maximum speeds of the directions of Coulomb friction.
 
-        A controller period has `substeps` steps; `cell` disturbs the loop as stated in the references.
+        A controller period has `substeps` steps.
         """
         self._q, self._v = (x.copy() for x in start)
         self._h, self._substeps, self._period_s = loop.period_s / substeps, substeps, loop.period_s
         self._control = Control(model, loop, self._q, self._v)
-        plant, stribeck = (model, 0.0) if cell is None else (cell.on_plant(model), cell.stribeck)
-        self._friction = Friction(plant, fastest, self._v, self._h, stribeck=stribeck)
+        self._friction = Friction(model, fastest, self._v, self._h)
         self._instants = 0
 
     @np.errstate(over="ignore", invalid="ignore")  # an unstable loop is found by its tracking error
@@ -169,10 +159,10 @@ class ClosedLoop:
         """Follow the next span of a reference given once per controller period.
 
         Returns q, dq, ddq, tau (4, N, n), `substeps` rows a period: the true motion and the controller's torque, held until
-        the next row, without encoder noise and disturbing torque. And why it ended early, or None: the position differs from
+        the next row, without encoder noise. And why it ended early, or None: the position differs from
         the reference by more than `bound` (n,), or the inertia matrix is not positive. The state is never clipped.
         """
-        h, substeps, q_ref, cell = self._h, self._substeps, reference.q, reference.disturbances
+        h, substeps, q_ref, encoder = self._h, self._substeps, reference.q, reference.encoder
         N, n = q_ref.shape
         out = np.empty((4, N * substeps, n))
         q_out, dq_out, ddq_out, tau_out = out
@@ -181,13 +171,8 @@ class ClosedLoop:
         check_every, half, reason = max(1, CHECK_EVERY // substeps), 0.5 * h, None
         rows, known = 0, reference.known_torque
         for k in range(N):
-            if cell is None:
-                acting = tau = control.torque(k, q, v)
-            else:
-                tau = control.torque(k, cell.seen(q, k), v)
-                acting = tau + cell.torque[k]
-            if known is not None:
-                acting = acting + known[k]
+            tau = control.torque(k, q if encoder is None else encoder.seen(q, k), v)
+            acting = tau if known is None else tau + known[k]
             for row in range(rows, rows + substeps):
                 after = friction.step(q, v, acting)
                 if after is None:

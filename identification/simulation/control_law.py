@@ -37,38 +37,16 @@ SURROGATE_DAMPING = 0.8
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Disturbances:
-    """Encoder noise, torque on the joints and friction that are not described, at the controller's N instants.
+class Encoder:
+    """An imperfect encoder: `noise` (N, n) at the controller's instants and `step`, 0 for none, in rad or m at the joints."""
 
-    Attributes:
-        position: (N, n) encoder noise, rad or m at the joints; the controller acts on it.
-        count: encoder resolution, rad or m, 0 for none.
-        torque: (N, n) torque on the joints, each held to the next instant.
-        asymmetry: viscous and Coulomb friction is (1 + asymmetry) of the described one for dq > 0, (1 - asymmetry) for dq < 0.
-        stribeck: Coulomb friction at rest is (1 + stribeck) of the described one and falls to it with speed.
-    """
-
-    position: Array
-    count: float
-    torque: Array
-    asymmetry: float = 0.0
-    stribeck: float = 0.0
+    noise: Array
+    step: float
 
     def seen(self, q: Array, at: int | slice = slice(None)) -> Array:
-        """Encoder readings (N, n) of positions q, or (n,) of one instant."""
-        q = q + self.position[at]
-        return np.asarray(np.rint(q / self.count) * self.count) if self.count else q
-
-    def on_plant(self, model: DirectModel) -> DirectModel:
-        """The model with the asymmetric friction."""
-        more, less = 1.0 + self.asymmetry, 1.0 - self.asymmetry
-        return replace(
-            model,
-            up=more * model.up,
-            down=less * model.down,
-            viscous_up=more * model.viscous_up + self.asymmetry * model.viscous,
-            viscous_down=less * model.viscous_down - self.asymmetry * model.viscous,
-        )
+        """Readings (N, n) of positions q, or (n,) of one instant."""
+        q = q + self.noise[at]
+        return np.asarray(np.rint(q / self.step) * self.step) if self.step else q
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +54,7 @@ class Reference:
     """The inputs of a loop at its instants: the reference q, dq, ddq (N, n) and any further inputs.
 
     `known_torque` (N, n) acts on the joints, each held to the next instant; `feedforward` (N, n) is added to the controller's
-    output, in its units; `disturbances` are unknown to the controller.
+    output, in its units; `encoder` gives the positions that the controller acts on.
     """
 
     q: Array
@@ -85,7 +63,7 @@ class Reference:
     _: KW_ONLY
     known_torque: Array | None = None
     feedforward: Array | None = None
-    disturbances: Disturbances | None = None
+    encoder: Encoder | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -115,15 +93,6 @@ class ControlLaw:
         return replace(
             self, Kp=self.Kp * gains, Kd=self.Kd * gains, Ki=self.Ki * gains, saturation=self.saturation * factor
         )
-
-    def with_integral(self, rate: float) -> "ControlLaw":
-        """The law with another integral: of the velocity error if it has no velocity feed-forward, else of the position error.
-
-        `rate` in 1/s: under a constant error the integral equals the rest of the law after 1 / rate.
-        """
-        if self.feedforward == 0.0:
-            return replace(self, Ki=rate * self.Kd, position_share=self.Kp / self.Kd)
-        return replace(self, Ki=rate * self.Kp, position_share=np.ones_like(self.Kp))
 
     def inertias(self, bandwidth_hz: float) -> Array:
         """Inertias J (n,) for which Kp gives the bandwidth w: w² J is the diagonal of Rᵀ G Kp R.

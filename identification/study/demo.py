@@ -20,7 +20,7 @@ from ..arrays import Array
 from ..errors import IdentificationError
 from ..methods import Fit
 from ..model import inertias
-from ..report import Document, Number, Section, Table, columns, value_form
+from ..report import Document, Number, Row, Section, Table, columns, value_form
 from ..simulation import RigidBodyPlant, drive_loops
 from .simulated_cell import periodic_reference, true_model
 
@@ -106,6 +106,38 @@ def in_amperes(robot: Robot, gains: Sequence[float]) -> Robot:
         r"rated_torque_nm = ([\d.]+)", lambda found: f"rated_current_a = {float(found[1]) / RATED_NM_PER_A:.4g}", text
     )
     return robot_from_files({**robot.files, "robot.toml": text.encode()}, f"{robot.name} in A")
+
+
+def truth_document(robot: str, fits: Sequence[Fit], true: Array) -> Document:
+    """Estimates next to the true values of a simulated recording.
+
+    Each has the half-width of its 95 % interval, and its error in half-widths.
+    """
+    halves = [fit.intervals.half for fit in fits]
+    rows: list[Row] = []
+    for i, name in enumerate(fits[0].base.names):
+        form = value_form(float(min(half[i] for half in halves)) / 2)
+        cells: list[Number] = []
+        for fit, half in zip(fits, halves, strict=True):
+            off = float((fit.beta[i] - true[i]) / half[i]) if half[i] > 0 else None
+            cells += [Number(float(fit.beta[i]), form), Number(float(half[i]), form), Number(off, "+.2f")]
+        rows.append((name, Number(float(true[i]), form), *cells))
+    lines = []
+    for fit, half in zip(fits, halves, strict=True):
+        within = int((np.abs(fit.beta - true) <= half).sum())
+        error = 100 * np.linalg.norm(fit.beta - true) / np.linalg.norm(true)
+        lines.append(
+            f"{fit.method}: {within} of {len(true)} in their 95 % interval; |beta - true| = {error:.2f} % of |true|"
+        )
+    headings = (heading for fit in fits for heading in (fit.method, "±95%", "off by,\n±95%"))
+    table = Table(columns=columns("parameter", numbers=("true", *headings)), rows=tuple(rows))
+    section = Section(title="compared with the simulated values", table=table, lines=tuple(lines))
+    essential = np.isin(fits[-1].base.names, fits[-1].essential_names)
+    largest = np.lexsort((-np.abs(true), ~essential)).tolist()
+    return Document(
+        title=f"{robot}: {len(true)} estimated parameters and their true values",
+        sections=(section.with_short_table(largest),),
+    )
 
 
 def gains_document(fit: Fit, true: Sequence[float]) -> Document:

@@ -5,10 +5,9 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from ..arrays import Array
 from ..design import Excitation
 from ..report import ParameterSet, differences
-from ..study import Run, summaries
+from ..study import Run
 from .panels import GREEN, GREY, LIGHT, ORANGE, PURPLE, SHEET, VERMILLION, Chart, Color, Scale, log10
 
 COMPARED = (PURPLE, GREEN)  # colors of the parameter sets that a fit is compared with
@@ -146,37 +145,34 @@ def _color(own: ParameterSet, name: str) -> Color:
     return ORANGE if own.parameters[name].essential else GREY
 
 
-def study_drawing(runs: Sequence[Run], true: Array) -> Chart:
-    """Errors of all runs over the cut-off, with medians; a line joins least squares and instrumental variables of a run."""
+def study_drawing(runs: Sequence[Run]) -> Chart:
+    """Errors of all runs with their medians; a line joins least squares and instrumental variables of a run."""
     title = (
         f"|beta - true| / |true|, {len(runs)} runs: × purple LS, orange IV converged, vermillion IV not; bars medians"
     )
     chart, (width, height) = Chart(path=("study",), title=title, size=STUDY_SHEET), STUDY_SHEET
-    cutoffs = sorted({run.drawn.cutoff for run in runs}, key=lambda c: c or math.inf)
+    by_ls = [100 * run.ls.error for run in runs if run.ls]
+    by_iv = [100 * run.iv.error for run in runs if run.iv and run.status == "converged"]
     errors = [100 * fit.error for run in runs for fit in (run.ls, run.iv) if fit and fit.error > 0]
     low, high = math.floor(log10(min(errors, default=1.0))), math.ceil(log10(max(errors, default=100.0)))
     up = Scale(left=height - 80, right=60, low=10.0**low, high=10.0**high, by=log10)
-    across = Scale(left=90, right=width - 30, low=0, high=len(cutoffs))
+    across = Scale(left=90, right=width - 30, low=0, high=1)
     chart.ticks_up(up, {10.0**d: f"{10.0**d:g} %" for d in range(low, high + 1)}, (70, width - 20), 40)
-    for column, cutoff in enumerate(cutoffs):
-        here = [run for run in runs if run.drawn.cutoff == cutoff]
-        chart.label(across(column + 0.5), height - 70, f"{cutoff:g} x bandwidth" if cutoff else "no filter", LIGHT)
-        for k, run in enumerate(here):
-            shift = 0.2 * ((k + 0.5) / len(here) - 0.5)
-            x_ls, x_iv = across(column + 0.3 + shift), across(column + 0.7 + shift)
-            if run.ls and run.iv:
-                chart.line(x_ls, up(100 * run.ls.error), x_iv, up(100 * run.iv.error))
-            if run.ls:
-                chart.crosses.append((x_ls, up(100 * run.ls.error), PURPLE))
-            if run.iv:
-                ended = ORANGE if run.status == "converged" else VERMILLION
-                chart.dots.append((x_iv, up(100 * run.iv.error), ended))
-    for s in summaries(runs, true):
-        if math.isfinite(s.median_error_percent):
-            column, y = cutoffs.index(s.cutoff), up(s.median_error_percent)
-            at, outside, color = (0.3, -0.23, PURPLE) if s.method == "wls" else (0.7, 0.23, ORANGE)
-            chart.line(across(column + at - 0.14), y, across(column + at + 0.14), y, color, 2.0)
-            chart.label(across(column + at + outside), y - 10, f"{s.median_error_percent:.3g} %", color)
+    for k, run in enumerate(runs):
+        shift = 0.2 * ((k + 0.5) / len(runs) - 0.5)
+        x_ls, x_iv = across(0.3 + shift), across(0.7 + shift)
+        if run.ls and run.iv:
+            chart.line(x_ls, up(100 * run.ls.error), x_iv, up(100 * run.iv.error))
+        if run.ls:
+            chart.crosses.append((x_ls, up(100 * run.ls.error), PURPLE))
+        if run.iv:
+            ended = ORANGE if run.status == "converged" else VERMILLION
+            chart.dots.append((x_iv, up(100 * run.iv.error), ended))
+    for found, at, outside, color in ((by_ls, 0.3, -0.23, PURPLE), (by_iv, 0.7, 0.23, ORANGE)):
+        if found:
+            y = up(float(np.median(found)))
+            chart.line(across(at - 0.14), y, across(at + 0.14), y, color, 2.0)
+            chart.label(across(at + outside), y - 10, f"{np.median(found):.3g} %", color)
     return chart
 
 

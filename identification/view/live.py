@@ -62,7 +62,7 @@ def follow_recording(path: Path, fit: Path | None, out: Path | None, warn: Calla
                 grown_s = now_s
             page.add(follower, stalled=now_s - grown_s > STALLED_S, warn=warn)
             if now_s - grown_s > (MAX_FINISH_S if page.over else GIVE_UP_S):
-                expected = "the recorder to write; `robot-acquire recover` repairs a recording that was cut"
+                expected = "the recorder to write; `robot-acquire import` repairs a recording that was cut"
                 raise IdentificationError(
                     f"has not grown for {now_s - grown_s:.0f} s", place=str(path), expected=expected
                 )

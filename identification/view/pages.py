@@ -144,9 +144,9 @@ def draw_comparison(own: ParameterSet, other: ParameterSet, document: Document, 
     return Picture(name=name, document=document, pages=(page,), sha256=sha256)
 
 
-def draw_study(robot: str, runs: Sequence[Run], true: Array, document: Document) -> Picture:
+def draw_study(robot: str, runs: Sequence[Run], document: Document) -> Picture:
     """A study: entities `study` (errors of all runs and their medians) and `report`."""
-    page = Page(name="study", groups=_with_report(document, {"study": [study_drawing(runs, true)]}))
+    page = Page(name="study", groups=_with_report(document, {"study": [study_drawing(runs)]}))
     return Picture(
         name=f"{robot}, study",
         document=document,
