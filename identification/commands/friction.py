@@ -2,7 +2,7 @@
 
 import argparse
 
-from acquisition.commands import Progress, add_flag, add_options, add_path, from_options
+from acquisition.commands import Progress, add_flag, add_path, from_options
 
 from ..errors import IdentificationError
 from ..options import Overrides
@@ -20,7 +20,7 @@ from .arguments import (
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_recordings(parser.add_argument_group("inputs"))
-    add_options(add_settings(parser), Overrides, "low_speed_percent")
+    add_settings(parser)
     outputs = parser.add_argument_group("outputs")
     add_path(outputs, "--json", "FILE", "write all sets of terms that were tried, and the recommended one, as JSON")
     add_pictures(outputs, "draw friction over speed as a Rerun file, with the usual and the recommended terms")
