@@ -195,8 +195,8 @@ def fit(
     method : `iv`, instrumental variables (default with `q_ref`); `wls` (default without) or `ols`, least squares weighted
         joint by joint or not.
     bandwidth_hz : of the position loops, Hz; for a URDF, which has none.
-    cutoff_hz, decimation, low_speed_percent, torque_lag_s, essential : as the options of `robot-identify fit`, in place of the
-        rules and of the description; `cutoff_hz` 0: no filter; `torque_lag_s` `none`: no correction.
+    cutoff_hz, decimation, low_speed_percent, torque_lag_s, essential : as options of `robot-identify fit` and keys of
+        `[identification]`, in place of the rules; `cutoff_hz` 0: no filter; `torque_lag_s` `none`: no correction.
     velocity : (N, n) speeds of the joints, rad/s or m/s, only compared with the derivative of q, which is fitted.
     known_torque : (N, n) torques on the joints from other sources than the drives, N m or N, same sign as `tau`; the model
         explains the sum.

@@ -53,7 +53,7 @@ list_of_names = _values("names", _value("name", str, bool))
 
 @dataclass(frozen=True, kw_only=True)
 class Overrides:
-    """Options of a fit that replace the rules; None keeps the rule, or the key of robot.toml.
+    """Settings of a fit, some of them options, that replace the rules; None keeps the rule, or the key of robot.toml.
 
     `cutoff_hz` 0 means no filter; `low_speed_percent` as one number is for least squares and iv; `torque_lag_s` "none" means no
     correction.
@@ -66,25 +66,9 @@ class Overrides:
     decimation: Annotated[
         int | None, option("samples per row of the fit (default: by the bandwidth)", "N", positive, "--decimate")
     ] = None
-    span: Annotated[
-        Span | None,
-        option(
-            "also use the standstill before and after the motion",
-            flag="--all-samples",
-            action="store_const",
-            const="all",
-        ),
-    ] = None
+    span: Span | None = None
     edges: "Edges | None" = None
-    low_speed_percent: Annotated[
-        "float | LowSpeed | None",
-        option(
-            "leave out samples at which a joint moves slower than P %% of its peak speed (default: 4, or 4 standard "
-            "deviations of the speed noise)",
-            "P",
-            percent_below_100,
-        ),
-    ] = None
+    low_speed_percent: "float | LowSpeed | None" = None
     torque_lag_s: Annotated[
         float | Literal["none"] | None,
         option(
@@ -109,21 +93,6 @@ class Overrides:
     def over(self, others: "Overrides") -> "Overrides":
         """These options; those that are None come from `others`."""
         return replace(others, **{name: value for name, value in vars(self).items() if value is not None})
-
-
-@dataclass(frozen=True, kw_only=True)
-class IterationOptions:
-    """Start and end of the instrumental variable method."""
-
-    start: Annotated[
-        str,
-        option(
-            "initial parameters: unit inertias (default), least squares, or a fit's JSON file",
-            "regular|ls|FIT.json",
-        ),
-    ] = "regular"
-    tolerance_percent: Annotated[float, option("stop when no value changes by more than P %%", "P", above_zero)] = 2.5
-    max_iterations: Annotated[int, option("maximum number of passes", "N", positive)] = 10
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -22,7 +22,7 @@ PAGE = REPLAY / "published.md"
 RECORDS = {"emps": ("DATA_EMPS.mat",), "tx40": ("pos_read_data.csv", "curr_data.csv")}
 EMPS = "robot-identify fit emps.mcap --method wls --robot replay_data/emps/robot_published.toml"
 ASYMMETRIC = EMPS.replace("published.toml", "published_asymmetric.toml")
-TX40_LS = "robot-identify fit tx40.mcap --method wls --low-speed-percent 0"
+TX40_LS = "robot-identify fit tx40.mcap --method wls --robot replay_data/tx40/robot_published.toml"
 TX40_IV = "robot-identify fit tx40.mcap --method iv"
 SCARA = "robot-identify fit replay_data/scara/session.mcap --method iv"
 CROSS = "robot-identify validate emps.json pulses.mcap --robot replay_data/emps/robot_published.toml"
@@ -91,7 +91,7 @@ def emps_rows(recording: Path) -> Iterator[Row]:
 
 def tx40_rows(recording: Path) -> Iterator[Row]:
     signals = load_signals(recording)
-    ls = identify_ls(signals, Overrides(low_speed_percent=0.0))
+    ls = identify_ls(load_signals(recording, load_robot(REPLAY / "tx40" / "robot_published.toml")), Overrides())
     begin = time.perf_counter()
     iv = identify_iv(signals, Overrides(), Iteration())
     seconds = time.perf_counter() - begin

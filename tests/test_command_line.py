@@ -164,9 +164,17 @@ def test_statuses_stand_in_the_help_and_in_the_readme(package, capsys):
 
 
 def test_what_is_gone_is_told_with_the_new_way(capsys):
+    key = "under [identification] of robot.toml"
     for program, words, gone in (
         (acquire, ["decode", "a.mcap", "-o", "b.mcap"], "decode is gone: use import LOG.mcap -o OUT.mcap"),
         (acquire, ["recover", "a.mcap", "-o", "b.mcap"], "recover is gone: use import CUT.mcap -o OUT.mcap"),
+        (identify, ["fit", "a.mcap", "--max-iterations=3"], f"--max-iterations is gone: use max_iterations {key}"),
+        (identify, ["view", "a.mcap", "--all-samples"], f'--all-samples is gone: use span = "all" {key}'),
+        (
+            identify,
+            ["fleet", "--low-speed-percent", "0"],
+            f"fleet --low-speed-percent is gone: use low_speed_percent {key}",
+        ),
         (acquire, ["simulate", "robot.toml"], "simulate is gone: use emulate"),
         (identify, ["study", "robot.toml", "--rrd=s.rrd"], "study --rrd is gone: use --report FILE.html"),
         (identify, ["schema", "robot"], "schema is gone: all keys of robot.toml are in identification/reference.md"),

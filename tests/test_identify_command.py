@@ -74,9 +74,11 @@ def test_a_verdict_that_is_asked_for_is_in_the_exit_status(capsys, tmp_path):
 
 
 @pytest.mark.slow
-def test_options_change_the_fit(capsys, tmp_path):
+def test_options_and_keys_change_the_fit(capsys, tmp_path):
+    robot = tmp_path / "robot.toml"
+    robot.write_text((REPLAY / "scara" / "robot.toml").read_text() + '\n[identification]\nspan = "all"\n')
     for name, options in {
-        "none.json": ["--cutoff-hz", "none", "--decimate", 20, "--method", "ols", "--all-samples"],
+        "none.json": ["--cutoff-hz", "none", "--decimate", 20, "--method", "ols", "--robot", robot],
         "essential.json": ["--essential"],
     }.items():
         assert run(capsys, "fit", SESSION, *options, "--json", tmp_path / name)[0] == 0

@@ -35,8 +35,9 @@ def keys(value, place="") -> set[str]:
 
 
 def lasting_keys(earlier) -> set[str]:
-    """Those of a file of an earlier version but its report, which is printed, and a deviation that the interval replaced."""
-    return {key for key in keys(earlier) if not key.startswith(".report") and key != ".parameters[].sigma_hac"}
+    """Those of a file of an earlier version but its report, which is printed, a replaced deviation, and a test that went."""
+    went = (".report", ".parameters[].sigma_hac", ".instrument_tests.dwh_")
+    return {key for key in keys(earlier) if not key.startswith(went)}
 
 
 def test_a_fit_keeps_the_keys_of_earlier_versions(fits):

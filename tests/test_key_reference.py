@@ -44,6 +44,7 @@ OTHERS = {
     "ls": "%",
     "iv": "%",
     "decimation": "samples per row",
+    "max_iterations": "passes",
     "scale": "unit per raw integer",
     "sign": "-1",
     "effort_sign": "-1",

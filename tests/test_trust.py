@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -226,9 +227,18 @@ def test_a_result_not_to_be_trusted_is_written_and_ends_with_status_3(method, tm
     assert "of joint elbow" in capsys.readouterr().out
 
 
+def with_keys(folder: Path, *keys: str) -> str:
+    """The SCARA's description with keys of `[identification]`."""
+    text = (SCARA.parent / "robot.toml").read_text()
+    assert "[identification]" not in text
+    (folder / "robot.toml").write_text("\n".join([text, "[identification]", *keys, ""]))
+    return str(folder / "robot.toml")
+
+
 def test_no_fixed_point_and_too_large_an_error_end_with_status_3(tmp_path, capsys):
     out = tmp_path / "fit.json"
-    assert main(["fit", str(SCARA), "--method", "iv", "--max-iterations", "1", "--json", str(out)]) == 3
+    robot = with_keys(tmp_path, "max_iterations = 1")
+    assert main(["fit", str(SCARA), "--method", "iv", "--robot", robot, "--json", str(out)]) == 3
     assert "not to be trusted: status max_iterations: after 1 passes" in capsys.readouterr().err
     assert json.loads(out.read_text())["status"] == "max_iterations"
     assert main(["validate", str(out), str(SCARA), "--max-error-percent", "50"]) == 0
@@ -273,19 +283,19 @@ def refused(capsys, *arguments) -> str:
     return err
 
 
-@pytest.mark.parametrize("option", [["--start", "ls"], ["--tolerance-percent", "1"], ["--max-iterations", "3"]])
 @pytest.mark.parametrize("method", ["ols", "wls"])
-def test_options_of_iv_are_refused_with_least_squares(capsys, option, method):
-    told = refused(capsys, "fit", SCARA, "--method", method, *option)
-    assert f"{option[0]} {float(option[1]) if '.' in option[1] else option[1]}"[:8] in told
+def test_a_start_of_iv_is_refused_with_least_squares(capsys, method):
+    told = refused(capsys, "fit", SCARA, "--method", method, "--start", "ls")
+    assert "--start" in told
     assert "has no effect" in told
 
 
 @pytest.mark.slow
 def test_validate_takes_the_settings_of_the_fit(capsys, tmp_path):
     fit, errors = tmp_path / "fit.json", tmp_path / "errors.json"
-    settings = ["--cutoff-hz", "40", "--decimate", "20", "--all-samples"]
-    assert main(["fit", str(SCARA), *settings, "--low-speed-percent", "7", "--json", str(fit)]) == 0
+    settings = ["--cutoff-hz", "40", "--decimate", "20"]
+    robot = with_keys(tmp_path, 'span = "all"', "low_speed_percent = 7")
+    assert main(["fit", str(SCARA), *settings, "--robot", robot, "--json", str(fit)]) == 0
     stored = json.loads(fit.read_text())
     assert stored["low_speed_percent"] == {"ls": 7.0, "iv": 7.0}
     assert (stored["edges"], stored["span_rule"], stored["span"]) == ("smooth", "all", "all samples")

@@ -14,9 +14,7 @@ from identification.methods.assess import _status
 from identification.regression import Overrides
 from identification.report import DirectModelError
 
-GOOD = InstrumentTests(
-    dwh_F=None, dwh_p_value=None, dwh_F_effective=None, dwh_p_effective=None, strength=0.9, first_stage_F=500.0
-)
+GOOD = InstrumentTests(strength=0.9, first_stage_F=500.0)
 
 
 def verdict(tracking, errors, tests=GOOD):

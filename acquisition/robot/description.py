@@ -224,6 +224,8 @@ class Identification(TomlTable, frozen=True):
         Lag | Literal["none"] | None,
         note("known delay of the recorded torque, s, positive: late; or none (default: estimated)"),
     ] = None
+    tolerance_percent: Annotated[Positive, note("iv stops when no value changes by more, % of the value")] = 2.5
+    max_iterations: Annotated[RowStep, note("maximum number of passes of iv")] = 10
     own: Annotated[tuple[OwnKind, ...], note("kinds of parameters that several recordings do not share")] = ()
 
     @property

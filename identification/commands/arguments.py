@@ -34,6 +34,13 @@ GONE = {  # what older versions had: a command, an option, or an option of one c
     "study --low-speed-percent": "state low_speed_percent in [identification]",
     "study --encoder-step": "use --position-noise",
     "study --rrd": "use --report FILE.html",
+    "--all-samples": 'use span = "all" under [identification] of robot.toml',
+    **dict.fromkeys(
+        [f"{command} --low-speed-percent" for command in ("fit", "friction", "fleet")],
+        "use low_speed_percent under [identification] of robot.toml",
+    ),
+    "--max-iterations": "use max_iterations under [identification] of robot.toml",
+    "--tolerance-percent": "use tolerance_percent under [identification] of robot.toml",
 }
 _URDF_OPTIONS = {
     "--range": ("Q", "position limits, ± rad or m; if the URDF has limits too, the narrower are used"),
@@ -102,16 +109,15 @@ def add_recordings(inputs: "argparse._ArgumentGroup") -> None:
 
 
 def add_settings(parser: argparse.ArgumentParser, *, method: bool = False) -> "argparse._ArgumentGroup":
-    """The settings group: span and filters; with `method` also the method and the excluded rows."""
+    """The settings group: filters and lag; with `method` also the method."""
     group = parser.add_argument_group("settings of the fit")
-    add_options(group, Overrides, "cutoff_hz", "decimation", "span", "torque_lag_s")
+    add_options(group, Overrides, "cutoff_hz", "decimation", "torque_lag_s")
     if method:
         text = (
             "ols: ordinary least squares; wls: weighted by joint; iv: instrumental variables (default: iv if every recording "
             "has its reference, else wls)"
         )
         group.add_argument("--method", choices=["ols", "wls", "iv"], help=text)
-        add_options(group, Overrides, "low_speed_percent")
     return group
 
 

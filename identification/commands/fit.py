@@ -2,7 +2,6 @@
 
 import argparse
 from collections.abc import Callable
-from dataclasses import fields
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING
 from acquisition.commands import Progress, add_flag, add_options, add_path, from_options
 
 from ..errors import IdentificationError
-from ..options import IterationOptions, Overrides
+from ..options import Overrides
 from .arguments import (
     add_pictures,
     add_recordings,
@@ -39,7 +38,8 @@ def add(parser: argparse.ArgumentParser) -> None:
     add_flag(consistent, "--consistent", "also compute physically possible standard parameters of all links")
     text = "a-priori link parameters, from [parameters] or a URDF (default: the recording's description)"
     add_path(consistent, "--prior", "ROBOT.toml|URDF", text)
-    add_options(parser.add_argument_group("settings of instrumental variables"), IterationOptions)
+    text = "initial parameters of iv: unit inertias (regular, default), least squares, or a fit's JSON file"
+    settings.add_argument("--start", metavar="regular|ls|FIT.json", help=text)
     add_work(parser)
     outputs = parser.add_argument_group("outputs")
     outputs.add_argument("--require", choices=["trust"], help="exit status 3 also if the verdict is `caution`")
@@ -50,10 +50,9 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Fit, write the requested files, print the tables; 3 if the fit is not to be trusted."""
-    for name in _iteration_options(options):
-        if options.method in ("ols", "wls"):
-            text, key = f"has no effect with --method {options.method}", f"--{name.replace('_', '-')}"
-            raise IdentificationError(text, key=key, value=getattr(options, name), expected="--method iv")
+    if options.start is not None and options.method in ("ols", "wls"):
+        text = f"has no effect with --method {options.method}"
+        raise IdentificationError(text, key="--start", value=options.start, expected="--method iv")
     if options.prior is not None and not options.consistent:
         expected = "--consistent with it"
         raise IdentificationError("has no effect alone", key="--prior", value=str(options.prior), expected=expected)
@@ -134,15 +133,10 @@ def _identify(options: argparse.Namespace, recordings: "Recordings", say: Callab
     from ..report import read_fit
 
     overrides = from_options(Overrides, options)
-    values = None
+    iteration = None if options.start is None else Iteration(start=options.start)
     if options.start not in (None, "regular", "ls"):
         values = partial(stored_beta, read_fit(Path(options.start)), place=options.start)
-    iteration = from_options(Iteration, options, values=values) if _iteration_options(options) else None
+        iteration = Iteration(start=options.start, values=values)
     return identify(
         recordings, overrides, method=options.method, iteration=iteration, essential=options.essential, say=say
     )
-
-
-def _iteration_options(options: argparse.Namespace) -> list[str]:
-    """The fields of `IterationOptions` that the user gave."""
-    return [field.name for field in fields(IterationOptions) if getattr(options, field.name) is not None]

@@ -2,7 +2,7 @@
 
 import argparse
 
-from acquisition.commands import Progress, add_flag, add_options, add_path, from_options
+from acquisition.commands import Progress, add_flag, add_path, from_options
 
 from ..errors import IdentificationError
 from ..options import Overrides
@@ -20,7 +20,7 @@ from .arguments import (
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_recordings(parser.add_argument_group("inputs"))
-    add_options(add_settings(parser), Overrides, "low_speed_percent")
+    add_settings(parser)
     outputs = parser.add_argument_group("outputs")
     add_path(outputs, "--json", "FILE", "write all sets of terms that were tried, and the recommended one, as JSON")
     add_pictures(outputs, "draw friction over speed as a Rerun file, with the usual and the recommended terms")
@@ -34,7 +34,7 @@ def run(options: argparse.Namespace) -> None:
     refuse_outputs([*options.recordings, options.robot], options.json, report=options.report, picture=options.rrd)
     with Progress("reading") as progress:
         from ..data import Recordings
-        from ..design import fits_with, friction_document, friction_file, select_friction, write_friction
+        from ..design import friction_document, friction_file, select_friction, write_friction
         from ..report import write_json
 
         overrides = from_options(Overrides, options)
@@ -44,8 +44,8 @@ def run(options: argparse.Namespace) -> None:
         if options.json:
             write_json(options.json, friction_file(choice))
 
-        write_pictures(options, document, lambda view: [view.draw_friction(*fits_with(choice, overrides), document)])
+        write_pictures(options, document, lambda view: [view.draw_friction(*choice.fits(), document)])
         if options.write:
-            write_friction(options.robot, choice.described, choice.robot.files)
+            write_friction(options.robot, choice)
     finally:  # print the result even if a file cannot be written
         print_results(document)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..report import TorqueError
-from .system import System, orthonormal, r_factor, spans_of
+from .system import System, orthonormal, spans_of
 
 MOVING = 0.02  # of a joint's peak speed: below, it stands
 _MAX_TERMS = 500  # of the continued fraction; about max(10, sqrt(degrees of freedom)) are needed
@@ -71,56 +71,21 @@ class InstrumentTests:
     """Tests of the instruments.
 
     Attributes:
-        dwh_F, dwh_p_value: revised Durbin-Wu-Hausman test (Janot2016): small p says that least squares is biased. None
-            where instruments and regressor agree. Model error rejects as well.
-        dwh_F_effective, dwh_p_effective: the same, corrected for the residual's correlation.
         strength: smallest canonical correlation of Z and W, 1 for W itself.
         first_stage_F: of the least explained direction of W; weak below 10.
     """
 
-    dwh_F: float | None
-    dwh_p_value: float | None
-    dwh_F_effective: float | None
-    dwh_p_effective: float | None
     strength: float
     first_stage_F: float
 
 
-def instrument_tests(Q: Array, W: Array, Y: Array, rows: int, correlation: float) -> InstrumentTests:
-    """Tests of the instruments: revised Durbin-Wu-Hausman (Janot2016), strength, first-stage F.
-
-    Parameters
-    ----------
-    Q : (r, b) orthonormal columns that span the weighted instruments Z.
-    W, Y : (r, b), (r,) weighted regressor and torque.
-    rows : number of used rows.
-    correlation : of the residual at a lag of one row; the effective F statistics are corrected for it.
-    """
+def instrument_tests(Q: Array, W: Array, rows: int) -> InstrumentTests:
+    """Tests of instruments that the orthonormal columns Q (r, b) span; W (r, b) is weighted and has `rows` used rows."""
     b = W.shape[1]
-    d = np.linalg.norm(W, axis=0)
-    Qw = orthonormal(W / d)
+    Qw = orthonormal(W / np.linalg.norm(W, axis=0))
     strength = float(min(1.0, np.linalg.svd(Q.T @ Qw, compute_uv=False)[-1]))
     first_stage = strength**2 / max(1e-300, 1 - strength**2) * (rows - b) / b
-    V = W / d - Q @ (Q.T @ (W / d))  # the part of W that Z does not explain
-    outside = V - Qw @ (Qw.T @ V)
-    _, singular, Vt = np.linalg.svd(r_factor(outside))
-    independent = int((singular > 1e-6).sum())
-    freedom, F, p, F_effective, p_effective = rows - b - independent, *(None,) * 4
-    if independent and freedom >= 1:
-        rho = Y - Qw @ (Qw.T @ Y)
-        explained = float(np.sum((Vt[:independent] @ (outside.T @ rho) / singular[:independent]) ** 2))
-        left = float(rho @ rho) - explained
-        if left > 0:
-            F = explained / independent / (left / freedom)
-            F, p, F_effective, p_effective = f_tests(F, independent, rows, b + independent, correlation)
-    return InstrumentTests(
-        dwh_F=F,
-        dwh_p_value=p,
-        dwh_F_effective=F_effective,
-        dwh_p_effective=p_effective,
-        strength=strength,
-        first_stage_F=float(first_stage),
-    )
+    return InstrumentTests(strength=strength, first_stage_F=float(first_stage))
 
 
 def whitened(

@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..arrays import Array
 from ..estimation import (
     Estimate,
     InstrumentTests,
@@ -141,7 +140,7 @@ def assess_iv(
     """The fit of the pass that is returned; the robot simulated with its estimate validates the direct model."""
     observed, z, estimate, replicas = observed.about(best.z), best.z, best.estimate, best.replicas
     evidence = _evidence_along(observed, best, ls)
-    tests = _tests(evidence.observed.system, estimate, observed.regression.tau - evidence.predicted, z.used)
+    tests = _tests(evidence.observed.system, estimate)
     status, reason = _status(passes, best, [one.problem.signals.recording for one in observed.observations], tests)
     if reason is not None and best.number != len(passes):
         reason += f"; pass {best.number} is returned: it tracks best"
@@ -197,12 +196,11 @@ def _evidence_along(observed: StackedSystem, best: Pass, ls: LeastSquares) -> Fi
     )
 
 
-def _tests(system: System, estimate: Estimate, rho: Array, used: Array) -> InstrumentTests:
-    """Tests of the instruments of an estimate with residual rho (rows, n), of which the rows `used` (r,) count."""
+def _tests(system: System, estimate: Estimate) -> InstrumentTests:
+    """Tests of the instruments of an estimate."""
     indices = np.array([system.names.index(name) for name in estimate.names])
-    W, Y = system.with_columns(indices).weighted(estimate.weights)
-    weighted = rho * estimate.weights * used.reshape(len(estimate.weights), -1).T
-    return instrument_tests(estimate.Q, W, Y, estimate.rows, autocorrelation(weighted) or 0.0)
+    W, _ = system.with_columns(indices).weighted(estimate.weights)
+    return instrument_tests(estimate.Q, W, estimate.rows)
 
 
 def _direct_errors(replicas: Sequence[Replica]) -> tuple[DirectModelError, ...]:

@@ -200,8 +200,11 @@ def _by_instruments(observed: StackedSystem, iteration: Iteration, *, essential:
         return instrumental_variables(system.with_columns(columns), z.Z[:, columns], weights)
 
     ls, passes = ls.without_rows(), list[Pass]()
-    while not (passes and passes[-1].is_last) and len(passes) < iteration.max_iterations:
-        number, coarse = len(passes) + 1, is_coarse(observed.problem, iteration, passes)
+    stored = observed.problem.signals.robot.identification
+    most = iteration.max_iterations or stored.max_iterations
+    tolerance_percent = iteration.tolerance_percent or stored.tolerance_percent
+    while not (passes and passes[-1].is_last) and len(passes) < most:
+        number, coarse = len(passes) + 1, is_coarse(observed.problem, iteration.start, passes, most)
         say(f"pass {number}: simulating the robot")
         # Z = IDM(q_sim, dq_sim, ddq_sim)
         z = lab.instruments(beta, C, rows=rows_of_last(passes), coarse=coarse)
@@ -214,7 +217,7 @@ def _by_instruments(observed: StackedSystem, iteration: Iteration, *, essential:
             break
         # C = D R D
         asked, C = C, covariance_of_all(names, estimate, intervals_of(W_and_Y, estimate), ls.full)
-        one_pass = assess_pass(z, estimate, W_and_Y, (asked, C), tolerance_percent=iteration.tolerance_percent)
+        one_pass = assess_pass(z, estimate, W_and_Y, (asked, C), tolerance_percent=tolerance_percent)
         passes = [*(before.without_rows() for before in passes), replace(one_pass, number=number, coarse=coarse)]
         beta = next_values(passes, names)
     if motors:

@@ -10,7 +10,6 @@ from ..arrays import Array
 from ..errors import IdentificationError
 from ..estimation import Estimate, System, intervals_of
 from ..model import BaseParameters, InverseModel
-from ..options import IterationOptions
 from ..regression import Problem
 from ..simulation import ClosedLoops, Instruments
 from ..trust import covariance_of_all
@@ -23,13 +22,17 @@ MAX_FULL_STEPS = 4  # passes; later ones simulate the mean of the last two value
 
 
 @dataclass(frozen=True, kw_only=True)
-class Iteration(IterationOptions):
-    """Options of the iteration.
+class Iteration:
+    """Settings of the iteration.
 
     `start`: `regular` (only a regular inertia matrix), `ls`, or the name of the source of the base parameters `values`.
-    `inertias` (n,) are those of the regular start, 1 kg m² (or kg) by default.
+    `tolerance_percent`, `max_iterations`: in place of the keys of robot.toml. `inertias` (n,) are those of the regular start,
+    1 kg m² (or kg) by default.
     """
 
+    start: str = "regular"
+    tolerance_percent: float | None = None
+    max_iterations: int | None = None
     values: Callable[[BaseParameters], Array] | None = None
     inertias: Array | None = None
     gain_update: bool = True
@@ -50,14 +53,14 @@ def next_values(passes: Sequence[Pass], names: tuple[str, ...]) -> Array:
     return 0.5 * (beta + passes[-1].z.beta) if len(passes) >= MAX_FULL_STEPS else beta
 
 
-def is_coarse(problem: Problem, iteration: Iteration, passes: Sequence[Pass]) -> bool:
+def is_coarse(problem: Problem, start: str, passes: Sequence[Pass], most: int) -> bool:
     """Whether the next pass is coarse: the first from a regular start, and the second if no controller is described.
 
-    Their estimates only start later passes. A described controller sets its own steps, so less time is saved. The last pass
-    allowed is never coarse.
+    Their estimates only start later passes. A described controller sets its own steps, so less time is saved. The last of the
+    `most` passes is never coarse.
     """
-    early = 0 if iteration.start != "regular" else 1 if problem.signals.robot.controller.structure else 2
-    return len(passes) < min(early, iteration.max_iterations - 1)
+    early = 0 if start != "regular" else 1 if problem.signals.robot.controller.structure else 2
+    return len(passes) < min(early, most - 1)
 
 
 def rows_of_last(passes: Sequence[Pass]) -> tuple[NDArray[np.bool_], ...] | None:

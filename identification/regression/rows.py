@@ -91,7 +91,7 @@ def refuse_slow_joints(fast: NDArray[np.bool_], joints: tuple[str, ...], place: 
             raise IdentificationError(
                 f"joint {name} is never faster than the noise of its speed",
                 place=place,
-                expected="a lower --cutoff-hz, or --low-speed-percent",
+                expected="a lower --cutoff-hz, or low_speed_percent of [identification]",
             )
 
 

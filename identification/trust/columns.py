@@ -177,7 +177,8 @@ def _columns(evidence: FitData) -> Iterator[MissingTerm]:
         advice = "record its torque (of a spring, a hose or a weight) as known_torque"
         yield of_joint(j, SPRING, position[:, j], f"{effort}/{joint.position_unit}", advice)
         if "stribeck" not in terms:
-            yield of_joint(j, STRIBECK, slow[:, j], effort, "leave out slow rows by a larger --low-speed-percent")
+            advice = "leave out slow rows by a larger low_speed_percent of [identification]"
+            yield of_joint(j, STRIBECK, slow[:, j], effort, advice)
     # Torque per rad of rotation of gravity about an axis of the base, by the estimated links.
     for axis, about in zip(np.eye(3), "xyz", strict=True):
         if (turned := np.cross(axis, np.array(robot.gravity))).any():

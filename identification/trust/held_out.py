@@ -5,13 +5,14 @@ A block adds A_k = Q_kᵀW_k and Q_kᵀY_k to A = QᵀW and QᵀY, so that the e
 parameters undetermined, so they are factored again.
 """
 
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..estimation import spans_of, undetermined_parameters
+from ..estimation import r_factor, spans_of, undetermined_parameters
 from .fit_data import FitData, part_of
 from .lines import Figure, TrustLine
 
@@ -75,23 +76,17 @@ def held_out_recordings(evidence: FitData) -> tuple[HeldOut | None, ...]:
     names, weights = evidence.estimate.names, evidence.estimate.weights
     n, parts = evidence.observed.tau.shape[1], spans_of(evidence.observed.parts)
     rows = [_rows_of(evidence, k) for k in range(len(parts))]
-    factors = [np.linalg.qr(np.c_[Z, W, Y] * weights[joint][:, None], mode="r") for Z, W, Y, joint in rows]
+    weighted = [np.c_[Z, W, Y] * weights[joint][:, None] for Z, W, Y, joint in rows]
+    by_others = predictions_by_others(weighted, names, [one.parameters.own for one in evidence.recordings])
     found = []
-    for k, (_, W, Y, _) in enumerate(rows):
-        own = np.array([name in evidence.recordings[k].parameters.own for name in names])
-        shared, others = ~np.r_[own, own, False], [R for i, R in enumerate(factors) if i != k]
-        beta, undetermined = _solve(
-            np.concatenate(others)[:, shared], tuple(name for name, o in zip(names, own, strict=True) if not o)
-        )
+    for k, ((_, W, Y, _), (beta, undetermined)) in enumerate(zip(rows, by_others, strict=True)):
         # Y is another torque, where W is linearised
         counts = part_of(evidence.used, n, parts[k]).reshape(n, -1).T
         torque = float(np.linalg.norm(evidence.observed.tau[parts[k]] * counts))
         trained = float(np.linalg.norm(Y - W @ evidence.estimate.beta))
         error_percent = None
         if beta is not None and torque > 0:
-            rho = Y - W[:, ~own] @ beta
-            rho = rho - W[:, own] @ np.linalg.lstsq(W[:, own], rho)[0] if own.any() else rho
-            error_percent = 100 * float(np.linalg.norm(rho)) / torque
+            error_percent = 100 * float(np.linalg.norm(Y - W @ beta)) / torque
         found.append(
             HeldOut(
                 error_percent=error_percent,
@@ -101,6 +96,27 @@ def held_out_recordings(evidence: FitData) -> tuple[HeldOut | None, ...]:
             )
         )
     return tuple(found)
+
+
+def predictions_by_others(
+    parts: Sequence[Array], names: tuple[str, ...], own: Sequence[Collection[str]]
+) -> list[tuple[Array | None, list[str]]]:
+    """Parameters (b,) to predict each part by the fit of the others, its `own` ones fitted to it, from weighted rows [Z W Y].
+
+    Where the others do not determine them: None, and the names of those.
+    """
+    factors, found, b = [r_factor(rows) for rows in parts], list[tuple[Array | None, list[str]]](), len(names)
+    for k, its in enumerate(own):
+        alone = np.array([name in its for name in names])
+        others = np.concatenate([R for i, R in enumerate(factors) if i != k])[:, ~np.r_[alone, alone, False]]
+        shared, undetermined = _solve(others, tuple(name for name in names if name not in its))
+        beta = None
+        if shared is not None:
+            W, Y, beta = factors[k][:, b:-1], factors[k][:, -1], np.zeros(b)
+            beta[~alone] = shared
+            beta[alone] = np.linalg.lstsq(W[:, alone], Y - W @ beta)[0]
+        found.append((beta, undetermined))
+    return found
 
 
 def _rows_of(evidence: FitData, k: int) -> tuple[Array, Array, Array, NDArray[np.intp]]:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import robot_named
+from conftest import REPLAY, robot_named
 
 from acquisition.recording import Header, RecordingWriter, sample_dtype
 from identification.study import Noise, closed_loop, random_reference
@@ -56,11 +56,13 @@ def cost(*command: object) -> tuple[float, float]:
 
 
 def test_instruments_of_long_recordings(tmp_path, capsys):
-    found = {}
+    found, robot = {}, tmp_path / "robot.toml"
+    text = (REPLAY / "tx40" / "robot.toml").read_text()
+    robot.write_text(f"{text}\n[identification]\nmax_iterations = {PASSES}\n")
     for minutes in (SHORTEST, LONGEST):
         path = tmp_path / f"{minutes}.mcap"
         recording(path, minutes)
-        fit = (sys.executable, "-m", "identification", "fit", path, "--method", "iv", "--max-iterations", PASSES)
+        fit = (sys.executable, "-m", "identification", "fit", path, "--method", "iv", "--robot", robot)
         found[minutes] = cost(*fit, "--workers", 1, "--json", tmp_path / f"{minutes}.json")
         path.unlink()
         passes = json.loads((tmp_path / f"{minutes}.json").read_text())["iterations"]
