@@ -17,7 +17,7 @@ PROGRAM = Program(
         "import": "make a recording from tables (CSV, MAT), a ROS 2 bag or a CAN log (candump, ASC, BLF, TRC)",
         "info": "show what a recording contains",
         "decode": "decode a recording's CAN frames into joint samples again",
-        "export": "export joint samples as CSV or as a ROS 2 bag",
+        "export": "export joint samples as CSV",
         "replay": "play the drives' frames and SYNC of a recording onto an idle bus",
         "recover": "repair a recording that was cut off",
     },
