@@ -13,7 +13,6 @@ from .arguments import (
     add_work,
     print_results,
     refuse_outputs,
-    robot_of,
     work_of,
     write_pictures,
 )
@@ -39,11 +38,13 @@ def run(options: argparse.Namespace) -> None:
     from rich.console import Console
     from rich.progress import track
 
+    from acquisition.robot import load_robot
+
     from ..report import write_json
     from ..study import Noise, Study, border_line, run_study, study_document, study_file, study_truth
 
     refuse_outputs([options.robot], options.json, options.rrd, report=options.report)
-    robot = robot_of(options, moves=True)
+    robot = load_robot(options.robot)
     study = from_options(Study, options, noise=from_options(Noise, options))
     base, true = study_truth(robot)
     err, began = Console(stderr=True), perf_counter()
