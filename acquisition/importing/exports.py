@@ -8,24 +8,21 @@ import numpy as np
 from ..errors import Place
 from ..files import write_columns
 from ..recording import Block, gaps, in_parts, read_recording
-from ..robot import Robot, extra_columns
+from ..robot import Robot
 
 
 def export_csv(path: Path, out: Path, warn: Callable[[str], None] = lambda text: None) -> int:
     """Write the joint samples of a recording as CSV, whole or not at all; returns their number.
 
-    Columns: `time_s` from the first sample, then position, effort and all else recorded of each joint in SI, then the extra
-    objects of the drives. The column name contains the unit.
+    Columns: `time_s` from the first sample, then position, effort and all else recorded of each joint in SI. The column name
+    contains the unit.
     """
     samples, robot = _samples(path, warn)
-    fields = [field for field in samples.dtype.names or () if field not in ("stamp_ns", "extra")]
+    fields = [field for field in samples.dtype.names or () if field != "stamp_ns"]
     names = [
         "time_s",
         *(f"{j.name}_{field}_{_unit(robot, field, i)}" for field in fields for i, j in enumerate(robot.joints)),
     ]
-    if "extra" in (samples.dtype.names or ()):
-        fields.append("extra")
-        names += [f"{c.motor} {c.name} {c.unit}" for c in extra_columns(robot)]
     start_ns = samples["stamp_ns"][0]
     columns = (
         np.column_stack([(part["stamp_ns"] - start_ns) * 1e-9, *(part[field] for field in fields)])

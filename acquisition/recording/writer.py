@@ -25,7 +25,7 @@ from mcap.writer import Writer
 
 from ..arrays import Array
 from ..errors import Place
-from ..robot import EffortTiming, Payload, Robot, extra_columns
+from ..robot import EffortTiming, Payload, Robot
 from .rows import FRAME, OPTIONAL, Block, check_frames, check_samples, sample_dtype
 
 # Texts of the metadata's key `effort_timing`; a missing key means "unknown".
@@ -96,11 +96,9 @@ class Header:
 
 def sample_layouts(robot: Robot) -> list[np.dtype[np.void]]:
     """All row layouts that samples of a robot may have."""
-    counts = dict.fromkeys((len(extra_columns(robot)), 0))
     columns = [some for k in range(len(OPTIONAL) + 1) for some in combinations(OPTIONAL, k)]
     return [
-        sample_dtype(robot.n, reference=reference, extra=m, optional=optional)
-        for m in counts
+        sample_dtype(robot.n, reference=reference, optional=optional)
         for optional in reversed(columns)
         for reference in (False, True)
     ]
@@ -173,16 +171,17 @@ class RecordingWriter:
     def samples(self, block: Block) -> None:
         """Add rows of `sample_dtype` and their JointState messages."""
         place = Place(f"{self._place}: /samples")
-        if block.dtype not in sample_layouts(self._robot):
+        layout = np.dtype([(name, block.dtype[name]) for name in block.dtype.names or ()])  # without what is skipped
+        if layout not in sample_layouts(self._robot):
             place.refuse(text=f"rows of {block.dtype}", expected=f"sample_dtype of {self._robot.n} joints")
-        if self._layout not in (None, block.dtype):
+        if self._layout not in (None, layout):
             place.refuse(text=f"rows of {block.dtype}", expected=f"{self._layout} as in the block before")
         if len(block) == 0:
             return
         check_samples(block, self._last_stamp_ns, str(place))
-        self._layout, self._last_stamp_ns = block.dtype, int(block["stamp_ns"][-1])
+        self._layout, self._last_stamp_ns = layout, int(block["stamp_ns"][-1])
         for part in _parts(block):
-            self._block("/samples", "robot_idim/samples", part, int(part["stamp_ns"][0]))
+            self._block("/samples", "robot_idim/samples", part.astype(layout, copy=False), int(part["stamp_ns"][0]))
             shown = part[self._until_joint_state :: self._step]
             self._until_joint_state = (self._until_joint_state - len(part)) % self._step
             self._joint_states("/joint_states/measured", shown, "position", self._robot.gain_known)
