@@ -33,7 +33,6 @@ BUS_TABLES = {
     "BusFile": "[bus]",
     "DriveFile": "[[bus.drive]]",
     "PdoFile": "tpdo, rpdo",
-    "ExtraFile": "extra",
 }
 MAP_TABLES = {"TableMap": "top level", "Time": "[time]", "Quantity": "[position], [effort] and others"}
 HEAD = "Made by `tests/key_reference.py` from the types that read these files; do not edit."

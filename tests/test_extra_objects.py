@@ -1,87 +1,39 @@
-"""Extra objects in samples: their PDOs, names, units and scales, from frames to CSV; SYNC periods refused."""
+"""Extra objects: their PDOs, and their raw integers in the recorded frames; older recordings; SYNC periods refused."""
 
-import struct
 from pathlib import Path
 
 import numpy as np
 import pytest
 from dry_sessions import dry_session, swing
-from made_up_buses import block, bus_of, bus_text, flat, frame, robot_of, session
+from made_up_buses import bus_of, bus_text, flat, robot_of, session
 
 from acquisition.bus import WallClock, describe_step
 from acquisition.errors import AcquisitionError
 from acquisition.importing import export_csv, import_recording
-from acquisition.recording import SENT, decode, overview, read_recording
-from acquisition.robot import Robot, extra_columns
+from acquisition.recording import Header, RecordingWriter, read_recording, sample_dtype, writer
+from acquisition.recording.rows import Traffic
+from acquisition.robot import Robot, load_robot
 from acquisition.session import Recorder, Task
+from identification.data import load_signals
 
-TEMPERATURE = '{ object = "2081:1", name = "temperature", scale = 0.1, unit = "degC" }'
-EXTRA = f'extra = ["606C", "6077", {TEMPERATURE}, "2082"]\nobjects = {{ "2081:1" = "I16", "2082" = "U8" }}\nsign = -1\n'
-
-
-def robot_with_extras(n: int = 1) -> Robot:
-    return robot_of(bus_text(n, drive=EXTRA, ratio=1.0))
+EXTRA = 'extra = ["606C", "6077", "2081:1", "2082"]\nobjects = { "2081:1" = "I16", "2082" = "U8" }\n'
 
 
-def frames_with_extras(syncs: int = 20) -> np.ndarray:
-    """Drive 1 turns at 65536 counts/s and k counts more at SYNC k; torque 500 per mille; 25.3 degrees; 7."""
-    rows = []
-    for k in range(syncs):
-        t = 1_000_000_000 + 2_000_000 * k
-        rows += [
-            frame(t, 0x80, flags=SENT),
-            frame(t + 1, 0x181, struct.pack("<Hih", 0x1237, 100 * k, 10)),
-            frame(t + 2, 0x281, struct.pack("<ihh", 65536 + k, 500, 253)),
-            frame(t + 3, 0x381, b"\x07"),
-        ]
-    return block(rows)
-
-
-def test_names_units_and_scales():
-    robot = robot_with_extras()
-    (drive,) = bus_of(robot).drives
+def test_they_get_pdos_of_their_own():
+    (drive,) = bus_of(robot_of(bus_text(1, drive=EXTRA))).drives
     assert [[str(e) for e in pdo.entries] for pdo in drive.tpdos] == [
         ["6041:0", "6064:0", "6074:0"],
         ["606C:0", "6077:0", "2081:1"],
         ["2082:0"],
     ]
-    assert [(c.motor, c.name, c.unit) for c in extra_columns(robot)] == [
-        ("motor_1", "velocity", "rad/s"),
-        ("motor_1", "torque", "N m"),
-        ("motor_1", "temperature", "degC"),
-        ("motor_1", "2082:0", ""),
-    ]
-    found = decode(frames_with_extras(), robot, bus_of(robot), "log").samples
-    assert found["extra"][3].tolist() == pytest.approx(
-        [-2 * np.pi * (65536 + 3) / 65536, -500e-3 * 0.42, 25.3, 7], rel=1e-12
-    )
-
-
-def test_a_drive_that_slides_has_metres_and_its_second_axis_the_same_names():
-    text = bus_text(1, drive='extra = ["686C"]\nobjects = { "686C" = "I32" }', ratio=1.0)
-    text = (
-        text.replace("revolute", "prismatic").replace("_deg", "_m").replace("N m", "N").replace("alpha_m", "alpha_deg")
-    )
-    text = (
-        text.replace("theta_m", "theta_deg")
-        .replace("position_m_s", "position_m")
-        .replace("counts_per_turn", "counts_per_m")
-    )
-    text = text.replace("rated_torque_nm = 0.42", 'rated_force_n = 100\nreference_rule = "per mille of rated force"')
-    (column,) = extra_columns(robot_of(text))
-    assert (column.name, column.unit) == ("velocity", "m/s")
-    (other,) = extra_columns(robot_of(text.replace("686C", "646C")))
-    assert (other.name, other.unit) == ("646C:0", "")
 
 
 @pytest.mark.parametrize(
     ("drive", "expected"),
     [
-        ('extra = ["6078"]', "rated_current_a is missing: expected the rated value that 6078:0 multiplies"),
         ('extra = ["2081:1"]', "extra[0] = '2081:1': its type is not known"),
         ('extra = ["606C"]\ntpdo = [{ objects = ["6041", "6064", "6074"] }]', "no PDO from the drive carries 606C:0"),
-        ('extra = [{ object = "606C", scale = 0.0 }]', "extra[0].scale = 0.0: expected a number other than 0"),
-        ('extra = [{ object = "606C", unit = "rpm" }]', "extra[0].unit = 'rpm': expected a scale with it"),
+        ("extra = [{ scale = 0.1 }]", "bus.drive[0].extra[0] = '': expected an object, such as 606C or 2081:1"),
     ],
 )
 def test_what_is_refused(drive, expected):
@@ -90,34 +42,61 @@ def test_what_is_refused(drive, expected):
     assert expected in str(caught.value)
 
 
+def test_simulated_drives_send_their_velocity_and_the_frames_hold_it(tmp_path):
+    robot = robot_of(bus_text(2, drive='extra = ["606C"]'))
+    dry_session(tmp_path / "a.mcap", Task(reference=swing(2, seconds=0.6, amplitude=0.05)), robot=robot)
+    recording = read_recording(tmp_path / "a.mcap")
+    (frames,) = recording.frames.values()
+    traffic, samples = Traffic(frames), recording.samples
+    assert samples.dtype == sample_dtype(2, reference=True)
+    for i, drive in enumerate(bus_of(robot).drives):
+        (entry,) = drive.extras
+        pdo = drive.carrier(entry, "tpdo")
+        rows = traffic.rows_of(pdo.can_id)
+        counts_s = traffic.integers(rows, pdo, entry)
+        at = np.searchsorted(frames["time_ns"][rows], samples["stamp_ns"]).clip(max=len(rows) - 1)
+        motor = robot.motor_position(samples["position"])[:, i]
+        expected = np.gradient(motor, 0.002) * drive.position_codec.sign * drive.position_codec.counts_per_unit
+        assert np.ptp(expected) > 1e4
+        assert np.abs(counts_s[at] - expected)[5:-5].max() < 0.03 * np.ptp(expected)
+
+
+TABLE = '{ object = "2081:1", name = "temperature", scale = 0.1, unit = "degC" }'
+
+
+def test_recordings_of_earlier_versions_with_columns_of_them_still_open(tmp_path, monkeypatch):
+    """The columns are skipped; a new description with scales of them is refused."""
+    text = bus_text(2, drive=EXTRA.replace('"2081:1",', f"{TABLE},"))
+    robot, old = robot_of(text), np.dtype([*sample_dtype(2, reference=True).descr, ("extra", "<f8", (8,))])
+    rows = np.zeros(300, old)
+    rows["stamp_ns"] = 10**18 + 2_000_000 * np.arange(300)
+    for name in ("position", "reference", "effort", "extra"):
+        rows[name] = np.random.default_rng(1).normal(size=rows[name].shape)
+    header = Header(robot=robot, source="x", sample_rate_hz=500.0, effort_provenance="")
+    with monkeypatch.context() as patched, RecordingWriter(tmp_path / "old.mcap", header) as out:
+        patched.setattr(writer, "sample_layouts", lambda robot: [old])
+        out.samples(rows)
+    assert b"('extra', '<f8', (8,))" in (tmp_path / "old.mcap").read_bytes()
+    (tmp_path / "cut.mcap").write_bytes((tmp_path / "old.mcap").read_bytes()[:-40])
+    import_recording(tmp_path / "cut.mcap", tmp_path / "new.mcap")
+    for name in ("old.mcap", "new.mcap"):
+        samples = read_recording(tmp_path / name).samples
+        assert samples.dtype.names == ("stamp_ns", "position", "effort", "reference")
+        for field in samples.dtype.names:
+            np.testing.assert_array_equal(samples[field], rows[field])
+        assert export_csv(tmp_path / name, tmp_path / f"{name}.csv") == 300
+        np.testing.assert_array_equal(load_signals(tmp_path / name).q, rows["position"])
+    assert (tmp_path / "new.mcap.csv").read_bytes() == (tmp_path / "old.mcap.csv").read_bytes()
+    (tmp_path / "robot.toml").write_text(text)
+    expected = r"robot.toml: bus.drive\[0\].extra\[2\] = a table: expected '2081:1' alone: frames hold its raw integer"
+    with pytest.raises(AcquisitionError, match=expected):
+        load_robot(tmp_path / "robot.toml")
+
+
 def recorded(path: Path, robot: Robot, frames: np.ndarray):
     recorder = Recorder(path, robot, source="a test", place="robot.toml")
     recorder.add(frames)
     return recorder.finish(2_000_000_000)
-
-
-def test_extras_are_recorded_exported_and_summed_up(tmp_path):
-    assert recorded(tmp_path / "a.mcap", robot_with_extras(), frames_with_extras()).samples == 20
-    recording = read_recording(tmp_path / "a.mcap")
-    assert export_csv(tmp_path / "a.mcap", tmp_path / "a.csv") == 20
-    header = (tmp_path / "a.csv").read_text().splitlines()[0].split(",")
-    assert header[-4:] == ["motor_1_velocity_rad/s", "motor_1_torque_N_m", "motor_1_temperature_degC", "motor_1_2082:0"]
-    table = np.loadtxt(tmp_path / "a.csv", delimiter=",", skiprows=1)
-    assert table[:, -4:].tolist() == recording.samples["extra"].tolist()
-    ranges = overview(recording)["extras"]
-    assert [(e["name"], e["value"]) for e in ranges[2:]] == [
-        ("temperature", (pytest.approx(25.3),) * 2),
-        ("2082:0", (7.0, 7.0)),
-    ]
-
-
-def test_simulated_drives_tell_their_velocity(tmp_path):
-    robot = robot_of(bus_text(2, drive='extra = ["606C"]'))
-    run = dry_session(tmp_path / "a.mcap", Task(reference=swing(2, seconds=0.6, amplitude=0.05)), robot=robot)
-    samples = run.recording.samples
-    motor = 50 * np.gradient(samples["position"], 0.002, axis=0)
-    assert np.ptp(motor) > 10
-    assert np.abs(samples["extra"] - motor)[5:-5].max() < 0.03 * np.ptp(motor)
 
 
 def test_a_wrong_period_loses_no_frame_and_the_corrected_description_decodes_it(tmp_path):

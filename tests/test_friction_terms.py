@@ -171,7 +171,7 @@ def test_slopes_of_the_terms_are_differences_of_their_columns(arm):
 
 
 def test_export_counts_what_a_format_cannot_say_of_these_terms():
-    """Viscous and Coulomb friction, refitted, stand for the rest; what is missing is told by joint."""
+    """Viscous and Coulomb friction are written as they are; what is missing is told by joint, with its torque."""
     robot = described(
         "scara", [["viscous", "coulomb", "root", "load"], ["viscous", "coulomb"]], "Fr1 = 0.6\nmu1 = 0.3\n"
     )
@@ -186,17 +186,19 @@ def test_export_counts_what_a_format_cannot_say_of_these_terms():
         5.0,
     ]
     mechanism = split_parameters(model, chi, "test")
-    assert [model.names[c] for c in mechanism.others] == ["Fr1", "mu1"]
     states = random_states(model.robot.joints)
     whole = direct_of(model, base, base.K @ chi).torque(*states)
     np.testing.assert_allclose(whole_regressor(mechanism, *states) @ chi, whole, rtol=1e-9, atol=1e-9)
-    represented, losses = representable(mechanism, rotors=True, couplings=True)
+    represented, losses = representable(mechanism, motors=True)
     ((what, (rms, _)),) = losses.items()
-    assert "Fr1, mu1" in what
+    assert what == "friction (Fr1, mu1)"
+    columns = [model.names.index(name) for name in ("Fr1", "mu1")]
+    missing = whole_regressor(mechanism, *states)[:, :, columns] @ chi[columns]
+    np.testing.assert_allclose(rms, np.sqrt(np.mean(missing**2, axis=0)), rtol=1e-9)
     assert rms[0] > 0.1
     assert rms[1] == 0
-    assert represented.frictionloss[0] > mechanism.frictionloss[0]
-    assert represented.frictionloss[1] == mechanism.frictionloss[1]
+    np.testing.assert_array_equal(represented.damping, mechanism.damping)
+    np.testing.assert_array_equal(represented.frictionloss, [robot.parameters["Fc1"], robot.parameters["Fc2"]])
 
 
 class Exact:

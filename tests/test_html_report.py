@@ -115,7 +115,7 @@ def test_the_report_of_several_recordings_has_the_signals_of_each(tmp_path):
     names = [page.name for page in both.pages]
     assert names[: len(drawn.pages)] == [page.name for page in drawn.pages]
     assert {name.split(":")[0] for name in names[len(drawn.pages) :]} == {
-        "overview", "residual", "signal", "extra objects", "motion",
+        "overview", "residual", "signal", "motion",
     }  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""A URDF as a description: init, and base, study, simulate on the URDF itself; dynamics against pinocchio's own reading."""
+"""A URDF as a description by init, which other commands ask for; dynamics against pinocchio's own reading."""
 
 import json
 import re
@@ -10,8 +10,10 @@ import pinocchio as pin
 import pytest
 from urdfs import ARM, BOX, LIMIT, PARTS, joint, link, urdf
 
+from acquisition.commands import main as acquire
 from acquisition.errors import AcquisitionError
 from acquisition.robot import check_limits, lines_to_fill_in, load_robot, resolve
+from identification import read_robot
 from identification.commands import main
 from identification.errors import IdentificationError
 from identification.export import read_chain, robot_of_chain
@@ -175,30 +177,25 @@ def test_the_example_of_the_drives_is_one(here, capsys):
     check_limits(np.tile(middle, (3, 1)), robot, 0.002, "nowhere")
 
 
-def test_base_of_a_urdf_is_that_of_its_description_and_names_the_joints(here, capsys):
+def test_base_names_the_joints_of_the_urdf(here, capsys):
     run(capsys, "init", "arm.urdf", *NAMES, "-o", "robot.toml")
-    status, of_toml, _ = run(capsys, "base", "robot.toml", "--json", "toml.json")
+    status, printed, _ = run(capsys, "base", "robot.toml", "--json", "base.json")
     assert status == 0
-    status, of_urdf, _ = run(capsys, "base", "arm.urdf", *NAMES, "--json", "urdf.json")
-    assert (status, of_urdf) == (0, of_toml)
-    first, second = (json.loads((here / f"{kind}.json").read_text()) for kind in ("urdf", "toml"))
-    assert first == second
-    assert first["joint_names"] == list(ARM)
-    assert re.search(r"3\W+slide\W+prismatic", of_toml)
+    assert json.loads((here / "base.json").read_text())["joint_names"] == list(ARM)
+    assert re.search(r"3\W+slide\W+prismatic", printed)
 
 
 @pytest.mark.parametrize(
-    ("given", "joint", "key", "option"),
-    [
-        (["--following-error", "1,1,1", "--bandwidth-hz", "5"], "'turn'", "acceleration", "--acceleration (rad/s²)"),
-        (["--acceleration", "8,8,2"], "'turn' and all others", "bandwidth", "--bandwidth-hz"),
-    ],
+    "command", ["base", "excite -o a.csv", "simulate -o a.mcap", "study", "fit log.mcap --robot", "check"]
 )
-@pytest.mark.parametrize("command", ["study", "simulate"])
-def test_what_is_missing_is_named_with_its_joint_and_option(here, capsys, command, given, joint, key, option):
-    out = ["-o", "out.mcap"] if command == "simulate" else []
-    error = refused(capsys, command, "arm.urdf", *NAMES, *given, *out)
-    assert error.startswith(f"arm.urdf: joint {joint}: {key} is missing: expected {option}")
+def test_other_commands_ask_for_the_description_of_a_urdf(here, capsys, command):
+    name, *options = command.split()
+    program = acquire if name == "check" else main
+    assert program([name, *options, "arm.urdf"] if name == "fit" else [name, "arm.urdf", *options]) == 1
+    said = capsys.readouterr().err
+    expected = "expected a robot.toml; `robot-identify init arm.urdf -o robot.toml` makes one"
+    assert said.endswith(f": arm.urdf: is a URDF: {expected}\n")
+    assert said.count("\n") == 1
 
 
 @pytest.mark.slow
@@ -206,22 +203,21 @@ def test_a_joint_without_limits_has_them_by_options_or_is_named(here, capsys):
     """No range of 1 rad: a continuous joint, one without <limit>, one whose limits are equal."""
     for turn in ("continuous", "revolute"):
         (here / "arm.urdf").write_text(urdf(turn=joint("turn", turn, "base", "column")))
-        assert run(capsys, "base", "arm.urdf", *NAMES)[0] == 0
         assert run(capsys, "init", "arm.urdf", *NAMES, *STATED, "-o", f"{turn}.toml")[0] == 0
         text = (here / f"{turn}.toml").read_text()
         assert "# position_deg = [LOWEST, HIGHEST] # FILL IN" in text
         assert "# speed_deg_s = ... # FILL IN" in text
-        error = refused(capsys, "study", "arm.urdf", *NAMES, *STATED)
-        assert error.startswith("arm.urdf: joint 'turn': position is missing: expected --range (rad, ± about zero)")
-        error = refused(capsys, "study", "arm.urdf", *NAMES, *STATED, "--range", "3,3,0.3")
-        assert error.startswith("arm.urdf: joint 'turn': speed is missing: expected --speed (rad/s)")
+        assert run(capsys, "base", f"{turn}.toml")[0] == 0
         error = refused(capsys, "study", f"{turn}.toml")
         assert "joint turn: joint[0].position_deg is missing: expected [lowest, highest]" in error
-    (here / "arm.urdf").write_text(urdf(turn=joint("turn", "continuous", "base", "column", LIMIT)))
-    assert "'turn': position is missing" in refused(capsys, "study", "arm.urdf", *NAMES, *STATED)  # it turns on and on
+        of_range = [*NAMES, *STATED, "--range", "3,3,0.3", "--speed", "2,2,0.2", "-o", f"{turn}_moves.toml"]
+        assert run(capsys, "init", "arm.urdf", *of_range)[0] == 0
+        limits = load_robot(f"{turn}_moves.toml").joints[0]
+        assert (limits.si("position"), limits.si("speed")) == (pytest.approx((-3, 3)), pytest.approx(2))
     equal = LIMIT.replace("-2", "0").replace("1.5", "0")
-    (here / "arm.urdf").write_text(urdf(turn=joint("turn", "revolute", "base", "column", equal)))
-    assert "position is missing" in refused(capsys, "study", "arm.urdf", *NAMES, *STATED)
+    for kind, limit in (("continuous", LIMIT), ("revolute", equal)):  # it turns on and on
+        (here / "arm.urdf").write_text(urdf(turn=joint("turn", kind, "base", "column", limit)))
+        assert "# position_deg = [LOWEST, HIGHEST] # FILL IN" in run(capsys, "init", "arm.urdf", *NAMES)[1]
 
 
 def test_options_and_limits_of_the_urdf_hold_together(here):
@@ -232,7 +228,7 @@ def test_options_and_limits_of_the_urdf_hold_together(here):
         "--acceleration": (8.0, 9.0, 2.0),
         "--bandwidth-hz": (6.0, 5.0, 7.0),
     }
-    robot = robot_of_chain(read_chain(Path("arm.urdf"), ARM).with_options(stated), moves=True)
+    robot = robot_of_chain(read_chain(Path("arm.urdf"), ARM).with_options(stated))
     assert [j.si("position") for j in robot.joints] == [pytest.approx(x) for x in ((-1, 1), (-2, 1.5), (0.1, 0.3))]
     assert [j.si("speed") for j in robot.joints] == pytest.approx([2, 3, 0.2])
     assert [j.si("acceleration") for j in robot.joints] == pytest.approx([8, 9, 2])
@@ -263,10 +259,10 @@ def test_options_that_do_not_fit_the_robot(here, capsys, given, message):
     assert message in refused(capsys, "init", "arm.urdf", *NAMES, *given)
 
 
-def test_options_of_a_urdf_are_refused_with_a_description(here, capsys):
+def test_values_of_a_urdf_are_refused_with_a_description(here, capsys):
     run(capsys, "init", "arm.urdf", *NAMES, "-o", "robot.toml")
-    error = refused(capsys, "base", "robot.toml", "--bandwidth-hz", "5")
-    assert error.startswith("robot.toml: --bandwidth-hz has no effect: expected a URDF")
+    with pytest.raises(IdentificationError, match=r"^robot\.toml: --bandwidth-hz has no effect: expected a URDF"):
+        read_robot("robot.toml", bandwidth_hz=5.0)
     error = refused(capsys, "study", "robot.toml")
     assert error.startswith("robot made up: controller.bandwidth_hz is missing: expected the bandwidth")
 
@@ -274,18 +270,19 @@ def test_options_of_a_urdf_are_refused_with_a_description(here, capsys):
 @pytest.mark.parametrize("values", ["0", "-1", "a", "1,,2", "inf"])
 def test_values_that_are_none_are_wrong_usage(here, capsys, values):
     with pytest.raises(SystemExit) as end:
-        main(["study", "arm.urdf", f"--acceleration={values}"])
+        main(["init", "arm.urdf", f"--acceleration={values}"])
     assert end.value.code == 2
 
 
 @pytest.mark.slow
-def test_a_study_and_a_simulation_of_a_urdf(here, capsys):
-    short = [*NAMES, *STATED, "--duration-s", "4", "--rate-hz", "200"]
-    assert run(capsys, "simulate", "arm.urdf", *short, "-o", "log.mcap")[0] == 0
+def test_a_study_and_a_simulation_of_the_description_of_a_urdf(here, capsys):
+    assert run(capsys, "init", "arm.urdf", *NAMES, *STATED, "-o", "robot.toml")[0] == 0
+    short = ["--duration-s", "4", "--rate-hz", "200"]
+    assert run(capsys, "simulate", "robot.toml", *short, "-o", "log.mcap")[0] == 0
     assert run(capsys, "fit", "log.mcap", "--json", "fit.json")[0] in (0, 3)
     fit = {p["name"]: p["value"] for p in json.loads((here / "fit.json").read_text())["parameters"]}
     assert fit["Fv1"] == pytest.approx(0.6, rel=0.02)
-    assert run(capsys, "study", "arm.urdf", *short, "--runs", "1", "--json", "study.json")[0] == 0
+    assert run(capsys, "study", "robot.toml", *short, "--runs", "1", "--json", "study.json")[0] == 0
     study = json.loads((here / "study.json").read_text())
     assert dict(zip(study["parameters"], study["true"], strict=True))["Fv1"] == 0.6
     assert study["runs"][0]["ls"]["error"] < 0.5
@@ -403,13 +400,12 @@ def test_a_bad_urdf_ends_in_one_line(here, capsys, what):
     (here / "arm.urdf").write_text(text)
     assert message in refused(capsys, "init", "arm.urdf", "-o", "robot.toml")
     assert not (here / "robot.toml").exists()
-    assert message in refused(capsys, "base", "arm.urdf")
 
 
 def test_a_file_that_is_not_there_and_one_of_bytes(here, capsys):
-    assert refused(capsys, "base", "none.urdf") == "none.urdf: cannot be read: No such file or directory"
+    assert refused(capsys, "init", "none.urdf") == "none.urdf: cannot be read: No such file or directory"
     (here / "arm.urdf").write_bytes(bytes(range(256)))
-    assert "arm.urdf: is not XML" in refused(capsys, "base", "arm.urdf")
+    assert "arm.urdf: is not XML" in refused(capsys, "init", "arm.urdf")
 
 
 def test_a_link_without_mass_is_part_of_one_that_has_some(here, capsys):
@@ -437,12 +433,10 @@ def test_a_joint_that_is_locked_is_not_asked_for_limits_or_an_axis(here, capsys)
 
 
 def test_errors_carry_their_data(here):
-    chain = read_chain(Path("arm.urdf"), ARM)
     with pytest.raises(IdentificationError) as error:
-        robot_of_chain(chain, moves=True)
-    found = error.value
-    assert (found.place, found.key, found.value) == ("arm.urdf: joint 'turn'", "acceleration", None)
-    robot = robot_of_chain(chain)
+        read_chain(Path("arm.urdf"), ("turn", "elbow"))
+    assert (error.value.place, error.value.key, error.value.value) == ("arm.urdf", "--joints", "elbow")
+    robot = robot_of_chain(read_chain(Path("arm.urdf"), ARM))
     with pytest.raises(AcquisitionError) as unstated:
         _ = robot.bandwidth_hz
     assert (unstated.value.place, unstated.value.key) == ("robot made up", "controller.bandwidth_hz")

@@ -11,6 +11,7 @@ import pytest
 from conftest import REPLAY, robot_named
 from made_up_buses import bus_text, robot_of, session
 from made_up_recordings import some_samples
+from test_ros_bags import bag, message
 from urdfs import ARM, joint, urdf
 
 from acquisition.commands import main
@@ -256,9 +257,8 @@ def test_imports_take_a_payload(tmp_path, kind, capsys):
         )
         command = ["import", str(log), *options]
     else:
-        assert main(["export", str(recorded(tmp_path / "a.mcap", HEAVY)), "--bag", str(tmp_path / "bag")]) == 0
-        bag = ["--topic", "/joint_states", "--effort-unit", "N m"]
-        command = ["import", str(tmp_path / "bag"), *bag, *options]
+        states = bag(tmp_path / "bag", map(message, range(60)))
+        command = ["import", str(states), "--topic", "/joint_states", "--effort-unit", "N m", *options]
     capsys.readouterr()
     assert main([*command, "2@x"]) == 1
     assert capsys.readouterr().err.startswith("robot-acquire: --payload = '2@x': expected KG or KG@X,Y,Z")

@@ -1,11 +1,10 @@
-"""ROS 2 bags: those that the package rosbags writes are read sample by sample, and it reads those that are written."""
+"""ROS 2 bags: those that the package rosbags writes are read sample by sample."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from conftest import REPLAY, robot_named
-from rosbags.highlevel import AnyReader
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
@@ -13,7 +12,7 @@ from rosbags.typesys import Stores, get_typestore
 from acquisition.commands import main
 from acquisition.errors import AcquisitionError
 from acquisition.importing import BagOptions, import_bag
-from acquisition.recording import Header, RecordingWriter, read_recording, sample_dtype
+from acquisition.recording import Header, RecordingWriter, read_recording
 from identification.data import load_signals
 from identification.regression import Overrides, make_problem
 
@@ -368,132 +367,6 @@ def test_files_that_are_no_bags(tmp_path, robot, capsys):
     file.write_bytes(file.read_bytes()[:20_000])
     for name in ("folder", "text.mcap", "text.db3", "own.mcap", "cut", "missing.mcap"):
         assert f"{tmp_path / name}: cannot be read: " in refusal(tmp_path / name, capsys)
-
-
-def recorded(tmp_path, robot, *, velocity):
-    samples = np.zeros(250, sample_dtype(robot.n, reference=True, optional=("velocity",) if velocity else ()))
-    rng = np.random.default_rng(3)
-    samples["stamp_ns"] = FIRST_NS + np.arange(250) * 2_000_000
-    samples["position"] = np.cumsum(0.001 * rng.normal(size=(250, robot.n)), axis=0)
-    samples["reference"] = samples["position"] + 0.01
-    samples["effort"] = rng.normal(size=(250, robot.n))
-    if velocity:
-        samples["velocity"] = rng.normal(size=(250, robot.n))
-    path = tmp_path / f"{robot.name}.mcap"
-    with RecordingWriter(path, Header(robot=robot, source="", sample_rate_hz=500.0, effort_provenance="")) as writer:
-        writer.samples(samples)
-    return path, samples
-
-
-def read_back(path):
-    with AnyReader([path]) as reader:
-        found = {}
-        for connection, stamp, raw in reader.messages():
-            found.setdefault(connection.topic, []).append((stamp, reader.deserialize(raw, connection.msgtype)))
-    return found
-
-
-@pytest.mark.parametrize("velocity", [True, False])
-def test_rosbags_reads_what_is_exported_sample_by_sample(tmp_path, robot, velocity, capsys):
-    path, samples = recorded(tmp_path, robot, velocity=velocity)
-    assert main(["export", str(path), "--bag", str(tmp_path / "bag"), "-o", str(tmp_path / "a.csv")]) == 0
-    out = capsys.readouterr().out
-    assert "a.csv: 250 rows" in out
-    assert out.endswith("bag: 250 of /joint_states, 250 of /joint_states/reference\n")
-    found = read_back(tmp_path / "bag")
-    assert [stamp for stamp, _ in found["/joint_states"]] == samples["stamp_ns"].tolist()
-    states = [m for _, m in found["/joint_states"]]
-    assert [m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in states] == samples["stamp_ns"].tolist()
-    assert all(m.name == [j.name for j in robot.joints] for m in states)
-    for field in ("position", "effort"):
-        assert np.array_equal([getattr(m, field) for m in states], samples[field])
-    speeds = samples["velocity"] if velocity else np.gradient(samples["position"], 0.002, axis=0)
-    assert np.array([m.velocity for m in states]) == pytest.approx(speeds, rel=1e-9, abs=1e-9)
-    references = [m for _, m in found["/joint_states/reference"]]
-    assert np.array_equal([m.position for m in references], samples["reference"])
-    assert not any(len(m.effort) for m in references)
-    # And back again.
-    again = tmp_path / "again.mcap"
-    assert imported(tmp_path / "bag", "--effort-unit", "N m", out=again)[0] == 0
-    assert read_recording(again).samples["position"] == pytest.approx(samples["position"], abs=1e-9)
-
-
-def test_a_robot_in_amperes_has_no_effort_in_its_bag(tmp_path, capsys):
-    from dataclasses import replace
-
-    import msgspec
-
-    robot = robot_named("scara")
-    motors = tuple(
-        msgspec.structs.replace(m, drive_gain=None, drive_gain_unit=None, effort_unit="A") for m in robot.motors
-    )
-    text = TOML.read_text()
-    lines = [line for line in text.splitlines() if not line.startswith(("drive_gain", "effort_unit"))]
-    toml = "\n".join(lines).replace("[[motor]]", '[[motor]]\neffort_unit = "A"')
-    robot = replace(robot, motors=motors, files={"robot.toml": toml.encode()})
-    path, _ = recorded(tmp_path, robot, velocity=False)
-    assert main(["export", str(path), "--bag", str(tmp_path / "bag")]) == 0
-    assert not any(len(m.effort) for _, m in read_back(tmp_path / "bag")["/joint_states"])
-
-
-URDF = """<robot name="two"><link name="world"/><link name="a"/><link name="b"/><link name="tool"/><link name="f1"/>
-<joint name="j1" type="continuous"><parent link="world"/><child link="a"/>
-  <origin xyz="0.1 -0.2 0.3" rpy="0.3 -0.4 1.1"/><axis xyz="0 1 1"/>
-  <limit lower="-9" upper="9" effort="1" velocity="1"/></joint>
-<joint name="j2" type="prismatic"><parent link="a"/><child link="b"/><origin xyz="0 0 0.5" rpy="1.2 0 0"/>
-  <axis xyz="0 0 -1"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
-<joint name="flange" type="fixed"><parent link="b"/><child link="tool"/><origin rpy="0 0 1.5707963267948966"/></joint>
-<joint name="finger" type="prismatic"><parent link="tool"/><child link="f1"/><mimic joint="j2" multiplier="2" offset="0.1"/>
-  <axis xyz="1 0 0"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>"""
-
-
-def urdf_robot(tmp_path):
-    (tmp_path / "two.urdf").write_text(URDF)
-    joints = "".join(
-        f'[[joint]]\nname = "{name}"\ntype = "{kind}"\n' for name, kind in (("j1", "revolute"), ("j2", "prismatic"))
-    )
-    motors = '[[motor]]\nname = "m1"\neffort_unit = "N m"\n[[motor]]\nname = "m2"\neffort_unit = "N"\n'
-    (tmp_path / "robot.toml").write_text(
-        f'name = "two"\nurdf = "two.urdf"\n{joints}{motors}[controller]\nbandwidth_hz = 10\n'
-    )
-    from acquisition.robot import load_robot
-
-    return load_robot(tmp_path / "robot.toml")
-
-
-def test_the_urdf_of_a_robot_is_in_its_bag(tmp_path):
-    path, _ = recorded(tmp_path, urdf_robot(tmp_path), velocity=False)
-    assert main(["export", str(path), "--bag", str(tmp_path / "bag")]) == 0
-    found = read_back(tmp_path / "bag")
-    ((_, description),) = found["/robot_description"]
-    assert description.data == URDF
-    assert set(found) == {"/joint_states", "/joint_states/reference", "/robot_description"}
-    with AnyReader([tmp_path / "bag"]) as reader:
-        latched = {
-            connection.topic
-            for connection in reader.connections
-            if any(qos.durability.name == "TRANSIENT_LOCAL" for qos in connection.ext.offered_qos_profiles)
-        }
-    assert latched == {"/robot_description"}
-
-
-def test_a_bag_is_written_whole_or_not_at_all(tmp_path, robot, monkeypatch, capsys):
-    path, _ = recorded(tmp_path, robot, velocity=False)
-    (tmp_path / "there").mkdir()
-    assert main(["export", str(path), "--bag", str(tmp_path / "there")]) == 1
-    assert "there: already exists: expected the name of a new folder" in capsys.readouterr().err
-    assert main(["export", str(path), "--bag", str(tmp_path / "none" / "bag")]) == 1
-    assert "bag: cannot be written: No such file" in capsys.readouterr().err
-    assert main(["export", str(path)]) == 1
-    assert "nothing to write: expected -o OUT.csv, --bag FOLDER or both" in capsys.readouterr().err
-
-    def full(*_: object) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(Writer, "write", full)
-    assert main(["export", str(path), "--bag", str(tmp_path / "bag")]) == 1
-    assert "bag: cannot be written: No space left on device" in capsys.readouterr().err
-    assert sorted(p.name for p in tmp_path.iterdir()) == [path.name, "there"]
 
 
 @pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])

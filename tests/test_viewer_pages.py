@@ -10,14 +10,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from conftest import REPLAY, robot_named
-from dry_sessions import dry_session, swing
 from fits_of_records import iv_of, signals_of
-from made_up_buses import bus_text, robot_of
 from scipy.spatial.transform import Rotation
 from test_viewer import Written, fitted, fitted_iv, made_up, scara
 
 from acquisition.robot import robot_from_files
-from acquisition.session import Task
 from identification.commands import main
 from identification.data import load_signals
 from identification.errors import IdentificationError
@@ -29,7 +26,7 @@ from identification.study import Run, RunFit
 from identification.trust import Figure, Trust, TrustLine
 from identification.view import draw_comparison, draw_fit, draw_recording, write_rrd
 from identification.view.charts import COMPARED, deviation_drawing, parameter_drawing, study_drawing
-from identification.view.curves import column_plots, extra_plots
+from identification.view.curves import column_plots
 from identification.view.fit_charts import trust_drawing
 from identification.view.panels import (
     GREEN,
@@ -232,25 +229,6 @@ def test_phases_events_and_counters_of_a_session_are_shown(tmp_path):
     ((late, counts),) = [c.line for c in plot.curves]
     np.testing.assert_allclose(late, [0.0, 0.0, 1.0, 2.0, end_s])
     np.testing.assert_allclose(counts, [0, 0, 2, 2, 3])
-
-
-def test_extra_objects_of_a_recording_are_shown(tmp_path):
-    robot = robot_of(bus_text(2, drive='extra = ["606C", "2082"]\nobjects = { "2082" = "U8" }'))
-    run = dry_session(tmp_path / "log.mcap", Task(reference=swing(2, seconds=0.6, amplitude=0.05)), robot=robot)
-    samples, signals = run.recording.samples, load_signals(tmp_path / "log.mcap")
-    speed, raw = extra_plots(signals)
-    assert (speed.title, raw.title) == ("velocity [rad/s]", "2082:0 [raw]")
-    for c, curve in enumerate([*speed.curves, *raw.curves]):
-        t_s, values = curve.line
-        np.testing.assert_allclose(t_s, signals.t_s)
-        np.testing.assert_array_equal(values, samples["extra"][:, [0, 2, 1, 3][c]])
-    write_rrd(tmp_path / "view.rrd", draw_recording(signals, Overrides()))
-    file = Written(tmp_path / "view.rrd")
-    assert file.is_complete()
-    assert [
-        len(file.curves[f"/extra/velocity\\ rad\\/s/{m.name.replace(' ', chr(92) + ' ')}"][1]) for m in robot.motors
-    ]
-    assert extra_plots(made_up()) == []
 
 
 def test_columns_beside_position_and_effort_are_on_the_signal_page_where_they_are_recorded(tmp_path):

@@ -16,7 +16,7 @@ PROGRAM = Program(
         "emulate": "simulated drives that any CANopen master can use",
         "import": "make a recording from tables, a ROS 2 bag, a CAN log, or the frames of a recording, which may be cut off",
         "info": "show what a recording contains",
-        "export": "export joint samples as CSV or as a ROS 2 bag",
+        "export": "export joint samples as CSV",
         "replay": "play the drives' frames and SYNC of a recording onto an idle bus",
     },
     gone={

@@ -2,6 +2,6 @@
 
 from .bags import BagOptions, import_bag, is_bag
 from .conversions import import_log, import_recording, is_log, row_warnings
-from .exports import export_bag, export_csv
+from .exports import export_csv
 from .tables import import_tables
 from .time_base import ImportSummary

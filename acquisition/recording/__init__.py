@@ -19,4 +19,4 @@ from .rows import (
     written_by_master,
 )
 from .summary import as_tables, overview
-from .writer import JOINT_STATE, TEXT, Header, RecordingWriter, RosMessages
+from .writer import JOINT_STATE, Header, RecordingWriter

@@ -75,8 +75,7 @@ class Decoded:
 
     def blocks(self) -> Iterator[Block]:
         """Rows of `sample_dtype`, some thousands at a time."""
-        n, extras = self.robot.n, [(drive, extra) for drive in self.bus.drives for extra in drive.extras]
-        layout = sample_dtype(n, reference=self.targets is not None, extra=len(extras))
+        n, layout = self.robot.n, sample_dtype(self.robot.n, reference=self.targets is not None)
         begin = None if self.targets is None else int(np.maximum.reduce([np.argmax(t >= 0) for t in self.targets]))
         last: list[tuple[int, int]] = []  # for each drive: raw position of the row before, and the counts added to it
         for first in range(0, len(self.stamps), _AT_ONCE):
@@ -98,8 +97,6 @@ class Decoded:
             if begin is not None:
                 samples["reference"] = self.robot.joint_position(motor[2])
                 samples["reference"][: max(0, begin - first)] = samples["position"][: max(0, begin - first)]
-            for k, (drive, extra) in enumerate(extras):
-                samples["extra"][:, k] = extra.si(self._integers(drive, extra.entry, part))
             yield samples
 
     def _target(self, drive: Drive, rows: Rows, counts: Ints) -> Array:
@@ -219,10 +216,10 @@ def decode(frames: Block, robot: Robot, bus: Bus, place: str, *, max_missing: fl
 
 
 def _carriers(bus: Bus) -> dict[Pdo, str]:
-    """PDOs that hold positions, efforts and extra objects, each with its name for messages."""
+    """PDOs that hold positions and efforts, each with its name for messages."""
     names = {}
     for drive in bus.drives:
-        for entry in (drive.position, drive.effort.entry, *(extra.entry for extra in drive.extras)):
+        for entry in (drive.position, drive.effort.entry):
             pdo = drive.carrier(entry, "tpdo")
             if pdo is not None:
                 names[pdo] = f"TPDO {pdo.number} of node {drive.node}, {drive.name}"

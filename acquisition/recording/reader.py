@@ -22,6 +22,8 @@ from .writer import EFFORT_TIMINGS, FRAMES_TOPIC, SCHEMA_VERSION, Header, Record
 
 FIRST_DATE_NS = 946_684_800 * 10**9  # 2000-01-01; stamps before it count from the start of a computer or a recording
 
+# The end of a layout of rows with values of further objects of the drives, of earlier versions.
+_EXTRA = re.compile(r"(.*), \('extra', '<f8', \(([1-9][0-9]{0,3}),\)\)\]")
 NO_SAMPLES = "no samples: "  # begins the event that gives the reason
 READ_TOPICS = re.compile(f"/samples|/events|/health|{FRAMES_TOPIC.pattern}")  # all topics but those for viewers
 
@@ -185,13 +187,22 @@ def has_reference(path: Path) -> bool:
 
 
 def rows_of(blocks: Messages, known: list[np.dtype[np.void]], place: Place) -> Block:
-    """Concatenated rows. The schema's text is compared with known layouts, never evaluated."""
-    dtype = next((layout for layout in known if repr(layout.descr) == blocks.layout), None)
+    """Concatenated rows. The schema's text is compared with known layouts, never evaluated.
+
+    Rows of earlier versions may end in values of further objects, which are skipped.
+    """
+    text, skipped = blocks.layout, 0
+    if (earlier := _EXTRA.fullmatch(text)) is not None:
+        text, skipped = f"{earlier[1]}]", int(earlier[2])
+    dtype = next((layout for layout in known if repr(layout.descr) == text), None)
     if dtype is None:
         place.refuse(text=f"layout {blocks.layout[:200]!r}", expected=str(known[-1].descr))
-    if any(end % dtype.itemsize for end in blocks.ends):
-        place.refuse(text=f"{len(blocks.data)} bytes", expected=f"blocks of whole rows of {dtype.itemsize} bytes")
-    rows = np.frombuffer(blocks.data.whole(), dtype)
+    whole = np.dtype([*dtype.descr, ("extra", "<f8", (skipped,))]) if skipped else dtype
+    if any(end % whole.itemsize for end in blocks.ends):
+        place.refuse(text=f"{len(blocks.data)} bytes", expected=f"blocks of whole rows of {whole.itemsize} bytes")
+    rows = np.frombuffer(blocks.data.whole(), whole)
+    if skipped:
+        rows = rows[list(dtype.names or ())]
     rows.flags.writeable = False
     return rows
 

@@ -45,16 +45,14 @@ class Gap:
 OPTIONAL = ("velocity", "known_torque", "feedforward")
 
 
-def sample_dtype(n: int, *, reference: bool, extra: int = 0, optional: Collection[str] = ()) -> np.dtype[np.void]:
+def sample_dtype(n: int, *, reference: bool, optional: Collection[str] = ()) -> np.dtype[np.void]:
     """Row of joint samples of `n` joints: `stamp_ns`, `position` (n,) rad or m, `effort` (n,), and `reference` (n,).
 
-    The fields of `OPTIONAL` that are in `optional` follow, (n,) each. `extra` further values of drives are in the field `extra`
-    (extra,), named by `robot.extra_columns`.
+    The fields of `OPTIONAL` that are in `optional` follow, (n,) each.
     """
     fields: list[Any] = [("stamp_ns", "<i8"), ("position", "<f8", (n,)), ("effort", "<f8", (n,))]
     fields += [("reference", "<f8", (n,))] if reference else []
-    fields += [(name, "<f8", (n,)) for name in OPTIONAL if name in optional]
-    return np.dtype(fields + ([("extra", "<f8", (extra,))] if extra else []))
+    return np.dtype(fields + [(name, "<f8", (n,)) for name in OPTIONAL if name in optional])
 
 
 def gaps(samples: Block, sample_rate_hz: float, sync_ns: Ints | None = None) -> tuple[Gap, ...]:

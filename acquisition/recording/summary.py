@@ -12,7 +12,6 @@ from rich.text import Text
 
 from ..arrays import Ints
 from ..errors import one_line
-from ..robot import extra_columns
 from .reader import Recording
 from .rows import SENT, Block, gaps, in_parts
 
@@ -22,22 +21,18 @@ _SHOWN = 20  # gaps and events in the tables; the JSON has all
 def overview(recording: Recording, row_warnings: str = "") -> dict[str, Any]:
     """The content of `robot-acquire info` as plain data; stamps are the recording's, tables count them from `first_ns`.
 
-    `joints`, `extras`: lowest and highest values; raw integers have an empty unit. `step_jitter_s`: standard and largest
-    deviation of the steps between samples without gaps. `first_ns`: of the first sample, else of the first frame, else None.
-    `row_warnings`: samples of an older version that the frames refuse. `health`: the last counters. `attachments`: sizes in
-    bytes by name.
+    `joints`: lowest and highest values. `step_jitter_s`: standard and largest deviation of the steps between samples without
+    gaps. `first_ns`: of the first sample, else of the first frame, else None. `row_warnings`: samples of an older version that
+    the frames refuse. `health`: the last counters. `attachments`: sizes in bytes by name.
     """
     samples, robot, metadata = recording.samples, recording.robot, recording.metadata
-    joints, extras, first_ns = [], [], None
+    joints, first_ns = [], None
     spans = {channel: _ranges(block, "time_ns")[0] for channel, block in recording.frames.items() if len(block)}
     if samples is not None:
         units = ("name", "position_unit", "position", "effort_unit", "effort")
         columns = (_ranges(samples, "position"), robot.effort_units, _ranges(samples, "effort"))
         for joint, *found in zip(robot.joints, *columns, strict=True):
             joints.append(dict(zip(units, (joint.name, joint.position_unit, *found), strict=True)))
-        if "extra" in (samples.dtype.names or ()):
-            for c, value in zip(extra_columns(robot), _ranges(samples, "extra"), strict=True):
-                extras.append({"motor": c.motor, "name": c.name, "unit": c.unit, "value": value})
         first_ns = int(samples["stamp_ns"][0])
     elif spans:
         first_ns = int(min(first for first, _ in spans.values()))
@@ -51,7 +46,6 @@ def overview(recording: Recording, row_warnings: str = "") -> dict[str, Any]:
         "first_ns": first_ns,
         "has_reference": samples is not None and "reference" in (samples.dtype.names or ()),
         "joints": joints,
-        "extras": extras,
         "step_jitter_s": (0.0, 0.0) if samples is None else _step_jitter(samples["stamp_ns"]),
         "no_samples": recording.no_samples if samples is None else "",
         "row_doubts": row_warnings,
@@ -115,10 +109,6 @@ def as_tables(found: Mapping[str, Any]) -> Group:
         ("joint", "position", "", "unit", "effort", "", "unit"),
         [(j["name"], *j["position"], j["position_unit"], *j["effort"], j["effort_unit"]) for j in found["joints"]],
     )
-    extras = _table(
-        ("motor", "object", "value", "", "unit"),
-        [(e["motor"], e["name"], *e["value"], e["unit"]) for e in found["extras"]],
-    )
     holes = _table(
         ("gap after row", since, "samples missing"),
         [
@@ -138,7 +128,7 @@ def as_tables(found: Mapping[str, Any]) -> Group:
             if k < _SHOWN or event.kind == "operator"
         ],
     )
-    tables = [table for table in (facts, joints, extras, holes, events) if table.row_count]
+    tables = [table for table in (facts, joints, holes, events) if table.row_count]
     return Group(*(part for table in tables for part in (_Trimmed(table), Text())))
 
 

@@ -25,7 +25,7 @@ from mcap.writer import Writer
 
 from ..arrays import Array
 from ..errors import Place
-from ..robot import EffortTiming, Payload, Robot, extra_columns
+from ..robot import EffortTiming, Payload, Robot
 from .rows import FRAME, OPTIONAL, Block, check_frames, check_samples, sample_dtype
 
 # Texts of the metadata's key `effort_timing`; a missing key means "unknown".
@@ -39,7 +39,7 @@ EFFORT_TIMINGS: Mapping[EffortTiming, str] = {
 SCHEMA_VERSION = 2  # 1: samples without the fields `OPTIONAL`
 
 FRAMES_TOPIC = re.compile(r"/can/([A-Za-z0-9_.-]{1,64})/frames")
-JOINT_STATE, TEXT = "sensor_msgs/msg/JointState", "std_msgs/msg/String"
+JOINT_STATE = "sensor_msgs/msg/JointState"
 JOINT_STATE_RATE_HZ = 100.0
 
 _TEXT_SCHEMA = {"type": "object", "properties": {"kind": {"type": "string"}, "text": {"type": "string"}}}
@@ -96,11 +96,9 @@ class Header:
 
 def sample_layouts(robot: Robot) -> list[np.dtype[np.void]]:
     """All row layouts that samples of a robot may have."""
-    counts = dict.fromkeys((len(extra_columns(robot)), 0))
     columns = [some for k in range(len(OPTIONAL) + 1) for some in combinations(OPTIONAL, k)]
     return [
-        sample_dtype(robot.n, reference=reference, extra=m, optional=optional)
-        for m in counts
+        sample_dtype(robot.n, reference=reference, optional=optional)
         for optional in reversed(columns)
         for reference in (False, True)
     ]
@@ -122,31 +120,23 @@ def _software() -> str:
     return ", ".join(versions)
 
 
-class RosMessages:
-    """Serializes ROS 2 messages to CDR by the package rosbags."""
+class _JointStates:
+    """Serializes JointStates to CDR by the package rosbags."""
 
     def __init__(self) -> None:
         from rosbags.typesys import Stores, get_typestore  # slow to import, only needed for writing
 
-        self.store = get_typestore(Stores.ROS2_JAZZY)
-        types = self.store.types
+        self._store = get_typestore(Stores.ROS2_JAZZY)
+        types = self._store.types
         self._state, self._time = types[JOINT_STATE], types["builtin_interfaces/msg/Time"]
-        self._header, self._text = types["std_msgs/msg/Header"], types[TEXT]
+        self._header = types["std_msgs/msg/Header"]
+        self.definition: str = self._store.generate_msgdef(JOINT_STATE, ros_version=2)[0]
 
-    def definition(self, kind: str) -> str:
-        """The definition of a message type, as text."""
-        text: str = self.store.generate_msgdef(kind, ros_version=2)[0]
-        return text
-
-    def joint_state(self, stamp_ns: int, names: list[str], position: Array, velocity: Array, effort: Array) -> bytes:
+    def message(self, stamp_ns: int, names: list[str], position: Array, velocity: Array, effort: Array) -> bytes:
         """A JointState; arrays (n,) each, or empty."""
         header = self._header(self._time(*divmod(stamp_ns, 1_000_000_000)), "")
         state = self._state(header, names, position, velocity, effort)
-        return bytes(self.store.serialize_cdr(state, JOINT_STATE))
-
-    def text(self, text: str) -> bytes:
-        """A String."""
-        return bytes(self.store.serialize_cdr(self._text(text), TEXT))
+        return bytes(self._store.serialize_cdr(state, JOINT_STATE))
 
 
 class RecordingWriter:
@@ -157,7 +147,7 @@ class RecordingWriter:
     """
 
     def __init__(self, path: Path, header: Header) -> None:
-        self._messages = RosMessages()  # slow to make, so not while frames arrive
+        self._messages = _JointStates()  # slow to make, so not while frames arrive
         self._robot, self._place = header.robot, str(path)
         self._layout: np.dtype[np.void] | None = None
         self._last_stamp_ns = -1
@@ -181,16 +171,17 @@ class RecordingWriter:
     def samples(self, block: Block) -> None:
         """Add rows of `sample_dtype` and their JointState messages."""
         place = Place(f"{self._place}: /samples")
-        if block.dtype not in sample_layouts(self._robot):
+        layout = np.dtype([(name, block.dtype[name]) for name in block.dtype.names or ()])  # without what is skipped
+        if layout not in sample_layouts(self._robot):
             place.refuse(text=f"rows of {block.dtype}", expected=f"sample_dtype of {self._robot.n} joints")
-        if self._layout not in (None, block.dtype):
+        if self._layout not in (None, layout):
             place.refuse(text=f"rows of {block.dtype}", expected=f"{self._layout} as in the block before")
         if len(block) == 0:
             return
         check_samples(block, self._last_stamp_ns, str(place))
-        self._layout, self._last_stamp_ns = block.dtype, int(block["stamp_ns"][-1])
+        self._layout, self._last_stamp_ns = layout, int(block["stamp_ns"][-1])
         for part in _parts(block):
-            self._block("/samples", "robot_idim/samples", part, int(part["stamp_ns"][0]))
+            self._block("/samples", "robot_idim/samples", part.astype(layout, copy=False), int(part["stamp_ns"][0]))
             shown = part[self._until_joint_state :: self._step]
             self._until_joint_state = (self._until_joint_state - len(part)) % self._step
             self._joint_states("/joint_states/measured", shown, "position", self._robot.gain_known)
@@ -255,14 +246,12 @@ class RecordingWriter:
         self._writer.add_message(channel, stamp_ns, msgspec.json.encode(content), stamp_ns)
 
     def _joint_states(self, topic: str, rows: Block, field: str, effort: bool) -> None:
-        channel = self._channel(topic, "cdr", JOINT_STATE, "ros2msg", self._messages.definition(JOINT_STATE))
+        channel = self._channel(topic, "cdr", JOINT_STATE, "ros2msg", self._messages.definition)
         names, nothing = [j.name for j in self._robot.joints], np.zeros(0)
         for row in rows:
             stamp_ns = int(row["stamp_ns"])
             # The effort of a JointState is in N m or N by definition, never in A or V.
-            content = self._messages.joint_state(
-                stamp_ns, names, row[field], nothing, row["effort"] if effort else nothing
-            )
+            content = self._messages.message(stamp_ns, names, row[field], nothing, row["effort"] if effort else nothing)
             self._writer.add_message(channel, stamp_ns, content, stamp_ns)
 
 

@@ -6,11 +6,9 @@ from .drives import (
     MAX_LOAD,
     Bus,
     Drive,
-    ExtraColumn,
     axis_index,
     axis_of,
     check_carriers,
-    extra_columns,
     refuse_load,
     refuse_out_of_range,
 )

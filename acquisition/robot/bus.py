@@ -6,7 +6,7 @@
 import math
 import re
 from collections.abc import Iterable
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
 
@@ -16,12 +16,12 @@ from .toml import Positive, TomlTable, note
 Node = Annotated[int, msgspec.Meta(ge=1, le=127)]
 CanId = Annotated[int, msgspec.Meta(ge=1, le=0x7FF)]
 PdoNumber = Annotated[int, msgspec.Meta(ge=1, le=512)]
-ObjectName = Annotated[str, msgspec.Meta(pattern=r"\A[0-9A-Fa-f]{4}(:[0-9]{1,3})?\Z")]
+_OBJECT = r"\A[0-9A-Fa-f]{4}(:[0-9]{1,3})?\Z"
+ObjectName = Annotated[str, msgspec.Meta(pattern=_OBJECT)]
 HomedName = Annotated[str, msgspec.Meta(pattern=r"\A[0-9A-Fa-f]{4}(:[0-9]{1,3})?(\.([0-9]|[12][0-9]|3[01]))?\Z")]
 Counts = Annotated[float, msgspec.Meta(gt=0, le=1e12)]  # per turn or metre
 Word = Annotated[str, msgspec.Meta(min_length=1, max_length=64, pattern=r"\A[A-Za-z0-9_.:/\-]+\Z")]
 
-UnitText = Annotated[str, msgspec.Meta(max_length=16)]
 Int32 = Annotated[int, msgspec.Meta(ge=-(2**31), lt=2**31)]
 Sign = Literal[1, -1]
 Mapping = Literal["table", "dictionary", "traffic"]
@@ -45,21 +45,6 @@ class PdoFile(TomlTable, frozen=True):
     ]
     can_id: Annotated[CanId | None, note("CAN identifier (default: the usual one of its number)")] = None
     number: Annotated[PdoNumber | None, note("number of the PDO, from 1 (default: its place in the list)")] = None
-
-
-class ExtraFile(TomlTable, frozen=True):
-    """A further object in the samples; `scale` (per raw unit) and `unit` if they are not those of the standard."""
-
-    object: Annotated[ObjectName, note("index, and sub-index after a colon")]
-    name: Annotated[Word | None, note("name in the samples (default: that of the object)")] = None
-    scale: Annotated[float | None, note("unit per raw integer (default: the standard's, else 1)")] = None
-    unit: Annotated[UnitText | None, note("unit of the scaled value")] = None
-
-    def __post_init__(self) -> None:
-        if self.scale == 0:
-            self.refuse("scale", self.scale, "a number other than 0")
-        if self.unit is not None and self.scale is None:
-            self.refuse("unit", self.unit, "a scale with it")
 
 
 class DriveFile(TomlTable, frozen=True):
@@ -94,7 +79,10 @@ class DriveFile(TomlTable, frozen=True):
     mapping: Annotated[Mapping, note("source of the PDOs: this table, a DCF, or the master's SDO writes")] = "table"
     tpdo: Annotated[tuple[PdoFile, ...], note("PDOs from the drive (default: status, position, effort)")] = ()
     rpdo: Annotated[tuple[PdoFile, ...], note("PDOs to the drive (default: control, target)")] = ()
-    extra: Annotated[tuple[ObjectName | ExtraFile, ...], note("further objects in the samples, such as 606C")] = ()
+    extra: Annotated[
+        tuple[ObjectName | dict[str, Any], ...],
+        note("further objects that the drive sends at each SYNC, such as 606C, for the recorded frames"),
+    ] = ()
 
     def __post_init__(self) -> None:
         for name, kind in self.objects.items():
@@ -102,6 +90,9 @@ class DriveFile(TomlTable, frozen=True):
                 self.refuse(f"objects[{name}]", kind, f"one of {', '.join(BITS)}")
         if self.reference is None and self.actual is None:
             self.refuse("reference", None, "the object of the current or torque reference, or actual for its value")
+        for k, name in enumerate(self.extra_objects):
+            if not re.fullmatch(_OBJECT, name):
+                self.refuse(f"extra[{k}]", name, "an object, such as 606C or 2081:1")
         for key, known in _WORDS.items():
             word = getattr(self, key)
             if word is not None and word not in known:
@@ -122,6 +113,11 @@ class DriveFile(TomlTable, frozen=True):
     def counts_per_unit(self) -> float:
         """Counts per rad or m of the motor."""
         return self.counts_per_m or (self.counts_per_turn or 0.0) / (2 * math.pi)
+
+    @property
+    def extra_objects(self) -> tuple[str, ...]:
+        """The names of `extra`; in older recordings these are tables, with the name and scale of a column of samples."""
+        return tuple(extra if isinstance(extra, str) else str(extra.get("object", "")) for extra in self.extra)
 
     @property
     def reports_demand(self) -> bool:

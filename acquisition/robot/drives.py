@@ -1,25 +1,18 @@
-"""The drives of a robot, resolved from the description, their extra objects and checks.
-
-`extra` in `[[bus.drive]]` states further objects in `/samples`. Velocities and following errors are scaled as the position,
-currents and torques by the rule of their object, all others by the `scale` of the description, if any. Values are those of the
-motor.
-"""
+"""The drives of a robot, resolved from the description, and checks."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from ..arrays import Array, Ints
+from ..arrays import Array
 from ..errors import Place
 from ..protocol import (
     CONTROLWORD,
-    EFFORT_OBJECTS,
     HIGHEST_CAN_ID,
     LOWEST_CAN_ID,
     MAX_PDO_BITS,
     MODE_OF_OPERATION,
-    RULES,
     STATUSWORD,
     EffortCodec,
     ObjectDictionary,
@@ -30,40 +23,14 @@ from ..protocol import (
     bus_load,
     range_of,
 )
-from .bus import AXIS, USUAL_SYNC, BusFile, DriveFile, ExtraFile, parse_object
-from .description import Motor
+from .bus import AXIS, USUAL_SYNC, BusFile, DriveFile
 from .robot import Robot
 
 MAX_LOAD = 0.95  # of the bus, with the worst case of bit stuffing
 FREE_CAN_IDS = range(0x680, 0x6E0)  # that CiA 301 gives to no service; PDOs have others
 POSITION_TYPE = "I32"  # of the position and of its target; codecs and the unwrapping of counters depend on it
-# Objects in position units, also a second (CiA 402-2), by their index on the first axis: name, unit of time.
-POSITION_OBJECTS = {0x60F4: ("following error", ""), 0x606B: ("velocity demand", "/s"), 0x606C: ("velocity", "/s")}
-EFFORT_NAMES = {0x6074: "torque demand", 0x6077: "torque", 0x6078: "current"}
 
 Values = Mapping[tuple[int, int], int]
-
-
-@dataclass(frozen=True, kw_only=True)
-class ExtraColumn:
-    """A column of `extra` in `/samples`: motor, name, and unit, empty for a raw integer."""
-
-    motor: str
-    name: str
-    unit: str
-
-
-@dataclass(frozen=True, kw_only=True)
-class ExtraObject:
-    """An object in a PDO in addition to position and effort; value = raw · scale, in the unit of its column."""
-
-    entry: ObjectEntry
-    column: ExtraColumn
-    scale: float
-
-    def si(self, raw: Ints) -> Array:
-        """Values of any shape."""
-        return np.asarray(raw * self.scale, dtype=np.float64)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -74,7 +41,7 @@ class Drive:
         effort: codec of the effort in samples: the reference, or the actual value if no reference is described.
         rated: required raw values of objects of the drive, by index.
         tpdos, rpdos: from the drive, to the drive.
-        extras: further objects in the samples.
+        extras: further objects in the PDOs.
         dictionary: None if the description states the objects.
         speed_limit, acceleration_limit: of the motor, counts/s and counts/s², by the limits of the joints that it moves;
             None if one of them states none.
@@ -92,7 +59,7 @@ class Drive:
     rated: Mapping[int, int]
     tpdos: tuple[Pdo, ...]
     rpdos: tuple[Pdo, ...]
-    extras: tuple[ExtraObject, ...]
+    extras: tuple[ObjectEntry, ...]
     dictionary: ObjectDictionary | None
     speed_limit: float | None = None
     acceleration_limit: float | None = None
@@ -244,55 +211,9 @@ def check_carriers(bus: Bus) -> None:
             at.refuse(text=f"a PDO to the drive carries {other}", expected=expected)
 
 
-def extra_columns(robot: Robot) -> tuple[ExtraColumn, ...]:
-    """Columns of `extra` in the samples of a robot's drives, in their order."""
-    if robot.bus is None:
-        return ()
-    return tuple(
-        _column(extra, file, motor)
-        for file, motor in zip(robot.bus.drive, robot.motors, strict=True)
-        for extra in map(_as_table, file.extra)
-    )
-
-
-def extra_object(written: str | ExtraFile, entry: ObjectEntry, file: DriveFile, motor: Motor, at: Place) -> ExtraObject:
-    """One `extra` of a drive with its `entry`; refused if a rated value for its rule is missing."""
-    extra = _as_table(written)
-    scale, index = extra.scale, _on_first_axis(entry.index)
-    if scale is None and index in POSITION_OBJECTS:
-        scale = file.sign / file.counts_per_unit
-    elif scale is None and entry.key in EFFORT_OBJECTS:
-        rule = RULES[EFFORT_OBJECTS[entry.key][1]]
-        scale = effort_scale(
-            rule, file, at, f"the rated value that {entry} multiplies, or a scale and a unit for it in extra"
-        )
-    return ExtraObject(entry=entry, column=_column(extra, file, motor), scale=1.0 if scale is None else scale)
-
-
 def effort_scale(rule: Rule, file: DriveFile, at: Place, expected: str) -> float:
     """SI per raw unit, with the sign; refused if the rated value that the rule multiplies is not stated."""
     rated = getattr(file, rule.rated) if rule.rated else 1.0
     if rated is None:
         at.refuse(rule.rated, None, expected)
     return float((file.effort_sign or file.sign) * rule.factor * rated)
-
-
-def _as_table(extra: str | ExtraFile) -> ExtraFile:
-    return ExtraFile(object=extra) if isinstance(extra, str) else extra
-
-
-def _on_first_axis(index: int) -> int:
-    return index - (index - 0x6000) // AXIS * AXIS if 0x6000 <= index < 0xA000 else index
-
-
-def _column(extra: ExtraFile, file: DriveFile, motor: Motor) -> ExtraColumn:
-    index, sub = parse_object(extra.object)
-    first, name, unit = _on_first_axis(index), f"{index:04X}:{sub}", ""
-    if first in POSITION_OBJECTS:
-        name, per = POSITION_OBJECTS[first]
-        unit = ("rad" if file.counts_per_m is None else "m") + per
-    elif (index, sub) in EFFORT_OBJECTS:
-        name, unit = EFFORT_NAMES.get(index, name), RULES[EFFORT_OBJECTS[index, sub][1]].unit
-    if extra.scale is not None:
-        unit = extra.unit or ""
-    return ExtraColumn(motor=motor.name, name=extra.name or name, unit=unit)

@@ -23,7 +23,7 @@ from ..protocol import (
 )
 from .bus import DriveFile, PdoFile, dictionary_label, parse_object
 from .description import Motor
-from .drives import POSITION_TYPE, Bus, Drive, Values, effort_scale, extra_object, refuse_counts, refuse_pdos
+from .drives import POSITION_TYPE, Bus, Drive, Values, effort_scale, refuse_counts, refuse_pdos
 from .robot import Robot
 
 Entry = Callable[[str, str], ObjectEntry]  # from a key of the description and an object's name
@@ -80,11 +80,8 @@ def _drive(robot: Robot, i: int, place: str, traffic: Mapping[int, Values] | Non
     for key, found in (("position", position), ("target", target)):
         if found.type != POSITION_TYPE:
             at.refuse(key, getattr(file, key), POSITION_TYPE, text=f"is {found.type}")
-    extras = tuple(
-        extra_object(e, entry(f"extra[{k}]", e if isinstance(e, str) else e.object), file, motor, at)
-        for k, e in enumerate(file.extra)
-    )
-    measured = tuple(dict.fromkeys((position, effort.entry, *(extra.entry for extra in extras))))
+    extras = tuple(entry(f"extra[{k}]", name) for k, name in enumerate(file.extra_objects))
+    measured = tuple(dict.fromkeys((position, effort.entry, *extras)))
     if file.mapping == "table":
         tpdos = _pdos("tpdo", file, tuple(dict.fromkeys((status, *measured))), entry, at)
         rpdos = _pdos("rpdo", file, (control, target), entry, at)

@@ -146,6 +146,9 @@ def load_robot(path: str | PathLike[str]) -> Robot:
         files = {"robot.toml": path.read_bytes()}
     except OSError as error:
         place.refuse(text=f"cannot be read: {error.strerror}")
+    if files["robot.toml"].lstrip().startswith(b"<"):
+        expected = f"a robot.toml; `robot-identify init {path.name} -o robot.toml` makes one"
+        place.refuse(text="is a URDF", expected=expected)
     document = parse_toml(files["robot.toml"], RobotFile, str(path))
     _refuse_idle_keys(document.controller, place.at("controller"))
     if document.bus is not None:
@@ -158,6 +161,10 @@ def load_robot(path: str | PathLike[str]) -> Robot:
             meshes = read_meshes(files["robot.urdf"], (path.parent / document.urdf).parent, str(path))
             files |= {f"{_MESH}{name}": content for name, content in meshes.items()}
     for i, drive in enumerate(document.bus.drive if document.bus else ()):
+        for k, extra in enumerate(drive.extra):
+            if not isinstance(extra, str):
+                expected = f"{extra['object']!r} alone: frames hold its raw integer"
+                place.refuse(f"bus.drive[{i}].extra[{k}]", extra, expected, shown="a table")
         if drive.dictionary is not None:
             label = dictionary_label(drive.dictionary)
             files[label] = _companion(path, drive.dictionary, f"bus.drive[{i}].dictionary")

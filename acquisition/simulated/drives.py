@@ -22,6 +22,7 @@ from ..protocol import (
     QUICK_STOP_DECELERATION,
     QUICK_STOP_OPTION,
     RAMP_OBJECTS,
+    VELOCITY_ACTUAL,
     Mode,
     PositionCodec,
     State,
@@ -229,9 +230,9 @@ class SimulatedDrives:
             node.values[drive.position.key] = int(counts[i])
             node.values[drive.effort.entry.key] = int(drive.effort.raw(motor[i]))
             for extra in drive.extras:
-                if extra.column.unit in ("rad/s", "m/s"):
-                    raw = saturated(np.array(speed[i] / extra.scale), extra.entry.type)
-                    node.values[extra.entry.key] = int(raw)
+                if extra.index == axis_index(drive, VELOCITY_ACTUAL):
+                    per_unit = drive.position_codec.sign * drive.position_codec.counts_per_unit
+                    node.values[extra.key] = int(saturated(np.array(speed[i] * per_unit), extra.type))
 
 
 def _ramp(node: SimulatedNode, values: Mapping[tuple[int, int], int]) -> float:

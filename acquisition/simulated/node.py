@@ -221,7 +221,7 @@ def simulated_node(drive: Drive) -> SimulatedNode:
                 values[index, sub] = value | NOT_VALID
     else:
         used = [drive.status, drive.control, drive.position, drive.target, drive.effort.entry]
-        used += [extra.entry for extra in drive.extras]
+        used += drive.extras
         types = dict(STANDARD) | {e.key: e.type for e in used}
         types |= {(0x1001, 0): "U8", (0x1003, 0): "U8", (0x1003, 1): "U32", (0x603F, 0): "U16"}
         types |= {(0x1018, sub): "U8" if sub == 0 else "U32" for sub in range(5)}

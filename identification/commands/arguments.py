@@ -17,13 +17,10 @@ from acquisition.commands import Progress, add_options, add_path
 from acquisition.errors import one_line
 
 from ..errors import IdentificationError
-from ..options import CellOptions, Overrides, StudyOptions, list_of_names, list_of_values, positive
+from ..options import CellOptions, Overrides, StudyOptions, positive
 
 if TYPE_CHECKING:
-    from acquisition.robot import Robot
-
     from ..data import RecordingFile, Work
-    from ..export import Chain
     from ..report import Document
     from ..view import Picture
 
@@ -42,52 +39,13 @@ GONE = {  # what older versions had: a command, an option, or an option of one c
     "--max-iterations": "use max_iterations under [identification] of robot.toml",
     "--tolerance-percent": "use tolerance_percent under [identification] of robot.toml",
 }
-_URDF_OPTIONS = {
-    "--range": ("Q", "position limits, ± rad or m; if the URDF has limits too, the narrower are used"),
-    "--speed": ("V", "maximum speed, rad/s or m/s; if the URDF has one too, the smaller is used"),
-    "--acceleration": ("A", "maximum acceleration, rad/s² or m/s²"),
-    "--following-error": ("Q", "maximum following error, rad or m"),
-    "--bandwidth-hz": ("F", "bandwidth of the position loop in Hz; if several are given, the lowest is used"),
-}
 
 
 def add_robot(parser: argparse.ArgumentParser, text: str) -> "argparse._ArgumentGroup":
-    """The inputs group with the robot, and the options of a URDF; `text` names the required parts of a description."""
+    """The inputs group with the robot; `text` names the required parts of its description."""
     inputs = parser.add_argument_group("inputs")
-    add_path(inputs, "robot", "ROBOT", f"robot.toml or a URDF; {text}")
-    add_urdf_options(parser)
+    add_path(inputs, "robot", "ROBOT.toml", f"the robot's description; {text}")
     return inputs
-
-
-def add_urdf_options(parser: argparse.ArgumentParser) -> None:
-    """Options for values that a URDF does not have."""
-    group = parser.add_argument_group("with a URDF: one value for all joints, or one per joint, as A,B,C")
-    text = "joints to identify, from the base outwards (default: the longest serial chain)"
-    group.add_argument("--joints", type=list_of_names, metavar="A,B", help=text)
-    for option, (metavar, text) in _URDF_OPTIONS.items():
-        group.add_argument(option, type=list_of_values, metavar=metavar, help=text)
-
-
-def robot_of(options: argparse.Namespace, *, moves: bool = False) -> "Robot":
-    """The robot of the options of `add_robot`; if it `moves`, a URDF or its options must state the limits."""
-    from ..export import read_robot
-
-    return read_robot(options.robot, options.joints or (), _stated(options), moves=moves)
-
-
-def chain_of(options: argparse.Namespace) -> "Chain":
-    """The chain of the URDF, with the values of the options."""
-    from ..export import chain_of_letters, read_chain
-
-    letters = getattr(options, "dh", None)
-    chain = read_chain(options.robot, options.joints or ()) if letters is None else chain_of_letters(letters)
-    return chain.with_options(_stated(options))
-
-
-def _stated(options: argparse.Namespace) -> dict[str, tuple[float, ...]]:
-    """The given options of `add_urdf_options`, by name."""
-    given = {option: getattr(options, option.removeprefix("--").replace("-", "_")) for option in _URDF_OPTIONS}
-    return {option: values for option, values in given.items() if values is not None}
 
 
 def add_simulation(parser: argparse.ArgumentParser, *names: str, **noise: float) -> None:

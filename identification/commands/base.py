@@ -4,7 +4,7 @@ import argparse
 
 from acquisition.commands import Progress, add_flag, add_path
 
-from .arguments import add_robot, print_results, refuse_outputs, robot_of
+from .arguments import add_robot, print_results, refuse_outputs
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -18,11 +18,13 @@ def run(options: argparse.Namespace) -> None:
     """Print the base parameters."""
     refuse_outputs([options.robot], options.json)
     with Progress("base parameters"):
+        from acquisition.robot import load_robot
+
         from ..model import InverseModel, base_parameters
         from ..report import write_json
         from ..study import base_document, base_file
 
-        robot = robot_of(options)
+        robot = load_robot(options.robot)
         base = base_parameters(InverseModel(robot))
     if options.json:
         write_json(options.json, base_file(base, robot))

@@ -10,7 +10,6 @@ from .arguments import (
     add_robot,
     print_results,
     refuse_outputs,
-    robot_of,
     write_pictures,
 )
 
@@ -40,11 +39,11 @@ def run(options: argparse.Namespace) -> None:
     inputs = [options.robot, options.fit, *options.after]
     refuse_outputs(inputs, options.out, options.rrd, report=options.report)
     with Progress("excitation") as progress:
-        from acquisition.robot import parse_payload
+        from acquisition.robot import load_robot, parse_payload
 
         from ..design import ExcitationSettings, excitation_document, excite, prior_information
 
-        robot = robot_of(options, moves=True)
+        robot = load_robot(options.robot)
         payload = parse_payload(options.payload, robot) if options.payload else None
         settings = from_options(ExcitationSettings, options)
         prior = prior_information(

@@ -8,7 +8,16 @@ from acquisition.commands import add_path
 from acquisition.errors import one_line
 
 from ..errors import IdentificationError
-from .arguments import add_urdf_options, chain_of, refuse_outputs
+from ..options import list_of_names, list_of_values
+from .arguments import refuse_outputs
+
+_URDF_OPTIONS = {
+    "--range": ("Q", "position limits, ± rad or m; if the URDF has limits too, the narrower are used"),
+    "--speed": ("V", "maximum speed, rad/s or m/s; if the URDF has one too, the smaller is used"),
+    "--acceleration": ("A", "maximum acceleration, rad/s² or m/s²"),
+    "--following-error": ("Q", "maximum following error, rad or m"),
+    "--bandwidth-hz": ("F", "bandwidth of the position loop in Hz; if several are given, the lowest is used"),
+}
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -16,7 +25,11 @@ def add(parser: argparse.ArgumentParser) -> None:
     add_path(parser, "robot", "ROBOT.urdf", "the URDF", nargs="?")
     text = "without a URDF: a letter for each joint, R revolute or P prismatic; the DH rows are to be filled in"
     parser.add_argument("--dh", metavar="RRPRRR", help=text)
-    add_urdf_options(parser)
+    group = parser.add_argument_group("what a URDF lacks: one value for all joints, or one per joint, as A,B,C")
+    text = "joints to identify, from the base outwards (default: the longest serial chain)"
+    group.add_argument("--joints", type=list_of_names, metavar="A,B", help=text)
+    for option, (metavar, text) in _URDF_OPTIONS.items():
+        group.add_argument(option, type=list_of_values, metavar=metavar, help=text)
     add_path(parser, "--bus", "BUS.toml", "the [bus] that `robot-acquire scan` wrote, instead of example drives")
     add_path(parser, "-o --out", "ROBOT.toml", "the description to write (default: standard output)")
 
@@ -25,7 +38,7 @@ def run(options: argparse.Namespace) -> None:
     """Write the description, and print its joints and the locked ones."""
     from acquisition.files import atomic_write
 
-    from ..export import FILL_IN, describe, describe_rows
+    from ..export import FILL_IN, chain_of_letters, describe, describe_rows, read_chain
 
     out: Path | None = options.out
     refuse_outputs([path for path in (options.robot, options.bus) if path is not None], out)
@@ -35,7 +48,9 @@ def run(options: argparse.Namespace) -> None:
     if (options.robot is None) == (options.dh is None) or (options.dh and options.joints):
         expected = "ROBOT.urdf, or --dh with a letter for each joint and without --joints"
         raise IdentificationError(key="--dh", value=options.dh, expected=expected)
-    chain = chain_of(options)
+    chain = chain_of_letters(options.dh) if options.dh else read_chain(options.robot, options.joints or ())
+    given = {option: getattr(options, option.removeprefix("--").replace("-", "_")) for option in _URDF_OPTIONS}
+    chain = chain.with_options({option: values for option, values in given.items() if values is not None})
     folder = Path.cwd() if out is None else out.absolute().parent
     bus = "" if options.bus is None else _bus_of(options.bus, len(chain.joints))
     urdf = options.robot and os.path.relpath(options.robot.absolute(), folder)

@@ -4,7 +4,7 @@ import argparse
 
 from acquisition.commands import Progress, add_overwrite, add_path, from_options
 
-from .arguments import add_robot, add_simulation, print_results, refuse_outputs, robot_of
+from .arguments import add_robot, add_simulation, print_results, refuse_outputs
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -21,11 +21,11 @@ def run(options: argparse.Namespace) -> None:
     """Simulate, write the recording, and print a summary."""
     refuse_outputs([options.robot], options.out, overwrite=options.overwrite)
     with Progress("simulating"):
-        from acquisition.robot import parse_payload
+        from acquisition.robot import load_robot, parse_payload
 
         from ..study import Noise, Study, simulate_recording
 
-        robot, study = robot_of(options, moves=True), from_options(Study, options, noise=from_options(Noise, options))
+        robot, study = load_robot(options.robot), from_options(Study, options, noise=from_options(Noise, options))
         payload = parse_payload(options.payload, robot) if options.payload else None
         simulate_recording(robot, options.out, study, payload)
     print_results(f"{options.out}: simulated, {study.duration_s:g} s at {study.sample_rate_hz:g} Hz")

@@ -14,7 +14,6 @@ from .arguments import (
     add_work,
     print_results,
     refuse_outputs,
-    robot_of,
     work_of,
     write_pictures,
 )
@@ -35,11 +34,13 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> None:
     """Run the study, write the requested files, print the table."""
+    from acquisition.robot import load_robot
+
     from ..report import write_json
     from ..study import Noise, Run, Study, border_line, run_study, study_document, study_file, study_truth
 
     refuse_outputs([options.robot], options.json, report=options.report)
-    robot = robot_of(options, moves=True)
+    robot = load_robot(options.robot)
     study = from_options(Study, options, noise=from_options(Noise, options))
     base, true = study_truth(robot)
     runs, began = list[Run](), perf_counter()

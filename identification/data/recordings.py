@@ -19,7 +19,6 @@ from acquisition.robot import (
     Joint,
     Payload,
     Robot,
-    extra_columns,
     parse_payload,
     robot_from_files,
 )
@@ -82,10 +81,7 @@ def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signa
         ):
             if name in columns:
                 columns[name] = to_joint(to_motor(columns[name]))
-    extras, provenance = {}, recording.metadata.get("effort_provenance", "")
-    if "extra" in fields:
-        own_s = 1e-9 * (samples["stamp_ns"] - first_ns)
-        extras = {column: (own_s, x) for column, x in zip(extra_columns(was), samples["extra"].T, strict=True)}
+    provenance = recording.metadata.get("effort_provenance", "")
     return Signals(
         t_s=grid * 1e-9,
         q=columns.pop("position"),
@@ -101,7 +97,6 @@ def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signa
             for event in recording.events
         ),
         health=_health(recording, first_ns),
-        extras=extras,
         effort_timing=recording.effort_timing,
         provenance=provenance,
         effort_object=recording.metadata.get("effort_object", provenance),

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from acquisition.files import release_pages
 from acquisition.recording import OPTIONAL
-from acquisition.robot import EffortTiming, ExtraColumn, Payload, Robot, check_recorded_velocities
+from acquisition.robot import EffortTiming, Payload, Robot, check_recorded_velocities
 
 from ..arrays import Array
 from ..errors import IdentificationError
@@ -43,7 +43,6 @@ class Signals:
         track: (start, stop) sample range of the tracking phase, or None.
         recording, sha256: file name of the recording, and its digest.
         health: the recorder's counters by name: t_s (k,) from the first sample, and the counts (k,).
-        extras: the drives' extra objects: t_s (k,) from the first sample, and the recorded values (k,).
         effort_timing: `command` of an instant, held after it; `mean` over the control period around it, as this package
             simulates; `measured` at the instant, as in ROS joint states; or `unknown`.
         provenance: origin of the efforts, in words; `effort_object`: the part of it that tells one effort from another.
@@ -68,7 +67,6 @@ class Signals:
     sha256: str = ""
     events: tuple[SignalEvent, ...] = ()
     health: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
-    extras: Mapping[ExtraColumn, tuple[Array, Array]] = field(default_factory=dict)
     effort_timing: EffortTiming = "unknown"
     provenance: str = ""
     effort_object: str = ""

@@ -19,42 +19,20 @@ _DEFAULT_EFFORT, _DEFAULT_SPEED = 100.0, 3.0  # of the example, if the URDF has 
 _EFFORT_SHARE, _RISE_S = 0.02, 0.2  # of the effort: for friction, and to bring the rotor to full speed in this time
 _COUNTS, _RATED_SHARE = 1_000_000, 0.5  # of the example's drives: per turn or m; rated over maximum effort
 _MAX_ROUNDING = 1e-14  # SI: rounding in the sums of a lumped link
-# Needed by a robot that moves.
-_OPTIONS_TO_MOVE = {
-    "position": "--range ({}, ± about zero)",
-    "speed": "--speed ({}/s)",
-    "acceleration": "--acceleration ({}/s²)",
-}
 
 
-def robot_of_chain(chain: Chain, *, moves: bool = False) -> Robot:
-    """The robot of the description that `init` writes, with its URDF.
-
-    Raises `IdentificationError` with joint and option: it `moves`, and a limit or the bandwidth is missing.
-    """
-    for key, option in _OPTIONS_TO_MOVE.items() if moves else ():
-        for joint in chain.joints:
-            if getattr(joint, key) is None:
-                place = f"{chain.place}: joint {joint.name!r}"
-                expected = f"{option.format(joint.unit)}, one value or one per joint"
-                raise IdentificationError(place=place, key=key, value=None, expected=expected)
-    if moves and chain.bandwidth_hz is None:
-        place = f"{chain.place}: joint {chain.joints[0].name!r} and all others"
-        expected = "--bandwidth-hz of the position loops"
-        raise IdentificationError(place=place, key="bandwidth", value=None, expected=expected)
+def robot_of_chain(chain: Chain) -> Robot:
+    """The robot of the description that `init` writes, with its URDF."""
     return _load_robot(describe(chain, "robot.urdf"), chain)
 
 
-def read_robot(
-    path: Path, joints: Sequence[str] = (), options: Mapping[str, Sequence[float]] | None = None, *, moves: bool = False
-) -> Robot:
+def read_robot(path: Path, joints: Sequence[str] = (), options: Mapping[str, Sequence[float]] | None = None) -> Robot:
     """The robot of a robot.toml; of a URDF with `joints` as of `read_chain` and `options` as of `Chain.with_options`.
 
-    Raises `IdentificationError`: as of `robot_of_chain`, or joints and options with a robot.toml. `AcquisitionError`: as of
-    `load_robot`.
+    Raises `IdentificationError`: as of these, or joints and options with a robot.toml. `AcquisitionError`: as of `load_robot`.
     """
     if is_urdf(path):
-        return robot_of_chain(read_chain(path, joints).with_options(options or {}), moves=moves)
+        return robot_of_chain(read_chain(path, joints).with_options(options or {}))
     for option in (*(["--joints"] if joints else []), *(options or {})):
         expected = "a URDF; robot.toml has a key for it"
         raise IdentificationError(f"{option} has no effect", place=str(path), expected=expected)

@@ -1,10 +1,10 @@
 """Standard parameters in the form that simulators use, and the losses of a format.
 
-Friction that a format cannot represent is approximated by Fv u + Fc sign(u) of each joint and, if the format has couplings, of
-each motor that turns with several joints; none is negative.
+Formats have the friction Fv u + Fc sign(u) of each joint and, if they have couplings, of each motor that turns with several
+joints; none is negative. Other terms are left out, and their torque is told.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,12 +17,10 @@ from ..model import (
     InverseModel,
     JointTerm,
     base_parameters,
-    direct_model,
     is_a_body,
     link_columns,
     requirements,
 )
-from ..regression import load_friction
 
 MIN_EIGENVALUE = 1e-12  # of the scaled pseudo-inertia of a physical body
 STATES, SEED = 1000, 11  # random states
@@ -42,7 +40,6 @@ class ExportedModel:
         names: of k axes: the joints, then the motors that turn with several joints.
         rows: (k, n); rows dq are the speeds of the axes.
         armature, damping, frictionloss: (k,) of each axis alone.
-        others: columns of friction terms that are neither viscous nor dry, or asymmetric.
     """
 
     model: InverseModel
@@ -53,7 +50,6 @@ class ExportedModel:
     armature: Array
     damping: Array
     frictionloss: Array
-    others: tuple[int, ...]
 
 
 def split_parameters(model: InverseModel, chi: Array, place: str) -> ExportedModel:
@@ -65,22 +61,11 @@ def split_parameters(model: InverseModel, chi: Array, place: str) -> ExportedMod
     Raises `IdentificationError`, since simulators do not check: a link is no physical body, a rotor inertia is negative, or
     friction generates energy. `place` names the parameters' file.
     """
-    n, names = model.robot.n, [joint.name for joint in model.robot.joints]
-    terms = {c: source for c, source in enumerate(model.sources) if isinstance(source, JointTerm)}
-    plain = {c: source for c, source in terms.items() if source.kind in RESISTING and not source.side}
-    shared = {source.joint: source.row for source in plain.values() if np.count_nonzero(source.row) > 1}
-    axis = {motor: n + k for k, motor in enumerate(shared)}
-    values = {kind: np.zeros(n + len(shared)) for kind in RESISTING}
-    for c, source in plain.items():
-        if np.count_nonzero(source.row) > 1:
-            values[source.kind][axis[source.joint]] += chi[c]
-            values[source.kind][:n] -= chi[c] * source.given_away
-        else:
-            values[source.kind][:n] += chi[c] * source.row
     links = chi[link_columns(model)]
     for j, link in enumerate(links):
         if not is_a_body(link, MIN_EIGENVALUE):
-            problem, key = "impossible inertia for a body of positive density", f"link {j + 1}, of joint {names[j]}"
+            problem = "impossible inertia for a body of positive density"
+            key = f"link {j + 1}, of joint {model.robot.joints[j].name}"
             raise IdentificationError(problem, place=place, key=key, expected="a new fit with --consistent")
     for matrix, first, text in requirements(model, shaped=False):
         lowest = float(np.linalg.eigvalsh(matrix @ chi)[0])
@@ -93,60 +78,74 @@ def split_parameters(model: InverseModel, chi: Array, place: str) -> ExportedMod
                 shown=f"{lowest:.4g} {first.unit}",
                 expected="0 or more: a new fit with --consistent",
             )
+    return _of_axes(model, chi, links)
+
+
+def _of_axes(model: InverseModel, chi: Array, links: Array) -> ExportedModel:
+    """The terms of joints and motors in chi (p,), by axis; one-sided friction is that of the mean of both directions."""
+    n = model.robot.n
+    terms = [(source, chi[c]) for c, source in _joint_terms(model).items() if source.kind in RESISTING]
+    shared = {source.joint: source.row for source, _ in terms if np.count_nonzero(source.row) > 1}
+    axis = {motor: n + k for k, motor in enumerate(shared)}
+    values = {kind: np.zeros(n + len(shared)) for kind in RESISTING}
+    for source, value in terms:
+        if np.count_nonzero(source.row) > 1:
+            values[source.kind][axis[source.joint]] += value
+            values[source.kind][:n] -= value * source.given_away
+        else:
+            values[source.kind][:n] += value * source.row / (2 if source.side else 1)
     return ExportedModel(
         model=model,
         chi=chi,
         links=links,
-        names=(*names, *(model.robot.motors[motor].name for motor in shared)),
+        names=(*(joint.name for joint in model.robot.joints), *(model.robot.motors[motor].name for motor in shared)),
         rows=np.array([*np.eye(n), *shared.values()]),
         armature=values["rotor"],
         damping=values["viscous"],
         frictionloss=values["coulomb"],
-        others=tuple(c for c, source in terms.items() if c not in plain and source.kind != "offset"),
     )
 
 
-def random_states(robot_joints: tuple[Joint, ...]) -> tuple[Array, Array, Array]:
+def _coupled(term: JointTerm) -> bool:
+    """Whether it is friction of a motor that turns with several joints."""
+    return term.kind in ("viscous", "coulomb") and int(np.count_nonzero(term.row)) > 1
+
+
+def _joint_terms(model: InverseModel) -> dict[int, JointTerm]:
+    """By column."""
+    return {c: source for c, source in enumerate(model.sources) if isinstance(source, JointTerm)}
+
+
+def random_states(joints: tuple[Joint, ...]) -> tuple[Array, ...]:
     """Positions, speeds and accelerations (N, n), uniform within the limits of the joints, by default ±pi, ±1, ±5."""
-    rng = np.random.default_rng(SEED)
-
-    def uniform(quantity: str, default: float) -> Array:
-        limits = [joint.si(quantity) or default for joint in robot_joints]
+    rng, states = np.random.default_rng(SEED), list[Array]()
+    for quantity, default in DEFAULT_LIMITS.items():
+        limits = [joint.si(quantity) or default for joint in joints]
         low, high = np.array([limit if isinstance(limit, tuple) else (-limit, limit) for limit in limits]).T
-        return np.asarray(low + (high - low) * rng.random((STATES, len(robot_joints))))
-
-    q, dq, ddq = (uniform(quantity, default) for quantity, default in DEFAULT_LIMITS.items())
-    return q, dq, ddq
+        states.append(low + (high - low) * rng.random((STATES, len(joints))))
+    return tuple(states)
 
 
 def whole_regressor(m: ExportedModel, q: Array, dq: Array, ddq: Array) -> Array:
     """The regressor (N, n, p); its columns of load friction use the links' torque of these parameters."""
     W, base = m.model.regressor(q, dq, ddq), base_parameters(m.model)
-    load = load_friction(m.model, base)
-    if load:
-        links = direct_model(m.model, base.standard_parameters(np.where(base.links, base.K @ m.chi, 0.0)))
-        friction = np.abs(links.torque(q, dq, ddq)) * np.sign(dq)
-        for j, place in zip(load.joints, load.places, strict=True):
-            W[:, j, base.columns[place]] = friction[:, j]
+    links = W[:, :, base.columns] @ np.where(base.links, base.K @ m.chi, 0.0)
+    for c, term in _joint_terms(m.model).items():
+        if term.kind == "load":
+            W[:, term.joint, c] = np.abs(links[:, term.joint]) * np.sign(dq[:, term.joint])
     return W
 
 
-def representable(m: ExportedModel, *, rotors: bool, couplings: bool) -> tuple[ExportedModel, Losses]:
-    """The model as far as a format with or without rotors (armatures) and motor couplings can represent it, and the losses.
+def representable(m: ExportedModel, *, motors: bool) -> tuple[ExportedModel, Losses]:
+    """The model of the terms that a format has, with or without `motors` (armatures, couplings), and the losses.
 
-    Damping and friction loss are refitted at random states for joints with other friction. Offsets are left out, and so are
-    armatures and couplings if the format has none.
+    One-sided friction becomes the mean of both directions; the friction of one joint beside that of a motor that turns with
+    it too is at least 0.
     """
-    from scipy.optimize import nnls
-
-    n, losses = m.model.robot.n, Losses()
+    n, losses, terms = m.model.robot.n, Losses(), _joint_terms(m.model)
     q, dq, ddq = random_states(m.model.robot.joints)
     W = whole_regressor(m, q, dq, ddq)
     whole = _rms(W @ m.chi)
-
-    def torque_of(*kinds: str) -> Array:
-        columns = [c for c, s in enumerate(m.model.sources) if isinstance(s, JointTerm) and s.kind in kinds]
-        return np.asarray(W[:, :, columns] @ m.chi[columns])
 
     def add_loss(what: str, missing: Array) -> None:
         rms = _rms(missing)
@@ -154,33 +153,26 @@ def representable(m: ExportedModel, *, rotors: bool, couplings: bool) -> tuple[E
         if rms.any():
             losses[what] = rms, 100 * np.divide(rms, whole, out=np.zeros(n), where=whole > 0)
 
-    if not rotors:
-        add_loss("rotor inertia", torque_of("rotor"))
-    add_loss("constant offset", torque_of("offset"))
-    k = len(m.names) if couplings else n
-    rows, values = m.rows[:k], np.array([m.damping[:k], m.frictionloss[:k]])  # (2, k)
-    u = dq @ rows.T
-    torques = np.stack([u, np.sign(u)])[..., None] * rows  # (2, N, k, n)
-    negative = np.asarray((values < 0).any(axis=0))
-    kinds = {source.kind for source in m.model.sources if isinstance(source, JointTerm)}
-    missing = torque_of(*(kinds - {"rotor", "offset"})) - np.einsum("xk,xNkn->Nn", values, torques)
-    refit_joints = (_rms(missing) > MAX_ROUNDING * whole.max()) | rows[negative].any(axis=0)
-    # Joints that share a motor are refitted with it.
-    refit_joints |= rows[rows[:, refit_joints].any(axis=1)].any(axis=0)
-    refit = rows[:, refit_joints].any(axis=1)
-    if refit.any():
-        missing += np.einsum("xk,xNkn->Nn", values[:, refit], torques[:, :, refit])
-        A = torques[:, :, refit].transpose(1, 3, 0, 2).reshape(missing.size, -1)
-        values[:, refit] = nnls(A, missing.ravel())[0].reshape(2, -1)
-        missing -= np.einsum("xk,xNkn->Nn", values[:, refit], torques[:, :, refit])
-    names = [m.model.names[c] for c in m.others]
-    names += [f"{name}, which turns several joints" for name in m.names[k:]]
-    if k > n:
-        names += [f"negative share of {m.names[axis]}" for axis in np.flatnonzero(negative)]
-    add_loss(f"friction ({', '.join(names)}), approximated by damping and dry friction", missing)
-    armature = m.armature[:k] if rotors else np.zeros(k)
-    parts = {"armature": armature, "damping": values[0], "frictionloss": values[1]}
-    return replace(m, names=m.names[:k], rows=rows, **parts), losses
+    chi = m.chi.copy()
+    for what, kind, lost in (("rotor inertia", "rotor", not motors), ("constant offset", "offset", True)):
+        columns = [c for c, term in terms.items() if lost and term.kind == kind]
+        add_loss(what, W[:, :, columns] @ chi[columns])
+        chi[columns] = 0.0
+    written = chi.copy()
+    for c, term in terms.items():
+        if term.kind not in (*RESISTING, "offset") or (_coupled(term) and (not motors or chi[c] < 0)):
+            written[c] = 0.0
+        elif term.side:
+            ways = [k for k, x in terms.items() if (x.joint, x.kind, abs(x.side)) == (term.joint, term.kind, 1)]
+            written[c] = chi[ways].mean()
+    axes = _of_axes(m.model, written, m.links)
+    below = {"viscous": np.minimum(axes.damping, 0.0), "coulomb": np.minimum(axes.frictionloss, 0.0)}
+    for c, term in terms.items():
+        if term.kind in below and not _coupled(term):
+            written[c] -= below[term.kind][term.joint]
+    names = [m.model.names[c] for c in np.flatnonzero(written != chi)]
+    add_loss(f"friction ({', '.join(names)})", W @ (chi - written))
+    return _of_axes(m.model, written, m.links), losses
 
 
 def about_com(link: Array) -> tuple[float, Array, Array]:

@@ -48,14 +48,14 @@ def export_model(
     """
     robot, texts, sections = m.model.robot, dict[Path, str](), [Section(lines=lines)]
     if urdf is not None:
-        represented, losses = representable(m, rotors=False, couplings=False)
+        represented, losses = representable(m, motors=False)
         texts[urdf], notes = urdf_text(represented)
         if tuple(robot.gravity) != URDF_GRAVITY:
             gravity = " ".join(f"{g:g}" for g in robot.gravity)
             notes += (f"gravity is {gravity} m/s²: not in a URDF, set it in the simulator",)
         sections.append(_make_section(m, f"{urdf}", "a URDF", losses, notes))
     if mjcf is not None:
-        represented, losses = representable(m, rotors=True, couplings=True)
+        represented, losses = representable(m, motors=True)
         texts[mjcf] = mjcf_text(represented)
         notes = (SOFT_FRICTION,) if m.frictionloss.any() else ()
         sections.append(_make_section(m, f"{mjcf}", "an MJCF", losses, notes))

@@ -58,7 +58,7 @@ class Problem:
         """The same without samples: settings, model and `source`."""
         s = self.signals
         none = {name: x[:0] for name in COLUMNS if (x := getattr(s, name)) is not None}
-        signals = replace(s, **none, health={}, extras={})
+        signals = replace(s, **none, health={})
         return replace(self, signals=signals, recorded=signals, motion=FilteredMotion(signals))
 
     def with_samples(self) -> "Problem":

@@ -185,18 +185,6 @@ def column_plots(signals: Signals) -> list[Plot]:
     return plots
 
 
-def extra_plots(signals: Signals) -> list[Plot]:
-    """Recorded extra objects of the drives: a plot per quantity with a curve per motor."""
-    quantities: dict[tuple[str, str], list[Curve]] = {}
-    for column, (t_s, values) in signals.extras.items():
-        curves = quantities.setdefault((column.name, column.unit), [])
-        curves.append(Curve(key=column.motor, color=JOINTS[len(curves) % len(JOINTS)], line=_line(t_s, values)))
-    return [
-        Plot(path=("extra", f"{name} {unit}"), title=f"{name} [{unit or 'raw'}]", curves=tuple(curves))
-        for (name, unit), curves in quantities.items()
-    ]
-
-
 def motion_plots(signals: Signals, fit: Fit | None, lines: Lines, j: int) -> list[Plot]:
     """Position, speed and acceleration of joint j: measured, filtered, simulated; no position if the first page has it."""
     joint, plots = signals.robot.joints[j], []

@@ -25,7 +25,6 @@ from .curves import (
     column_plots,
     drift_plots,
     excitation_plots,
-    extra_plots,
     lines_of,
     motion_plots,
     position_plots,
@@ -54,7 +53,7 @@ def draw_fit(signals: Signals, fit: Fit, *, truth: Array | None = None) -> Pictu
     for `dq` and `ddq`; `error/<joint>/reference`, `simulated`: these positions minus the measured one, in the unit of the
     plot's title; `torque/<joint>/measured`, `model_idm`, `model_ddm`; `residual/<joint>/time`, `autocorrelation`,
     `distribution`; `robot`, `parameters`, `deviations`, `tests`, `passes`, `friction`, `spectrum`, `session`, `events`,
-    `health`, `extra/<object>/<motor>`, `report`.
+    `health`, `report`.
     """
     own = fitted_parameters(fit)
     others = [least_squares_parameters(fit)] if fit.iv else []
@@ -205,7 +204,7 @@ def _made(*panels: Panel | None) -> list[Panel]:
 def _signal_pages(
     signals: Signals, settings: Settings | None, fit: Fit | None, parameters: Sequence[Panel], document: Document
 ) -> list[Page]:
-    """The pages of a recording with or without a fit: overview, signal quality, extra objects of drives, motion."""
+    """The pages of a recording with or without a fit: overview, signal quality, motion."""
     lines = lines_of(signals, settings, fit)
     overview: dict[str, Sequence[Panel]] = {
         "position": position_plots(signals, fit, lines),
@@ -224,7 +223,6 @@ def _signal_pages(
     return [
         Page(name="overview" if fit else "recording", groups=_with_report(document, overview), layout="overview"),
         Page(name="signal", groups=signal, layout="signal"),
-        Page(name="extra objects", groups={"extra": extra_plots(signals)}),
         Page(name="motion", groups=motion, layout="tabs"),
     ]
 
@@ -246,6 +244,6 @@ def join_pictures(pictures: Sequence[Picture]) -> Picture:
         )
         for one in others
         for page in one.pages
-        if page.name in ("overview", "residual", "signal", "extra objects", "motion")
+        if page.name in ("overview", "residual", "signal", "motion")
     ]
     return replace(first, pages=(*first.pages, *of_others))
