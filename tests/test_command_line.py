@@ -233,7 +233,7 @@ def test_the_help_of_a_fit_has_groups(capsys):
     for title, option in (
         ("inputs", "--robot"),
         ("settings of the fit", "--cutoff-hz"),
-        ("settings of instrumental variables", "--start"),
+        ("settings of the fit", "--start"),
         ("outputs", "--rrd"),
     ):
         assert option in groups[title]
