@@ -259,10 +259,10 @@ def test_what_leaves_the_limits_is_drawn_to_what_keeps_them_even_if_its_rest_doe
     start = random_x(SCARA, share=0.4)
     x = 2.5 * start
     x[0, 0] = limits.middle[0] + limits.maximum[0, 0] * (1 + 1e-9)
-    rest, most = search.shrink(x, SERIES, limits, 400)
+    rest, most = search.shrink(x, SERIES.basis(400), limits)
     assert most > 1
     assert not rest[:, 1:].any()
-    found, most = search.shrink(x, SERIES, limits, 400, start, 0.99)
+    found, most = search.shrink(x, SERIES.basis(400), limits, start, 0.99)
     assert 0.98 < most <= 0.99
     assert limits.largest(motion_of(found, SERIES.basis(400)))[0] == most
     share = (found - start)[x != start] / (x - start)[x != start]
@@ -415,14 +415,14 @@ def test_the_command_writes_a_reference_that_can_be_tracked(earlier, tmp_path, c
     assert "above a third of the bandwidth of 5 Hz" in capsys.readouterr().err
 
 
-def capsules(text, base_m=0.1):
-    """A planar arm of two links of 1 m that can hit its own base."""
+def capsules(text, base_m=0.1, names="ab"):
+    """A planar arm of links of 1 m that can hit its own base."""
     toml = f"""
 name = "arm"
 gravity_m_s2 = [0, 0, 0]
 base_capsule = {{ radius_m = {base_m}, from_m = [0, 0, 0], to_m = [0, 0, 0.5] }}
 """
-    for name, d_m in (("a", 0), ("b", 1)):
+    for name, d_m in zip(names, (0, *(1,) * (len(names) - 1)), strict=True):
         toml += f"""
 [[joint]]
 name = "{name}"
@@ -439,103 +439,113 @@ effort_unit = "N m"
     return robot_from_files({"robot.toml": f"{text}{toml}[controller]\nbandwidth_hz = 10\n".encode()}, "here")
 
 
+def obstacles_in(robot, find=lambda name: None, poses=((0.0, 0.0),)):
+    return obstacles_of(InverseModel(robot), find, np.array(poses), 0.02)
+
+
 def test_distances_are_those_of_geometry():
-    robot = capsules("ground_m = -0.3")
-    obstacles = obstacles_of(InverseModel(robot), lambda name: None, np.zeros((1, 2)), 0.02)
-    assert obstacles.names == ("base and link of b", "ground and link of a", "ground and link of b")
+    obstacles = obstacles_in(capsules("ground_m = -0.3"))
+    assert obstacles.names == ("ground and link of a", "ground and link of b", "base and link of b")
     assert obstacles.near == ()
-    apart, names = obstacles.nearest(np.array([[0.3, 0.0], [0.3, np.pi - 1e-3]]), 9.0)
-    assert names == ("ground and link of a", "base and link of b")
-    assert apart[0] == pytest.approx(0.3 - 0.1)
+    apart = obstacles.distances(np.array([[0.3, 0.0], [0.3, np.pi - 1e-3]]))
+    assert apart[:, :2] == pytest.approx(0.3 - 0.1)
     # Folded back, link b ends at the axis of joint a: its axis runs within 1 mm of that of the base.
-    assert apart[1] == pytest.approx(-0.2, abs=2e-3)
+    assert apart[1, 2] == pytest.approx(-0.2, abs=2e-3)
+    assert obstacles.nearest(np.array([[0.3, 0.0], [0.3, np.pi - 1e-3]])) == (apart[1, 2], "base and link of b")
     q = np.random.default_rng(0).uniform([-1.0, 1.4], [1.0, 3.4], (20, 2))
-    each = [replace(obstacles, pairs=(pair,)).nearest(q, 9.0)[0] for pair in obstacles.pairs]
-    assert obstacles.nearest(q, 9.0)[0] == pytest.approx(np.min(each, axis=0), abs=1e-12)
-    assert len(set(np.argmin(each, axis=0))) > 1
     beside = capsules("").files["robot.toml"].decode().replace("from_m = [0, 0, 0]", "from_m = [0.3, 0.2, 0]", 1)
     beside = beside.replace("to_m = [0, 0, 0.5]", "to_m = [0.3, 0.2, 0.5]")
-    beside = InverseModel(robot_from_files({"robot.toml": beside.encode()}, "here"))
-    pair = obstacles_of(beside, lambda name: None, np.zeros((1, 2)), 0.02)
-    d, _ = pair.nearest(q, 9.0)
+    d = obstacles_in(robot_from_files({"robot.toml": beside.encode()}, "here")).distances(q)
     # Points of the axis of link b, 0.2 to 1 m from joint b, to the axis of the base's capsule.
     s = np.linspace(0.2, 1.0, 4001)
     x, y = (f(q[:, :1]) + s * f(q.sum(axis=1, keepdims=True)) for f in (np.cos, np.sin))
     by_geometry = np.hypot(x - 0.3, y - 0.2).min(axis=1) - 0.2
-    assert d == pytest.approx(by_geometry, abs=1e-6)
+    assert d[:, 0] == pytest.approx(by_geometry, abs=1e-6)
 
 
-def test_the_largest_share_counts_distances_within_a_margin():
-    """Link b folded back towards the base, 0.1 m of capsule and 0.95 m of base: to touch at 1.05 m."""
-    robot = capsules("", 0.95)
-    obstacles = obstacles_of(InverseModel(robot), lambda name: None, np.zeros((1, 2)), 0.02)
-    limits = limits_of(robot, (), 0.8, "here", obstacles)
-    still = np.zeros((1, 2))
-    for bend in np.deg2rad([80, 110, 112, 114, 116, 118]):
-        s = np.linspace(0.2, 1.0, 8001)
-        apart = np.sqrt(1 + s**2 + 2 * s * np.cos(bend)).min() - 1.05
-        share = 1 - (apart - 0.02) / 0.2
-        motion = (np.array([[0.0, bend]]), still, still)
-        assert limits.nearness(motion[0], 0.22) == pytest.approx(max(share, 0.0), abs=1e-5)
-        others = bend / limits.maximum[0, 1]
-        found, name = limits.largest(motion)
-        assert found == pytest.approx(max(share, others, 0.99), abs=1e-5)
-        assert name == ("position of joint b" if others > max(share, 0.99) else "distance of links")
+def test_pairs_that_are_adjacent_or_always_near_are_left_out():
+    """Stretched out: the base reaches into link b, links are 0.2 m or more apart."""
+    robot = capsules("ground_m = -0.3", 1.15, "abcde")
+    obstacles = obstacles_in(robot, poses=np.zeros((3, 5)))
+    apart = ["base and c", "base and d", "base and e", "a and c", "a and d", "a and e", "b and d", "b and e", "c and e"]
+    checked = [name.replace("link of ", "") for name in obstacles.names]
+    assert checked == [f"ground and {name}" for name in "abcde"] + apart
+    assert obstacles.near == ("base and link of b",)
+    expected = [0.2] * 5 + [
+        x - (1.15 if "base" in name else 0.1) - 0.1
+        for name, x in zip(apart, (2.2, 3.2, 4.2, 1.2, 2.2, 3.2, 1.2, 2.2, 1.2), strict=True)
+    ]
+    assert obstacles.distances(np.zeros((1, 5)))[0] == pytest.approx(expected)
 
 
-def test_a_search_starts_where_the_links_are_far_apart():
-    robot = capsules("", 0.95)
-    obstacles = obstacles_of(InverseModel(robot), lambda name: None, np.zeros((1, 2)), 0.02)
-    limits = limits_of(robot, (), 0.8, "here", obstacles)
-
-    def most(pose):
-        used = np.abs(limits.shares((pose[None], np.zeros((1, 2)), np.zeros((1, 2))))).max()
-        return max(used, limits.nearness(pose[None], 0.22)[0])
-
-    poses = np.random.default_rng(9).uniform(-0.5, 0.5, (50, 2)) * limits.maximum[0]
-    for seed in range(5):
-        assert most(search._roomiest_pose(limits, seed)) <= np.percentile([most(pose) for pose in poses], 5)
+def bent(q, base_m):
+    """Distance of link b to the base of `capsules`, link b folded back towards it."""
+    s = np.linspace(0.2, 1.0, 801)
+    return np.sqrt(1 + s**2 + 2 * s * np.cos(q[:, 1:])).min(axis=1) - 0.1 - base_m
 
 
-def test_links_keep_their_distance_between_the_samples_of_the_search(monkeypatch):
+def unchecked(monkeypatch, robot, settings):
+    """Positions along the reference that is found without a check of distances."""
+    with monkeypatch.context() as patched:
+        patched.setattr(search, "MARGIN_M", -np.inf)
+        return excite(robot, settings, prior_information(robot), "here").reference.at(np.linspace(0, 4, 3001))[0]
+
+
+@pytest.mark.parametrize(("base_m", "seed", "stays"), [(0.95, 3, True), (1.03, 2, False), (1.03, 3, False)])
+def test_links_keep_their_distance_between_the_samples_of_the_search(monkeypatch, base_m, seed, stays):
+    """Where the reference keeps it without a check it stays; one that goes through the base is moved."""
     monkeypatch.setattr(search, "STARTS", 1)
-    robot, settings = capsules("", 0.95), ExcitationSettings(period_s=4.0, harmonics=4, seed=2)
+    robot, settings = capsules("", base_m), ExcitationSettings(period_s=4.0, harmonics=4, seed=seed)
     found = excite(robot, settings, prior_information(robot), "here")
     q = found.reference.at(np.linspace(0, 4, 3001))[0]
-    s = np.linspace(0.2, 1.0, 81)
-    apart = np.sqrt(1 + s**2 + 2 * s * np.cos(q[:, 1:])).min() - 0.95 - 0.1
+    apart = bent(q, base_m).min()
     assert 0.0199 < apart < 0.06  # it goes near, and no nearer
-    assert found.nearest == ("base and link of b", pytest.approx(apart, abs=1e-3))
+    free = bent(unchecked(monkeypatch, robot, settings), base_m).min()
+    assert apart == free if stays else free < 0
+    assert found.nearest == (pytest.approx(apart, abs=1e-3), "base and link of b")
     assert excitation_document(found).sections[1].lines == (
-        f"nearest: base and link of b, {found.nearest[1]:.3f} m apart",
+        f"nearest: base and link of b, {found.nearest[0]:.3f} m apart",
     )
+    assert found.used.max() <= 0.8 + 1e-6
+
+
+def test_a_robot_whose_links_are_near_each_other_at_rest_is_refused():
+    """Too near over the half of its range that may be used for rest; farther apart at the ends."""
+    text = capsules("", 0.95).files["robot.toml"].decode()
+    folded = text.replace("d_m = 1, theta_deg = 0", "d_m = 1, theta_deg = 180")
+    robot = robot_from_files({"robot.toml": folded.encode()}, "here")
+    with pytest.raises(IdentificationError, match=r"keeps the limits: base and link of b are -\d.\d+ m apart at rest"):
+        excite(robot, ExcitationSettings(period_s=4.0, harmonics=4), prior_information(robot), "here")
 
 
 def test_shapes_that_touch_in_the_middle_and_meshes_that_are_not_found_are_named(tmp_path):
-    robot = capsules("ground_m = -0.05")
-    assert obstacles_of(InverseModel(robot), lambda name: None, np.zeros((1, 2)), 0.02).near == (
-        "ground and link of a",
-        "ground and link of b",
-    )
+    assert obstacles_in(capsules("ground_m = -0.05")).near == ("ground and link of a", "ground and link of b")
     shape = '<collision><origin xyz="0 0 0.5"/><geometry>{}</geometry></collision>'
     sphere, mesh = shape.format('<sphere radius="0.1"/>'), shape.format('<mesh filename="package://none/a.stl"/>')
-    for solid, names in ((sphere, ("base and slide",)), (mesh, None)):
+
+    def arm(solid):
         urdf = URDF_ARM.format(effort="80").replace('<link name="base"/>', f'<link name="base">{sphere}</link>')
         urdf = urdf.replace('<link name="slide"/>', f'<link name="slide">{solid}</link>')
         urdf = urdf.replace('<child link="slide"/>', '<child link="slide"/><origin xyz="3 0 0"/>')
         files = {"robot.toml": URDF_TOML.format(elbow="", rail="").encode(), "robot.urdf": urdf.encode()}
-        model = InverseModel(robot_from_files(files, "here"))
-        if names is None:
-            assert obstacles_of(model, lambda name: None, np.zeros((1, 2)), 0.02).missing == ("package://none/a.stl",)
-            (tmp_path / "a.stl").write_text("no mesh")
-            with pytest.raises(
-                IdentificationError, match=r"link 'slide': collision mesh = .package://none/a.stl.: expected a"
-            ):
-                obstacles_of(model, lambda name: tmp_path / "a.stl", np.zeros((1, 2)), 0.02)
-            continue
-        obstacles = obstacles_of(model, lambda name: None, np.zeros((1, 2)), 0.02)
-        assert obstacles.names == names
-        assert obstacles.nearest(np.array([[0.0, 0.5]]), 9.0)[0] == pytest.approx([3.5 - 0.2])
+        return robot_from_files(files, "here")
+
+    obstacles = obstacles_in(arm(sphere))
+    assert obstacles.names == ("base and slide",)
+    assert obstacles.distances(np.array([[0.0, 0.5]]))[0] == pytest.approx([3.5 - 0.2])
+    assert obstacles_in(arm(mesh)).missing == ("package://none/a.stl",)
+    (tmp_path / "a.stl").write_text("no mesh")
+    with pytest.raises(IdentificationError, match=r"URDF: a collision shape cannot be read: .*a\.stl") as caught:
+        obstacles_in(arm(mesh), lambda name: tmp_path / "a.stl")
+    assert str(caught.value).count("\n") == 0
+    # Two plates as a V that opens towards the base: its hull is nearer than its edges.
+    corners = [(x, y, z) for x, y in ((-0.3, 1), (0.3, 0), (-0.3, -1)) for z in (-0.1, 0.1)]
+    faces = [(1, 2, 3), (2, 4, 3), (3, 4, 5), (4, 6, 5)]
+    lines = [f"v {x} {y} {z}" for x, y, z in corners] + [f"f {a} {b} {c}" for a, b, c in faces]
+    (tmp_path / "a.obj").write_text("\n".join(lines) + "\n")
+    meshed = obstacles_in(arm(mesh), lambda name: tmp_path / "a.obj")
+    assert (meshed.missing, meshed.names) == ((), ("base and slide",))
+    assert meshed.distances(np.array([[0.0, 0.5]])) == pytest.approx(3.5 - 0.3 - 0.1, abs=1e-4)
 
 
 def test_the_page_shows_the_reference_between_its_limits(tx40_excitation, tmp_path):

@@ -17,6 +17,7 @@ from ..estimation import one_thread
 from ..model import (
     BaseParameters,
     InverseModel,
+    Obstacles,
     base_parameters,
     load_parameters,
     obstacles_of,
@@ -24,8 +25,8 @@ from ..model import (
 from ..options import ReferenceOptions
 from ..report import Document, Number, Row, Section, Table, columns
 from .information import Information, PriorInformation, earlier_information, loads_of, rows_per_s, torque_noise
-from .limits import FAR_M, KINDS, MARGIN_M, Limits, Series, limits_of, motion_of
-from .search import CHECKS_PER_SAMPLE, SAMPLES_PER_PERIOD, SearchProblem, best_of_searches, random_within
+from .limits import KINDS, Limits, Series, limits_of, motion_of
+from .search import CHECKS_PER_SAMPLE, MARGIN_M, SAMPLES_PER_PERIOD, SearchProblem, best_of_searches, random_within
 
 PLAIN_REFERENCES = 20  # random references, seeds from 0 on; the criterion is relative to their geometric mean
 SAMPLE_POSES = 200  # to find links that are always near each other
@@ -54,7 +55,7 @@ class Excitation:
         sigma, plain: (b,) expected standard deviations of the parameters; geometric mean of the same with plain references.
         noise, noise_from: (n,) deviation of the torque in a row of the fit; its origin in words.
         limits, used: the limits, and (L,) the largest share used of each; 1 is the whole limit.
-        nearest: the closest pair of links, or link and ground, and its distance in m, at most `FAR_M`; None without shapes.
+        nearest: the smallest distance in m, and its pair of links, or link and ground; None without shapes.
         beta, beta_from: parameters for the torque, and their origin; None where torque was not checked.
         payload: carried in a second recording; `gains` (n,): half-widths of the drive gains from both, in percent.
         warnings: lines.
@@ -70,7 +71,7 @@ class Excitation:
     noise_from: str
     limits: Limits
     used: Array
-    nearest: tuple[str, float] | None
+    nearest: tuple[float, str] | None
     beta: Array | None
     beta_from: str
     payload: Payload | None
@@ -130,7 +131,7 @@ def excite(
     ranges = np.array([joint.si("position") or (0.0, 0.0) for joint in robot.joints])
     poses = np.random.default_rng(0).uniform(ranges[:, 0], ranges[:, 1], (SAMPLE_POSES, robot.n))
     obstacles = obstacles_of(model, partial(find_mesh, folder=knowledge.folder), poses, MARGIN_M)
-    limits = limits_of(robot, loads, settings.limits_percent / 100, place, obstacles)
+    limits = limits_of(robot, loads, settings.limits_percent / 100, place)
     _refuse_rest(limits, place)
     series = Series(period_s=settings.period_s, harmonics=settings.harmonics)
     samples = SAMPLES_PER_PERIOD * settings.harmonics
@@ -147,13 +148,11 @@ def excite(
         creep=CREEP_SHARE * np.array([joint.si("speed") for joint in robot.joints]),
     )
     sigma_plain = np.exp(np.mean([np.log(information.sigma(motion)) for motion in plain], axis=0))
-    problem = SearchProblem(series=series, information=information, limits=limits, plain=sigma_plain)
+    checked = obstacles if obstacles.names else None
+    problem = SearchProblem(series=series, information=information, limits=limits, plain=sigma_plain, obstacles=checked)
     x, sigma = best_of_searches(problem, settings.seed, place, say)
     reference = series.reference(x)
-    fine, nearest = motion_of(x, series.basis(CHECKS_PER_SAMPLE * problem.samples)), None
-    if limits.obstacles is not None and limits.obstacles.pairs:
-        apart, names = limits.obstacles.nearest(fine[0], FAR_M)
-        nearest = names[int(apart.argmin())], float(apart.min())
+    fine = motion_of(x, series.basis(CHECKS_PER_SAMPLE * problem.samples))
     gains = np.zeros(0)
     if knowledge.payload is not None:
         at_samples = motion_of(x, series.basis(samples))
@@ -169,12 +168,12 @@ def excite(
         noise_from=noise_from,
         limits=limits,
         used=limits.share_of_whole(fine),
-        nearest=nearest,
+        nearest=checked.nearest(fine[0]) if checked else None,
         beta=None if knowledge.beta is None else knowledge.beta[known],
         beta_from=knowledge.beta_from,
         payload=knowledge.payload,
         gains=gains,
-        warnings=(*_warnings(limits, mus), *knowledge.warnings),
+        warnings=(*_warnings(limits, obstacles, mus), *knowledge.warnings),
     )
     if robot.bus is not None:
         at_sync = np.arange(0.0, settings.period_s, robot.bus.sync_period_s)
@@ -216,13 +215,13 @@ def _refuse_rest(limits: Limits, place: str) -> None:
         )
 
 
-def _warnings(limits: Limits, mus: Sequence[str]) -> tuple[str, ...]:
+def _warnings(limits: Limits, obstacles: Obstacles, mus: Sequence[str]) -> tuple[str, ...]:
     """Which torques and distances were not checked; load friction `mus`, which the criterion leaves out."""
-    warnings, obstacles = list[str](), limits.obstacles
-    if obstacles is not None and obstacles.missing:
+    warnings = list[str]()
+    if obstacles.missing:
         missing = f"{len(obstacles.missing)} meshes of the URDF are not found, such as {obstacles.missing[0]}"
         warnings.append(f"distances not checked: {missing}; set ROS_PACKAGE_PATH, or describe capsules")
-    if obstacles is not None and obstacles.near:
+    if obstacles.near:
         near = "; ".join(obstacles.near)
         warnings.append(f"distances not checked of pairs always nearer than {MARGIN_M:g} m: {near}")
     if limits.model is None:
@@ -285,8 +284,7 @@ def excitation_document(excitation: Excitation) -> Document:
     ]
     apart: tuple[str, ...] = ()
     if e.nearest is not None:
-        near = "more than " if e.nearest[1] >= FAR_M else ""
-        apart = (f"nearest: {e.nearest[0]}, {near}{e.nearest[1]:.3f} m apart",)
+        apart = (f"nearest: {e.nearest[1]}, {e.nearest[0]:.3f} m apart",)
     limits = Table(columns=columns("joint", numbers=(*KINDS, "effort")), rows=tuple(table))
     title = (
         f"{e.robot.name}: reference of {s.periods} x {s.period_s:g} s, {s.harmonics} harmonics up to "

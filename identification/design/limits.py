@@ -1,4 +1,4 @@
-"""Motions as Fourier series from rest to rest, and their limits: position, speed, acceleration, effort, distances."""
+"""Motions as Fourier series from rest to rest, and their limits: position, speed, acceleration, effort."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,10 +11,8 @@ from acquisition.robot import EffortLimits, FourierReference, Robot, effort_limi
 
 from ..arrays import Array
 from ..errors import IdentificationError
-from ..model import DirectModel, Obstacles, torque_of_links, torque_without_sliding
+from ..model import DirectModel, torque_of_links, torque_without_sliding
 
-MARGIN_M = 0.02  # smallest distance of links from each other and from the ground
-FAR_M = 0.2  # larger distances do not matter
 KINDS = ("position", "speed", "acceleration")
 
 Motion = tuple[Array, Array, Array]
@@ -83,7 +81,6 @@ class Limits:
         models: with the parameters for the torque, one for each load that the robot carries; empty if unknown.
         coulomb: (m,) most that signed friction takes of each effort: Coulomb, Stribeck, root of speed.
         share: that may be used of all limits.
-        obstacles: pairs of shapes that must keep a margin, or None.
     """
 
     robot: Robot
@@ -93,7 +90,6 @@ class Limits:
     effort: EffortLimits
     coulomb: Array
     share: float
-    obstacles: Obstacles | None = None
 
     @property
     def model(self) -> DirectModel | None:
@@ -118,19 +114,9 @@ class Limits:
         return (*names, *(f"effort of {name}{load}" for load in loads for name in self.effort.names))
 
     def largest(self, motion: Motion) -> tuple[float, str]:
-        """The largest share used of a limit, and its name; of distances 1 is the margin, smaller is farther."""
+        """The largest share used of a limit, and its name."""
         used = np.abs(self.shares(motion)).max(axis=0)
-        worst, name = float(used.max()), self.names[int(used.argmax())]
-        # Distances are slow: computed only if all other limits hold, and exact only near the margin.
-        if worst <= 1 and (near := float(self.nearness(motion[0], 1.1 * MARGIN_M).max())) > worst:
-            return near, "distance of links"
-        return worst, name
-
-    def nearness(self, q: Array, far_m: float) -> Array:
-        """(N,) shares of the distances at q (N, n), 1 at the margin; larger distances than `far_m` count as `far_m`."""
-        if self.obstacles is None or not self.obstacles.pairs:
-            return np.zeros(len(q))
-        return 1 - (self.obstacles.nearest(q, far_m)[0] - MARGIN_M) / FAR_M
+        return float(used.max()), self.names[int(used.argmax())]
 
     def share_of_whole(self, motion: Motion) -> Array:
         """(L,) the largest share that a motion uses of each whole limit, with Coulomb friction."""
@@ -185,9 +171,7 @@ def _sides(shares: Array) -> Array:
     return np.where(shares < 0, -1.0, 1.0)
 
 
-def limits_of(
-    robot: Robot, models: Sequence[DirectModel], share: float, place: str, obstacles: Obstacles | None = None
-) -> Limits:
+def limits_of(robot: Robot, models: Sequence[DirectModel], share: float, place: str) -> Limits:
     """The limits of a robot, of which a reference may use a `share` in (0, 1].
 
     The torque is limited by each of the `models`, with the same friction; `place` names the description in errors.
@@ -224,5 +208,4 @@ def limits_of(
         effort=limits,
         coulomb=coulomb,
         share=share,
-        obstacles=obstacles,
     )

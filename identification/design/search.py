@@ -5,7 +5,7 @@ Kraft, A software package for sequential quadratic programming, DFVLR-FB 88-28 (
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -15,8 +15,9 @@ from acquisition.robot import FourierReference, fourier_reference
 
 from ..arrays import Array
 from ..errors import IdentificationError
+from ..model import Obstacles
 from .information import Information
-from .limits import FAR_M, MARGIN_M, Limits, Motion, Series, motion_of
+from .limits import Limits, Motion, Series, motion_of
 
 SAMPLES_PER_PERIOD = 15  # of the highest harmonic
 SAMPLES_PER_WINDOW = 3  # samples, of which a search constrains the largest share
@@ -27,6 +28,7 @@ STARTS = 3  # from random references of other seeds
 FIRST_SEED = 20  # of these: smaller ones are those of plain references
 MAX_DEVIATION_RATIO = 1 / 0.95  # of a parameter's deviation over that of the plain reference
 START_SHARE = 0.9  # of the limits, in which a search starts
+MARGIN_M = 0.02  # smallest distance of links from each other and from the ground
 START_POSES = 200  # of which a search starts at the one with most distance
 MAX_ITERATIONS = 50  # of a search
 POLISHING_ITERATIONS = 10  # more iterations, with limits tightened by what is exceeded between samples
@@ -37,12 +39,17 @@ BISECTIONS = 10
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SearchProblem:
-    """Minimise the criterion of a series, relative to the deviations `plain` (b,), within limits."""
+    """Minimise the criterion of a series, relative to the deviations `plain` (b,), within limits.
+
+    Pairs of `obstacles` keep the margin, None without any: a search starts where they are far apart, and what it finds is
+    moved towards its start until they keep it.
+    """
 
     series: Series
     information: Information
     limits: Limits
     plain: Array
+    obstacles: Obstacles | None = None
 
     @property
     def samples(self) -> int:
@@ -86,31 +93,35 @@ def best_of_searches(problem: SearchProblem, seed: int, place: str, say: Callabl
 
 def random_within(limits: Limits, series: Series, seed: int) -> FourierReference:
     """A random reference that uses the same share of all limits, torque too; without distances of links."""
-    robot, limits = limits.robot, replace(limits, obstacles=None)
     reference = fourier_reference(
-        robot, period_s=series.period_s, seed=seed, harmonics=series.harmonics, share=limits.share
+        limits.robot, period_s=series.period_s, seed=seed, harmonics=series.harmonics, share=limits.share
     )
-    x, _ = shrink(series.coefficients(reference), series, limits, SAMPLES_PER_PERIOD * series.harmonics)
+    x, _ = shrink(series.coefficients(reference), series.basis(SAMPLES_PER_PERIOD * series.harmonics), limits)
     return series.reference(x)
 
 
 def _random_start(problem: SearchProblem, seed: int) -> Array:
-    """Coefficients (n, K) of a random reference within a share of the limits, with its links far apart."""
+    """Coefficients (n, K) of a random reference within a share of the limits."""
     limits, series = problem.limits, problem.series
     x = START_SHARE * series.coefficients(random_within(limits, series, FIRST_SEED + seed))
     x[:, 0] /= START_SHARE
-    if limits.obstacles is not None:
-        x[:, 0] = _roomiest_pose(limits, seed)
-    return shrink(x, series, limits, CHECKS_PER_SAMPLE * problem.samples, share=MAX_SHARE)[0]
+    if problem.obstacles is not None:
+        x[:, 0] = _roomiest_pose(problem.obstacles, limits, seed)
+    between = series.basis(CHECKS_PER_SAMPLE * problem.samples)
+    return shrink(x, between, limits, share=MAX_SHARE, obstacles=problem.obstacles)[0]
 
 
-def _roomiest_pose(limits: Limits, seed: int) -> Array:
-    """The random pose (n,) near the middle of the usable ranges whose links are farthest apart."""
+def _roomiest_pose(obstacles: Obstacles, limits: Limits, seed: int) -> Array:
+    """The random pose (n,) of possible rest near the middle of the usable ranges, whose links are farthest apart."""
     offsets = np.random.default_rng(seed).uniform(-0.5, 0.5, (START_POSES, limits.robot.n))
-    poses = limits.middle + offsets * limits.maximum[0]
-    still = np.zeros(poses.shape)
-    shares = np.abs(limits.shares((poses, still, still))).max(axis=1)
-    return np.asarray(poses[int(np.maximum(shares, limits.nearness(poses, FAR_M + MARGIN_M)).argmin())])
+    poses, still = limits.middle + offsets * limits.maximum[0], np.zeros(offsets.shape)
+    possible = np.abs(limits.shares((poses, still, still))).max(axis=1) <= 1
+    room = np.where(possible, obstacles.distances(poses).min(axis=1), -np.inf)
+    best = poses[int(room.argmax())]
+    if room.max() < MARGIN_M:
+        distance, pair = obstacles.nearest(best[None])
+        raise IdentificationError(f"{pair} are {distance:.3f} m apart at rest")
+    return np.asarray(best)
 
 
 def _say_criterion(say: Callable[[str], None], text: str, criterion: float) -> None:
@@ -123,11 +134,12 @@ def best_series(problem: SearchProblem, start: Array, say: Callable[[float], Non
     The search ignores distances: its result is moved towards `start`, which is within all limits, until it is too. `say` gets
     the criterion after each iteration.
     """
-    search, limits, between = _Search(problem, say), problem.limits, CHECKS_PER_SAMPLE * problem.samples
+    search, between = _Search(problem, say), problem.series.basis(CHECKS_PER_SAMPLE * problem.samples)
+    kept = partial(shrink, basis=between, limits=problem.limits, share=MAX_SHARE, obstacles=problem.obstacles)
     x = search.minimise(start, MAX_ITERATIONS)
     search.tighten(x)
-    safe, _ = shrink(x, problem.series, limits, between, start, MAX_SHARE)
-    return shrink(search.minimise(x, POLISHING_ITERATIONS), problem.series, limits, between, safe, MAX_SHARE)[0]
+    safe, _ = kept(x, towards=start)
+    return kept(search.minimise(x, POLISHING_ITERATIONS), towards=safe)[0]
 
 
 class _Search:
@@ -196,20 +208,28 @@ def _peaks(shares: Array) -> NDArray[np.intp]:
 
 
 def shrink(
-    x: Array, series: Series, limits: Limits, samples: int, towards: Array | None = None, share: float = 1.0
+    x: Array,
+    basis: Motion,
+    limits: Limits,
+    towards: Array | None = None,
+    share: float = 1.0,
+    obstacles: Obstacles | None = None,
 ) -> tuple[Array, float]:
-    """A series moved towards another until it is within a share of all limits at so many samples of a period.
+    """A series moved towards another until it is within a share of all limits at the samples of the basis.
 
-    By default `towards` is rest at its end position. Returns coefficients (n, K) and the largest share used of a limit: above
-    `share` if the other exceeds it too.
+    By default `towards` is rest at its end position. Shapes of `obstacles` keep the margin. Returns coefficients (n, K) and the
+    largest share used of a limit: above `share` if the other exceeds it too.
     """
-    basis, still = series.basis(samples), x.copy()
+    still = x.copy()
     still[:, 1:] = 0.0
     if towards is not None:
         still = towards
 
     def largest_share(scale: float) -> float:
-        return limits.largest(motion_of(still + scale * (x - still), basis))[0]
+        motion = motion_of(still + scale * (x - still), basis)
+        used = limits.largest(motion)[0]
+        near = used <= share and obstacles is not None and obstacles.nearest(motion[0])[0] < MARGIN_M
+        return math.inf if near else used
 
     low, high = 0.0, 1.0
     if largest_share(1.0) <= share:
