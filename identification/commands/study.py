@@ -58,7 +58,7 @@ def run(options: argparse.Namespace) -> None:
         if options.json:
             write_json(options.json, study_file(study, runs, base, true))
 
-        write_pictures(options, document, lambda view: [view.draw_study(robot.name, runs, true, document)])
+        write_pictures(options, document, lambda view: [view.draw_study(robot.name, runs, document)])
     finally:  # print the result of a long study even if a file cannot be written
         took = f"{took_s:.3g} s, {took_s / study.runs:.2g} s a run"
         print_results(document, *border_line(robot), took)
