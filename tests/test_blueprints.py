@@ -7,13 +7,10 @@ from blueprints import has_one_parent_each
 from conftest import IDENTIFY, REPLAY
 
 SESSION, ROBOT = REPLAY / "scara" / "session.mcap", REPLAY / "scara" / "robot.toml"
-COMMANDS = {  # what stands before --rrd FILE; more than six essentials, two robots: the report is on several pages
+COMMANDS = {  # what stands before --rrd FILE
     "fit": [SESSION],
     "view": [SESSION],
     "view --follow": [SESSION],
-    "compare": [REPLAY / "scara" / "fit.json", REPLAY / "scara" / "truth.json"],
-    "friction": [SESSION],
-    "sensitivity": [SESSION, "--position-noise", "1e-4"],
     "excite": [ROBOT, "--period", "3", "--harmonics", "3", "--periods", "2", "-o", "ref.csv"],
     "fleet": ["fleet", "-o", "fleet.parquet"],
 }

@@ -41,7 +41,7 @@ def in_shell(command: str, folder: Path) -> subprocess.CompletedProcess[str]:
     [
         (identify, f"fit {SESSION} --json j --rrd r", ["j", "r"]),
         (identify, f"validate {FIT} {SESSION} --json j", ["j"]),
-        (identify, f"compare {FIT} {FIT} --rrd r", ["r"]),
+        (identify, f"compare {FIT} {FIT} --report r.html", ["r.html"]),
         (identify, f"base {SCARA} --json j", ["j"]),
         (identify, f"study {SCARA} --runs 1 --duration-s 3 --json j", ["j"]),
         (identify, f"view {SESSION} -o r", ["r"]),

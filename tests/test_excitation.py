@@ -38,6 +38,8 @@ from identification.model import (
 from identification.regression import Overrides, load_friction, make_problem, regression_of_recording
 from identification.study import Noise, closed_loop, write_signals
 from identification.view import draw_excitation, write_rrd
+from identification.view.charts import interval_charts
+from identification.view.colors import GREY, ORANGE
 
 
 def limited(robot):
@@ -571,13 +573,9 @@ def test_the_page_shows_the_reference_between_its_limits(tx40_excitation, tmp_pa
         turned = np.abs(np.diff(found.reference.at(t_s)[0][:, j]))
         share = np.abs((turns[1:] * turns[:-1]).sum(axis=1)).clip(max=1.0)
         assert 2 * np.arccos(share) == pytest.approx(turned, abs=2e-3)
-    strokes = file.static["/intervals/strokes"]
-    drawn = list(zip(*(strokes[f"LineStrips2D:{name}"] for name in ("strips", "colors", "radii")), strict=True))
-    bars = [points for points, color, _ in drawn if color == 0xE69F00FF]
-    grey = [points for points, color, radius in drawn if color == 0x8C8C8CFF and radius < -1]  # in points
-    assert len(bars) == len(grey) == found.base.b
-    longer = [g[1][0] - b[1][0] for b, g in zip(bars, grey, strict=True)]
-    assert np.corrcoef(longer, np.log(found.plain / found.sigma))[0, 1] > 0.999  # on a logarithmic scale
+    marks = [mark for chart in interval_charts(found) for mark in chart.columns[0].marks]
+    halves = [[mark.value for mark in marks if mark.color == color] for color in (ORANGE, GREY)]
+    assert halves == [pytest.approx(found.half), pytest.approx(found.plain_half)]
 
 
 def test_the_report_has_the_intervals_and_the_limits_in_use(tx40_excitation):

@@ -10,8 +10,8 @@ import pytest
 from conftest import REPLAY
 from scipy import stats
 from test_friction_terms import LOAD, ROOT, WITHOUT_LAG, recorded, upright
-from test_viewer import Written
 
+from identification import view
 from identification.commands import main
 from identification.data import RecordingFile, Recordings
 from identification.design import friction_of_joints, select_friction, with_terms
@@ -196,51 +196,33 @@ def test_the_page_has_each_joint_over_all_recordings():
         np.testing.assert_allclose(one.torque, (friction(v) + rho)[rows], rtol=1e-9, atol=1e-9)
 
 
-class Sheet:
-    """A drawing of friction read back: strokes and dots in the units of its grid, whose lines are labelled."""
-
-    def __init__(self, file: Written, path: str) -> None:
-        labels, strips, points = (file.static[f"{path}/{name}"] for name in ("labels", "strokes", "cloud"))
-        self.texts = labels["Points2D:labels"]
-        strips = [np.array(strip) for strip in strips["LineStrips2D:strips"]]
-        self._x, self._y = [strip[0, 0] for strip in strips[:3]], [strip[0, 1] for strip in strips[3:6]]
-        self._v, self._torque = [float(text) for text in self.texts[:3]], [float(text) for text in self.texts[3:6]]
-        self.strokes = [self.values(strip) for strip in strips[6:]]
-        self.dots = self.values(np.array(points["Points2D:positions"]))
-
-    def values(self, xy: np.ndarray) -> np.ndarray:
-        """Speeds and torques (2, k); pixels of torque run downwards."""
-        return np.stack([np.interp(xy[:, 0], self._x, self._v), np.interp(-xy[:, 1], -np.array(self._y), self._torque)])
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("count", [1, 3])
-def test_the_page_of_the_command_has_curves_and_intervals_of_the_fits(tmp_path, count):
-    files = []
+def test_the_page_of_the_command_has_curves_and_intervals_of_the_fits(tmp_path, count, monkeypatch):
+    files, drawn = [], []
     for signals in several()[:count]:
         files.append(str(tmp_path / signals.recording))
         write_signals(tmp_path / signals.recording, signals, source="test")
-    rrd = tmp_path / "friction.rrd"
-    assert main(["friction", *files, "--torque-lag-s", "none", "--rrd", str(rrd)]) == 0
-    file = Written(rrd)
-    assert file.is_complete()
+    monkeypatch.setattr(view, "write_html", lambda path, picture: drawn.append(picture))
+    assert main(["friction", *files, "--torque-lag-s", "none", "--report", str(tmp_path / "a.html")]) == 0
+    ((page,),) = (picture.pages for picture in drawn)
+    charts = {chart.path[1:]: chart for of_joint in page.groups.values() for chart in of_joint}
     names = {"usual": (frozenset(),) * 2, "recommended": (ROOT | LOAD, LOAD)}
     joints = ("shoulder", "elbow")
-    assert set(file.views) == {"/report", *(f"/friction/{joint}/{name}" for joint in joints for name in names)}
-    assert "recommended, for robot.toml" in file.static["/report"]["TextDocument:text"][0]
+    assert list(charts) == [(joint, name) for joint in joints for name in names]
     for name, terms in names.items():
         signals = (dataclasses.replace(one, robot=with_terms(one.robot, terms)) for one in several()[:count])
         fit = identify_ls(Recordings(sources=tuple(signals)), WITHOUT_LAG)
         moved = np.abs(fit.speed) > 0.02 * np.abs(fit.speed).max(axis=0)
         for j, joint in enumerate(joints, 1):
-            sheet = Sheet(file, f"/friction/{joint}/{name}")
-            assert file.views[f"/friction/{joint}/{name}"][1].startswith(f"{joint} {name} [")
-            loads = [float(text.split()[1]) for text in sheet.texts if text.startswith("load")]
+            chart = charts[joint, name]
+            assert chart.title.startswith(f"friction {joint}, {name} [")
+            texts = dict.fromkeys(curve.name for curve in chart.curves)
+            loads = [float(text.split()[1]) for text in texts if text.startswith("load")]
             assert len(loads) == (3 if name == "recommended" else 0)
-            assert len(sheet.strokes) == 6 * max(1, len(loads))
-            size = max(np.abs(stroke[1]).max() for stroke in sheet.strokes)
-            for k, strokes in enumerate(zip(*[iter(sheet.strokes)] * 3, strict=True)):
-                v = strokes[0][0]
+            assert len(chart.curves) == 6 * max(1, len(loads))
+            for k, (curve, *edges) in enumerate(zip(*[iter(chart.curves)] * 3, strict=True)):
+                v, torque = curve.line
                 g = np.zeros((len(v), len(fit.estimate.names)))
                 for parameter, column in (
                     (f"Fv{j}", v),
@@ -251,10 +233,13 @@ def test_the_page_of_the_command_has_curves_and_intervals_of_the_fits(tmp_path, 
                     if parameter in fit.estimate.names:
                         g[:, fit.estimate.names.index(parameter)] = column
                 half = fit.intervals.reach * np.sqrt(np.sum(g @ fit.intervals.covariance * g, axis=1))
-                for stroke, side in zip(strokes, (0, -1, 1), strict=True):
-                    np.testing.assert_allclose(stroke[1], g @ fit.estimate.beta + side * half, atol=0.01 * size)
-                assert np.mean(strokes[2][1] - strokes[1][1]) == pytest.approx(2 * half.mean(), rel=0.05)
+                np.testing.assert_allclose(
+                    torque, g @ fit.estimate.beta, atol=0.01 * np.abs(torque).max()
+                )  # load rounded
+                for edge, side in zip(edges, (-1, 1), strict=True):
+                    assert (edge.name, edge.dashed) == ("95 % interval", True)
+                    np.testing.assert_allclose(edge.line[1] - torque, side * half, rtol=0.02)
+            points = np.concatenate([points for points, _ in chart.dots])
             every = max(1, moved[:, j - 1].sum() // 400)
-            assert len(sheet.dots[0]) == -(-moved[:, j - 1].sum() // every)
             expected = fit.speed[moved[:, j - 1], j - 1][::every]
-            np.testing.assert_allclose(sheet.dots[0], expected, atol=0.01 * np.abs(expected).max())
+            np.testing.assert_allclose(np.sort(points[:, 0]), np.sort(expected))

@@ -173,9 +173,9 @@ def state(rrd: Path) -> tuple[str, list[int]]:
     for chunk in RrdReader(rrd).stream():
         batch = chunk.to_record_batch()
         for name in batch.schema.names:
-            if chunk.entity_path == "/state/labels" and name.endswith("labels") and "show" not in name:
+            if chunk.entity_path == "/state/text" and name.endswith("labels") and "show" not in name:
                 text = batch.column(name).to_pylist()[-1][-1]
-            if chunk.entity_path == "/state/strokes" and name.endswith("colors"):
+            if chunk.entity_path == "/state/bar" and name.endswith("colors"):
                 colors = batch.column(name).to_pylist()[-1]
     return text, colors
 

@@ -13,8 +13,8 @@ from identification.errors import IdentificationError
 from identification.report import print_whole
 from identification.study import VariedFit, moves_of, sensitivity_document, vary
 from identification.study.sensitivity import Variant, fit_variant
-from identification.view import draw_sensitivity, write_html, write_rrd
-from identification.view.sensitivity import sensitivity_drawing
+from identification.view.charts import sensitivity_charts
+from identification.view.colors import LIGHT, ORANGE, PURPLE
 
 SCARA = REPLAY / "scara" / "session.mcap"
 
@@ -121,18 +121,20 @@ def test_moves_are_in_half_widths_of_iv_by_the_rules_and_of_essential_parameters
     assert document.short.sections[1].table is None
 
 
-def test_a_chart_has_both_methods_in_every_variant_that_has_a_fit(tmp_path):
-    fits = made_up()
-    chart = sensitivity_drawing(fits, "M1")
-    assert len(chart.crosses) == len(chart.dots) == 2
-    (_, ls_rule, _), (_, ls_noise, _) = chart.crosses
-    assert ls_noise < ls_rule, "upwards, as the value"
-    assert {"cut-off", "position noise"} <= {text for _, _, text, _ in chart.labels}
-    picture = draw_sensitivity({"log.mcap": "0" * 64}, fits, sensitivity_document("log.mcap", fits))
-    write_rrd(tmp_path / "a.rrd", picture)
-    write_html(tmp_path / "a.html", picture)
-    assert (tmp_path / "a.rrd").stat().st_size > 1000
-    assert "M1 ± 95 %" in (tmp_path / "a.html").read_text()
+def test_a_chart_has_both_methods_in_every_variant_that_has_a_fit():
+    (chart,) = sensitivity_charts(made_up())
+    assert chart.names == [(name, LIGHT) for name in ("by the rules", "cut-off none", "position noise 1e-05 m rms")]
+    column, other = chart.columns
+    assert (column.head, other.head) == ("M1 ± 95 %", "Fc1 ± 95 %"), "the essential ones"
+    ls, iv = ([m for m in column.marks if m.color == color] for color in (PURPLE, ORANGE))
+    assert [(round(m.row), m.shape, m.value, m.half) for m in ls] == [(0, "cross", 10.0, 2.0), (2, "cross", 14.0, 2.0)]
+    assert [(round(m.row), m.shape, m.value, m.half) for m in iv] == [(0, "dot", 10.5, 0.5), (2, "dot", 10.25, 0.5)]
+    assert column.lines == (10.0, 11.0), "the interval of IV by the rules"
+    assert column.axis.low < 8.0
+    assert column.axis.high > 16.0
+    many = {f"M{k}": (1.0, 0.1, 1.0, 0.1) for k in range(9)}
+    charts = sensitivity_charts([replace(made_up()[0], values=many, essential=())])
+    assert [len(one.columns) for one in charts] == [3, 3, 3]
 
 
 def test_a_recording_that_cannot_be_fitted_by_the_rules_is_refused():
@@ -142,10 +144,9 @@ def test_a_recording_that_cannot_be_fitted_by_the_rules_is_refused():
 
 @pytest.mark.slow
 def test_the_command_prints_one_line_of_conclusion_and_draws(tmp_path, capsys):
-    out = tmp_path / "a.rrd"
-    assert main(["sensitivity", str(SCARA), "--position-noise", "1e-4", "--rrd", str(out)]) == 0
+    out = tmp_path / "a.html"
+    assert main(["sensitivity", str(SCARA), "--position-noise", "1e-4", "--report", str(out)]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].startswith("session.mcap: LS moves by up to ")
-    assert lines[-1] == f"look at it: rerun --bind 127.0.0.1 {out}"
     assert len(lines) <= 40
-    assert out.exists()
+    assert "ZZ1R ± 95 %" in out.read_text()

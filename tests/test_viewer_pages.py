@@ -18,32 +18,15 @@ from acquisition.robot import robot_from_files
 from identification.commands import main
 from identification.data import load_signals
 from identification.errors import IdentificationError
-from identification.methods import fitted_parameters
 from identification.model import InverseModel
 from identification.regression import Overrides
-from identification.report import Parameter, ParameterSet, comparison_document, comparison_section, differences
-from identification.study import Run, RunFit
-from identification.trust import Figure, Trust, TrustLine
-from identification.view import draw_comparison, draw_fit, draw_recording, write_rrd
-from identification.view.charts import COMPARED, deviation_drawing, parameter_drawing, study_drawing
+from identification.report import Parameter, ParameterSet, comparison_section, differences
+from identification.view import draw_fit, draw_recording, write_rrd
+from identification.view.colors import COMPARED, JOINTS, MEASURED, PREDICTED, REFERENCE, RESIDUAL, SIMULATED
 from identification.view.curves import column_plots
-from identification.view.fit_charts import trust_drawing
-from identification.view.panels import (
-    GREEN,
-    GREY,
-    JOINTS,
-    MEASURED,
-    ORANGE,
-    PREDICTED,
-    PURPLE,
-    REFERENCE,
-    RESIDUAL,
-    SIMULATED,
-    VERMILLION,
-)
 from identification.view.rerun_panels import shown_text
 from identification.view.robot_drawing import pose_stride, robot_scene
-from identification.view.signal_panels import event_log, health_plot, span_lanes
+from identification.view.signal_panels import event_logs, health_plots
 
 SESSION = REPLAY / "scara" / "session.mcap"
 LINK = "<inertial><mass value='1'/><inertia ixx='.1' iyy='.1' izz='.1' ixy='0' ixz='0' iyz='0'/></inertial>"
@@ -211,19 +194,17 @@ def eventful(signals):
     )
 
 
-def test_phases_events_and_counters_of_a_session_are_shown(tmp_path):
+def test_events_and_counters_of_a_session_are_shown(tmp_path):
     signals = eventful(made_up())
     write_rrd(tmp_path / "fit.rrd", draw_fit(signals, fitted(made_up())))
     file = Written(tmp_path / "fit.rrd")
     assert file.is_complete()
-    assert {"StateTimeline", "TextLog"} <= {kind for kind, _ in file.views.values()}
+    assert "TextLog" in {kind for kind, _ in file.views.values()}
     end_s = signals.t_s[-1]
-    lanes = span_lanes(signals, None, fitted=True).lanes
-    assert [(t, text) for t, text, _ in lanes["phase"]] == [(0.0, "settle"), (0.5, "track"), (end_s, "stop")]
-    lines = event_log(signals).lines
+    (log,), (plot,) = event_logs(signals), health_plots(signals)
+    lines = log.lines
     assert lines[0] == (0.0, False, "-3.000 s  phase: configure (before the samples)")
     assert lines[3] == (1.0, True, "1.000 s  fault: drive 2: following error")
-    plot = health_plot(signals)
     assert plot.title == "fault counters: late 3"
     assert "- recorder: frames 9900, late 3\n" in file.static["/report"]["TextDocument:text"][0]
     ((late, counts),) = [c.line for c in plot.curves]
@@ -305,7 +286,6 @@ def test_a_recording_that_is_not_fitted_is_shown(case, tmp_path):
     assert "3D" in kinds
     text = file.static["/report"]["TextDocument:text"][0]
     assert ("cannot be fitted" in text) == (N < 4000)
-    assert ("StateTimeline" in kinds) == (N == 4000)
 
 
 def test_a_robot_that_stands_still_is_shown(tmp_path):
@@ -358,72 +338,6 @@ def test_where_there_are_intervals_they_are_the_deviations_to_judge_by():
     assert Parameter(name="M1", value=1.0, unit="kg").half == 0
 
 
-def test_bars_of_a_comparison_end_where_the_difference_is():
-    a, b = values("A", M1=(2.0, 0.3), M2=(1.0, 0.1)), values("B", M1=(1.0, 0.4), M2=(9.0, 0.1))
-    drawing = deviation_drawing(a, [b])
-    places = {text: x for x, _, text, _ in drawing.labels}
-    width = places["+3"] - places["0"] if places["0"] > places["-3"] else None
-    far = [x for x, y, _ in drawing.crosses if x > places["-6"] - 1]
-    assert places["-3"] + (2.0 + 3.0) / 3 * width in [pytest.approx(x) for x in far]
-    assert places["-6"] in [pytest.approx(x) for x in far], "beyond the chart it stays at its end"
-
-
-def test_least_squares_is_told_by_a_cross_and_the_truth_by_a_line():
-    own = values("IV", M1=(2.0, 0.3), M2=(-1.0, 0.1))
-    ls, true = values("LS", M1=(2.4, 0.3), M2=(-1.2, 0.1)), values("true", M1=(2.1, 0.0), M2=(-1.0, 0.0))
-    drawing = parameter_drawing(own, [ls, true])
-    assert drawing.title.endswith("× purple LS, | green true")
-    assert (len(drawing.dots), len(drawing.crosses)) == (2, 2)
-    for (_, y, _), (_, cross_y, color) in zip(drawing.dots, drawing.crosses, strict=True):
-        assert cross_y > y
-        assert color == PURPLE
-        upright = [s for s, c, _ in drawing.strokes if c == GREEN and s[0][0] == s[1][0] and s[0][1] < y < s[1][1]]
-        assert len(upright) == 1
-    assert drawing.crosses[0][0] > drawing.dots[0][0], "2.4 is right of 2"
-    assert drawing.crosses[1][0] < drawing.dots[1][0], "-1.2 is left of -1"
-    assert len(deviation_drawing(own, [ls, true]).crosses) == 4, "and at the ends of the differences"
-
-
-def test_the_value_axis_is_the_asinh_scale_that_its_label_says():
-    own = values("IV", M1=(20.0, 0.001), M2=(0.001, 0.001))
-    drawing = parameter_drawing(own, [])
-    (label,) = [text for _, _, text, _ in drawing.labels if "asinh scale" in text]
-    linear = float(label.split("±")[1].split(",")[0])
-    ticks = {text: x for x, _, text, _ in drawing.labels}
-    share = [(x - ticks["0"]) / (ticks["100"] - ticks["0"]) for x, _, _ in drawing.dots]
-    expected = [np.arcsinh(value / linear) / np.arcsinh(100.0 / linear) for value in (20.0, 0.001)]
-    np.testing.assert_allclose(share, expected, rtol=1e-9)
-    assert label in [text for _, _, text, _ in deviation_drawing(own, []).labels]
-
-
-def test_a_study_joins_the_two_methods_of_a_run_and_draws_their_medians():
-    nan = np.full(2, np.nan)
-
-    def a_run(number, ls, iv, status="converged"):
-        def fit(error):
-            known = {"beta": nan, "low": nan, "high": nan, "essential": np.ones(2, dtype=bool), "positive": True}
-            return RunFit(error=error, verdict="trust", **known)
-
-        return Run(number=number, status=status, ls=fit(ls), iv=None if iv is None else fit(iv))
-
-    runs = [a_run(k, ls, iv) for k, (ls, iv) in enumerate([(0.1, 0.01), (0.2, 0.03), (0.25, 0.02)])]
-    runs += [a_run(3, 0.05, None, "diverged"), a_run(4, 0.8, 0.7, "max_iterations")]
-    drawing = study_drawing(runs)
-    assert (len(drawing.crosses), len(drawing.dots)) == (5, 4)
-    assert [c for *_, c in drawing.dots] == [ORANGE, ORANGE, ORANGE, VERMILLION]
-    ends = [tuple(map(tuple, s)) for s, c, _ in drawing.strokes if c == GREY]
-    dots, crosses = ([(x, y) for x, y, _ in marks] for marks in (drawing.dots, drawing.crosses))
-    for cross, dot in zip([*crosses[:3], crosses[4]], dots, strict=True):
-        assert (cross, dot) in ends, "of one run"
-    assert not any(crosses[3] in pair for pair in ends), "no line to an estimate that is not there"
-    bars = [(s, c) for s, c, radius in drawing.strokes if radius == 2.0]
-    labels = [text for _, _, text, c in drawing.labels if c in (PURPLE, ORANGE)]
-    assert labels == ["20 %", "2 %"], "iv of converged runs alone"
-    assert [c for _, c in bars] == [PURPLE, ORANGE]
-    assert bars[0][0][0][1] == bars[0][0][1][1] == crosses[1][1], "as high as the median run"
-    assert bars[1][0][0][0] < dots[2][0] < bars[1][0][1][0], "over the runs it is of"
-
-
 @pytest.mark.slow
 def test_text_has_only_characters_of_the_viewers_font(tmp_path):
     """The viewer's font is Inter alone; the viewer ends at a character without a glyph."""
@@ -440,7 +354,7 @@ def test_text_has_only_characters_of_the_viewers_font(tmp_path):
     texts = [title for _, title in file.views.values()]
     texts += file.static["/report"]["TextDocument:text"]
     for columns in file.static.values():
-        texts += columns.get("Points2D:labels") or []
+        texts += columns.get("SeriesLines:names") or []
     assert any("Z'W" in text for text in texts)
     assert all(shown_text(text) == text for text in texts)
 
@@ -452,15 +366,6 @@ def test_colors_are_those_of_okabe_and_ito():
     assert {color for color in used if len(set(color)) > 1} <= own
     assert len({MEASURED, REFERENCE, SIMULATED, PREDICTED, RESIDUAL}) == 5
     assert len(set(JOINTS)) == len(JOINTS)
-
-
-def test_two_fits_are_one_page(tmp_path):
-    a = fitted_parameters(fitted(made_up()))
-    b = fitted_parameters(fitted(made_up(), essential=True))
-    write_rrd(tmp_path / "both.rrd", draw_comparison(a, b, comparison_document(a, b), {}))
-    file = Written(tmp_path / "both.rrd")
-    assert file.is_complete()
-    assert sorted(kind for kind, _ in file.views.values()) == ["2D", "TextDocument"]
 
 
 def run(capsys, *arguments):
@@ -503,13 +408,10 @@ def test_commands_view_and_compare(capsys, tmp_path):
     for method, rrd in (("wls", []), ("iv", ["--rrd", tmp_path / "iv.rrd"])):
         assert run(capsys, "fit", SESSION, "--method", method, "--json", tmp_path / f"{method}.json", *rrd)[0] == 0
     assert "IV and LS" in Written(tmp_path / "iv.rrd").static["/report"]["TextDocument:text"][0]
-    status, out, err = run(
-        capsys, "compare", tmp_path / "iv.json", tmp_path / "wls.json", "--rrd", tmp_path / "both.rrd"
-    )
+    status, out, err = run(capsys, "compare", tmp_path / "iv.json", tmp_path / "wls.json")
     assert (status, err) == (0, "")
     assert "of 8 parameters in both" in out
     assert "ZZ1R" in out
-    assert Written(tmp_path / "both.rrd").is_complete()
 
 
 def test_fits_that_cannot_be_compared_are_refused_in_one_line(capsys, tmp_path):
@@ -534,38 +436,6 @@ def test_fits_that_cannot_be_compared_are_refused_in_one_line(capsys, tmp_path):
     status, out, _ = run(capsys, "compare", a, truth)
     assert status == 0
     assert "-3.00" in out
-    status, _, err = run(capsys, "compare", a, a, "--rrd", a)
+    status, _, err = run(capsys, "compare", a, a, "--json", a)
     assert status == 1
     assert "is an input too" in err
-
-
-def test_figures_of_the_trust_tests_are_drawn_with_their_intervals_and_what_was_expected():
-    lag = TrustLine(
-        "lag",
-        "caution",
-        "torque late",
-        1.2,
-        unit="samples",
-        figures=(Figure(name="shoulder", value=1.2, half_width=0.2, expected=-0.5), Figure(name="elbow", value=-0.5)),
-    )
-    made = TrustLine("ends", "ok", "no outlier", 5.0, limit=20.0)
-    drawing = trust_drawing(Trust(lines=(lag, made)))
-    labels = [text for _, _, text, _ in drawing.labels]
-    assert "lag, samples: caution" in labels
-    assert {"shoulder", "elbow"} <= set(labels)
-    assert not any("ends, " in label or "ends:" in label for label in labels), "no figures of joints"
-    assert {"caution", "ok", "ends", "5 of 20"} <= set(labels), "a row per test: level, name, figure and limit"
-    places = {text: x for x, _, text, _ in drawing.labels}
-    ((start, _), (end, _)) = next(points for points, _, radius in drawing.strokes if radius == 4.0)
-    assert (end - start) / (places["limit"] - places["0"]) == pytest.approx(0.25)
-    (x0, y0, color), (x1, y1, _) = drawing.dots
-    assert x0 < x1
-    assert y0 < y1, "the larger value stands higher"
-    assert color == ORANGE
-    bars = [points for points, _, radius in drawing.strokes if radius == 1.5]
-    (_, low), (_, high) = bars[0]
-    assert 0.5 * (low + high) == pytest.approx(y0)
-    per_unit = (y1 - y0) / 1.7
-    assert low - high == pytest.approx(0.4 * per_unit), "the 95 % interval, from end to end"
-    expected = [points for points, color, radius in drawing.strokes if (color, radius) == (GREEN, 0.75)]
-    assert [points[0][1] for points in expected] == pytest.approx([y1, y1 - 0.5 * per_unit])

@@ -5,7 +5,7 @@ from hashlib import sha256
 
 from acquisition.commands import add_flag, add_path
 
-from .arguments import add_pictures, print_results, refuse_outputs, write_pictures
+from .arguments import add_report, print_results, refuse_outputs, write_pictures
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -14,14 +14,14 @@ def add(parser: argparse.ArgumentParser) -> None:
     add_path(parser, "b", "B.json", "another fit")
     add_path(parser, "--json", "FILE", "write the comparison as JSON")
     add_flag(parser, "--all", "print all parameters, not only the largest differences")
-    add_pictures(parser, "write the comparison as a Rerun file")
+    add_report(parser)
 
 
 def run(options: argparse.Namespace) -> None:
     """Print the differences, and the warnings of both fits."""
     from ..report import ParameterSet, comparison_document, comparison_file, frame_lines, read_fit, write_json
 
-    refuse_outputs([options.a, options.b], options.json, options.rrd, report=options.report)
+    refuse_outputs([options.a, options.b], options.json, report=options.report)
     same = options.a.stem == options.b.stem
     labels = [str(path) if same else path.stem for path in (options.a, options.b)]
     fits = [read_fit(path) for path in (options.a, options.b)]

@@ -7,8 +7,8 @@ from acquisition.commands import Progress, add_flag, add_path, from_options
 from ..errors import IdentificationError
 from ..options import Overrides
 from .arguments import (
-    add_pictures,
     add_recordings,
+    add_report,
     add_settings,
     print_results,
     refuse_outputs,
@@ -23,7 +23,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     add_settings(parser)
     outputs = parser.add_argument_group("outputs")
     add_path(outputs, "--json", "FILE", "write all sets of terms that were tried, and the recommended one, as JSON")
-    add_pictures(outputs, "draw friction over speed as a Rerun file, with the usual and the recommended terms")
+    add_report(outputs)
     add_flag(outputs, "--write", "write the recommended terms into the file of --robot")
 
 
@@ -31,7 +31,7 @@ def run(options: argparse.Namespace) -> None:
     """Try sets of terms, print the table and the lines of robot.toml."""
     if options.write and options.robot is None:
         raise IdentificationError(key="--write", value=True, expected="--robot with it, the description to write to")
-    refuse_outputs([*options.recordings, options.robot], options.json, report=options.report, picture=options.rrd)
+    refuse_outputs([*options.recordings, options.robot], options.json, report=options.report)
     with Progress("reading") as progress:
         from ..data import Recordings
         from ..design import friction_document, friction_file, select_friction, write_friction

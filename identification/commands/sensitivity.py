@@ -6,7 +6,7 @@ from hashlib import sha256
 from acquisition.commands import Progress, add_flag, add_path
 
 from ..options import list_of_factors
-from .arguments import add_pictures, add_work, print_results, refuse_outputs, sources, work_of, write_pictures
+from .arguments import add_report, add_work, print_results, refuse_outputs, sources, work_of, write_pictures
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -16,13 +16,13 @@ def add(parser: argparse.ArgumentParser) -> None:
     text = "white noise to add to the recorded position, rad or m rms (default: 1e-6,1e-5,2e-5)"
     parser.add_argument("--position-noise", type=list_of_factors, metavar="A,B", default=(1e-6, 1e-5, 2e-5), help=text)
     add_flag(parser, "--all", "also print the values and intervals of all fits")
-    add_pictures(parser, "draw the fits as a Rerun file, one chart per parameter")
+    add_report(parser)
     add_work(parser)
 
 
 def run(options: argparse.Namespace) -> None:
     """Fit the recording in all variants, and print how far the estimates move."""
-    refuse_outputs([*options.recordings, options.robot], options.report, picture=options.rrd)
+    refuse_outputs([*options.recordings, options.robot], report=options.report)
     with Progress("fitting"):
         from ..study import sensitivity_document, vary
 
@@ -35,5 +35,3 @@ def run(options: argparse.Namespace) -> None:
         write_pictures(options, document, lambda view: [view.draw_sensitivity(digests, fits, document)])
     finally:  # print the result even if a file cannot be written
         print_results(document, everything=options.all)
-    if options.rrd:
-        print_results(f"look at it: rerun --bind 127.0.0.1 {options.rrd}")

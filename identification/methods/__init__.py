@@ -12,7 +12,7 @@ The path of a fit, stage by stage::
 from .consistent import Known, Prior, consistent_set, read_prior, refuse_unknown_gain, urdf_prior, with_consistent
 from .fit import Fit, FittedRecording, Pass
 from .fit_files import fit_file, validation_file
-from .fit_report import PARAMETERS, fit_document, trust_document
+from .fit_report import PARAMETERS, fit_document
 from .gain_results import Gains
 from .idim import identify, identify_iv, identify_ls, validate_all
 from .iteration import Iteration, regular_start

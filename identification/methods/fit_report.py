@@ -88,11 +88,6 @@ def _verdict_section(fit: Fit) -> Section:
     return Section(lines=(*lines, _essential_line(fit)), warnings=fit.warnings, short=short)
 
 
-def trust_document(fit: Fit) -> Document:
-    """The verdict on a fit and the tests that it rests on."""
-    return Document(title=first_line(fit), sections=(_trust_section(fit),))
-
-
 def _trust_section(fit: Fit) -> Section:
     """Every test of the fit, worst first; in short those that found something."""
     lines = tuple(f"{line.level}: {line.test}: {line.text.removeprefix('not made: ')}" for line in fit.trust.lines)

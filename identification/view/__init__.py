@@ -10,11 +10,11 @@ from .pages import draw_fit as draw_fit
 from .pages import draw_fleet as draw_fleet
 from .pages import draw_friction as draw_friction
 from .pages import draw_recording as draw_recording
+from .pages import draw_sensitivity as draw_sensitivity
 from .pages import draw_study as draw_study
 from .pages import draw_validation as draw_validation
 from .pages import join_pictures as join_pictures
 from .panels import Picture as Picture
-from .sensitivity import draw_sensitivity as draw_sensitivity
 
 if TYPE_CHECKING:
     from .html_page import write_html as write_html

@@ -1,203 +1,196 @@
-"""Charts of parameters with intervals, of studies and of excitations."""
+"""Charts of parameters, tests, gains, friction, excitations, studies: those of the HTML report alone."""
 
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
-from ..design import Excitation
-from ..report import ParameterSet, differences
-from ..study import Run
-from .panels import GREEN, GREY, LIGHT, ORANGE, PURPLE, SHEET, VERMILLION, Chart, Color, Scale, log10
+from ..design import Excitation, JointFriction
+from ..methods import Gains
+from ..report import Level, ParameterSet, differences
+from ..study import Run, VariedFit
+from ..trust import Trust
+from .axes import Axis, about_zero, decades, linear, logarithmic
+from .colors import COMPARED, GREEN, GREY, LIGHT, ORANGE, PREDICTED, PURPLE, SKY, VERMILLION, Color
+from .panels import Column, Curve, Graph, Mark, Rows, Shape
 
-COMPARED = (PURPLE, GREEN)  # colors of the parameter sets that a fit is compared with
+MAX_ROWS, MAX_COLUMNS = 30, 4  # of a chart
 MAX_SIGMAS_SHOWN = 6.0  # larger differences are drawn at the edge of their chart
-STUDY_SHEET = (1140.0, 960.0)  # pixels of a study's chart, next to its report
 MAX_TRUSTED_SIGMAS = 3.0  # limit of a difference
+LOADS = (SKY, ORANGE, VERMILLION)  # low, medium and high load
+MAX_DOTS = 400  # of a friction chart
+STUDY_ROWS = 5  # that the runs of a study by one method are spread over
+LEVEL_COLORS: dict[Level, Color] = {"do not use": VERMILLION, "caution": ORANGE, "ok": SKY}
 
 
-def parameter_drawing(own: ParameterSet, others: Sequence[ParameterSet]) -> Chart:
-    """Every parameter's value with its 95 % interval, and the values of other sets, in one or two columns."""
+def deviation_charts(own: ParameterSet, others: Sequence[ParameterSet]) -> list[Rows]:
+    """Every parameter: value with its 95 % interval, half-width in percent, differences to other sets in sigma."""
     names, sets = list(own.parameters), [own, *others]
-    columns = 1 if len(names) <= 20 else 2
-    rows, pitch = -(-len(names) // columns), 17.0 if len(names) > 12 else 24.0
-    width, height = 540.0 / columns, 30 + pitch * rows
-    title = f"{own.label} ± 95 %: orange dot essential, grey ring not{_marks(others)}"
-    chart = Chart(path=("parameters",), title=title, size=(540.0, height + 30))
-    scale_of, ticks, axis = _value_scale(sets, names, 3 if columns == 1 else 2)
-    chart.label(270.0, height + 4, axis)
-    for c in range(columns):
-        place = scale_of(width * c + 55, width * (c + 1) - 20)
-        _value_axis(chart, place, ticks, 22, height)
-        for row, name in enumerate(names[c * rows : (c + 1) * rows]):
-            y = 34 + pitch * row
-            chart.label(width * c + 27, y - 9, name, _color(own, name))
-            _value(chart, place, sets, name, y, pitch)
-    return chart
-
-
-def deviation_drawing(own: ParameterSet, others: Sequence[ParameterSet]) -> Chart:
-    """Every parameter's value, the half-width of its 95 % interval in percent, and its difference to other sets in sigma."""
-    names, sets = list(own.parameters), [own, *others]
-    columns = 1 if len(names) <= 20 else 2
-    rows = -(-len(names) // columns)
-    width, pitch = SHEET[0] / columns, min(60.0, max(24.0, (SHEET[1] - 106) / rows))
-    height = 96 + pitch * rows
-    title = f"{own.label}: orange dot essential, grey ring not{_marks(others)}"
-    title += ", vermillion beyond 3 σ" if others else ""
-    chart = Chart(path=("deviations",), title=title, size=(SHEET[0], height + 10))
-    scale_of, ticks, axis = _value_scale(sets, names, 2)
-    sigmas = [{d.name: d.off_sigma for d in differences(own, values)} for values in others]
-    parts = (0.46, 0.72) if others else (0.55, 1.0)  # right edges of the charts, as shares of a column
-    for c in range(columns):
-        left = width * c
-        value = scale_of(left + 90, left + parts[0] * width - 20)
-        chart.label(value.middle, 2, "value ± 95 %, SI units", LIGHT)
-        chart.label(value.middle, 26, axis)
-        _value_axis(chart, value, ticks, 78, height)
-        edges = {"left": left + parts[0] * width + 15, "right": left + parts[1] * width - 15}
-        percent = Scale(**edges, low=0.01, high=100.0, by=log10)
-        chart.label(percent.middle, 2, "± 95 % in % of the value", LIGHT)
-        chart.ticks_across(percent, {x: f"{x:g}" for x in (0.01, 0.1, 1.0, 10.0, 100.0)}, (78, height), 54)
-        far = Scale(
-            left=left + parts[1] * width + 20, right=left + width - 30, low=-MAX_SIGMAS_SHOWN, high=MAX_SIGMAS_SHOWN
-        )
-        if others:
-            labels = " and ".join(values.label for values in others)
-            chart.label(far.middle, 2, f"{own.label} minus {labels}, in σ", LIGHT)
-            marks = {
-                x: f"{x:+g}" if x else "0"
-                for x in (-MAX_SIGMAS_SHOWN, -MAX_TRUSTED_SIGMAS, 0.0, MAX_TRUSTED_SIGMAS, MAX_SIGMAS_SHOWN)
-            }
-            chart.ticks_across(far, marks, (78, height), 54)
-            for limit in (-MAX_TRUSTED_SIGMAS, MAX_TRUSTED_SIGMAS):
-                chart.line(far(limit), 78, far(limit), height, GREY, 0.75)
-        for row, name in enumerate(names[c * rows : (c + 1) * rows]):
-            y, p = 92 + pitch * row, own.parameters[name]
-            chart.label(left + 45, y - 9, name, _color(own, name))
-            _value(chart, value, sets, name, y, pitch)
-            size = abs(p.value)
-            share = 100 * p.half / size if size > 0 else 100.0
-            chart.line(percent.left, y, percent(max(share, 0.01)), y, _color(own, name), 2.5)
-            for k, sigmas_of in enumerate(sigmas):
-                if (x := sigmas_of.get(name)) is not None:
-                    level = y + (k - 0.5 * (len(sigmas) - 1)) * 0.3 * pitch
-                    chart.line(far(0.0), level, far(x), level, COMPARED[k], 1.0)
-                    ends = chart.dots if _is_exact(others[k], name) else chart.crosses
-                    ends.append((far(x), level, COMPARED[k] if abs(x) <= MAX_TRUSTED_SIGMAS else VERMILLION))
-    return chart
-
-
-def _value_scale(
-    sets: Sequence[ParameterSet], names: Sequence[str], decades: int
-) -> tuple[Callable[[float, float], Scale], list[float], str]:
-    """An axis linear about zero and logarithmic beyond, to be placed between two edges; its ticks and its description."""
     shown = [values.parameters[name] for values in sets for name in names if name in values.parameters]
-    reach = max(abs(p.value) + p.half for p in shown)
-    top = math.ceil(math.log10(reach)) if reach > 0 else 0
-    typical = float(np.median([p.half for p in shown if p.half > 0] or [10.0 ** (top - 5)]))
-    lowest = max(top - 5, min(top - 1, math.floor(math.log10(max(typical, 10.0 ** (top - 5))))))
-    linear = 2 * 10.0**lowest
+    of_values, width = about_zero(np.array([p.value for p in shown]), np.array([p.half for p in shown]), 2)
+    percent, labels = logarithmic(0.01, 100.0, 4), " and ".join(values.label for values in others)
+    limits = (-MAX_SIGMAS_SHOWN, -MAX_TRUSTED_SIGMAS, 0.0, MAX_TRUSTED_SIGMAS, MAX_SIGMAS_SHOWN)
+    far = Axis(low=limits[0], high=limits[-1], ticks={x: f"{x:+g}" if x else "0" for x in limits})
+    off = [{d.name: d.off_sigma for d in differences(own, values)} for values in others]
+    exact = [all(p.sigma == 0 for p in values.parameters.values()) for values in others]
+    legend = [("● essential", ORANGE), ("○ not essential", GREY)]
+    legend += [(f"{'|' if exact[k] else '×'} {values.label}", COMPARED[k]) for k, values in enumerate(others)]
+    legend += [("beyond 3 σ", VERMILLION)] if others else []
+    legend.append((f"values on an asinh scale: linear within ±{width:g}, logarithmic beyond", GREY))
+    looks, charts = {name: _look(p.essential) for name, p in own.parameters.items()}, []
+    for part in _parts(names, MAX_ROWS):
+        values, halves, sigmas = list[Mark](), list[Mark](), list[Mark]()
+        for row, name in enumerate(part):
+            p, (color, shape) = own.parameters[name], looks[name]
+            values.append(Mark(row=row, value=p.value, half=p.half, color=color, shape=shape))
+            share = 100 * p.half / abs(p.value) if p.value else 100.0
+            halves.append(Mark(row=row, value=max(share, 0.01), color=color, shape="bar"))
+            for k, other in enumerate(others):
+                if (q := other.parameters.get(name)) is not None:
+                    at, shape = (row + 0.28, "cross") if q.sigma else (row, "tick")
+                    values.append(Mark(row=at, value=q.value, half=q.half, color=COMPARED[k], shape=shape))
+                if (x := off[k].get(name)) is not None:
+                    level, beyond = row + 0.3 * (k - 0.5 * (len(others) - 1)), abs(x) > MAX_TRUSTED_SIGMAS
+                    sigmas.append(Mark(row=level, value=x, color=VERMILLION if beyond else COMPARED[k], shape="bar"))
+        columns = [Column(head="value ± 95 %, SI", axis=of_values, marks=values, lines=(0.0,))]
+        columns.append(Column(head="± 95 %, % of value", axis=percent, marks=halves))
+        if others:
+            columns.append(Column(head=f"minus {labels}, in σ", axis=far, marks=sigmas, lines=limits[1:4]))
+        title, heads = f"parameters of {own.label}, {part[0]} to {part[-1]}", [(name, looks[name][0]) for name in part]
+        charts.append(Rows(path=("deviations", part[0]), title=title, names=heads, columns=columns, legend=legend))
+    return charts
 
-    def scale(left: float, right: float) -> Scale:
-        return Scale(left=left, right=right, low=-(10.0**top), high=10.0**top, by=lambda x: math.asinh(x / linear))
 
-    steps = range(top, lowest, -max(1, math.ceil((top - lowest) / decades)))
-    ticks = [0.0, *(sign * 10.0**d for d in steps for sign in (-1, 1))]
-    return scale, ticks, f"asinh scale: linear within ±{linear:g}, logarithmic beyond"
-
-
-def _value_axis(chart: Chart, place: Scale, ticks: Sequence[float], top: float, bottom: float) -> None:
-    chart.ticks_across(place, {tick: f"{tick:g}" for tick in ticks}, (top, bottom), top - 20)
-    chart.line(place(0.0), top, place(0.0), bottom, GREY, 0.75)
+def _parts(names: Sequence[str], most: int) -> list[Sequence[str]]:
+    """Names in pieces of like lengths of at most `most`."""
+    size = -(-len(names) // -(-len(names) // most))
+    return [names[k : k + size] for k in range(0, len(names), size)]
 
 
-def _value(chart: Chart, place: Scale, sets: Sequence[ParameterSet], name: str, y: float, pitch: float) -> None:
-    """The first set as a dot (a ring if not essential), others as crosses below, with intervals; exact values as lines."""
-    p, color = sets[0].parameters[name], _color(sets[0], name)
-    (chart.dots if p.essential else chart.rings).append((place(p.value), y, color))
-    chart.line(place(p.value - p.half), y, place(p.value + p.half), y, color, 1.5)
-    for k, values in enumerate(sets[1:]):
-        if (other := values.parameters.get(name)) is None:
-            continue
-        x, level = place(other.value), y + 0.3 * pitch
-        if _is_exact(values, name):
-            chart.line(x, y - 0.42 * pitch, x, y + 0.42 * pitch, COMPARED[k], 1.0)
-        else:
-            chart.crosses.append((x, level, COMPARED[k]))
-            chart.line(
-                place(other.value - other.half), level, place(other.value + other.half), level, COMPARED[k], 0.75
+def _look(known: bool) -> tuple[Color, Shape]:
+    return (ORANGE, "dot") if known else (GREY, "ring")
+
+
+def trust_charts(trust: Trust) -> list[Rows]:
+    """Figures of the tests that have a limit, as shares of it, and those by joint or block with expected values."""
+    charts = list[Rows]()
+    names, shares = list[tuple[str, Color]](), list[Mark]()
+    for line in trust.lines:
+        color = LEVEL_COLORS.get(line.level, GREY)
+        if line.value is not None and line.limit:
+            shares.append(Mark(row=len(names), value=abs(line.value) / line.limit, color=color, shape="bar"))
+            names.append((f"{line.test}: {line.value:.3g} of {line.limit:.3g}", color))
+        if line.figures:
+            marks = [Mark(row=k, value=f.expected, color=GREEN, shape="tick") for k, f in enumerate(line.figures)]
+            marks += [Mark(row=k, value=f.value, half=f.half_width, color=color) for k, f in enumerate(line.figures)]
+            column, heads = (
+                Column(head=line.unit, axis=_around(marks), marks=marks),
+                [(f.name, LIGHT) for f in line.figures],
             )
+            legend, title = (("● value ± 95 %", color), ("| expected", GREEN)), f"{line.test}: {line.level}"
+            charts.append(Rows(path=("tests", line.test), title=title, names=heads, columns=[column], legend=legend))
+    of_limit = Axis(low=0.0, high=1.3, ticks={0.0: "0", 1.0: "limit"})
+    columns = [Column(head="", axis=of_limit, marks=shares, lines=(1.0,))]
+    return [Rows(path=("tests",), title="tests with a limit", names=names, columns=columns)] * bool(names) + charts
 
 
-def _is_exact(values: ParameterSet, name: str) -> bool:
-    return values.parameters[name].sigma == 0
+def _around(marks: Sequence[Mark]) -> Axis:
+    ends = [mark.value + side * mark.half for mark in marks for side in (-1, 1)]
+    margin = max(0.06 * (max(ends) - min(ends)), 1e-9)
+    return linear(min(ends) - margin, max(ends) + margin, 4)
 
 
-def _marks(others: Sequence[ParameterSet]) -> str:
-    """Marker and color of each compared set, for the title."""
-    names = {PURPLE: "purple", GREEN: "green"}
-    marks = ["|" if all(_is_exact(values, name) for name in values.parameters) else "×" for values in others]
-    return "".join(f", {mark} {names[COMPARED[k]]} {others[k].label}" for k, mark in enumerate(marks))
+def gains_chart(gains: Gains) -> Rows:
+    """Drive gains by motor: the described one, and the identified one with its 95 % interval, in percent of it."""
+    of = np.where(np.isfinite(gains.described), gains.described, gains.values)
+    percent, half = 100 * gains.values / of, 100 * gains.half / np.abs(of)
+    low, high = min(95.0, float((percent - half).min())), max(105.0, float((percent + half).max()))
+    marks, names = list[Mark](), list[tuple[str, Color]]()
+    for k, motor in enumerate(gains.motors):
+        color, shape = _look(bool(gains.determined[k]))
+        described = f"{gains.described[k]:.4g} to " if np.isfinite(gains.described[k]) else ""
+        names.append((f"{motor}: {described}{gains.values[k]:.4g} ± {gains.half[k]:.2g} {gains.units[k]}", color))
+        marks.append(Mark(row=k, value=percent[k], half=half[k], color=color, shape=shape))
+    column = Column(head="%", axis=linear(max(low, 0.0), min(high, 300.0), 4), marks=marks, lines=(100.0,))
+    legend = (("● identified ± 95 %", ORANGE), ("○ not determined", GREY))
+    title = "drive gains in percent of the described ones"
+    return Rows(path=("gains",), title=title, names=names, columns=[column], legend=legend)
 
 
-def _color(own: ParameterSet, name: str) -> Color:
-    return ORANGE if own.parameters[name].essential else GREY
-
-
-def study_drawing(runs: Sequence[Run]) -> Chart:
-    """Errors of all runs with their medians; a line joins least squares and instrumental variables of a run."""
-    title = (
-        f"|beta - true| / |true|, {len(runs)} runs: × purple LS, orange IV converged, vermillion IV not; bars medians"
+def friction_chart(friction: JointFriction, of: str = "") -> Graph:
+    """Friction of a joint over its speed: rows as dots, the identified curve with its interval; a color per load."""
+    every, levels = slice(None, None, max(1, len(friction.speed) // MAX_DOTS)), [c.load for c in friction.curves]
+    points, load = np.stack([friction.speed[every], friction.torque[every]], axis=1), friction.load[every]
+    one = len(levels) == 1
+    nearest = np.zeros(len(load), dtype=int) if one else np.abs(load[:, None] - levels).argmin(axis=1)
+    curves = list[Curve]()
+    for k, curve in enumerate(friction.curves):
+        color, name = (PREDICTED, "identified") if one else (LOADS[k], f"load {curve.load:.3g} {friction.unit}")
+        for side in (curve.speed < 0, curve.speed > 0):
+            for offset, text in ((0.0, name), (-1.0, "95 % interval"), (1.0, "95 % interval")):
+                line = curve.speed[side], (curve.torque + offset * curve.half)[side]
+                key, width = f"{k}{len(curves):02}", 1.0 if offset else 2.5
+                curves.append(Curve(key=key, name=text, color=color, line=line, width=width, dashed=bool(offset)))
+    return Graph(
+        path=("friction", friction.joint, *([of] if of else [])),
+        title=f"friction {friction.joint}{of and f', {of}'} [{friction.unit}] over speed [{friction.speed_unit}]",
+        curves=tuple(curves),
+        dots=[(points[nearest == k], GREY if one else LOADS[k]) for k in range(len(levels))],
     )
-    chart, (width, height) = Chart(path=("study",), title=title, size=STUDY_SHEET), STUDY_SHEET
-    by_ls = [100 * run.ls.error for run in runs if run.ls]
-    by_iv = [100 * run.iv.error for run in runs if run.iv and run.status == "converged"]
-    errors = [100 * fit.error for run in runs for fit in (run.ls, run.iv) if fit and fit.error > 0]
-    low, high = math.floor(log10(min(errors, default=1.0))), math.ceil(log10(max(errors, default=100.0)))
-    up = Scale(left=height - 80, right=60, low=10.0**low, high=10.0**high, by=log10)
-    across = Scale(left=90, right=width - 30, low=0, high=1)
-    chart.ticks_up(up, {10.0**d: f"{10.0**d:g} %" for d in range(low, high + 1)}, (70, width - 20), 40)
-    for k, run in enumerate(runs):
-        shift = 0.2 * ((k + 0.5) / len(runs) - 0.5)
-        x_ls, x_iv = across(0.3 + shift), across(0.7 + shift)
-        if run.ls and run.iv:
-            chart.line(x_ls, up(100 * run.ls.error), x_iv, up(100 * run.iv.error))
-        if run.ls:
-            chart.crosses.append((x_ls, up(100 * run.ls.error), PURPLE))
-        if run.iv:
-            ended = ORANGE if run.status == "converged" else VERMILLION
-            chart.dots.append((x_iv, up(100 * run.iv.error), ended))
-    for found, at, outside, color in ((by_ls, 0.3, -0.23, PURPLE), (by_iv, 0.7, 0.23, ORANGE)):
-        if found:
-            y = up(float(np.median(found)))
-            chart.line(across(at - 0.14), y, across(at + 0.14), y, color, 2.0)
-            chart.label(across(at + outside), y - 10, f"{np.median(found):.3g} %", color)
-    return chart
 
 
-def intervals_drawing(excitation: Excitation) -> Chart:
+def interval_charts(excitation: Excitation) -> list[Rows]:
     """Expected half-width of every parameter's 95 % interval; in grey that of the plain reference."""
-    e, names = excitation, excitation.base.names
-    columns = 1 if e.base.b <= 20 else 2
-    rows, pitch, width = -(-len(names) // columns), 17.0 if e.base.b > 12 else 24.0, 540.0 / columns
-    height = 54 + pitch * rows
-    title = "expected ± 95 %: orange this reference, grey the plain one"
-    chart = Chart(path=("intervals",), title=title, size=(540.0, height + 20))
-    both = np.concatenate([e.half, e.plain_half])
-    low, high = math.floor(log10(float(both.min()))), math.ceil(log10(float(both.max())))
-    scales = [
-        Scale(left=width * c + 60, right=width * (c + 1) - 30, low=10.0**low, high=10.0**high, by=log10)
-        for c in range(columns)
-    ]
-    for scale in scales:
-        powers = {10.0**power: f"1e{power}" for power in range(low, high + 1)}
-        chart.ticks_across(scale, powers, (44, height), 22)
-    chart.label(270.0, 0.0, "half-width of the 95 % interval, SI units", LIGHT)
-    for i, name in enumerate(names):
-        c, row = divmod(i, rows)
-        y = 58 + pitch * row
-        chart.label(width * c + 30, y - 9, name, LIGHT)
-        for half, level, color in ((e.half[i], y - 2, ORANGE), (e.plain_half[i], y + 3, GREY)):
-            chart.line(scales[c].left, level, scales[c](float(half)), level, color, 1.75)
-    return chart
+    e = excitation
+    halves = {name: (float(e.half[i]), float(e.plain_half[i])) for i, name in enumerate(e.base.names)}
+    axis, legend = decades(list(halves.values()), 5), (("this reference", ORANGE), ("plain reference", GREY))
+    charts = []
+    for part in _parts(list(halves), MAX_ROWS):
+        marks = [
+            Mark(row=row + shift, value=half, color=color, shape="bar")
+            for row, name in enumerate(part)
+            for half, shift, color in zip(halves[name], (-0.16, 0.16), (ORANGE, GREY), strict=True)
+        ]
+        columns, names = [Column(head="SI", axis=axis, marks=marks)], [(name, LIGHT) for name in part]
+        title, path = f"expected ± 95 %, {part[0]} to {part[-1]}", ("intervals", part[0])
+        charts.append(Rows(path=path, title=title, names=names, columns=columns, legend=legend))
+    return charts
+
+
+def sensitivity_charts(fits: Sequence[VariedFit]) -> list[Rows]:
+    """The essential parameters in all variants by both methods with 95 % intervals; lines at that of IV by the rules."""
+    legend = (("× LS", PURPLE), ("● IV", ORANGE), ("| interval of IV by the rules", GREY))
+    names = [(f"{fit.variant.changed if k else 'by'} {fit.variant.to}", LIGHT) for k, fit in enumerate(fits)]
+    charts = []
+    for part in _parts(fits[0].essential or tuple(fits[0].values), MAX_COLUMNS):
+        columns = []
+        for name in part:
+            found = {row: fit.values[name] for row, fit in enumerate(fits) if name in fit.values}
+            marks = [Mark(row=k - 0.2, value=x[0], half=x[1], color=PURPLE, shape="cross") for k, x in found.items()]
+            marks += [Mark(row=k + 0.2, value=x[2], half=x[3], color=ORANGE) for k, x in found.items()]
+            lines = found[0][2] - found[0][3], found[0][2] + found[0][3]
+            columns.append(Column(head=f"{name} ± 95 %", axis=_around(marks), marks=marks, lines=lines))
+        title, path = ", ".join(part), ("sensitivity", part[0])
+        charts.append(Rows(path=path, title=title, names=names, columns=columns, legend=legend))
+    return charts
+
+
+def study_chart(runs: Sequence[Run]) -> Rows:
+    """Errors of all runs by method, with medians of least squares and of instrumental variables that converged."""
+    names, marks, step = list[tuple[str, Color]](), list[Mark](), (STUDY_ROWS - 0.4) / len(runs)
+    for top, name in ((0, "LS"), (STUDY_ROWS, "IV")):
+        errors = list[float]()
+        for k, run in enumerate(runs):
+            fit, ended = (run.iv, run.status == "converged") if top else (run.ls, True)
+            if fit and fit.error > 0:
+                color, shape = _look(ended) if top else (PURPLE, "cross")
+                marks.append(Mark(row=top - 0.3 + step * (k + 0.5), value=100 * fit.error, color=color, shape=shape))
+                errors += [100 * fit.error] * ended
+        median = float(np.median(errors)) if errors else None
+        heads = [name if median is None else f"{name}: median {median:.3g} %", *[""] * (STUDY_ROWS - 1)]
+        names += [(head, LIGHT) for head in heads]
+        if median is not None:
+            marks += [Mark(row=top + k, value=median, color=LIGHT, shape="tick") for k in range(STUDY_ROWS)]
+    axis = decades([mark.value for mark in marks] or [1.0, 100.0], 6)
+    legend = (("× LS", PURPLE), ("● IV converged", ORANGE), ("○ IV not", GREY), ("| median", LIGHT))
+    title, column = f"|beta - true| / |true| of {len(runs)} runs", Column(head="%", axis=axis, marks=marks)
+    return Rows(path=("study",), title=title, names=names, columns=[column], legend=legend)

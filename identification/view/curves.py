@@ -1,7 +1,8 @@
 """Curves over time of a recording, a fit, an excitation, a fleet."""
 
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,31 +15,50 @@ from ..design import Excitation
 from ..methods import Fit
 from ..regression import FilteredMotion, Motion, Settings, predicted_torque
 from ..study import Drift
-from .panels import JOINTS, MEASURED, PREDICTED, REFERENCE, RESIDUAL, SIMULATED, VERMILLION, Curve, Line, Plot
+from .colors import JOINTS, MEASURED, PREDICTED, REFERENCE, RESIDUAL, SIMULATED, VERMILLION
+from .panels import Curve, Line, Plot
 
 BUCKETS = 5000  # of a long curve, each drawn as its minimum and maximum; a screen has fewer columns
 SAMPLES_PER_PERIOD = 20.0  # drawn samples per cut-off period of long filtered curves, which then look smooth
 MAX_NOISE_RATIO = 3.0  # a raw derivative is hidden if its peak is larger, relative to the filtered one's
 _BLOCK = 200_000  # samples processed at a time, which limits memory
 
-# For `measured`, `filtered` or `simulated` and a quantity (q, dq, ddq, tau, error), a line per joint.
+# For `measured`, `filtered`, `reference` or `simulated` and a quantity (q, dq, ddq, torque, error), a line per joint.
 Lines = Mapping[tuple[str, str], list[Line]]
+# Color, width, key and name of a curve by where it is from; keys sort in the order of drawing, the last in front.
+LOOKS = {
+    "measured": (MEASURED, 2.0, "measured", ""),
+    "filtered": (PREDICTED, 1.0, "measured_filtered", "filtered"),
+    "reference": (REFERENCE, 1.5, "reference", ""),
+    "simulated": (SIMULATED, 0.75, "simulated", ""),
+}
+NAMES = {  # key and name of some of them
+    ("filtered", "torque"): ("model_idm", "IDM"),
+    ("simulated", "torque"): ("model_ddm", "DDM"),
+    ("reference", "error"): ("reference", "reference − measured"),
+    ("simulated", "error"): ("simulated", "simulated − measured"),
+}
 
 
 def lines_of(signals: Signals, settings: Settings | None, fit: Fit | None) -> Lines:
     """Decimated curves of a recording; `settings` are those of the filter.
 
-    `measured` covers the whole recording, with differences of the raw position. `filtered` covers the fitted span; its tau is
-    the model's prediction, if there is a fit. `simulated` is the robot with the estimate, if the fit simulated one; its error
-    is the simulated minus the measured position.
+    `measured` covers the whole recording, with differences of the raw position. `filtered` covers the fitted span, if there is
+    a low-pass; its torque is the model's prediction, if there is a fit. `simulated` is the robot with the estimate, if the fit
+    simulated one. Errors are positions minus the measured one.
     """
     lines = {("measured", quantity): joints for quantity, joints in _decimate(signals, None, None).items()}
     if settings is not None:
-        lines |= {("filtered", quantity): joints for quantity, joints in _decimate(signals, settings, fit).items()}
+        shown = ("q", "dq", "ddq", "torque") if settings.cutoff_hz is not None else ("torque",)
+        filtered = _decimate(signals, settings, fit)
+        lines |= {("filtered", quantity): filtered[quantity] for quantity in shown if quantity in filtered}
+    if signals.q_ref is not None:
+        for quantity, x in (("q", signals.q_ref), ("error", signals.q_ref - signals.q)):
+            lines["reference", quantity] = [_line(signals.t_s, column) for column in x.T]
     replica = None if fit is None else fit.replica
     if replica is not None and (m := replica.motion) is not None:
         t_s = signals.t_s[np.rint(m.t_s * signals.sample_rate_hz).astype(int)]  # m.t_s is index / rate
-        for quantity, x in (("q", m.q), ("dq", m.dq), ("ddq", m.ddq), ("tau", m.tau), ("error", m.q - replica.q)):
+        for quantity, x in (("q", m.q), ("dq", m.dq), ("ddq", m.ddq), ("torque", m.tau), ("error", m.q - replica.q)):
             lines["simulated", quantity] = [_line(t_s, column) for column in x.T]
     return lines
 
@@ -64,11 +84,11 @@ def _decimate(signals: Signals, settings: Settings | None, fit: Fit | None) -> d
             m = Motion(**{name: x[::stride] for name, x in vars(m).items()})
         series = {"q": m.q, "dq": m.dq, "ddq": m.ddq}
         if fit is not None:
-            series["tau"] = predicted_torque(
+            series["torque"] = predicted_torque(
                 m, fit.problem.model, fit.base, fit.recordings[0].parameters.values(fit.estimate)
             )
         elif settings is None:
-            series["tau"] = m.tau
+            series["torque"] = m.tau
         for quantity, x in series.items():
             for j, parts in enumerate(pieces[quantity]):
                 k = extremes(x[:, j], step)
@@ -103,49 +123,61 @@ def extremes(x: Array, step: int) -> NDArray[np.intp]:
     return np.concatenate([np.delete(both.reshape(-1), twice), np.arange(whole, len(x))])
 
 
-def position_plots(signals: Signals, fit: Fit | None, lines: Lines) -> list[Plot]:
+def position_plots(signals: Signals, lines: Lines) -> list[Plot]:
     """One plot per joint of the reference and simulated position minus the measured one, in a readable unit.
 
     Without a reference and a simulation, plots of the position.
     """
-    joints, n = signals.robot.joints, signals.robot.n
-    errors: dict[str, list[Line]] = {}
-    if signals.q_ref is not None:
-        errors["reference"] = [_line(signals.t_s, x) for x in (signals.q_ref - signals.q).T]
-    if ("simulated", "error") in lines:
-        errors["simulated"] = lines["simulated", "error"]
+    joints, errors = signals.robot.joints, [lines[key] for key in lines if key[1] == "error"]
     if not errors:
-        return [_position_plot(signals, fit, lines, j, legend=_has_legend(signals, j)) for j in range(n)]
+        return [_plot(signals, lines, "q", j) for j in range(len(joints))]
     peaks: dict[str, float] = defaultdict(float)  # joints of one type share a unit, for comparison
-    for lines_of_joints in errors.values():
-        for joint, (_, x) in zip(joints, lines_of_joints, strict=True):
-            peaks[joint.position_unit] = max(peaks[joint.position_unit], np.abs(x).max())
+    for of_joints in errors:
+        for joint, (_, x) in zip(joints, of_joints, strict=True):
+            peaks[joint.position_unit] = max(peaks[joint.position_unit], float(np.abs(x).max()))
     plots = []
     for j, joint in enumerate(joints):
         factor, unit = readable_unit(peaks[joint.position_unit], joint.position_unit)
-        curves = []
-        for key, lines_of_joints in errors.items():
-            t_s, x = lines_of_joints[j]
-            color = REFERENCE if key == "reference" else SIMULATED
-            name, line, dashed = f"{key} − measured", (t_s, factor * x), key == "reference"
-            curves.append(Curve(key=key, name=name, color=color, line=line, dashed=dashed))
-        path, title = ("error", joint.name), f"position error {joint.name} [{unit}]"
-        plots.append(Plot(path=path, title=title, curves=tuple(curves), legend=_has_legend(signals, j)))
+        plot = _plot(signals, lines, "error", j)
+        curves = [replace(c, line=(c.line[0], factor * c.line[1])) for c in plot.curves]
+        plots.append(replace(plot, title=f"position error {joint.name} [{unit}]", curves=tuple(curves)))
     return plots
 
 
-def torque_plots(signals: Signals, fit: Fit | None, lines: Lines) -> list[Plot]:
+def torque_plots(signals: Signals, lines: Lines) -> list[Plot]:
     """One plot per joint of its torque: measured, inverse model, simulated robot."""
-    plots = []
-    for j, joint in enumerate(signals.robot.joints):
-        curves = [Curve(key="measured", color=MEASURED, line=lines["measured", "tau"][j], width=2.0)]
-        if fit is not None:
-            curves.append(Curve(key="model_idm", name="IDM", color=PREDICTED, line=lines["filtered", "tau"][j]))
-        if ("simulated", "tau") in lines:
-            curves.append(Curve(key="model_ddm", name="DDM", color=SIMULATED, line=lines["simulated", "tau"][j]))
-        path, title = ("torque", joint.name), f"torque {joint.name} [{signals.robot.effort_units[j]}]"
-        plots.append(Plot(path=path, title=title, curves=tuple(curves), legend=_has_legend(signals, j)))
+    return [_plot(signals, lines, "torque", j) for j in range(signals.robot.n)]
+
+
+def motion_plots(signals: Signals, lines: Lines, j: int) -> list[Plot]:
+    """Position, speed and acceleration of joint j; no position if the first page has it, noisy derivatives hidden."""
+    first_has_position = not any(quantity == "error" for _, quantity in lines)
+    plots = [] if first_has_position else [_plot(signals, lines, "q", j, alone=True)]
+    for quantity in ("dq", "ddq"):
+        plot = _plot(signals, lines, quantity, j, alone=True)
+        raw, *rest = plot.curves
+        if ("filtered", quantity) in lines:
+            noisy = np.abs(raw.line[1]).max() > MAX_NOISE_RATIO * np.abs(rest[0].line[1]).max()
+            plot = replace(plot, curves=(replace(raw, visible=not noisy), *rest))
+        plots.append(plot)
     return plots
+
+
+def _plot(signals: Signals, lines: Lines, quantity: str, j: int, *, alone: bool = False) -> Plot:
+    """What is known of a quantity of joint j; of over three joints side by side the first has the legend."""
+    curves, joint, legend = [], signals.robot.joints[j], alone or j == 0 or signals.robot.n < 4
+    for source, (color, width, *names) in LOOKS.items():
+        if (source, quantity) in lines:
+            key, name = NAMES.get((source, quantity), names)
+            line, dashed = lines[source, quantity][j], source == "reference"
+            curves.append(Curve(key=key, name=name, color=color, line=line, width=width, dashed=dashed))
+    units = {
+        "dq": f"{joint.position_unit}/s",
+        "ddq": f"{joint.position_unit}/s²",
+        "torque": signals.robot.effort_units[j],
+    }
+    title = f"{quantity} {joint.name} [{units.get(quantity, joint.position_unit)}]"
+    return Plot(path=(quantity, joint.name), title=title, curves=tuple(curves), legend=legend)
 
 
 def row_plots(robot: Robot, t_s: Array, tau: Array, tau_predicted: Array, title: str) -> tuple[list[Plot], list[Plot]]:
@@ -159,72 +191,54 @@ def row_plots(robot: Robot, t_s: Array, tau: Array, tau_predicted: Array, title:
         )
         rest = Curve(key="residual", color=RESIDUAL, line=(t_s, tau[:, j] - tau_predicted[:, j]))
         name = f"residual {joint.name} [{unit}]"
-        residuals.append(Plot(path=("residual", joint.name, "time"), title=name, curves=(rest,), legend=False))
+        residuals.append(Plot(path=("residual", joint.name), title=name, curves=(rest,), legend=False))
     return both, residuals if (tau != tau_predicted).any() else []
 
 
 def column_plots(signals: Signals) -> list[Plot]:
     """Other recorded columns: a plot per quantity with a curve per joint, of feed-forward per motor."""
-    robot = signals.robot
-    of_joints = [joint.name for joint in robot.joints]
-    of_motors = [motor.name for motor in robot.motors]
-    plots = []
+    robot, plots = signals.robot, []
+    of_joints, of_motors = [joint.name for joint in robot.joints], [motor.name for motor in robot.motors]
     for key, title, values, names, units in (
         ("velocity", "velocity measured", signals.velocity, of_joints, [f"{j.position_unit}/s" for j in robot.joints]),
         ("known_torque", "known torque", signals.known_torque, of_joints, list(robot.effort_units)),
         ("feedforward", "feed-forward", signals.feedforward, of_motors, [m.recorded_unit for m in robot.motors]),
     ):
-        if values is None:
-            continue
-        curves, one_unit = [], len(set(units)) == 1
-        for c, (name, unit) in enumerate(zip(names, units, strict=True)):
-            shown, line = "" if one_unit else f"{name} [{unit}]", _line(signals.t_s, values[:, c])
-            curves.append(Curve(key=name, name=shown, color=JOINTS[c % len(JOINTS)], line=line))
-        title = f"{title} [{units[0]}]" if one_unit else title
-        plots.append(Plot(path=("column", key), title=title, curves=tuple(curves)))
+        if values is not None:
+            lines = {name: _line(signals.t_s, x) for name, x in zip(names, values.T, strict=True)}
+            unit, curves = curves_of(lines, units)
+            plots.append(Plot(path=("column", key), title=title + unit, curves=curves))
     return plots
 
 
-def motion_plots(signals: Signals, fit: Fit | None, lines: Lines, j: int) -> list[Plot]:
-    """Position, speed and acceleration of joint j: measured, filtered, simulated; no position if the first page has it."""
-    joint, plots = signals.robot.joints[j], []
-    simulated = ("simulated", "q") in lines
-    if signals.q_ref is not None or simulated:
-        plots.append(_position_plot(signals, fit, lines, j))
-    filters = ("filtered", "q") in lines and (fit is None or fit.settings.cutoff_hz is not None)
-    for quantity, per in (("dq", "/s"), ("ddq", "/s²")):
-        raw, filtered = lines["measured", quantity][j], lines["filtered", quantity][j] if filters else None
-        noisy = filtered is not None and bool(np.abs(raw[1]).max() > MAX_NOISE_RATIO * np.abs(filtered[1]).max())
-        curves = [Curve(key="measured", color=MEASURED, line=raw, width=2.0, visible=not noisy)]
-        if filtered is not None:
-            curves.append(Curve(key="measured_filtered", name="filtered", color=PREDICTED, line=filtered))
-        if simulated:
-            line = lines["simulated", quantity][j]
-            curves.append(Curve(key="simulated", color=SIMULATED, line=line, width=0.75))
-        title = f"{quantity} {joint.name} [{joint.position_unit}{per}]"
-        plots.append(Plot(path=(quantity, joint.name), title=title, curves=tuple(curves)))
-    return plots
+def curves_of(lines: Mapping[str, Line], units: Sequence[str]) -> tuple[str, tuple[Curve, ...]]:
+    """A curve per line, and for the title their unit; different units stand in their names."""
+    one = len(set(units)) == 1
+    curves = (
+        Curve(key=name, name="" if one else f"{name} [{unit}]", color=JOINTS[k % len(JOINTS)], line=line)
+        for k, ((name, line), unit) in enumerate(zip(lines.items(), units, strict=True))
+    )
+    return f" [{units[0]}]" if one else "", tuple(curves)
 
 
-def excitation_plots(excitation: Excitation) -> list[list[Plot]]:
-    """For each joint: position, speed and, if known, torque over one period, with their limits."""
-    e = excitation
+def excitation_plots(excitation: Excitation) -> dict[str, list[Plot]]:
+    """For each joint: position, speed and, if known, torque over one period, with their limits; by quantity."""
+    e, plots = excitation, dict[str, list[Plot]]()
     t_s, q, dq, tau = e.curves()
     efforts = dict(zip(e.limits.effort.names, e.limits.effort.limits, strict=True))
-    plots: list[list[Plot]] = []
     for j, joint in enumerate(e.robot.joints):
         unit, speed, effort = joint.position_unit, joint.si("speed"), efforts.get(f"joint {joint.name}")
         shown = [("q", unit, q, joint.si("position")), ("dq", f"{unit}/s", dq, (-speed, speed))]
         if tau is not None:
             shown.append(("torque", e.robot.effort_units[j], tau, None if effort is None else (-effort, effort)))
-        plots.append([])
         for quantity, unit, x, limits in shown:
             curves = [Curve(key="reference", color=REFERENCE, line=(t_s, x[:, j]))]
             for key, limit in zip(("low", "high"), limits or (), strict=False):
                 line = t_s[[0, -1]], np.full(2, limit)
                 curves.append(Curve(key=key, color=VERMILLION, line=line, width=0.75))
             path, title = (quantity, joint.name), f"{quantity} {joint.name}, {unit}"
-            plots[j].append(Plot(path=path, title=title, curves=tuple(curves), legend=False))
+            plot = Plot(path=path, title=title, curves=tuple(curves), legend=False)
+            plots.setdefault(quantity, []).append(plot)
     return plots
 
 
@@ -253,24 +267,3 @@ def readable_unit(peak: float, unit: str) -> tuple[float, str]:
     if peak >= 1 or peak == 0:
         return 1.0, unit
     return (1e3, f"m{unit}") if peak >= 1e-3 else (1e6, f"µ{unit}")
-
-
-def _has_legend(signals: Signals, j: int) -> bool:
-    """For up to three joints all plots have a legend, else the first."""
-    return j == 0 or signals.robot.n < 4
-
-
-def _position_plot(signals: Signals, fit: Fit | None, lines: Lines, j: int, *, legend: bool = True) -> Plot:
-    """Joint j's measured, filtered, simulated and reference position, as far as available."""
-    joint = signals.robot.joints[j]
-    curves = [Curve(key="measured", color=MEASURED, line=lines["measured", "q"][j], width=2.5)]
-    if fit is not None and fit.settings.cutoff_hz is not None:
-        # This key sorts after `measured`, so the curve is drawn in front of it.
-        curves.append(Curve(key="measured_filtered", name="filtered", color=PREDICTED, line=lines["filtered", "q"][j]))
-    if signals.q_ref is not None:
-        line = _line(signals.t_s, signals.q_ref[:, j])
-        curves.append(Curve(key="reference", color=REFERENCE, line=line, width=1.5, dashed=True))
-    if ("simulated", "q") in lines:
-        curves.append(Curve(key="simulated", color=SIMULATED, line=lines["simulated", "q"][j]))
-    title = f"q {joint.name} [{joint.position_unit}]"
-    return Plot(path=("q", joint.name), title=title, curves=tuple(curves), legend=legend)

@@ -9,8 +9,9 @@ from acquisition.files import atomic_write
 
 from ..data import versions
 from ..report import to_html
-from .panels import GREY, RESIDUAL, Bars, Chart, Color, Log, Page, Panel, Picture, Plot
-from .svg_panels import CLASSES, DRAWERS
+from .colors import CLASSES, Color
+from .panels import Graph, Log, Page, Panel, Picture, Rows
+from .svg_panels import SHEET, WIDE, draw_graph, draw_rows, width_of
 
 MAX_EVENTS = 100  # of a log
 _POLICY = "default-src 'none'; style-src 'unsafe-inline'"
@@ -51,7 +52,7 @@ def _page(page: Page) -> str:
 
 
 def _figure(panel: Panel) -> str:
-    """A panel with its title and legend; empty for the report and the moving robot."""
+    """A panel with its title and legend; empty for the moving robot."""
     title = escape(one_line(panel.title))
     if isinstance(panel, Log):
         lines = "".join(
@@ -60,16 +61,16 @@ def _figure(panel: Panel) -> str:
         )
         rest = f"<p>{len(panel.lines) - MAX_EVENTS} more in the recording</p>" if len(panel.lines) > MAX_EVENTS else ""
         return f'<figure class="wide"><figcaption>{title}</figcaption>{lines}{rest}</figure>'
-    if type(panel) not in DRAWERS:
+    if isinstance(panel, Graph):
+        named = {c.name or c.key: c for c in panel.curves if c.visible} if panel.legend else {}
+        drawn, keys = draw_graph(panel), "".join(_key(name, c.color, dashed=c.dashed) for name, c in named.items())
+    elif isinstance(panel, Rows):
+        drawn = draw_rows(panel)
+        keys = "".join(f'<b class="ink {CLASSES[color]}">{escape(text)}</b>' for text, color in panel.legend)
+    else:
         return ""
-    drawn, keys = DRAWERS[type(panel)](panel), ""
-    if isinstance(panel, Plot) and panel.legend:
-        keys = "".join(_key(c.name or c.key, c.color, dashed=c.dashed) for c in panel.curves if c.visible)
-    elif isinstance(panel, Bars):
-        keys = _key(panel.names[0], RESIDUAL) + _key(panel.names[1], GREY)
-    legend = f'<span class="legend">{keys}</span>' if keys else ""
-    width = panel.size[0] if isinstance(panel, Chart) else 480.0 if isinstance(panel, Plot | Bars) else 900.0
-    kind = "wide" if width > 700 else "sheet" if width > 480 else "plot"
+    legend, width = f'<span class="legend">{keys}</span>' if keys else "", width_of(panel)
+    kind = "wide" if width == WIDE else "sheet" if width == SHEET else "plot"
     content = f'<figcaption>{title}{legend}</figcaption><div class="scroll">{drawn}</div>'
     return f'<figure class="{kind}" style="--least:{width:.0f}px">{content}</figure>'
 

@@ -25,8 +25,8 @@ from ..methods import stored_beta, with_stored_gains
 from ..model import InverseModel, base_parameters
 from ..regression import Decimation, later, motion_between, predicted_torque
 from ..report import FitFile, read_fit
-from .panels import GREEN, GREY, LIGHT, ORANGE, REFERENCE, RESIDUAL, Chart, Color
-from .rerun_panels import show, shown_text
+from .colors import GREEN, GREY, LIGHT, ORANGE, REFERENCE, RESIDUAL, Color
+from .rerun_panels import shown_text
 
 RED: Color = (200, 30, 30)
 PORT, VIEWER_MEMORY = 9876, "1GB"
@@ -193,7 +193,8 @@ class LivePage:
         self._recording.send_columns(path, indexes=[times], columns=rr.Scalars.columns(scalars=values))
 
     def _lay_out(self) -> None:
-        rows = [rrb.Spatial2DView(origin="state")]
+        bounds = rrb.VisualBounds2D(x_range=[0.0, 1400.0], y_range=[-20.0, 20.0])
+        rows = [rrb.Spatial2DView(origin="state", visual_bounds=bounds)]
         window = rrb.VisibleTimeRange(
             "time",
             start=rrb.TimeRangeBoundary.cursor_relative(seconds=-SHOWN_S),
@@ -242,10 +243,11 @@ class LivePage:
         color = GREY if self.over else RED if stalled else GREEN
         if stalled and not self.over:
             words.insert(0, "THE FILE HAS STOPPED GROWING: what is shown is old")
-        chart = Chart(path=("state",), title="recording", size=(1400.0, 40.0))
-        chart.line(0.0, 20.0, 1400.0, 20.0, color, 12.0)
-        chart.label(700.0, 12.0, "   |   ".join(words), LIGHT)
-        show(self._recording, chart)
+        bar = rr.LineStrips2D([[(0.0, 0.0), (1400.0, 0.0)]], colors=color, radii=rr.Radius.ui_points(12.0))
+        self._recording.log("state/bar", bar, static=True)
+        text, hidden = shown_text("   |   ".join(words)), rr.Radius.ui_points(0.1)
+        label = rr.Points2D([(700.0, -6.0)], labels=text, colors=LIGHT, radii=hidden, show_labels=True)
+        self._recording.log("state/text", label, static=True)
 
 
 def _error_limits(robot: Robot) -> list[Lines]:

@@ -1,27 +1,17 @@
-"""The content of a picture as plain data: curves over time, bars, charts, lanes, notes, robots."""
+"""The content of a picture as plain data: curves, rows of values, logs, robots."""
 
-import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
-from typing import Any
+from typing import Literal
 
 from ..arrays import Array
 from ..report import Document
+from .axes import Axis
+from .colors import Color
 
-Color = tuple[int, int, int]
 Line = tuple[Array, Array]  # t_s (k,), values (k,)
-Ticks = Mapping[float, str]  # values of a scale and their texts
-Steps = tuple[Array, float, Array]  # left edges (k,), width, heights (k,)
-
-# Okabe and Ito's colors, distinguishable for the color-blind (Color Universal Design, 2008), on dark and light background.
-ORANGE, SKY, GREEN, YELLOW = (230, 159, 0), (86, 180, 233), (0, 158, 115), (240, 228, 66)
-BLUE, VERMILLION, PURPLE = (0, 114, 178), (213, 94, 0), (204, 121, 167)
-GREY, LIGHT = (140, 140, 140), (205, 205, 205)
-# A color has the same meaning on all pages.
-MEASURED, REFERENCE, SIMULATED, PREDICTED, RESIDUAL = GREY, GREEN, SKY, ORANGE, VERMILLION
-SHEET = (1430.0, 960.0)  # pixels of a large chart on a screen of 1920 by 1080
-JOINTS = (SKY, ORANGE, GREEN, VERMILLION, PURPLE, YELLOW, BLUE, GREY)  # in turn
+Shape = Literal["dot", "ring", "cross", "tick", "bar"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -49,92 +39,54 @@ class Curve:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Plot(_Panel):
-    """Curves over time in seconds; with a `start`, the time of second 0, over dates."""
+class Graph(_Panel):
+    """Curves over another quantity than time, on logarithmic axes if `log`; only HTML shows it.
+
+    Behind the curves `dots`, points (k, 2) of a color; `marks` are texts at vertical lines.
+    """
 
     curves: tuple[Curve, ...]
     legend: bool = True
+    log: bool = False
+    dots: Sequence[tuple[Array, Color]] = ()
+    marks: Mapping[float, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Plot(Graph):
+    """Curves over time in seconds; with a `start`, the time of second 0, over dates."""
+
     start: datetime | None = None
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Bars(_Panel):
-    """Bars in front of grey ones; `names` of both, in words."""
+@dataclass(frozen=True, kw_only=True)
+class Mark:
+    """A value in a row, or between two rows, with its interval; a tick is an upright stroke."""
 
-    front: Steps
-    back: Steps
-    names: tuple[str, str]
-    legend: bool = True
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Chart(_Panel):
-    """Strokes (points (k, 2), color, radius), markers and labels on a sheet of `size` pixels, y downwards.
-
-    Markers are `dots`, `rings`, `crosses` (for least squares), and the `cloud` of small ones behind the strokes.
-    """
-
-    size: tuple[float, float]
-    strokes: list[tuple[Any, Color, float]] = field(default_factory=list)
-    dots: list[tuple[float, float, Color]] = field(default_factory=list)
-    rings: list[tuple[float, float, Color]] = field(default_factory=list)
-    crosses: list[tuple[float, float, Color]] = field(default_factory=list)
-    cloud: list[tuple[float, float, Color]] = field(default_factory=list)
-    labels: list[tuple[float, float, str, Color]] = field(default_factory=list)
-
-    def line(self, x0: float, y0: float, x1: float, y1: float, color: Color = GREY, radius: float = 0.25) -> None:
-        """Draw a straight stroke."""
-        self.strokes.append((((x0, y0), (x1, y1)), color, radius))
-
-    def label(self, x: float, y: float, text: str, color: Color = GREY) -> None:
-        """Write text with its top at y, centred at x."""
-        self.labels.append((x, y, text, color))
-
-    def ticks_across(self, scale: "Scale", ticks: "Ticks", edges: tuple[float, float], label_y: float) -> None:
-        """Draw vertical lines between two edges, and texts, at the ticks of a horizontal scale."""
-        for value, text in ticks.items():
-            self.line(scale(value), edges[0], scale(value), edges[1])
-            self.label(scale(value), label_y, text)
-
-    def ticks_up(self, scale: "Scale", ticks: "Ticks", edges: tuple[float, float], label_x: float) -> None:
-        """Draw horizontal lines between two edges, and texts, at the ticks of a vertical scale."""
-        for value, text in ticks.items():
-            self.line(edges[0], scale(value), edges[1], scale(value))
-            self.label(label_x, scale(value) - 10, text)
+    row: float
+    value: float
+    color: Color
+    half: float = 0.0
+    shape: Shape = "dot"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Scale:
-    """Map a number to pixels between two edges, through the monotonic function `by`; clamp it at the edges."""
+class Column:
+    """Values of rows on an axis of their own, under a head; `lines` are values that all rows are compared with."""
 
-    left: float
-    right: float
-    low: float
-    high: float
-    by: Callable[[float], float] = float
-
-    @property
-    def middle(self) -> float:
-        """Midway between the edges, in pixels."""
-        return 0.5 * (self.left + self.right)
-
-    def __call__(self, value: float) -> float:
-        """The position of the number in pixels."""
-        low, high = self.by(self.low), self.by(self.high)
-        return self.left + (self.right - self.left) * min(1.0, max(0.0, (self.by(value) - low) / (high - low or 1.0)))
-
-
-def log10(x: float) -> float:
-    """The decimal logarithm, also defined for 0."""
-    return math.log10(max(x, 1e-300))
+    head: str
+    axis: Axis
+    marks: Sequence[Mark]
+    lines: Sequence[float] = ()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Lanes(_Panel):
-    """Bands over time up to `end_s`: for each lane its changes of state (t_s, text, color); an empty text ends a band."""
+class Rows(_Panel):
+    """A row of values for each name; `legend` explains shapes and colors. Only HTML shows it."""
 
-    lanes: Mapping[str, Sequence[tuple[float, str, Color]]]
-    end_s: float
+    names: Sequence[tuple[str, Color]]
+    columns: Sequence[Column]
+    legend: Sequence[tuple[str, Color]] = ()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -142,13 +94,6 @@ class Log(_Panel):
     """Lines of text over time: (t_s, is a warning, text)."""
 
     lines: Sequence[tuple[float, bool, str]]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Note(_Panel):
-    """A report."""
-
-    document: Document
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -177,16 +122,16 @@ class Scene(_Panel):
     target: Array
 
 
-Panel = Plot | Bars | Chart | Lanes | Log | Note | Scene
+Panel = Graph | Rows | Log | Scene
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Page:
-    """Panels that are looked at together, in groups of one kind; `layout` names their arrangement on a screen."""
+    """Panels that are looked at together, in groups of one kind, or with `tabs` of one thing; Rerun shows a group at a time."""
 
     name: str
     groups: Mapping[str, Sequence[Panel]]
-    layout: str = ""
+    tabs: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
