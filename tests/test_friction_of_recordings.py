@@ -93,7 +93,7 @@ def test_terms_whose_interval_holds_0_go_joint_by_joint():
     sources = (dataclasses.replace(one, robot=with_terms(one.robot, both.terms)) for one in several())
     fit = identify_ls(Recordings(sources=tuple(sources)), WITHOUT_LAG)
     t = dict(zip(fit.estimate.names, fit.estimate.beta / fit.intervals.sigma, strict=True))
-    limit = stats.t.isf(0.05 / 2 / 6, fit.intervals.freedom)  # three terms at two joints are tried
+    limit = stats.t.isf(0.02 / 2 / 6, fit.intervals.freedom)  # three terms at two joints are tried
     assert abs(t["Fr2"]) < limit < min(t["Fr1"], t["mu1"], t["mu2"])
 
 

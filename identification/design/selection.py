@@ -3,9 +3,10 @@
 1. Every combination of the tried terms, the same at all joints, is fitted to all rows, and each part, a fifth of one recording
    or one of several, is predicted by the fit of the others. The score of a part is the sum of squared residuals of its moving
    rows, each divided by its joint's s_j of the fit with the usual terms.
-2. Of these sets the smallest whose score is within one standard error (of the paired difference over the parts) of the best.
-3. In the fit of this set the terms whose interval contains 0 go, joint by joint. The level of the intervals is such that one in
-   twenty recordings of a robot without such terms shows any.
+2. In the fit of each set the terms whose interval contains 0 go, joint by joint; what is left is a set, too. The level of the
+   intervals is such that one in fifty recordings of a robot without such terms shows any.
+3. Recommended is the smallest set whose intervals all exclude 0, and whose score is within one standard error (of the paired
+   difference over the parts) of the best such set.
 """
 
 from collections.abc import Callable, Collection, Sequence
@@ -28,7 +29,7 @@ from ..regression import Overrides
 from ..trust import predictions_by_others
 
 FIFTHS = 5  # parts of a single recording
-FALSE_TERM_RATE = 0.05  # share of recordings that show a term by chance, without having any
+FALSE_TERM_RATE = 0.02  # share of recordings that show a term by chance, without having any
 MIN_PARTS = 2  # fewer have no standard error of their mean
 BASELINE: tuple[FrictionTerm, ...] = ("viscous", "coulomb", "offset")
 CANDIDATES: tuple[FrictionTerm, ...] = ("asymmetric", "root", "load", "stribeck")  # as a description lists them
@@ -105,7 +106,7 @@ class TermChoice:
     Attributes:
         recordings: in the order given; `overrides`: of their fits.
         held_out: names of the parts held out: recordings, or fifths of one.
-        usual: the trial without added terms.
+        usual: the trial without added terms; `recommended`: the smallest that predicts nearly as well as the best.
         left_out: unidentifiable terms, and recordings that the others cannot predict, one line each.
     """
 
@@ -152,8 +153,10 @@ def select_friction(
     able = [term for term in CANDIDATES if any(at_all_joints(robot, [term]))]
     for kinds in (chosen for size in range(len(able) + 1) for chosen in combinations(able, size)):
         say(f"set {len(trials.done) + 1}: {', '.join(kinds)}")
-        trials.of(at_all_joints(robot, kinds))
-    recommended = trials.of(smallest_near_best(tuple(trials.done.values())).significant_terms)
+        trials.of(trials.of(at_all_joints(robot, kinds)).significant_terms)
+    recommended = smallest_near_best(
+        [trial for trial in trials.done.values() if trial.significant_terms == trial.terms]
+    )
     left_out = [text for (j, term), text in trials.left_out.items() if term not in recommended.terms[j]]
     return TermChoice(
         recordings=recordings,
