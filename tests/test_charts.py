@@ -11,7 +11,7 @@ from test_viewer import FS, fitted, made_up
 from test_viewer_pages import values
 
 from identification.methods import Gains
-from identification.study import Noise, Run, RunFit, RunSettings
+from identification.study import Run, RunFit
 from identification.trust import Figure, Trust, TrustLine
 from identification.view.axes import about_zero, decades, linear, logarithmic
 from identification.view.charts import (
@@ -142,11 +142,10 @@ def test_identified_gains_stand_beside_the_described_ones():
 def a_run(number, ls, iv, status="converged"):
     def fit(error):
         ends = {"low": np.zeros(2), "high": np.ones(2)}
-        known = {"verdict": "trust", "doubts": (), "essential": np.ones(2, dtype=bool), "positive": True}
-        return RunFit(beta=np.ones(2), sigma=np.full(2, 0.1), error=error, **ends, **known)
+        known = {"verdict": "trust", "essential": np.ones(2, dtype=bool), "positive": True}
+        return RunFit(beta=np.ones(2), error=error, **ends, **known)
 
-    drawn = RunSettings(cutoff=5.0, start=0.0, gain_error=0.0, seed=1, controller="described", noise=Noise())
-    return Run(number=number, drawn=drawn, status=status, ls=fit(ls), iv=None if iv is None else fit(iv))
+    return Run(number=number, status=status, ls=fit(ls), iv=None if iv is None else fit(iv))
 
 
 def test_a_study_has_all_errors_by_method_and_the_medians_of_those_that_count():
