@@ -248,3 +248,13 @@ def test_progress_is_shown_on_a_terminal_only(capfd, monkeypatch):
     os.close(controller)
     assert "fitting" in printed
     assert printed.endswith("\x1b[2Kthe end")
+
+
+def test_an_option_that_went_is_told_with_what_does_the_same(capsys):
+    for given in (["--cluster", "tcp://host:8786"], ["--cluster=tcp://host:8786"]):
+        with pytest.raises(SystemExit, match="2"):
+            identify(["fit", str(SESSION), *given])
+        told = capsys.readouterr().err.splitlines()[-1]
+        assert (
+            told == f"robot-identify: error: unrecognized arguments: {' '.join(given)}; now --workers tcp://HOST:8786"
+        )

@@ -37,7 +37,7 @@ class Program:
     """A command line: its name, one line about it, and the errors that it prints in one line.
 
     `commands` gives the help of each command, in order. Its module in `package` has the same name, with an underscore if the
-    name is a Python keyword.
+    name is a Python keyword. `gone` tells, for the commands and the name of an option that went, what does the same.
     """
 
     name: str
@@ -45,6 +45,7 @@ class Program:
     package: str
     commands: Mapping[str, str]
     errors: tuple[type[Exception], ...]
+    gone: Sequence[tuple[str, str, str]] = ()
 
     def parser(self, *chosen: str) -> argparse.ArgumentParser:
         """The parser of all commands; only those `chosen` have their options, and `run`."""
@@ -69,7 +70,12 @@ class Program:
         def command() -> int | None:
             # No option before the command takes a value.
             chosen = next((argument for argument in given if argument in self.commands), "")
-            options = self.parser(chosen).parse_args(given)
+            parser = self.parser(chosen)
+            options, unknown = parser.parse_known_args(given)
+            if unknown:
+                flags = {argument.split("=")[0] for argument in unknown}
+                ways = [f"; now {way}" for of, flag, way in self.gone if chosen in of.split() and flag in flags]
+                parser.error(f"unrecognized arguments: {' '.join(unknown)}{''.join(ways)}")
             return cast(int | None, options.run(options))
 
         return run_command(self.name, self.errors, command)

@@ -5,6 +5,9 @@ from acquisition.errors import AcquisitionError
 
 from ..errors import IdentificationError
 
+# Options that went: of which commands, their name, what does the same.
+GONE = (("fit fleet sensitivity study", "--cluster", "--workers tcp://HOST:8786"),)
+
 PROGRAM = Program(
     name="robot-identify",
     description="Identify the dynamic parameters of a robot from a recording.",
@@ -26,6 +29,7 @@ PROGRAM = Program(
         "demo": "record simulated drives, fit, and compare with the true parameters",
         "schema": "JSON Schema of robot.toml or of a fit's JSON file",
     },
+    gone=GONE,
     errors=(AcquisitionError, IdentificationError),
 )
 main = PROGRAM.main

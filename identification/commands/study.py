@@ -47,9 +47,8 @@ def run(options: argparse.Namespace) -> None:
     study = from_options(Study, options, noise=from_options(Noise, options))
     base, true = study_truth(robot)
     err, began = Console(stderr=True), perf_counter()
-    with work_of(options, study.runs) as work:
-        results = run_study(robot, study, work)
-        runs = list(track(results, "runs", study.runs, console=err, transient=True, disable=not err.is_terminal))
+    results = run_study(robot, study, work_of(options, study.runs))
+    runs = list(track(results, "runs", study.runs, console=err, transient=True, disable=not err.is_terminal))
     took_s = perf_counter() - began
     if not any(run.ls for run in runs):
         raise IdentificationError(f"no run can be fitted: {runs[0].reason}", place=str(options.robot))

@@ -7,8 +7,7 @@ from pathlib import Path
 from acquisition.errors import one_line
 from acquisition.files import atomic_write
 
-from ..data import versions
-from ..report import to_html
+from ..report import to_html, versions
 from .panels import GREY, RESIDUAL, Bars, Chart, Color, Log, Page, Panel, Picture, Plot
 from .svg_panels import CLASSES, DRAWERS
 
