@@ -17,10 +17,10 @@ from . import design, export, methods, report, study
 from .arrays import Array
 from .data import RecordingFile as RecordingFile
 from .data import Recordings as Recordings
-from .data import Serial, Work, signals_from_arrays
 from .data import Signals as Signals
+from .data import Work as Work
 from .data import load_signals as load_signals
-from .data import processes as processes
+from .data import signals_from_arrays
 from .design import Excitation
 from .design import ExcitationSettings as ExcitationSettings
 from .design import select_friction as select_friction
@@ -296,6 +296,6 @@ def simulate_recording(
 def run_study(robot: File | Robot, settings: Study | None = None, work: Work | None = None) -> list[Run]:
     """Fits of simulated recordings of the robot of `[parameters]`, by least squares and by instrumental variables.
 
-    `work`: where they run, as `with processes(4) as work:`. Raises `IdentificationError`: a value or a limit is missing.
+    `work`: where they run, as `Work(4)`. Raises `IdentificationError`: a value or a limit is missing.
     """
-    return list(study.run_study(_robot(robot), settings or Study(), work or Serial()))
+    return list(study.run_study(_robot(robot), settings or Study(), work or Work()))

@@ -1,6 +1,5 @@
 """Two recordings with every optional column x load friction, own parameters, drive gains x serially and by two workers."""
 
-from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -13,7 +12,7 @@ from test_friction_terms import described, model_of
 
 from acquisition.robot import Payload, Robot
 from identification import validate
-from identification.data import RecordingFile, Recordings, Serial, Signals, Work, processes
+from identification.data import RecordingFile, Recordings, Signals, Work
 from identification.methods import Fit, identify
 from identification.regression import Overrides
 from identification.study import Noise, closed_loop, random_reference, write_signals
@@ -68,12 +67,6 @@ def recorded(concerns: frozenset[str], columns: frozenset[str], seed: int) -> Si
     return described_with(signals, WRONG, None) if "gains" in concerns else signals
 
 
-@pytest.fixture(scope="module")
-def workers() -> Iterator[Work]:
-    with processes(2) as work:
-        yield work
-
-
 def fitted(paths: list[Path], concerns: frozenset[str], work: Work) -> Fit:
     overrides = Overrides(gains=("motor_2",) if "gains" in concerns else None)
     return identify(Recordings(sources=tuple(map(RecordingFile.at, paths)), work=work), overrides)
@@ -95,14 +88,14 @@ def off(fit: Fit) -> np.ndarray:
     "columns", [pytest.param(x, marks=pytest.mark.slow if x in SIMULATED else ()) for x in (*COLUMNS, "all")]
 )
 @pytest.mark.parametrize("concerns", ["plain", *CONCERNS, "all"])
-def test_two_recordings_are_fitted_with_what_they_have(concerns, columns, workers, tmp_path):
+def test_two_recordings_are_fitted_with_what_they_have(concerns, columns, tmp_path):
     concerns = frozenset({"all": CONCERNS, "plain": ()}.get(concerns, (concerns,)))
     columns = frozenset(COLUMNS if columns == "all" else (columns,))
     paths = [tmp_path / f"r{seed}.mcap" for seed in (1, 2)]
     for seed, path in enumerate(paths, 1):
         write_signals(path, recorded(concerns, columns, seed), source="test")
-    fit = fitted(paths, concerns, Serial())
-    assert bits(fitted(paths, concerns, workers)) == bits(fit)
+    fit = fitted(paths, concerns, Work())
+    assert bits(fitted(paths, concerns, Work(2))) == bits(fit)
     assert fit.status == ("converged" if "reference" in columns else "solved")
     assert (off(fit) < 1.5).all()
     assert (fit.own is not None) == ("own" in concerns)

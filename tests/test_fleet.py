@@ -1,7 +1,6 @@
 """Fleets: a row per recording, runs that go on where they stopped, control limits, the table and its picture."""
 
 import shutil
-from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -15,8 +14,7 @@ from test_viewer import Written
 from acquisition.recording import read_recording
 from acquisition.robot import robot_from_files
 from identification.commands import main
-from identification.data import Recordings, Serial, WorkersNotStartedError, load_signals
-from identification.errors import IdentificationError
+from identification.data import Recordings, Work, load_signals
 from identification.methods import identify
 from identification.regression import Overrides
 from identification.study import (
@@ -57,14 +55,13 @@ def fleet(tmp_path_factory):
     return folder
 
 
-@contextmanager
 def in_this_process(tasks):
-    yield Serial()
+    return Work()
 
 
-def run(folder, kept, settings=None, *, open_work=in_this_process, say=lambda done, file: None):
+def run(folder, kept, settings=None, *, work_for=in_this_process, say=lambda done, file: None):
     kept.mkdir(exist_ok=True)
-    return run_fleet(found_recordings([folder]), settings or FleetSettings(), kept, open_work, say)
+    return run_fleet(found_recordings([folder]), settings or FleetSettings(), kept, work_for, say)
 
 
 @pytest.fixture
@@ -257,12 +254,11 @@ def test_a_recording_that_changes_while_the_fleet_is_fitted_is_not_kept_as_anoth
     folder.mkdir()
     shutil.copy(fleet / "2026" / "1.mcap", folder)
 
-    @contextmanager
     def late(tasks):
         shutil.copy(fleet / "2026" / "2.mcap", folder / "1.mcap")
-        yield Serial()
+        return Work()
 
-    (row,) = run(folder, tmp_path / "kept", open_work=late)
+    (row,) = run(folder, tmp_path / "kept", work_for=late)
     assert row.status == "failed"
     assert "has changed since the run began" in row.reason
     (row,) = run(folder, tmp_path / "kept")
@@ -275,76 +271,26 @@ def test_a_recording_that_vanishes_while_the_fleet_is_fitted_is_a_row(fleet, tmp
     for name in ("1.mcap", "2.mcap"):
         shutil.copy(fleet / "2026" / name, folder)
 
-    @contextmanager
     def late(tasks):
         (folder / "1.mcap").unlink(missing_ok=True)
-        yield Serial()
+        return Work()
 
-    rows = {Path(row.file).name: row for row in run(folder, tmp_path / "kept", open_work=late)}
+    rows = {Path(row.file).name: row for row in run(folder, tmp_path / "kept", work_for=late)}
     assert rows["1.mcap"].status == "failed"
     assert rows["1.mcap"].reason.startswith(f"{folder / '1.mcap'}: not found by a worker")
     assert rows["2.mcap"].is_fitted
 
 
-class Deadly:
-    """Two workers: the one that gets `deadly` dies, and takes the task of the other with it."""
-
-    remote = True
-
-    def __init__(self, deadly):
-        self.deadly = deadly
-
-    def run(self, function, tasks):
-        for k, task in enumerate(tasks):
-            if any(self.deadly in other[0][0].path for other in tasks[k : k + 2]):
-                raise IdentificationError("workers ended 3 times")
-            yield function(*task)
-
-
-def test_a_recording_that_ends_its_worker_is_a_row_and_is_tried_again(fleet, tmp_path, fits):
-    @contextmanager
-    def deadly(tasks):
-        yield Deadly("4.mcap")
-
-    rows = {row.file.rsplit("/", 1)[1]: row for row in run(fleet, tmp_path / "kept", open_work=deadly)}
-    assert {name for name, row in rows.items() if row.status == "failed"} == {"4.mcap"}
-    assert rows["4.mcap"].reason == "workers ended 3 times"
-    assert len(rows) == COUNT
-    assert len(fits) == COUNT - 1
-    again = run(fleet, tmp_path / "kept")
-    assert fits[COUNT - 1 :] == ["4.mcap"]
-    assert all(row.is_fitted for row in again)
-
-
-@pytest.mark.parametrize("alone", [False, True])
-def test_workers_that_cannot_start_end_the_run(fleet, tmp_path, alone):
-    """At the first task, or at the one that is tried again alone."""
-    opened = []
-
-    class Startless(Serial):
-        def run(self, function, tasks):
-            opened.append(len(tasks))
-            raise IdentificationError("lost") if alone and len(opened) == 1 else WorkersNotStartedError("no")
-            yield
-
-    with pytest.raises(WorkersNotStartedError):
-        run(fleet, tmp_path / "kept", open_work=lambda tasks: nullcontext(Startless()))
-    assert len(opened) == 1 + alone
-
-
 def test_a_recording_that_a_worker_does_not_find_is_tried_again_the_next_time(fleet, tmp_path):
-    class Far(Serial):
-        remote = True
-
+    class Far(Work):
         def run(self, function, tasks):
             elsewhere = [(tuple(replace(x, path=f"/nowhere/{Path(x.path).name}") for x in t[0]), *t[1:]) for t in tasks]
             return super().run(function, elsewhere)
 
-    @contextmanager
     def far(tasks):
-        yield Far()
+        return Far()
 
-    assert all("not found by a worker" in row.reason for row in run(fleet, tmp_path / "kept", open_work=far))
+    assert all("not found by a worker" in row.reason for row in run(fleet, tmp_path / "kept", work_for=far))
     assert any(row.is_fitted for row in run(fleet, tmp_path / "kept"))
 
 

@@ -15,7 +15,7 @@ from stacked_recordings import system_of
 from acquisition.errors import AcquisitionError
 from acquisition.robot import fourier_reference, robot_from_files
 from identification.commands import main
-from identification.data import RecordingFile, Recordings, processes, signals_from_arrays
+from identification.data import RecordingFile, Recordings, Work, signals_from_arrays
 from identification.design import friction_of_joints, select_friction, with_terms
 from identification.design.friction_report import with_friction
 from identification.design.selection import Trials
@@ -609,8 +609,8 @@ def test_terms_that_several_recordings_cannot_tell_are_left_out_of_all(method, t
         write_signals(tmp_path / signals.recording, signals, source="simulated")
         sources.append(RecordingFile.at(tmp_path / signals.recording, robot))
     identify = identify_ls if method == "wls" else lambda given, o: identify_iv(given, o, Iteration())
-    with processes(2 if method == "iv" else 1) as work:
-        fit = identify(Recordings(sources=tuple(sources), work=work), Overrides())
+    work = Work(2 if method == "iv" else 1)
+    fit = identify(Recordings(sources=tuple(sources), work=work), Overrides())
     (told,) = [warning for warning in fit.warnings if "left out" in warning]
     assert told.startswith("stribeck friction of joint ")
     usual = identify(Recordings(sources=simulated(described("scara", [USUAL[:2]] * 2), 3, 4).sources), Overrides())

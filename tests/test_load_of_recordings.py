@@ -14,7 +14,7 @@ from test_friction_terms import axis, described, direct_of, model_of, simulated,
 
 from acquisition.robot import fourier_reference
 from identification.commands import main
-from identification.data import RecordingFile, Recordings, cluster, processes, signals_from_arrays
+from identification.data import RecordingFile, Recordings, Work, signals_from_arrays
 from identification.design import with_terms
 from identification.methods import Iteration, identify_iv, identify_ls, solve_with_load_friction
 from identification.regression import (
@@ -195,21 +195,8 @@ def bits(fit) -> list[bytes]:
 def test_the_same_bits_with_one_and_two_workers(files):
     sources = tuple(RecordingFile.at(path) for path in files[:2])
     alone = [bits(fitted(Recordings(sources=sources), method)) for method in ("wls", "iv")]
-    with processes(2) as work:
-        both = [bits(fitted(Recordings(sources=sources[::-1], work=work), method)) for method in ("wls", "iv")]
+    both = [bits(fitted(Recordings(sources=sources[::-1], work=Work(2)), method)) for method in ("wls", "iv")]
     assert both == alone
-
-
-@pytest.mark.slow
-def test_the_same_bits_on_dask(files):
-    distributed = pytest.importorskip("distributed")
-    sources = tuple(RecordingFile.at(path) for path in files[:2])
-    with (
-        distributed.LocalCluster(n_workers=1, processes=False, dashboard_address=None) as dask,
-        cluster(dask.scheduler_address) as work,
-    ):
-        found = fitted(Recordings(sources=sources, work=work), "wls")
-    assert bits(found) == bits(fitted(Recordings(sources=sources), "wls"))
 
 
 def test_series_before_decimation_are_not_sent_to_another_process():

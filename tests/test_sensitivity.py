@@ -8,7 +8,7 @@ import pytest
 from conftest import REPLAY, ROOT
 
 from identification.commands import main
-from identification.data import RecordingFile, Serial
+from identification.data import RecordingFile, Work
 from identification.errors import IdentificationError
 from identification.report import print_whole
 from identification.study import VariedFit, moves_of, sensitivity_document, vary
@@ -37,7 +37,7 @@ class Tasks:
 def test_noise_of_the_real_record_moves_least_squares_and_not_instrumental_variables(emps, capsys):
     """10 µm behind the rule's filter: LS by over 5 half-widths, IV by less than 1; any start gives the same digits."""
     began = time.process_time()
-    fits = vary(RecordingFile.at(emps), (1e-6, 1e-5, 2e-5), Serial())
+    fits = vary(RecordingFile.at(emps), (1e-6, 1e-5, 2e-5), Work())
     spent = time.process_time() - began
     moves = {
         fit.variant.to: np.max([moves_of(fits, name)[k] for name in fits[0].values], axis=0)

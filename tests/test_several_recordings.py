@@ -13,7 +13,7 @@ import identification.methods.assess as assess
 import identification.regression.system as regression_system
 from acquisition.robot import robot_from_files
 from identification.commands import main
-from identification.data import Recordings, Serial, Signals, check_one_robot, signals_from_arrays
+from identification.data import Recordings, Signals, Work, check_one_robot, signals_from_arrays
 from identification.errors import IdentificationError
 from identification.export import model_of_fit
 from identification.methods import (
@@ -139,7 +139,7 @@ def test_a_recording_that_the_others_do_not_predict_is_doubted():
     assert "take the parameters of --consistent" in line.text
 
 
-class LastFirst(Serial):
+class LastFirst(Work):
     """Does the last task first."""
 
     def run(self, function, tasks):
@@ -197,22 +197,24 @@ def test_the_same_bits_with_two_workers(files, serial, tmp_path):
     assert [one["recording"] for one in found["recordings"]] == ["r3.mcap", "r2.mcap", "r1.mcap"]
 
 
-def test_the_same_bits_on_dask(files, serial, tmp_path):
+@pytest.mark.slow
+def test_the_same_bits_on_two_workers_of_dask(files, serial, tmp_path):
     distributed = pytest.importorskip("distributed")
-    with distributed.LocalCluster(n_workers=1, processes=False, dashboard_address=None) as dask:
-        found = fit_files(tmp_path, "dask", *files, "--method", "iv", "--cluster", dask.scheduler_address)
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0") as dask:
+        found = fit_files(tmp_path, "dask", *files, "--method", "iv", "--workers", dask.scheduler_address)
+        distributed.default_client().close()
     assert same(found, serial)
 
 
 @pytest.mark.slow
-def test_dask_is_imported_when_asked_for_alone(files):
+def test_workers_are_imported_when_asked_for_alone(files):
     import subprocess
     import sys
 
     code = (
         "import sys\nfrom identification.commands import main\n"
         f"main(['fit', {str(files[0])!r}, {str(files[1])!r}, '--workers', '1'])\n"
-        "sys.exit('loaded' if {'distributed', 'dask'} & set(sys.modules) else 0)"
+        "sys.exit('loaded' if {'joblib', 'distributed'} & set(sys.modules) else 0)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

@@ -6,8 +6,7 @@ Options have the names of the fields that they set: `acquisition.commands.from_o
 import argparse
 import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
@@ -17,7 +16,7 @@ from acquisition.commands import Progress, add_options, add_path
 from acquisition.errors import one_line
 
 from ..errors import IdentificationError
-from ..options import CellOptions, Overrides, StudyOptions, positive
+from ..options import CellOptions, Overrides, StudyOptions, workers
 
 if TYPE_CHECKING:
     from ..data import RecordingFile, Work
@@ -36,6 +35,7 @@ GONE = {  # what older versions had: a command, an option, or an option of one c
         [f"{command} --low-speed-percent" for command in ("fit", "friction", "fleet")],
         "use low_speed_percent under [identification] of robot.toml",
     ),
+    "--cluster": "use --workers tcp://HOST:8786",
     "--max-iterations": "use max_iterations under [identification] of robot.toml",
     "--tolerance-percent": "use tolerance_percent under [identification] of robot.toml",
 }
@@ -99,21 +99,17 @@ def sources(options: argparse.Namespace) -> list["RecordingFile"]:
 
 
 def add_work(parser: argparse.ArgumentParser) -> None:
-    """Options for where tasks run: on the cores of this machine, or on a cluster."""
-    where = parser.add_argument_group("where it runs").add_mutually_exclusive_group()
-    where.add_argument("--workers", type=positive, metavar="N", help="processes on this machine (default: all cores)")
-    text = "Dask scheduler whose workers run the tasks, also on other machines"
-    where.add_argument("--cluster", metavar="tcp://HOST:8786", help=text)
+    """Where tasks run: on the cores of this machine, or on a cluster."""
+    text = "number of processes (default: all cores), or the address of a Dask scheduler, as tcp://HOST:8786"
+    parser.add_argument_group("where it runs").add_argument("--workers", type=workers, metavar="N", help=text)
 
 
-@contextmanager
-def work_of(options: argparse.Namespace, tasks: int) -> Iterator["Work"]:
-    """The processes or the cluster of `add_work`, for this number of tasks."""
-    from ..data import cluster, processes
+def work_of(options: argparse.Namespace, tasks: int) -> "Work":
+    """The workers of `add_work`, for this number of tasks."""
+    from ..data import Work
 
-    cores = options.workers or os.cpu_count() or 1
-    with processes(min(cores, tasks)) if options.cluster is None else cluster(options.cluster) as work:
-        yield work
+    where = options.workers or os.cpu_count() or 1
+    return Work(where if isinstance(where, str) else min(where, tasks))
 
 
 def add_report(outputs: "argparse._ActionsContainer") -> None:

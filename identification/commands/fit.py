@@ -69,10 +69,10 @@ def run(options: argparse.Namespace) -> int:
         from ..methods import fit_document, fit_file
         from ..report import write_json
 
-        with work_of(options, len(options.recordings)) as work:
-            recordings = Recordings(sources=tuple(sources(options)), work=work)
-            prior = _prior(options) if options.consistent else None
-            fit = _identify(options, recordings, progress.say)
+        work = work_of(options, len(options.recordings))
+        recordings = Recordings(sources=tuple(sources(options)), work=work)
+        prior = _prior(options) if options.consistent else None
+        fit = _identify(options, recordings, progress.say)
         if prior is not None:
             from ..methods import with_consistent
 

@@ -26,8 +26,8 @@ def run(options: argparse.Namespace) -> None:
     with Progress("fitting"):
         from ..study import sensitivity_document, vary
 
-        with work_of(options, len(options.position_noise) + 8) as work:
-            fits = vary(sources(options)[0], options.position_noise, work)
+        work = work_of(options, len(options.position_noise) + 8)
+        fits = vary(sources(options)[0], options.position_noise, work)
         document = sensitivity_document(options.recordings[0].name, fits)
     try:
         (path,) = options.recordings

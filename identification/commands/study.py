@@ -44,8 +44,8 @@ def run(options: argparse.Namespace) -> None:
     study = from_options(Study, options, noise=from_options(Noise, options))
     base, true = study_truth(robot)
     runs, began = list[Run](), perf_counter()
-    with work_of(options, study.runs) as work, Progress("simulating") as progress:
-        for one in run_study(robot, study, work):
+    with Progress("simulating") as progress:
+        for one in run_study(robot, study, work_of(options, study.runs)):
             runs.append(one)
             progress.say(f"{len(runs)} of {study.runs} runs")
     took_s = perf_counter() - began

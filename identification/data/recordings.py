@@ -26,7 +26,7 @@ from acquisition.robot import (
 from ..arrays import Array
 from ..errors import IdentificationError
 from .signals import SignalEvent, Signals
-from .work import Serial, Work
+from .work import Work
 
 ON_GRID = 0.05  # of a period: samples farther from a uniform grid are interpolated
 MAX_GAP = 3.0  # periods between two samples, ± half a period
@@ -236,7 +236,7 @@ class Recordings:
     """Recordings of one robot that are fitted together, and where their tasks run."""
 
     sources: tuple[Signals | RecordingFile, ...]
-    work: Work = field(default_factory=Serial)
+    work: Work = field(default_factory=Work)
 
 
 def check_one_robot(recordings: Sequence[Signals]) -> None:

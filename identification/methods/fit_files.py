@@ -2,7 +2,6 @@
 
 import platform
 from collections.abc import Sequence
-from importlib.metadata import version
 from typing import Any
 
 import msgspec
@@ -30,14 +29,13 @@ from ..report import (
     TorqueError,
     TrustLineFile,
     ValidationFile,
+    versions,
 )
 from ..trust import HeldOut
 from .fit import Fit, InstrumentEvidence
 from .gain_results import EstimatedPayload, Gains
 from .parameters import fitted_parameters
 from .recording_report import Validated
-
-PACKAGES = ("robot-idim", "numpy", "scipy", "pin")
 
 
 def fit_file(fit: Fit) -> FitFile:
@@ -165,7 +163,7 @@ def _on_recording(
             recording=signals.recording,
             sha256=signals.sha256,
             robot=signals.robot.name,
-            versions={"python": platform.python_version(), **{name: version(name) for name in PACKAGES}},
+            versions={"python": platform.python_version(), **versions()},
         ),
     }
 

@@ -83,7 +83,7 @@ class StackedSystem:
         found = []
         for source, one in zip(self.recordings.sources, self.observations, strict=True):
             problem = one.problem
-            if isinstance(source, RecordingFile) and self.recordings.work.remote:
+            if isinstance(source, RecordingFile) and self.recordings.work.workers != 1:
                 problem = problem.without_samples()
             found.append(problem if len(problem.signals.q) else replace(problem, source=source))
         return found

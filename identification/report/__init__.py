@@ -34,6 +34,7 @@ from .fit_file import (
     ValidationFile,
     Verdict,
     read_fit,
+    versions,
 )
 from .parameters import (
     ConsistentFile,

@@ -4,6 +4,7 @@ Independent of the methods, so that reading a file does not load them.
 """
 
 import math
+from importlib.metadata import version
 from os import PathLike
 from pathlib import Path
 from typing import Annotated, Literal
@@ -129,6 +130,11 @@ class DirectModelError(msgspec.Struct, frozen=True, kw_only=True):
     name: str
     position_error_percent: float | None
     torque_error_percent: float | None
+
+
+def versions() -> dict[str, str]:
+    """Versions, by package, of this program and of those that its numbers depend on."""
+    return {name: version(name) for name in ("robot-idim", "numpy", "scipy", "pin")}
 
 
 class Provenance(msgspec.Struct, frozen=True, kw_only=True):

@@ -1,8 +1,7 @@
 """Fleets: find recordings, fit each to a row, reuse stored rows of earlier runs."""
 
 import hashlib
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
@@ -14,14 +13,14 @@ from acquisition.errors import AcquisitionError
 from acquisition.files import atomic_write
 from acquisition.recording import has_reference
 
-from ..data import RecordingFile, Recordings, Work, WorkersNotStartedError, versions
+from ..data import RecordingFile, Recordings, Work
 from ..errors import IdentificationError
 from ..methods import Fit, fitted_parameters, identify
 from ..regression import Overrides
-from ..report import Method
+from ..report import Method, versions
 
 Say = Callable[[int, str], None]
-OpenWork = Callable[[int], AbstractContextManager[Work]]
+WorkFor = Callable[[int], Work]
 NOT_FOUND = "{}: not found by a worker: expected a folder that all workers read at the same path"
 
 
@@ -164,13 +163,13 @@ def method_of(entries: Sequence[FleetEntry]) -> Literal["iv", "wls"]:
 
 
 def run_fleet(
-    entries: Sequence[FleetEntry], settings: FleetSettings, row_folder: Path, open_work: OpenWork, say: Say
+    entries: Sequence[FleetEntry], settings: FleetSettings, row_folder: Path, work_for: WorkFor, say: Say
 ) -> list[Row]:
     """One fit per recording, or per folder of recordings.
 
     Returns a row per path, ordered by start; those without a start come last. A recording that cannot be fitted, or has the
     same content as another, has a row with the reason. Raises `AcquisitionError`: if a row cannot be stored in `row_folder`.
-    Raises `WorkersNotStartedError`: if no worker can start.
+    Raises `IdentificationError`: if a worker ends in mid-task.
     """
     digest = settings.digest[:16]
 
@@ -194,8 +193,10 @@ def run_fleet(
             row = earlier
         rows.append(row)
     say(len(rows), "stored by earlier runs")
-    for row, lasting in _fit_all(tasks, open_work):
-        if lasting:
+    results = work_for(len(tasks)).run(fit_row, tasks)
+    for (_, _, initial), found in zip(tasks, results, strict=True):
+        row = found or _failed_row(initial, NOT_FOUND.format(initial.file))
+        if found is not None:
             with atomic_write(file_of(row)) as partial:
                 partial.write_bytes(msgspec.json.format(msgspec.json.encode(row), indent=1))
         rows.append(row)
@@ -224,30 +225,6 @@ def _initial_row(row: Row, files: Sequence[Path]) -> Row:
         except OSError as error:
             return _failed_row(row, f"{path}: cannot be read: {error.strerror or error}")
     return msgspec.structs.replace(row, sha256=digest_of(digests))
-
-
-def _fit_all(tasks: Sequence[Task], open_work: OpenWork) -> Iterator[tuple[Row, bool]]:
-    """The rows of the fits, and whether to store each: not if its workers died.
-
-    If workers are lost, the first unfinished task is retried alone, then the others with new workers.
-    """
-    alone = False
-    while tasks:
-        given, done = tasks[:1] if alone else tasks, 0
-        with open_work(max(2, len(given))) as work:  # never in this process, which could die with the task
-            try:
-                for result in work.run(fit_row, given):
-                    row = tasks[done][2]
-                    yield result or _failed_row(row, NOT_FOUND.format(row.file)), result is not None
-                    done += 1
-            except WorkersNotStartedError:
-                raise
-            except IdentificationError as error:  # tasks do not raise: workers were lost
-                if alone:
-                    yield _failed_row(tasks[0][2], str(error)), False
-                    done = 1
-        alone = not alone and done < len(given)
-        tasks = tasks[done:]
 
 
 def _failed_row(row: Row, reason: str) -> Row:

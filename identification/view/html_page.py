@@ -7,8 +7,7 @@ from pathlib import Path
 from acquisition.errors import one_line
 from acquisition.files import atomic_write
 
-from ..data import versions
-from ..report import to_html
+from ..report import to_html, versions
 from .colors import CLASSES, Color
 from .panels import Graph, Log, Page, Panel, Picture, Rows
 from .svg_panels import SHEET, WIDE, draw_graph, draw_rows, width_of

@@ -24,7 +24,7 @@ from conftest import described_chi, robot_named
 import identification.methods.assess as assess
 from acquisition.recording import Header, RecordingWriter, sample_dtype
 from acquisition.robot import fourier_reference
-from identification.data import Serial, load_signals
+from identification.data import Work, load_signals
 from identification.design import with_terms
 from identification.methods import Iteration, identify_iv, identify_ls
 from identification.model import InverseModel, base_parameters, described_parameters, direct_model
@@ -210,7 +210,7 @@ def test_study_runs(capsys):
     """Of each robot, beside the floor of bare `aba` at the steps of the simulated recording."""
     for name in ("emps", "tx40"):
         robot = robot_named(name)
-        runs = run_study(robot, Study(runs=6), Serial())
+        runs = run_study(robot, Study(runs=6), Work())
         times = [timed(partial(next, runs)) for _ in range(6)]
         with capsys.disabled():
             print(f"\nstudy run of {name}: {np.median(times):.2f} s of CPU", end="")
