@@ -163,6 +163,18 @@ def test_statuses_stand_in_the_help_and_in_the_readme(package, capsys):
         assert f" {status} " in STATUSES
 
 
+def test_what_is_gone_is_told_with_the_new_way(capsys):
+    for program, words, gone in (
+        (acquire, ["simulate", "robot.toml"], "simulate is gone: use emulate"),
+        (identify, ["schema", "robot"], "schema is gone: all keys of robot.toml are in identification/reference.md"),
+    ):
+        with pytest.raises(SystemExit) as stopped:
+            program(words)
+        assert stopped.value.code == 2
+        assert capsys.readouterr().err.splitlines()[-1].endswith(f": error: {gone}")
+    assert acquire(["info", "simulate"]) == 1, "a file of that name"
+
+
 def test_names_that_are_no_files_are_one_line(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     Path("loop").symlink_to("loop")

@@ -16,7 +16,7 @@ from acquisition.recording import SENT, read_recording
 UML = ROOT.parent / "shared" / "tools" / "uml_can.sh"
 JOB = """
 cd {root}
-{python} -m acquisition simulate {folder}/robot.toml --duration 100 &
+{python} -m acquisition emulate {folder}/robot.toml --duration 100 &
 for k in 1 2 3 4 5 6 7 8 9 10; do
   sleep 1; {python} -m acquisition check {folder}/robot.toml > {folder}/check.txt 2>&1 && break
 done

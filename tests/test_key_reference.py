@@ -7,7 +7,6 @@ from key_reference import ACQUIRE, BUS_TABLES, IDENTIFY, MAP_TABLES, ROBOT_TABLE
 
 from acquisition.importing.tables import TableMap
 from acquisition.robot import RobotFile
-from identification.commands.schema import schema
 
 # By the last part of a key its unit, as a word of the description.
 UNITS = {
@@ -89,12 +88,6 @@ def test_a_key_has_a_description_and_a_number_its_unit(key, found):
     if has_numbers(found):
         unit = OTHERS.get(key) or UNITS[key.rsplit("_", 1)[-1]]
         assert re.search(rf"(?<!\w){unit}(?![\w/])", found["description"]), unit
-
-
-def test_the_schema_for_editors_has_all_descriptions():
-    tables = schema("robot")["$defs"]
-    assert sum(len(table["properties"]) for table in tables.values()) > 110
-    assert all(key["description"] for table in tables.values() for key in table["properties"].values())
 
 
 @pytest.mark.parametrize("program", [ACQUIRE, IDENTIFY], ids=lambda program: program.name)

@@ -1,4 +1,4 @@
-"""Sessions over separate processes on loopback: simulate | record, kills, signals, full disks.
+"""Sessions over separate processes on loopback: emulate | record, kills, signals, full disks.
 
 They run on machines that are busy with other things: SYNC is slow, so that a process may be held up for a while, and what
 a test needs is waited for where it shows, on the bus or in the growing file.
@@ -107,7 +107,7 @@ def acquire(
 def drives(folder: Path, *options: str) -> Iterator["subprocess.Popen[str]"]:
     """Simulated drives that have reported that they run."""
     ear = open_link(bus_at(folder), passive=True)
-    command = ("simulate", str(folder / "robot.toml"), "--duration", "600", *options)
+    command = ("emulate", str(folder / "robot.toml"), "--duration", "600", *options)
     process = acquire(folder, *command, program=("-c", DRIVES))
     try:
         assert process.stderr is not None

@@ -37,7 +37,8 @@ class Program:
     """A command line: its name, one line about it, and the errors that it prints in one line.
 
     `commands` gives the help of each command, in order. Its module in `package` has the same name, with an underscore if the
-    name is a Python keyword.
+    name is a Python keyword. `gone` tells what to use instead of a command, an option, or an option of one command
+    ("command --option") of older versions.
     """
 
     name: str
@@ -45,6 +46,7 @@ class Program:
     package: str
     commands: Mapping[str, str]
     errors: tuple[type[Exception], ...]
+    gone: Mapping[str, str]
 
     def parser(self, *chosen: str) -> argparse.ArgumentParser:
         """The parser of all commands; only those `chosen` have their options, and `run`."""
@@ -68,8 +70,12 @@ class Program:
 
         def command() -> int | None:
             # No option before the command takes a value.
-            chosen = next((argument for argument in given if argument in self.commands), "")
-            options = self.parser(chosen).parse_args(given)
+            chosen = next((argument for argument in given if not argument.startswith("-")), "")
+            parser, flags = self.parser(chosen), [word.partition("=")[0] for word in given if word.startswith("-")]
+            for name in (chosen, *flags, *(f"{chosen} {flag}" for flag in flags)):
+                if name in self.gone:
+                    parser.error(f"{name} is gone: {self.gone[name]}")
+            options = parser.parse_args(given)
             return cast(int | None, options.run(options))
 
         return run_command(self.name, self.errors, command)

@@ -13,7 +13,7 @@ PROGRAM = Program(
         "record": "record drives; nothing moves without --track",
         "mark": "note a text in a recording while another terminal records it",
         "disable": "stop and disable all drives, even if another program enabled them; never refused",
-        "simulate": "simulated drives that any CANopen master can use",
+        "emulate": "simulated drives that any CANopen master can use",
         "import": "make a recording from tables (CSV, MAT), a ROS 2 bag or a CAN log (candump, ASC, BLF, TRC)",
         "info": "show what a recording contains",
         "decode": "decode a recording's CAN frames into joint samples again",
@@ -21,6 +21,7 @@ PROGRAM = Program(
         "replay": "play the drives' frames and SYNC of a recording onto an idle bus",
         "recover": "repair a recording that was cut off",
     },
+    gone={"simulate": "use emulate"},
     errors=(AcquisitionError,),
 )
 main = PROGRAM.main

@@ -27,6 +27,9 @@ if TYPE_CHECKING:
     from ..report import Document
     from ..view import Picture
 
+GONE = {  # what older versions had: a command, an option, or an option of one command; and what to use instead
+    "schema": "all keys of robot.toml are in identification/reference.md",
+}
 _URDF_OPTIONS = {
     "--range": ("Q", "position limits, ± rad or m; if the URDF has limits too, the narrower are used"),
     "--speed": ("V", "maximum speed, rad/s or m/s; if the URDF has one too, the smaller is used"),

@@ -4,6 +4,7 @@ from acquisition.commands import Program
 from acquisition.errors import AcquisitionError
 
 from ..errors import IdentificationError
+from .arguments import GONE
 
 PROGRAM = Program(
     name="robot-identify",
@@ -24,8 +25,8 @@ PROGRAM = Program(
         "sensitivity": "how least squares and iv of a recording depend on filter, decimation, position noise and start",
         "study": "Monte-Carlo study on a simulated robot: how far to trust least squares and iv",
         "demo": "record simulated drives, fit, and compare with the true parameters",
-        "schema": "JSON Schema of robot.toml or of a fit's JSON file",
     },
+    gone=GONE,
     errors=(AcquisitionError, IdentificationError),
 )
 main = PROGRAM.main

@@ -1,4 +1,4 @@
-"""`robot-acquire simulate`: simulated drives that any CANopen master can use."""
+"""`robot-acquire emulate`: simulated drives that any CANopen master can use."""
 
 import argparse
 import sys
