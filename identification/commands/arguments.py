@@ -29,6 +29,9 @@ if TYPE_CHECKING:
 
 GONE = {  # what older versions had: a command, an option, or an option of one command; and what to use instead
     "schema": "all keys of robot.toml are in identification/reference.md",
+    "sensitivity --rrd": "use --report FILE.html, which has the charts",
+    "compare --rrd": "use --report FILE.html, which has the charts",
+    "friction --rrd": "use --report FILE.html, which has the charts",
 }
 _URDF_OPTIONS = {
     "--range": ("Q", "position limits, ± rad or m; if the URDF has limits too, the narrower are used"),
