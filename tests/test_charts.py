@@ -175,7 +175,7 @@ def test_spectra_show_a_sine_where_it_is_and_the_cut_offs_of_the_fit():
     assert set(position.marks.values()) == {"bandwidth 10 Hz", f"low-pass {settings.cutoff_hz:g} Hz"}
     assert position.marks[settings.cutoff_hz].startswith("low-pass")
     assert f"decimation {0.4 * FS / settings.decimation:g} Hz" in effort.marks.values()
-    assert position.title == "amplitude of position [rad/√Hz] over frequency [Hz]"
+    assert position.title == "position [rad/√Hz] over frequency [Hz]"
     short = replace(signals, t_s=signals.t_s[:10], q=signals.q[:10], effort=signals.effort[:10])
     assert spectrum_charts(short, None) == []
     drawn = draw_graph(position)

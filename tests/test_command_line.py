@@ -179,6 +179,11 @@ def test_what_is_gone_is_told_with_the_new_way(capsys):
         (acquire, ["simulate", "robot.toml"], "simulate is gone: use emulate"),
         (identify, ["study", "robot.toml", "--rrd=s.rrd"], "study --rrd is gone: use --report FILE.html"),
         (identify, ["schema", "robot"], "schema is gone: all keys of robot.toml are in identification/reference.md"),
+        (
+            identify,
+            ["compare", "a", "b", "--rrd=c"],
+            "compare --rrd is gone: use --report FILE.html, which has the charts",
+        ),
     ):
         with pytest.raises(SystemExit) as stopped:
             program(words)

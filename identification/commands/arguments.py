@@ -38,6 +38,9 @@ GONE = {  # what older versions had: a command, an option, or an option of one c
     "--cluster": "use --workers tcp://HOST:8786",
     "--max-iterations": "use max_iterations under [identification] of robot.toml",
     "--tolerance-percent": "use tolerance_percent under [identification] of robot.toml",
+    "sensitivity --rrd": "use --report FILE.html, which has the charts",
+    "compare --rrd": "use --report FILE.html, which has the charts",
+    "friction --rrd": "use --report FILE.html, which has the charts",
 }
 
 

@@ -16,17 +16,25 @@ def add(parser: argparse.ArgumentParser) -> None:
     add_recordings(parser.add_argument_group("inputs"))
     add_settings(parser)
     outputs = parser.add_argument_group("outputs")
-    add_path(outputs, "-o --out", "VIEW.rrd", "file to write (default: LOG.rrd, or a viewer with --follow)")
+    add_path(
+        outputs,
+        "-o --out",
+        "VIEW.rrd",
+        "file to write, with .html a page with spectra (default: LOG.rrd, or a viewer with --follow)",
+    )
     live = parser.add_argument_group("while another terminal records")
     add_flag(live, "--follow", "show the recording while it is written; only a picture, it does not stop the robot")
     add_path(live, "--fit", "FIT.json", "with --follow: also the residual torque of this fit")
 
 
 def run(options: argparse.Namespace) -> None:
-    """Write the Rerun file, and print how to open it."""
+    """Write the Rerun file or the page, and print how to open it."""
     if options.out and len(options.recordings) > 1:
         text = f"one file for {len(options.recordings)} recordings"
         raise IdentificationError(text, key="--out", value=str(options.out), expected="no --out: LOG.rrd each")
+    is_page = options.out is not None and options.out.suffix == ".html"
+    if options.follow and is_page:
+        raise IdentificationError(key="--out", value=str(options.out), expected="FILE.rrd with --follow")
     if options.follow:
         return _follow(options)
     if options.fit:
@@ -35,13 +43,14 @@ def run(options: argparse.Namespace) -> None:
     refuse_outputs([*options.recordings, options.robot], *outs)
     with Progress("reading") as progress:
         from ..regression import Overrides
-        from ..view import draw_recording, write_rrd
+        from ..view import draw_recording, write_html, write_rrd
 
         for out, source in zip(outs, sources(options), strict=True):
             signals = source.load()
-            progress.say("writing the Rerun file")
-            write_rrd(out, draw_recording(signals, from_options(Overrides, options)))
-    print_results(f"look at it: rerun --bind 127.0.0.1 {' '.join(map(str, outs))}")
+            progress.say("drawing")
+            (write_html if is_page else write_rrd)(out, draw_recording(signals, from_options(Overrides, options)))
+    names = " ".join(map(str, outs))
+    print_results(f"read it: open {names} in a browser" if is_page else f"look at it: rerun --bind 127.0.0.1 {names}")
 
 
 def _follow(options: argparse.Namespace) -> None:

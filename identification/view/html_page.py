@@ -75,4 +75,4 @@ def _figure(panel: Panel) -> str:
 
 
 def _key(name: str, color: Color, *, dashed: bool = False) -> str:
-    return f'<i class="key {CLASSES[color]}{" dash" if dashed else ""}"></i>{escape(name)}'
+    return f'<span class="item"><i class="key {CLASSES[color]}{" dash" if dashed else ""}"></i>{escape(name)}</span> '

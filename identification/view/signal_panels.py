@@ -62,7 +62,7 @@ def spectrum_charts(signals: Signals, settings: Settings | None) -> list[Graph]:
         marks = {} if signals.motion_hz is not None else {robot.bandwidth_hz: f"bandwidth {robot.bandwidth_hz:g} Hz"}
         marks |= {} if cutoff is None else {cutoff: f"{name} {cutoff:g} Hz"}
         if curves:
-            title = f"amplitude of {key}{unit} over frequency [Hz]"
+            title = f"{key}{unit} over frequency [Hz]"
             charts.append(Graph(path=("spectrum", key), title=title, curves=curves, marks=marks, log=True))
     return charts
 
