@@ -4,6 +4,7 @@ import html.parser
 import re
 import shutil
 import time
+from dataclasses import replace
 from functools import cache
 from importlib.resources import files
 
@@ -17,8 +18,9 @@ from test_viewer import Written
 
 from identification.commands import main
 from identification.view import draw_fit, join_pictures, write_html, write_rrd
-from identification.view.colors import CLASSES
-from identification.view.panels import Graph, Log, Plot, Rows, Scene
+from identification.view.colors import CLASSES, SKY
+from identification.view.panels import Curve, Graph, Log, Plot, Rows, Scene
+from identification.view.panels import Page as PageOfPanels
 from identification.view.signal_panels import _welch
 
 SCARA, TX40 = (REPLAY / robot / "session.mcap" for robot in ("scara", "tx40"))
@@ -116,6 +118,17 @@ def test_the_report_of_several_recordings_has_the_signals_of_each(tmp_path):
     assert {name.split(":")[0] for name in names[len(drawn.pages) :]} == {
         "overview", "residual", "signal", "motion",
     }  # fmt: skip
+
+
+def test_a_legend_names_what_is_drawn_once(tmp_path):
+    line = np.arange(3.0), np.arange(3.0)
+    shown = [Curve(key=key, name=name, color=SKY, line=line) for key, name in (("a", "edge"), ("b", "edge"), ("c", ""))]
+    hidden = Curve(key="d", color=SKY, line=line, visible=False)
+    plot = Plot(path=("x",), title="x", curves=(*shown, hidden))
+    drawn = replace(picture(SCARA), pages=(PageOfPanels(name="x", groups={"x": [plot]}),))
+    page = page_of(drawn, tmp_path)
+    assert [text for text in page.texts if text in ("edge", "c", "d")] == ["edge", "c"]
+    assert (tmp_path / "report.html").read_text().count('<path class="l sky"') == 3
 
 
 @pytest.mark.parametrize("length", [400, 401])
