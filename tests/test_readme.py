@@ -142,10 +142,9 @@ def test_every_option_of_a_program_is_named_in_the_first_readme(program):
 
 @pytest.mark.parametrize("program", [ACQUIRE, IDENTIFY], ids=lambda program: program.name)
 def test_every_command_stands_in_the_first_readme(program):
-    rows = [line.split("|")[1:] for line in TEXT[FIRST].splitlines() if line.startswith("|")]
-    head = next(row for row in rows if f" command of `{program.name}` " in row)
-    column = head.index(f" command of `{program.name}` ")
-    listed = {name for row in rows[rows.index(head) + 2 :] for name in re.findall(r"`([a-z]+)`", row[column])}
+    text = TEXT[FIRST].partition("## Commands")[2].partition(f"`{program.name}`:\n")[2]
+    items = re.match(r"(\n*- .*)+", text)[0].splitlines()
+    listed = {name for item in items for name in re.findall(r"`([a-z]+)`", item.partition(": ")[0])}
     commands = next(action for action in program.parser()._actions if action.choices)
     assert listed == set(commands.choices)
 
