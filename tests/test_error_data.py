@@ -37,7 +37,6 @@ def data_of(caught):
         (("= 65536", "= 1e13"), "bus.drive[0].counts_per_turn", 1e13, "`float` <= 1000000000000.0"),
         (("0.002", "0.002\nother_nodes = [5, 1]"), "bus.other_nodes", 1, "node ids that neither a drive"),
         (("0.002", "0.002\nother_nodes = [127]"), "bus.other_nodes", 127, "node ids that neither a drive"),
-        (("node = 1\n", "node = 1\nextra = ['6078']\n"), "bus.drive[0].rated_current_a", None, "the rated value that 6078:0"),
         (("node = 1\n", "node = 1\nrpdo = [{ objects = ['6040'], number = 5 }]\n"), "bus.drive[0].rpdo[0].can_id", None, "an "),
     ],
 )  # fmt: skip
