@@ -45,7 +45,6 @@ def test_no_output_takes_the_place_of_an_input(capsys, tmp_path, robot_file):
         ["fit", SESSION, "--robot", robot_file, "--rrd", robot_file],
         ["fit", SESSION, "--method", "iv", "--start", fit, "--json", fit],
         ["validate", fit, SESSION, "--json", fit],
-        ["compare", fit, SESSION, "--rrd", fit],
     ):
         before = {path: path.read_bytes() for path in (robot_file, fit)}
         assert "is an input too" in refused(capsys, *command)
