@@ -39,7 +39,6 @@ def _values(name: str, read: Callable[[str], Any]) -> Callable[[str], Any]:
 finite = _value("finite", float, lambda x: -INF < x < INF)
 above_zero = _value("above_zero", float, lambda x: 0 < x < INF)
 not_negative = _value("not_negative", lambda text: float(text) + 0.0, lambda x: 0 <= x < INF)  # -0 is 0
-percent_below_100 = _value("percent_below_100", float, lambda x: 0 <= x < 100)
 percent = _value("percent", float, lambda x: 0 < x <= 100)
 whole = _value("whole", int, lambda x: x >= 0)
 positive = _value("positive", int, lambda x: x >= 1)
