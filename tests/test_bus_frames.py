@@ -163,7 +163,6 @@ FRAMES = [
 def test_frames_of_python_can(given, expected):
     tapped: list[Frame] = []
     frame = Link(FakeBus(given), passive=True, tap=tapped.append).take(0)
-    assert frame is not None
     assert frame[1:] == expected[1:]
     assert frame.time_ns == pytest.approx(expected.time_ns, abs=200)  # a double holds no more of such a time
     assert tapped == [frame]

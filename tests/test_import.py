@@ -82,7 +82,6 @@ def test_motor_side_goes_through_the_robots_rule(tmp_path: Path, two: Robot) -> 
     table = csv(tmp_path / "a.csv", "p1,p2,c1,c2", Q, CURRENT)
     result = run(tmp_path, two, MAP, table)
     recording = read_recording(result.out)
-    assert recording.samples is not None
     # Joint 1 turns by q_motor / 10 from its zero at 90°; joint 2 by the rest of motor 2 once joint 1 is taken off.
     assert np.rad2deg(recording.samples["position"]) == pytest.approx(np.array([[90, 0], [180, 0], [0, 90]]))
     # tau = Rᵀ G i: 1 A gives 0.5 N m at motor 1, 0.25 N m at motor 2.
@@ -117,7 +116,6 @@ def test_joint_side_stands_as_it_is(tmp_path: Path, two: Robot) -> None:
     result = run(tmp_path, plain, table_map, table)
     recording = read_recording(result.out)
     samples = recording.samples
-    assert samples is not None
     assert samples["position"] == pytest.approx(np.deg2rad(Q))
     assert samples["effort"] == pytest.approx(CURRENT * 1e-3)
     assert samples["reference"] == pytest.approx(Q[:, ::-1] * [np.pi / 180, 1])
@@ -143,14 +141,12 @@ def test_kinds_of_csv(tmp_path: Path, two: Robot, separator: str, header: str) -
     table.write_text(table.read_text().replace("\n", "\r\n") + "\r\n# end\r\n")
     table_map = MAP if header else MAP.replace('["p1", "p2"]', "[1, 2]").replace('["c1", "c2"]', "[3, 4]")
     samples = read_recording(run(tmp_path, two, table_map, table).out).samples
-    assert samples is not None
     assert samples["effort"] == pytest.approx(np.array([[5, 0], [10, 10], [17.5, 20]]))
 
 
 def test_columns_that_are_not_asked_for_may_hold_text(tmp_path: Path, two: Robot) -> None:
     (tmp_path / "a.csv").write_text("when,p1,p2,c1,c2\n12:00,0,0,1000,0\n12:01,900,1800,0,2000\n")
     samples = read_recording(run(tmp_path, two, MAP, tmp_path / "a.csv").out).samples
-    assert samples is not None
     assert samples["effort"] == pytest.approx(np.array([[5, 0], [10, 10]]))
 
 
@@ -158,7 +154,6 @@ def test_mat_vectors_rows_and_matrices(tmp_path: Path, two: Robot) -> None:
     scipy.io.savemat(tmp_path / "a.mat", {"q": Q, "c1": CURRENT[:, 0], "c2": CURRENT[:, [1]].astype(np.int16)})
     table_map = MAP.replace('["p1", "p2"]', '["q"]')
     samples = read_recording(run(tmp_path, two, table_map, tmp_path / "a.mat").out).samples
-    assert samples is not None
     assert np.rad2deg(samples["position"]) == pytest.approx(np.array([[90, 0], [180, 0], [0, 90]]))
     assert samples["effort"] == pytest.approx(np.array([[5, 0], [10, 10], [17.5, 20]]))
 
@@ -176,7 +171,6 @@ def test_stamps_lie_on_the_grid_through_the_times(tmp_path: Path, two: Robot, un
         run(tmp_path, two, with_time(unit), csv(tmp_path / "a.csv", "p1,p2,c1,c2,t", *columns)).out
     )
     assert recording.sample_rate_hz == 500.0
-    assert recording.samples is not None
     assert set(np.diff(recording.samples["stamp_ns"])) == {2_000_000}
     assert recording.samples["stamp_ns"][0] == pytest.approx(time_s[0] * 1e9, abs=1e3)
 
@@ -197,7 +191,6 @@ def test_a_short_record_with_jitter_keeps_its_own_rate(tmp_path: Path, two: Robo
 def test_time_before_zero_is_counted_from_the_first_sample(tmp_path: Path, two: Robot) -> None:
     table = csv(tmp_path / "a.csv", "p1,p2,c1,c2,t", np.zeros((10, 4)), np.arange(10) / 500 - 0.01)
     samples = read_recording(run(tmp_path, two, with_time("s"), table).out).samples
-    assert samples is not None
     assert samples["stamp_ns"].tolist() == list(range(0, 20_000_000, 2_000_000))
 
 
@@ -296,7 +289,6 @@ def test_the_side_may_be_left_out_where_nothing_hangs_on_it(tmp_path: Path, two:
     direct = ROBOT.replace("[[10, 0], [20, 20]]", "[[1, 0], [0, 1]]").replace("zero_deg = 90\n", "")
     robot = robot_from_files({"robot.toml": direct.encode()}, "direct")
     samples = read_recording(run(tmp_path, robot, table_map, table).out).samples
-    assert samples is not None
     assert samples["position"] == pytest.approx(np.deg2rad(Q))
     assert samples["effort"] == pytest.approx(CURRENT * [0.5e-3, 0.25e-3])
     (tmp_path / "out.mcap").unlink()
@@ -321,7 +313,6 @@ def test_a_motor_may_turn_where_its_joint_slides(tmp_path: Path) -> None:
     table_map = MAP.replace(', "p2"', "").replace(', "c2"', "").replace("mA", "mN m")
     result = run(tmp_path, robot, table_map, table)
     samples = read_recording(result.out).samples
-    assert samples is not None
     assert samples["position"] == pytest.approx(np.array([[0], [0.01]]))
     assert samples["effort"] == pytest.approx(np.array([[0], [2 * np.pi / 0.005]]))
     assert result.effort_units == ("N",)
@@ -400,7 +391,6 @@ def test_units_of_position_by_hand(tmp_path: Path, kind: str, unit: str, value: 
     table = csv(tmp_path / "a.csv", "p,c", np.array([0.0, value]), np.zeros(2))
     result = run(tmp_path, robot, SINGLE_MAP.replace("POSITION", unit).replace("EFFORT", effort), table)
     samples = read_recording(result.out).samples
-    assert samples is not None
     assert samples["position"][:, 0] == pytest.approx([0.0, si], rel=1e-8)
 
 
@@ -423,7 +413,6 @@ def test_units_of_effort_by_hand(tmp_path: Path, recorded: str, unit: str, value
     table_map = SINGLE_MAP.replace("POSITION", "m" if recorded == "N" else "rad").replace("EFFORT", unit)
     result = run(tmp_path, robot, table_map, table)
     samples = read_recording(result.out).samples
-    assert samples is not None
     assert samples["effort"][:, 0] == pytest.approx([0.0, si], rel=1e-12)
     assert result.effort_units == (recorded,)
 
@@ -434,7 +423,6 @@ def test_units_of_time_by_hand(tmp_path: Path, two: Robot, unit: str, per_s: flo
     times = (1.5 + 0.004 * np.arange(3)) * per_s
     table = csv(tmp_path / "a.csv", "p1,p2,c1,c2,t", np.zeros((3, 4)), times)
     recording = read_recording(run(tmp_path, two, with_time(unit), table).out)
-    assert recording.samples is not None
     assert recording.samples["stamp_ns"].tolist() == [1_500_000_000, 1_504_000_000, 1_508_000_000]
     assert recording.sample_rate_hz == 250.0
 
@@ -456,7 +444,6 @@ def test_joint_torques_beside_motor_currents(tmp_path: Path, two: Robot) -> None
     result = run(tmp_path, two, table_map, table)
     recording = read_recording(result.out)
     samples = recording.samples
-    assert samples is not None
     assert samples["effort"].tolist() == CURRENT.tolist()
     assert recording.metadata["effort_provenance"] == "a.csv: c1, c2: N m at the joint; joint effort = value in N m"
 
@@ -489,7 +476,6 @@ def test_the_real_emps_record(emps: Path) -> None:
     raw = scipy.io.loadmat(needs_data("emps", "DATA_EMPS.mat"))
     recording = read_recording(emps)
     samples = recording.samples
-    assert samples is not None
     assert np.array_equal(samples["position"], raw["qm"])
     assert np.array_equal(samples["reference"], raw["qg"])
     assert np.allclose(samples["effort"], 35.15065188 * raw["vir"], rtol=1e-14)
@@ -500,7 +486,6 @@ def test_the_real_emps_record(emps: Path) -> None:
 def test_the_real_tx40_record(tx40: Path) -> None:
     """Six joints: the first row by hand from the tables, with the wrist's coupling."""
     samples = read_recording(tx40).samples
-    assert samples is not None
     pos, curr = (
         np.loadtxt(needs_data("tx40", name), delimiter=",", skiprows=1)
         for name in ("pos_read_data.csv", "curr_data.csv")

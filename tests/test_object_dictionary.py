@@ -136,7 +136,6 @@ def test_names_of_objects(name, key):
 
 def test_what_a_description_may_leave_out():
     robot = robot_of(bus_text(1))
-    assert robot.bus is not None
     file, drive = robot.bus, robot.bus.drive[0]
     assert (drive.status, drive.control, drive.position, drive.target) == ("6041", "6040", "6064", "607A")
     assert (drive.sign, drive.effort_sign, drive.zero_counts, drive.mapping) == (1, None, 0, "table")

@@ -91,9 +91,7 @@ def folder(tmp_path: Path, port: int) -> Path:
 
 
 def bus_at(folder: Path) -> BusFile:
-    bus = robot_of((folder / "robot.toml").read_text()).bus
-    assert bus is not None
-    return bus
+    return robot_of((folder / "robot.toml").read_text()).bus
 
 
 def acquire(
@@ -110,7 +108,6 @@ def drives(folder: Path, *options: str) -> Iterator["subprocess.Popen[str]"]:
     command = ("emulate", str(folder / "robot.toml"), "--duration", "600", *options)
     process = acquire(folder, *command, program=("-c", DRIVES))
     try:
-        assert process.stderr is not None
         assert "simulated drives, nodes 1, 2" in process.stderr.readline()
         until_ns, silent = time.time_ns() + PATIENCE_S * 10**9, {0x701, 0x702}
         while silent:
