@@ -14,7 +14,6 @@ from acquisition.protocol import (
     TRANSITIONS,
     Command,
     Mode,
-    ObjectEntry,
     State,
     command_of,
     state_of,
@@ -174,10 +173,6 @@ def test_states_in_which_a_drive_gives_torque():
     assert {state.name for state in State if state not in DISABLED} == names
 
 
-def test_states_in_words():
-    assert [State.FAULT.words, State.READY_TO_SWITCH_ON.words] == ["fault", "ready to switch on"]
-
-
 def test_types_and_sizes_of_the_standard_objects():
     table = {}
     for kind, names in TYPES.items():
@@ -186,47 +181,14 @@ def test_types_and_sizes_of_the_standard_objects():
             table[int(index, 16), int(sub or "0")] = kind
     assert {key: kind for key, kind in STANDARD.items() if table.get(key) != kind} == {}
     # Those that a session cannot do without.
-    for index in (
-        0x1017,
-        0x6040,
-        0x6041,
-        0x6060,
-        0x6061,
-        0x6064,
-        0x606C,
-        0x6074,
-        0x6075,
-        0x6076,
-        0x6077,
-        0x6078,
-        0x607A,
-    ):
-        assert (index, 0) in STANDARD, hex(index)
+    needed = "1017 6040 6041 6060 6061 6064 606C 6074 6075 6076 6077 6078 607A"
+    assert {(int(index, 16), 0) for index in needed.split()} <= set(STANDARD)
     assert {(0x60C2, 1), (0x60C2, 2)} <= set(STANDARD)
     assert BITS == {"I8": 8, "I16": 16, "I32": 32, "U8": 8, "U16": 16, "U32": 32}
 
 
 def test_modes_of_operation():
     assert [(mode.name, mode.value) for mode in Mode] == [("CYCLIC_SYNCHRONOUS_POSITION", 8)]
-
-
-@pytest.mark.parametrize(
-    ("index", "sub", "kind", "word"),
-    [
-        (0x6041, 0, "U16", 0x60410010),
-        (0x6064, 0, "I32", 0x60640020),
-        (0x6074, 0, "I16", 0x60740010),
-        (0x6061, 0, "I8", 0x60610008),
-        (0x60C2, 1, "U8", 0x60C20108),
-        (0x60C2, 2, "I8", 0x60C20208),
-        (0x608F, 2, "U32", 0x608F0220),
-        (0x30D0, 0, "I32", 0x30D00020),
-        (0x2031, 0x1F, "I16", 0x20311F10),
-    ],
-)
-def test_mapping_words(index, sub, kind, word):
-    """Index, sub-index and bits of an object as a mapping parameter has them."""
-    assert ObjectEntry(index=index, sub=sub, type=kind).mapping == word
 
 
 @pytest.mark.parametrize(
