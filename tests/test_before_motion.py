@@ -144,12 +144,6 @@ def test_a_drive_that_is_not_homed_moves_nothing(name):
     assert error.expected == "a homed drive before motion"
 
 
-@pytest.mark.parametrize("name", ["6041.32", "604", "6041.", "6041.8.1"])
-def test_a_homed_that_is_no_bit_of_an_object(name):
-    with pytest.raises(AcquisitionError, match="homed"):
-        robot_of(bus_text(1, drive=f'homed = "{name}"'))
-
-
 def test_nothing_is_written_before_somebody_agrees(tmp_path):
     def refuse(master):
         raise AcquisitionError("joint angles not confirmed")

@@ -28,20 +28,6 @@ def test_they_get_pdos_of_their_own():
     ]
 
 
-@pytest.mark.parametrize(
-    ("drive", "expected"),
-    [
-        ('extra = ["2081:1"]', "extra[0] = '2081:1': its type is not known"),
-        ('extra = ["606C"]\ntpdo = [{ objects = ["6041", "6064", "6074"] }]', "no PDO from the drive carries 606C:0"),
-        ("extra = [{ scale = 0.1 }]", "bus.drive[0].extra[0] = '': expected an object, such as 606C or 2081:1"),
-    ],
-)
-def test_what_is_refused(drive, expected):
-    with pytest.raises(AcquisitionError) as caught:
-        bus_of(robot_of(bus_text(1, drive=drive)))
-    assert expected in str(caught.value)
-
-
 def test_simulated_drives_send_their_velocity_and_the_frames_hold_it(tmp_path):
     robot = robot_of(bus_text(2, drive='extra = ["606C"]'))
     dry_session(tmp_path / "a.mcap", Task(reference=swing(2, seconds=0.6, amplitude=0.05)), robot=robot)
