@@ -11,7 +11,7 @@ from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.bus import Frame, Link, Master, MasterLink, open_link
 from acquisition.commands.checking import Finding, check_drives
-from acquisition.recording import Recording, read_recording
+from acquisition.recording import FRAME, SENT, Block, Recording, read_recording
 from acquisition.robot import Bus, BusFile, Robot
 from acquisition.session import InlineLog, Outcome, RecordedSummary, Recorder, Stop, Task, run_active
 from acquisition.simulated import DrivenPlant, LockStepLink, SimulatedDrives, cascaded_loops
@@ -39,6 +39,56 @@ class Through:
 
     def receive(self, until_ns: int) -> Frame | None:
         return self.link.receive(until_ns)  # type: ignore[attr-defined,no-any-return]
+
+
+@dataclass(kw_only=True)
+class Unasked(Through):
+    """Frames of somebody else come at their times."""
+
+    frames: list[Frame]
+
+    def receive(self, until_ns):
+        frame = None
+        if not self.frames or self.frames[0].time_ns > self.now_ns():
+            frame = super().receive(min([until_ns, *(f.time_ns for f in self.frames[:1])]))
+        if frame is None and self.frames and self.frames[0].time_ns <= self.now_ns():
+            return self.frames.pop(0)._replace(time_ns=self.now_ns())
+        return frame
+
+
+@dataclass(kw_only=True)
+class Beats(Through):
+    """Of the heartbeats of a node that say operational, those in `which`, from 1, are other frames, or are lost."""
+
+    node: int
+    which: range
+    other: dict[str, object] | None
+    count: int = 0
+
+    def receive(self, until_ns):
+        while True:
+            frame = super().receive(until_ns)
+            if frame is None or (frame.can_id, frame.data) != (0x700 + self.node, b"\x05"):
+                return frame
+            self.count += 1
+            if self.count not in self.which:
+                return frame
+            if self.other is not None:
+                return frame._replace(**self.other)
+
+
+@dataclass(kw_only=True)
+class At(Through):
+    """Something is done once, at a time."""
+
+    at_ns: int
+    act: Callable[[], object] | None
+
+    def receive(self, until_ns):
+        if self.act is not None and self.now_ns() > self.at_ns:
+            self.act, act = None, self.act
+            act()
+        return super().receive(until_ns)
 
 
 @dataclass(kw_only=True)
@@ -94,6 +144,20 @@ class DrySession:
 
     def events(self, kind: str) -> list[str]:
         return [e.text for e in self.recording.events if e.kind == kind]
+
+    @property
+    def phases(self) -> dict[str, int]:
+        """When each phase began."""
+        return {e.text: e.stamp_ns for e in self.recording.events if e.kind == "phase"}
+
+    @property
+    def frames(self) -> Block:
+        """The frames of the only channel; none before the first."""
+        return next(iter(self.recording.frames.values()), np.zeros(0, FRAME))
+
+    @property
+    def sent(self) -> Block:
+        return self.frames[(self.frames["flags"] & SENT) != 0]
 
 
 def dry_session(

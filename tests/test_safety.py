@@ -4,29 +4,27 @@ import os
 import signal
 import struct
 import time
-from dataclasses import dataclass
+from functools import partial
 
 import can
 import numpy as np
 import pytest
 from conftest import needs_data
-from dry_sessions import SyncOfAnother, Through, at_boot, dry_session, findings, say, swing
+from dry_sessions import At, SyncOfAnother, Unasked, at_boot, dry_session, findings, say, swing
 from faulty_drives import Fault
 from made_up_buses import bus_of, bus_text, robot_of
 
 import acquisition.session.logs as recorder_logs
 import acquisition.simulated.drives as dry_run_module
-from acquisition.bus import Frame, Link, Master, open_bus
+from acquisition.bus import Frame, Link, Master
 from acquisition.errors import AcquisitionError
 from acquisition.protocol import (
     DISABLED,
     Mode,
     State,
-    interpolation_period,
     load_dictionary,
     write_request,
 )
-from acquisition.recording import SENT
 from acquisition.robot import axis_of
 from acquisition.session import RecordOptions, Stop, Task, UserInterface, record, stop_on_signals
 from acquisition.simulated import LockStepLink, SimulatedDrives, serve
@@ -35,25 +33,12 @@ TRACK = Task(reference=swing(2))
 ENABLED = 0x0237
 
 
-@dataclass(kw_only=True)
-class StaleAnswers(Through):
-    """PDOs of an earlier session are still in the queue: enabled, and far from where the drives stand."""
-
-    count: int = 0
-
-    def receive(self, until_ns):
-        self.count += 1
-        if self.count <= 4:
-            node = 1 + self.count % 2
-            return Frame(self.now_ns(), 0x180 + node, struct.pack("<Hih", ENABLED, 300_000, 0))
-        return super().receive(until_ns)
-
-
 def test_positions_from_before_start_command_nothing(tmp_path):
-    session = dry_session(tmp_path / "a.mcap", TRACK, through=StaleAnswers)
+    """PDOs of an earlier session are still in the queue: enabled, and far from where the drives stand."""
+    stale = [Frame(0, 0x181 + k % 2, struct.pack("<Hih", ENABLED, 300_000, 0)) for k in range(4)]
+    session = dry_session(tmp_path / "a.mcap", TRACK, through=partial(Unasked, frames=stale))
     assert session.outcome.reason == "finished"
-    frames = next(iter(session.recording.frames.values()))
-    first = frames[(frames["can_id"] == 0x201) & ((frames["flags"] & SENT) != 0)][0]
+    first = session.sent[session.sent["can_id"] == 0x201][0]
     control, target = struct.unpack("<Hi", first["data"].tobytes()[:6])
     assert control == 0x06  # shutdown, the first step up, not enable operation
     assert abs(target) < 10
@@ -67,10 +52,8 @@ def test_a_drive_that_is_enabled_already_is_somebody_elses(tmp_path, monkeypatch
     assert not any(node.operational for node in session.drives.nodes)
     assert session.events("disabled") + session.events("not disabled") == []
     # It is left as it is: objects were read, and nothing else was sent.
-    frames = next(iter(session.recording.frames.values()))
-    sent = frames[(frames["flags"] & SENT) != 0]
-    assert set(sent["can_id"].tolist()) <= {0x601, 0x602}
-    assert set(sent["data"][:, 0].tolist()) == {0x40}
+    assert set(session.sent["can_id"].tolist()) <= {0x601, 0x602}
+    assert set(session.sent["data"][:, 0].tolist()) == {0x40}
 
 
 def test_a_drive_found_in_fault_is_told(tmp_path, monkeypatch):
@@ -99,8 +82,7 @@ def test_nothing_is_said_of_drives_that_were_not_addressed_and_nobody_confirms_f
     too_far = dry_session(tmp_path / "a.mcap", Task(reference=swing(2, amplitude=2.0)))
     assert "position of joint_1" in too_far.outcome.reason
     assert too_far.events("disabled") + too_far.events("not disabled") == []
-    frames = next(iter(too_far.recording.frames.values()), None)
-    assert frames is None or not (frames["flags"] & SENT).any()
+    assert len(too_far.sent) == 0
     robot, other = robot_of(bus_text(2)), robot_of(bus_text(2).replace("node = 2", "node = 9"))
     for name, task in (("track", TRACK), ("record", Task(duration_s=1.0))):
         away = dry_session(tmp_path / f"{name}.mcap", task, robot=other, bus=bus_of(other), drives=bus_of(robot))
@@ -122,21 +104,7 @@ def test_a_path_beyond_the_counter_is_refused_before_anything_is_sent(tmp_path):
     robot = robot_of(bus_text(2, drive="zero_counts = 2147480000"))
     session = dry_session(tmp_path / "a.mcap", TRACK, robot=robot)
     assert "counts: expected -2147483648 to 2147483647" in session.outcome.reason
-    assert not session.recording.frames or not (next(iter(session.recording.frames.values()))["flags"] & SENT).any()
-
-
-@pytest.mark.parametrize(
-    ("period_s", "said"),
-    [(0.002, (2, -3)), (0.1, (100, -3)), (0.00125, (125, -5)), (0.0333, None), (0.3, None), (1 / 300, None)],
-)
-def test_the_interpolation_period_is_exact_or_refused(period_s, said):
-    if said is None:
-        with pytest.raises(AcquisitionError, match=r"not representable as the drives' interpolation period \(60C2\)"):
-            interpolation_period(period_s)
-    else:
-        count, unit = interpolation_period(period_s)
-        assert (count, unit) == said
-        assert count * 10.0**unit == pytest.approx(period_s)
+    assert len(session.sent) == 0
 
 
 def test_identity_of_a_real_dictionary():
@@ -194,21 +162,10 @@ def test_the_mode_of_a_second_axis_is_set_and_shown_by_its_own_objects(monkeypat
     assert read == [0x6861]
 
 
-@dataclass(kw_only=True)
-class AnotherSync(Through):
-    """One SYNC from somebody else in mid-motion."""
-
-    done: bool = False
-
-    def receive(self, until_ns):
-        if not self.done and self.now_ns() > 1_600_000_000:
-            self.done = True
-            return Frame(self.now_ns(), 0x80, b"")
-        return super().receive(until_ns)
-
-
 def test_sync_of_another_producer_stops_ours(tmp_path):
-    session = dry_session(tmp_path / "a.mcap", TRACK, through=AnotherSync)
+    """One from somebody else in mid-motion."""
+    frames = [Frame(1_600_000_000, 0x80, b"")]
+    session = dry_session(tmp_path / "a.mcap", TRACK, through=partial(Unasked, frames=frames))
     assert session.outcome.reason == "bus: another producer sends SYNC"
     assert DISABLED.issuperset(session.drives.states)
 
@@ -243,19 +200,12 @@ def test_a_slow_stop_keeps_to_the_acceleration_limit(tmp_path):
     speed = np.interp(t, [0, 0.5, 2.5, 3.5, 5.5, 6], [0, 0, 1.0, 1.0, 0, 0])
     reference = (np.cumsum(speed) * 0.002 - 1.5)[:, None]
     stop = Stop()
-
-    @dataclass(kw_only=True)
-    class Interrupting(Through):
-        def receive(self, until_ns):
-            if self.now_ns() > 13_200_000_000 and not stop.reason:  # tracking, at full speed
-                stop.reason = "stopped by SIGINT"
-            return super().receive(until_ns)
-
-    session = dry_session(tmp_path / "a.mcap", Task(reference=reference), robot=robot, through=Interrupting, stop=stop)
+    # Tracking, at full speed.
+    interrupt = partial(At, at_ns=13_200_000_000, act=lambda: setattr(stop, "reason", "stopped by SIGINT"))
+    session = dry_session(tmp_path / "a.mcap", Task(reference=reference), robot=robot, through=interrupt, stop=stop)
     assert (session.outcome.reason, session.outcome.fault) == ("stopped by SIGINT", False)
     targets = session.recording.samples["reference"][:, 0]
-    stamps = {e.text: e.stamp_ns for e in session.recording.events if e.kind == "phase"}
-    tracked = targets[(session.recording.samples["stamp_ns"] > stamps["track"])]
+    tracked = targets[session.recording.samples["stamp_ns"] > session.phases["track"]]
     assert np.abs(np.diff(tracked)).max() / 0.002 > 0.9
     # Targets are whole counts: a second difference of 50 samples takes their rounding out.
     smooth = (tracked[100:] - 2 * tracked[50:-50] + tracked[:-100]) / 0.1**2
@@ -299,25 +249,6 @@ def test_a_datagram_that_is_no_frame_ends_nothing_and_a_bus_that_is_gone_is_left
         Link(alone, passive=False).take(0.1)
 
 
-def test_a_group_gives_back_what_was_sent_and_only_that_is_left_out():
-    class Loop(Group):
-        def __init__(self):
-            self.items = []
-
-        def send(self, message, timeout):
-            self.items.append(can.Message(arbitration_id=message.arbitration_id, data=message.data, timestamp=1.0))
-
-        def recv(self, timeout):
-            return self.items.pop(0) if self.items else None
-
-    bus = Loop()
-    link = Link(bus, passive=False)
-    link.send(0x80, b"")
-    assert link.take(0.0) is None
-    bus.items.append(can.Message(arbitration_id=0x80, timestamp=1.0))  # another producer's
-    assert link.take(0.0).can_id == 0x80
-
-
 def test_an_adapter_that_gives_back_what_was_sent():
     """As gs_usb does, marked as not received. What others send from this machine may be marked so too, and stays."""
 
@@ -356,13 +287,6 @@ def test_a_group_whose_socket_fails_is_an_error_and_no_loop():
             raise can.CanOperationError("no frame")
 
     assert Link(Noisy(), passive=False).take(0.01) is None
-
-
-def test_a_bus_opened_to_listen_cannot_send_whoever_holds_it():
-    bus = open_bus(robot_of(bus_text(1, channel="listening")).bus, passive=True)
-    with pytest.raises(AcquisitionError, match="passive: nothing is ever sent"):
-        bus.send(can.Message(arbitration_id=1))
-    bus.shutdown()
 
 
 def test_sigint_ends_a_job_in_the_background_too():
