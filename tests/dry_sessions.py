@@ -48,12 +48,10 @@ class Unasked(Through):
     frames: list[Frame]
 
     def receive(self, until_ns):
-        frame = None
-        if not self.frames or self.frames[0].time_ns > self.now_ns():
-            frame = super().receive(min([until_ns, *(f.time_ns for f in self.frames[:1])]))
-        if frame is None and self.frames and self.frames[0].time_ns <= self.now_ns():
+        if self.frames and self.frames[0].time_ns <= self.now_ns():
             return self.frames.pop(0)._replace(time_ns=self.now_ns())
-        return frame
+        frame = super().receive(min([until_ns, *(f.time_ns for f in self.frames[:1])]))
+        return self.receive(until_ns) if frame is None and self.now_ns() < until_ns else frame
 
 
 @dataclass(kw_only=True)

@@ -9,7 +9,6 @@ from faulty_drives import Fault, FaultyDrives
 from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.protocol import DISABLED, State
-from acquisition.recording import SENT
 from acquisition.session import Task
 from acquisition.simulated import SimulatedDrives
 from acquisition.simulated.mechanism import JointwisePlant, rated_motor_effort, typical_plant
@@ -26,14 +25,12 @@ def loaded(share: float) -> JointwisePlant:
 
 def targets(session: DrySession, node: int) -> np.ndarray:
     """Targets sent to a drive in motor counts, in the order sent."""
-    frames = session.recording.frames["test"]
-    ours = frames[(frames["can_id"] == 0x200 + node) & ((frames["flags"] & SENT) != 0)]
+    ours = session.sent[session.sent["can_id"] == 0x200 + node]
     return ours["data"][:, 2:6].copy().view("<i4")[:, 0]
 
 
 def phase_of(session: DrySession, name: str) -> np.ndarray:
-    stamps = {e.text: e.stamp_ns for e in session.recording.events if e.kind == "phase"}
-    names = list(stamps)
+    names, stamps = list(session.phases), session.phases
     at, then = stamps[name], stamps[names[names.index(name) + 1]]
     samples = session.recording.samples
     return samples[(samples["stamp_ns"] >= at) & (samples["stamp_ns"] < then)]
@@ -148,10 +145,9 @@ def test_the_last_drive_enabled_is_watched_before_anything_moves(tmp_path, extra
     robot = robot_of(bus_text(2, extra=extra))
     late = [Fault(kind="slow", node=2, sync=1, count=100)]
     session = dry_session(tmp_path / "a.mcap", TRACK, robot=robot, faults=late)
-    stamps = {e.text: e.stamp_ns for e in session.recording.events if e.kind == "phase"}
-    frames = session.recording.frames["test"]
+    frames = session.frames
     last = frames[(frames["can_id"] == 0x182) & (frames["data"][:, 0] == 0x37)]["time_ns"][0]
-    assert (stamps["approach"] - last) * 1e-9 == pytest.approx(watch_s, abs=0.005)
+    assert (session.phases["approach"] - last) * 1e-9 == pytest.approx(watch_s, abs=0.005)
 
 
 def test_a_drive_that_falls_out_of_enabled_while_another_is_enabled_is_a_fault(tmp_path):

@@ -3,7 +3,7 @@
 from contextlib import ExitStack
 
 import pytest
-from dry_sessions import Through, dry_session, findings, swing
+from dry_sessions import Unasked, dry_session, findings, swing
 from faulty_drives import FaultyDrives
 from made_up_buses import bus_of, bus_text, robot_of
 from test_scan import bus_file, served
@@ -63,31 +63,16 @@ def test_a_session_ends_before_a_drive_is_enabled(tmp_path, task, after_ms):
     assert done.drives.states == [State.SWITCH_ON_DISABLED] * 2
 
 
-class Unasked(Through):
-    """Frames that come at times of their own, after the first second."""
-
-    frames: list[tuple[int, int, bytes]]
-
-    def receive(self, until_ns):
-        due = [frame for frame in self.frames if frame[0] <= self.now_ns()]
-        if due:
-            self.frames.remove(due[0])
-            return Frame(self.now_ns(), *due[0][1:])
-        return super().receive(min([until_ns, *(frame[0] for frame in self.frames)])) or (
-            self.receive(until_ns) if self.frames and self.frames[0][0] <= self.now_ns() < until_ns else None
-        )
-
-
 VALUE, LATER = b"\x43\x18\x10\x04\x01\x00\x00\x00", b"\x41\x08\x10\x00\x08\x00\x00\x00"
 AT_ONCE, IN_CHECK = 1_100_000_000, 1_500_000_000
 CASES = {
-    "while listening": ([(AT_ONCE, 0x585, VALUE)], "node 5"),
-    "between our own": ([(IN_CHECK, 0x582, VALUE)], "node 2"),
-    "of a device that is not described": ([(IN_CHECK, 0x5FF, VALUE)], "node 127"),
-    "asked by another": ([(IN_CHECK, 0x605, read_request(0x1018, 4)), (IN_CHECK + 1, 0x585, VALUE)], ""),
-    "a transfer that is given up": ([(AT_ONCE, 0x582, abort_answer(0x1008, 0, "timed out"))], ""),
-    "a transfer in segments": ([(AT_ONCE, 0x582, LATER)], ""),
-    "no SDO": ([(AT_ONCE, 0x580, VALUE)], ""),
+    "while listening": ([Frame(AT_ONCE, 0x585, VALUE)], "node 5"),
+    "between our own": ([Frame(IN_CHECK, 0x582, VALUE)], "node 2"),
+    "of a device that is not described": ([Frame(IN_CHECK, 0x5FF, VALUE)], "node 127"),
+    "asked by another": ([Frame(IN_CHECK, 0x605, read_request(0x1018, 4)), Frame(IN_CHECK + 1, 0x585, VALUE)], ""),
+    "a transfer that is given up": ([Frame(AT_ONCE, 0x582, abort_answer(0x1008, 0, "timed out"))], ""),
+    "a transfer in segments": ([Frame(AT_ONCE, 0x582, LATER)], ""),
+    "no SDO": ([Frame(AT_ONCE, 0x580, VALUE)], ""),
 }
 
 
@@ -95,8 +80,7 @@ CASES = {
 def test_an_answer_without_a_request(name):
     frames, said = CASES[name]
     robot = robot_of(bus_text(2))
-    link = Unasked(link=LockStepLink(FaultyDrives(robot, bus_of(robot))))
-    link.frames = list(frames)
+    link = Unasked(link=LockStepLink(FaultyDrives(robot, bus_of(robot))), frames=list(frames))
     rows = findings(link, bus_of(robot), "node ids")
     assert [(row.found, row.ok) for row in rows] == ([(f"two devices answer as {said}", False)] if said else [])
     assert not link.frames

@@ -194,14 +194,15 @@ def test_a_drive_that_is_only_starting_has_not_left_sync_unanswered():
 @pytest.mark.slow
 def test_a_slow_stop_keeps_to_the_acceleration_limit(tmp_path):
     limit = np.radians(60)
-    robot = robot_of(bus_text(1).replace("acceleration_deg_s2 = 4000", "acceleration_deg_s2 = 60"))
+    text = bus_text(1).replace("acceleration_deg_s2 = 4000", "acceleration_deg_s2 = 60")
+    robot = robot_of(text.replace("[-150, 150]", "[-200, 200]"))  # wide enough for a path from the middle on
     t = np.arange(0, 6, 0.002)
     # 0.5 rad/s², up to 1 rad/s and down again: far more than 0.5 s is needed to come to rest.
     speed = np.interp(t, [0, 0.5, 2.5, 3.5, 5.5, 6], [0, 0, 1.0, 1.0, 0, 0])
-    reference = (np.cumsum(speed) * 0.002 - 1.5)[:, None]
+    reference = np.cumsum(speed)[:, None] * 0.002
     stop = Stop()
     # Tracking, at full speed.
-    interrupt = partial(At, at_ns=13_200_000_000, act=lambda: setattr(stop, "reason", "stopped by SIGINT"))
+    interrupt = partial(At, at_ns=4_800_000_000, act=lambda: setattr(stop, "reason", "stopped by SIGINT"))
     session = dry_session(tmp_path / "a.mcap", Task(reference=reference), robot=robot, through=interrupt, stop=stop)
     assert (session.outcome.reason, session.outcome.fault) == ("stopped by SIGINT", False)
     targets = session.recording.samples["reference"][:, 0]
