@@ -25,6 +25,29 @@ def swing(n: int, *, seconds: float = 1.0, period_s: float = 0.002, amplitude: f
     return np.repeat(amplitude * (1 - np.cos(2 * np.pi * t / seconds))[:, None], n, axis=1)
 
 
+class Answering:
+    """A link whose time goes on where nothing comes; `answer` gives what comes after a frame that is sent."""
+
+    def __init__(self, answer: Callable[[int, bytes], list[tuple[int, bytes]]] = lambda can_id, data: []) -> None:
+        self.answer, self.sent, self.waiting, self.time_ns = answer, [], [], 1_000_000_000
+
+    def now_ns(self):
+        return self.time_ns
+
+    def send(self, can_id, data):
+        self.sent.append((can_id, data))
+        self.waiting += self.answer(can_id, data)
+
+    def receive(self, until_ns):
+        if self.waiting:
+            return Frame(self.time_ns, *self.waiting.pop(0))
+        self.time_ns = max(self.time_ns, until_ns)
+        return None
+
+    def close(self):
+        pass
+
+
 @dataclass(kw_only=True)
 class Through:
     """A link that passes everything on; tests override what they damage."""

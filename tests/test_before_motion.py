@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 import pytest
 from conftest import robot_named
-from dry_sessions import Through, dry_session, findings, swing
+from dry_sessions import Answering, Through, dry_session, findings, swing
 from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.bus import Master, confirm_motion, position_words
@@ -267,23 +267,11 @@ def test_the_largest_delay():
 def test_a_slow_sync_may_be_three_periods_late():
     """With SYNC every 10 ms the bound is 30 ms."""
 
-    class Bare:
-        t = 0
-
-        def now_ns(self):
-            return self.t
-
-        def send(self, can_id, data):
-            pass
-
-        def receive(self, until_ns):
-            self.t = max(self.t, until_ns)
-
-    link = Bare()
+    link = Answering()
     pace = Pace(Master(link, bus_of(robot_of(bus_text(1, period_s=0.01)))))
     pace.start()
     for late_ms, refused in ((0, False), (29, False), (31, True)):
-        link.t = pace.next_ns + late_ms * 1_000_000
+        link.time_ns = pace.next_ns + late_ms * 1_000_000
         if refused:
             with pytest.raises(Exception, match=r"SYNC 0.031 s late in motion: expected 0.03 s at most"):
                 pace.sync(in_motion=True)

@@ -10,7 +10,7 @@ import can
 import numpy as np
 import pytest
 from conftest import needs_data
-from dry_sessions import At, SyncOfAnother, Unasked, at_boot, dry_session, findings, say, swing
+from dry_sessions import Answering, At, SyncOfAnother, Unasked, at_boot, dry_session, findings, say, swing
 from faulty_drives import Fault
 from made_up_buses import bus_of, bus_text, robot_of
 
@@ -122,27 +122,11 @@ def test_check_shows_what_the_drive_holds_on_its_scale():
     assert "robot.toml: 65536 counts per turn" in scale.found
 
 
-class Asked:
-    """A link that keeps what is sent, and answers nothing."""
-
-    def __init__(self):
-        self.sent = []
-
-    def now_ns(self):
-        return 0
-
-    def send(self, can_id, data):
-        self.sent.append((can_id, data))
-
-    def receive(self, until_ns):
-        return None
-
-
 def test_a_second_axis_is_asked_by_its_own_objects():
     axis = 'control = "6840"\nstatus = "6841"\nobjects = { "6840" = "U16", "6841" = "U16" }'
     bus = bus_of(robot_of(bus_text(1, drive=axis)))
     assert axis_of(bus.drives[0]) == 0x800
-    link = Asked()
+    link = Answering()
     with pytest.raises(AcquisitionError, match="object 6841:0"):
         Master(link, bus).state(bus.drives[0])
     assert link.sent == [(0x601, bytes.fromhex("4041680000000000"))]
@@ -157,7 +141,7 @@ def test_the_mode_of_a_second_axis_is_set_and_shown_by_its_own_objects(monkeypat
     written, read = [], []
     monkeypatch.setattr(Master, "write", lambda self, node, index, sub, *_: written.append((index, sub)))
     monkeypatch.setattr(Master, "read", lambda self, node, index: read.append(index) or 8)
-    Master(Asked(), bus_of(robot_of(bus_text(1, drive=axis)))).choose_mode(Mode.CYCLIC_SYNCHRONOUS_POSITION)
+    Master(Answering(), bus_of(robot_of(bus_text(1, drive=axis)))).choose_mode(Mode.CYCLIC_SYNCHRONOUS_POSITION)
     assert written == [(0x68C2, 1), (0x68C2, 2), (0x6860, 0)]
     assert read == [0x6861]
 
@@ -180,7 +164,7 @@ def test_answers_are_counted_with_sync_of_another_producer_too(tmp_path):
 
 def test_a_drive_that_is_only_starting_has_not_left_sync_unanswered():
     bus = bus_of(robot_of(bus_text(1, extra='sync_producer = "other"')))
-    master = Master(Asked(), bus)
+    master = Master(Answering(), bus)
     master.start()
     for _ in range(10):
         master.dispatch(Frame(0, 0x80, b""))

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import canopen
 import pytest
-from dry_sessions import Through, dry_session, heard_at_once, swing
+from dry_sessions import Answering, Through, dry_session, heard_at_once, swing
 from faulty_drives import FaultyDrives
 from made_up_buses import bus_of, bus_text, robot_of
 
@@ -354,30 +354,19 @@ def test_mapped_pdos_and_consumers_are_shown():
     assert "1016 0x2, 1016:1 0x0, 1016:2 0x7F001E" in row(nodes, {}, "supervision", 1).found
 
 
-class AllAnswer:
-    """A link in simulated time to all node ids that are not in `silent`, each a device of type `device`."""
+def all_answer(device: int = 0, silent: tuple[int, ...] = (), *heard: int) -> Answering:
+    """A link to all node ids that are not in `silent`, each a device of type `device`; heartbeats of `heard`."""
 
-    def __init__(self, device: int = 0, silent: tuple[int, ...] = (), *heard: int) -> None:
-        self._time_ns, self._device, self._silent = 0, device, silent
-        self._frames = [Frame(0, 0x700 + node, b"\x7f") for node in heard]
-
-    def now_ns(self):
-        return self._time_ns
-
-    def send(self, can_id, data):
+    def answer(can_id, data):
         key = int.from_bytes(data[1:3], "little"), data[3]
-        if can_id - 0x600 not in self._silent:
-            answer = abort_answer(*key, "object does not exist")
-            answer = value_answer(*key, self._device, 4) if key == (0x1000, 0) else answer
-            self._frames.append(Frame(self._time_ns, can_id - 0x80, answer))
+        if can_id - 0x600 in silent:
+            return []
+        refused = abort_answer(*key, "object does not exist")
+        return [(can_id - 0x80, value_answer(*key, device, 4) if key == (0x1000, 0) else refused)]
 
-    def receive(self, until_ns):
-        if not self._frames:
-            self._time_ns = max(until_ns, self._time_ns)
-        return self._frames.pop(0) if self._frames else None
-
-    def close(self):
-        pass
+    link = Answering(answer)
+    link.waiting = [(0x700 + node, b"\x7f") for node in heard]
+    return link
 
 
 NO_ID = "# master_node = ... # FILL IN: of this program; no node id is free"
@@ -386,15 +375,15 @@ NO_ID = "# master_node = ... # FILL IN: of this program; no node id is free"
 @pytest.mark.parametrize(
     ("link", "said"),
     [
-        (AllAnswer(), NO_ID),
-        (AllAnswer(402), NO_ID),
-        (AllAnswer(0, (9, 5)), "master_node = 9 # of this program; no device has it"),
+        (all_answer(), NO_ID),
+        (all_answer(402), NO_ID),
+        (all_answer(0, (9, 5)), "master_node = 9 # of this program; no device has it"),
         (
-            AllAnswer(0, (9, 5), 9),
+            all_answer(0, (9, 5), 9),
             "master_node = 5 # of this program; no device has it",
         ),  # 9 is heard, but does not answer
-        (AllAnswer(0, tuple(range(2, 128)), 127, 126), "master_node = 125 # of this program; no device has it"),
-        (AllAnswer(0, tuple(range(2, 128))), None),
+        (all_answer(0, tuple(range(2, 128)), 127, 126), "master_node = 125 # of this program; no device has it"),
+        (all_answer(0, tuple(range(2, 128))), None),
     ],
 )
 def test_the_node_id_of_this_program_is_that_of_no_device(link, said, tmp_path, monkeypatch, capsys):
@@ -407,7 +396,7 @@ def test_the_node_id_of_this_program_is_that_of_no_device(link, said, tmp_path, 
 
 def test_on_a_terminal_a_scan_says_which_node_it_reads(monkeypatch):
     said = []
-    monkeypatch.setattr("acquisition.bus.open_link", lambda *_, **__: AllAnswer(0, tuple(range(8, 128))))
+    monkeypatch.setattr("acquisition.bus.open_link", lambda *_, **__: all_answer(0, tuple(range(8, 128))))
     monkeypatch.setattr(Progress, "say", lambda progress, text: said.append(text))
     assert scan("scan_all") == 0
     nodes = [int(re.fullmatch(r"asking node (\d+) of 1 to 127", text)[1]) for text in said]
