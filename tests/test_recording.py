@@ -229,20 +229,10 @@ def test_writer_refuses_what_the_reader_would(tmp_path: Path, robot: Robot) -> N
         ):
             with pytest.raises(AcquisitionError, match=message):
                 writer.samples(bad)
-        infinite = some_samples(10, first=10)
-        infinite["effort"][3, 1] = np.inf
-        with pytest.raises(AcquisitionError, match="row 4: effort of joint 2 = inf"):
-            writer.samples(infinite)
         with pytest.raises(AcquisitionError, match=r"CAN channel '\.\./x': expected letters"):
             writer.frames("../x", some_frames(1))
         with pytest.raises(AcquisitionError, match="can0/frames: rows of"):
             writer.frames("can0", some_samples(1))
-        too_long = some_frames(3)
-        too_long["length"][1] = 9
-        with pytest.raises(
-            AcquisitionError, match="can0/frames: row 2: length = 9, time_ns = 1000000: expected 8 bytes"
-        ):
-            writer.frames("can0", too_long)
         with pytest.raises(AcquisitionError, match="stamp_ns = -1"):
             writer.event(-1, "phase", "track")
         writer.samples(some_samples(0, first=10))

@@ -6,7 +6,6 @@ import struct
 import time
 from functools import partial
 
-import can
 import numpy as np
 import pytest
 from conftest import needs_data
@@ -16,7 +15,7 @@ from made_up_buses import bus_of, bus_text, robot_of
 
 import acquisition.session.logs as recorder_logs
 import acquisition.simulated.drives as dry_run_module
-from acquisition.bus import Frame, Link, Master
+from acquisition.bus import Frame, Master
 from acquisition.errors import AcquisitionError
 from acquisition.protocol import (
     DISABLED,
@@ -195,83 +194,6 @@ def test_a_slow_stop_keeps_to_the_acceleration_limit(tmp_path):
     # Targets are whole counts: a second difference of 50 samples takes their rounding out.
     smooth = (tracked[100:] - 2 * tracked[50:-50] + tracked[:-100]) / 0.1**2
     assert np.abs(smooth).max() < 1.5 * limit
-
-
-def test_time_does_not_follow_a_clock_that_is_set(monkeypatch):
-    link = Link(None, passive=True)
-    before = link.now_ns()
-    assert abs(before - time.time_ns()) < 1_000_000_000
-    real = time.time_ns
-    monkeypatch.setattr(time, "time_ns", lambda: real() - 3600 * 10**9)
-    assert 0 <= link.now_ns() - before < 1_000_000_000
-
-
-class Group:
-    """A bus of a multicast group on which a datagram comes that is no frame."""
-
-    _multicast = object()
-
-    def __init__(self):
-        self.items = [can.CanOperationError("no frame"), can.Message(arbitration_id=0x181, data=b"x", timestamp=1.0)]
-
-    def recv(self, timeout):
-        item = self.items.pop(0)
-        if isinstance(item, Exception):
-            raise item
-        return item
-
-    def shutdown(self):
-        raise can.CanOperationError("the adapter is gone")
-
-
-def test_a_datagram_that_is_no_frame_ends_nothing_and_a_bus_that_is_gone_is_left():
-    link = Link(Group(), passive=False)
-    assert link.take(0.1).can_id == 0x181
-    link.close()
-    alone = Group()
-    alone._multicast = None
-    with pytest.raises(AcquisitionError, match="bus: cannot be read: no frame"):
-        Link(alone, passive=False).take(0.1)
-
-
-def test_an_adapter_that_gives_back_what_was_sent():
-    """As gs_usb does, marked as not received. What others send from this machine may be marked so too, and stays."""
-
-    class Adapter:
-        def __init__(self):
-            self.items = []
-
-        def send(self, message, timeout):
-            frame = {"arbitration_id": message.arbitration_id, "data": message.data}
-            self.items.append(can.Message(**frame, is_rx=False, timestamp=1.0))
-
-        def recv(self, timeout):
-            return self.items.pop(0) if self.items else None
-
-    Adapter.__module__ = "can.interfaces.gs_usb"
-    bus = Adapter()
-    link = Link(bus, passive=False)
-    link.send(0x80, b"")
-    assert link.take(0.0) is None
-    link.send(0x81, b"")
-    bus.items.insert(0, can.Message(arbitration_id=0x81, is_rx=True, timestamp=1.0))
-    assert link.take(0.0).can_id == 0x81  # somebody else's
-    assert link.take(0.0) is None
-
-
-def test_a_group_whose_socket_fails_is_an_error_and_no_loop():
-    class Broken(Group):
-        def recv(self, timeout):
-            raise can.CanOperationError("failed to wait") from OSError(19, "No such device")
-
-    with pytest.raises(AcquisitionError, match="bus: cannot be read: failed to wait"):
-        Link(Broken(), passive=False).take(0.01)
-
-    class Noisy(Group):
-        def recv(self, timeout):
-            raise can.CanOperationError("no frame")
-
-    assert Link(Noisy(), passive=False).take(0.01) is None
 
 
 def test_sigint_ends_a_job_in_the_background_too():
