@@ -417,31 +417,6 @@ def test_a_recording_is_replayed_with_its_timing(folder):
 
 
 @pytest.mark.slow
-def test_known_errors_are_one_line(folder):
-    robot = str(folder / "robot.toml")
-    (folder / "there.mcap").write_bytes(b"x")
-    for arguments, expected in (
-        (["record", robot, "-o", str(folder / "there.mcap"), "--dry-run", "--duration", "1"], "already exists"),
-        (["record", robot, "-o", str(folder / "a.mcap"), "--passive", "--dry-run"], "--passive: sends nothing"),
-        (["record", robot, "-o", str(folder / "a.mcap"), "--duration", "0"], "--duration = 0.0: expected more than 0"),
-        (["record", str(ROOT / "replay_data/emps/robot.toml"), "-o", str(folder / "a.mcap")], "bus is missing"),
-        (["record", robot, "-o", str(folder / "no" / "a.mcap"), "--duration", "1"], "cannot be written: No such file"),
-        (["record", robot, "-o", str(folder / "b.mcap"), "--duration", "1"], "node 1: object 6041:0: no answer"),
-        (["check", str(folder / "check.toml")], "no go: no drive answers at all: interface?"),
-        (["import", str(folder / "x.log"), "--robot", robot, "-o", str(folder / "o.mcap")], "x.log: cannot be read"),
-        (["import", str(folder / "x.csv"), "--robot", robot, "-o", str(folder / "o.mcap")], "needs --map"),
-        (["export", str(folder / "there.mcap"), "-o", str(folder / "o.csv")], "is not an MCAP file"),
-        (["replay", str(folder / "there.mcap"), "--interface", "virtual", "--channel", "x"], "is not an MCAP file"),
-        (["replay", str(folder / "there.mcap"), "--interface", "slcan", "--channel", "x"], "expected --onto-bus"),
-    ):
-        process = acquire(folder, *arguments)
-        _, errors = process.communicate(timeout=PATIENCE_S)
-        assert process.returncode == 1, arguments
-        assert errors.count("\n") == 1
-        assert expected in errors
-
-
-@pytest.mark.slow
 @tried_again
 def test_a_follower_that_is_killed_in_motion_harms_nothing(folder):
     """It is nice, holds no socket of the bus and no lock; the recording is whole, and the motion goes on."""
