@@ -5,13 +5,14 @@ import numpy as np
 import pytest
 from conftest import needs_data
 from made_up_buses import bus_of, bus_text, flat, robot_of, session
+from made_up_recordings import header, some_samples
 
 from acquisition.bus import read_log
 from acquisition.commands import main
 from acquisition.errors import AcquisitionError
 from acquisition.files import read_columns
 from acquisition.importing import export_csv, import_log, import_recording
-from acquisition.recording import ERROR, SENT, UNCERTAIN, Header, RecordingWriter, decode, read_recording
+from acquisition.recording import ERROR, SENT, UNCERTAIN, RecordingWriter, decode, read_recording
 from acquisition.session import Recorder
 from identification import load_signals
 from identification.errors import IdentificationError
@@ -214,10 +215,6 @@ def test_can_fd_frames_are_left_out(tmp_path):
 
 
 def test_what_has_no_frames_or_no_samples_is_told(tmp_path):
-    from made_up_recordings import header, some_samples
-
-    from acquisition.recording import RecordingWriter
-
     for name in ("a.mcap", "b.mcap"):
         with RecordingWriter(tmp_path / name, header(ROBOT, 500.0)) as writer:
             if name == "a.mcap":
@@ -236,8 +233,7 @@ def lossy(share: float) -> np.ndarray:
 
 
 def recorded(path, frames, samples=None, counters=None) -> None:
-    header = Header(robot=ROBOT, source="x", sample_rate_hz=500.0, effort_provenance="")
-    with RecordingWriter(path, header) as writer:
+    with RecordingWriter(path, header(ROBOT, 500.0)) as writer:
         writer.frames("can0", frames)
         if samples is not None:
             writer.samples(samples)

@@ -375,56 +375,28 @@ unit = "EFFORT"
 
 
 @pytest.mark.parametrize(
-    ("kind", "unit", "value", "si"),
+    ("recorded", "position", "effort", "value", "si"),
     [
-        ("revolute", "rad", 1.25, 1.25),
-        ("revolute", "deg", 180.0, 3.141592653589793),
-        ("revolute", "deg", -57.29577951308232, -1.0),
-        ("prismatic", "m", 0.3, 0.3),
-        ("prismatic", "mm", 250.0, 0.25),
-        ("prismatic", "um", -1500.0, -0.0015),
+        ("N m", "rad", "N m", [1.25, 0.42], [1.25, 0.42]),
+        ("N m", "deg", "mN m", [180.0, 420.0], [3.141592653589793, 0.42]),
+        ("A", "deg", "A", [-57.29577951308232, 2.5], [-1.0, 2.5]),
+        ("A", "rad", "mA", [0.0, 2500.0], [0.0, 2.5]),
+        ("V", "rad", "V", [0.0, -10.0], [0.0, -10.0]),
+        ("V", "rad", "mV", [0.0, -10.0], [0.0, -0.01]),
+        ("N", "m", "N", [0.3, 80.0], [0.3, 80.0]),
+        ("N", "mm", "N", [250.0, 0.0], [0.25, 0.0]),
+        ("N", "um", "N", [-1500.0, 0.0], [-0.0015, 0.0]),
     ],
 )
-def test_units_of_position_by_hand(tmp_path: Path, kind: str, unit: str, value: float, si: float) -> None:
-    effort = "N m" if kind == "revolute" else "N"
-    robot = robot_from_files({"robot.toml": SINGLE.replace("KIND", kind).replace("EFFORT", effort).encode()}, "x")
-    table = csv(tmp_path / "a.csv", "p,c", np.array([0.0, value]), np.zeros(2))
-    result = run(tmp_path, robot, SINGLE_MAP.replace("POSITION", unit).replace("EFFORT", effort), table)
-    samples = read_recording(result.out).samples
-    assert samples["position"][:, 0] == pytest.approx([0.0, si], rel=1e-8)
-
-
-@pytest.mark.parametrize(
-    ("recorded", "unit", "value", "si"),
-    [
-        ("A", "A", 2.5, 2.5),
-        ("A", "mA", 2500.0, 2.5),
-        ("V", "V", -10.0, -10.0),
-        ("V", "mV", -10.0, -0.01),
-        ("N m", "N m", 0.42, 0.42),
-        ("N m", "mN m", 420.0, 0.42),
-        ("N", "N", 80.0, 80.0),
-    ],
-)
-def test_units_of_effort_by_hand(tmp_path: Path, recorded: str, unit: str, value: float, si: float) -> None:
+def test_units_of_position_and_effort_by_hand(tmp_path, recorded, position, effort, value, si) -> None:
     kind = "prismatic" if recorded == "N" else "revolute"
     robot = robot_from_files({"robot.toml": SINGLE.replace("KIND", kind).replace("EFFORT", recorded).encode()}, "x")
-    table = csv(tmp_path / "a.csv", "p,c", np.zeros(2), np.array([0.0, value]))
-    table_map = SINGLE_MAP.replace("POSITION", "m" if recorded == "N" else "rad").replace("EFFORT", unit)
-    result = run(tmp_path, robot, table_map, table)
+    table = csv(tmp_path / "a.csv", "p,c", *np.array([[0.0, 0.0], value]).T)
+    result = run(tmp_path, robot, SINGLE_MAP.replace("POSITION", position).replace("EFFORT", effort), table)
     samples = read_recording(result.out).samples
-    assert samples["effort"][:, 0] == pytest.approx([0.0, si], rel=1e-12)
+    assert samples["position"][:, 0] == pytest.approx([0.0, si[0]], rel=1e-8)
+    assert samples["effort"][:, 0] == pytest.approx([0.0, si[1]], rel=1e-12)
     assert result.effort_units == (recorded,)
-
-
-@pytest.mark.parametrize(("unit", "per_s"), [("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
-def test_units_of_time_by_hand(tmp_path: Path, two: Robot, unit: str, per_s: float) -> None:
-    """Rows 4 ms apart from 1.5 s on."""
-    times = (1.5 + 0.004 * np.arange(3)) * per_s
-    table = csv(tmp_path / "a.csv", "p1,p2,c1,c2,t", np.zeros((3, 4)), times)
-    recording = read_recording(run(tmp_path, two, with_time(unit), table).out)
-    assert recording.samples["stamp_ns"].tolist() == [1_500_000_000, 1_504_000_000, 1_508_000_000]
-    assert recording.sample_rate_hz == 250.0
 
 
 def test_times_in_words_that_are_no_unit_and_in_columns_that_are_none(tmp_path: Path, two: Robot) -> None:

@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 from dry_sessions import Through, Unasked, dry_session, findings, heard_at_once, swing
 from made_up_buses import bus_of, bus_text, robot_of
+from virtual_buses import Ear, bus_file, served
 
-from acquisition.bus import Frame, Link, open_bus, open_link, service_of
+from acquisition.bus import Frame, Link, open_bus, service_of
 from acquisition.bus.frames import other_node, sign_of_master
 from acquisition.errors import AcquisitionError
 from acquisition.protocol import DISABLED, State
 from acquisition.recording import EXTENDED, REMOTE_REQUEST, SENT, read_recording
-from acquisition.robot import BusFile
 from acquisition.session import InlineLog, Stop, Task, replay, running
-from acquisition.simulated import LockStepLink, SimulatedDrives, serve
+from acquisition.simulated import LockStepLink, SimulatedDrives
 
 ROBOT = robot_of(bus_text(2))
 BUS = bus_of(ROBOT)
@@ -32,24 +32,6 @@ def tracked(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("listening") / "log.mcap"
     assert not dry_session(path, TASKS[1]).outcome.fault
     return path
-
-
-def bus_file(channel: str, interface: str = "virtual") -> BusFile:
-    return BusFile(interface=interface, channel=channel, drive=(), sync_period_s=1.0)
-
-
-class Ear:
-    """All frames on a bus from now on."""
-
-    def __init__(self, file: BusFile) -> None:
-        self._link = open_link(file, passive=True)
-
-    def frames(self) -> list[Frame]:
-        found = []
-        while (frame := self._link.take(0)) is not None:
-            found.append(frame)
-        self._link.close()
-        return found
 
 
 # Identifiers of CiA 301 written out; the drives are nodes 1 and 2, with TPDO 1 and RPDO 1 on the usual identifiers.
@@ -99,16 +81,12 @@ rpdo = [{ objects = ["6040", "607A"], can_id = 0x181 }]""")))  # fmt: skip
 
 
 def test_replay_onto_drives_is_refused_and_nothing_is_sent(tracked):
-    robot = robot_of(bus_text(2, channel="replay_onto_drives"))
-    stop, ear = threading.Event(), Ear(bus_file("replay_onto_drives"))
-    drives = threading.Thread(target=serve, args=(SimulatedDrives(robot, bus_of(robot)), stop.is_set), daemon=True)
-    drives.start()
-    try:
-        with pytest.raises(AcquisitionError, match=r"node [12] received: expected an idle bus; nothing was sent"):
-            replay(tracked, bus_file("replay_onto_drives"), Stop())
-    finally:
-        stop.set()
-        drives.join(10)
+    ear = Ear("replay_onto_drives")
+    with (
+        served("replay_onto_drives", 2),
+        pytest.raises(AcquisitionError, match=r"node [12] received: expected an idle bus; nothing was sent"),
+    ):
+        replay(tracked, bus_file("replay_onto_drives"), Stop())
     # Drives alone: boot-up and heartbeats.
     assert {frame.can_id for frame in ear.frames()} == {0x701, 0x702}
 
@@ -116,7 +94,7 @@ def test_replay_onto_drives_is_refused_and_nothing_is_sent(tracked):
 @pytest.mark.parametrize("can_id", [0x80, 0x83, 0x185, 0x585, 0x705, 0x123])
 def test_replay_is_refused_whoever_is_heard(tracked, can_id, monkeypatch):
     file = bus_file(f"replay_{can_id:03X}")
-    somebody, ear = Link(open_bus(file, passive=False), passive=False), Ear(file)
+    somebody, ear = Link(open_bus(file, passive=False), passive=False), Ear(file.channel)
     monkeypatch.setattr(running, "open_link", heard_at_once(partial(somebody.send, can_id, b"\x01")))
     try:
         with pytest.raises(AcquisitionError) as caught:
@@ -129,7 +107,7 @@ def test_replay_is_refused_whoever_is_heard(tracked, can_id, monkeypatch):
 
 def test_replay_on_a_silent_bus_sends_what_drives_sent_and_sync(tracked):
     file = bus_file("replay_silent")
-    ear, started_s = Ear(file), time.monotonic()
+    ear, started_s = Ear(file.channel), time.monotonic()
     count = replay(tracked, file, Stop(), speed=20.0)
     assert time.monotonic() - started_s > 0.5
     recorded = next(iter(read_recording(tracked).frames.values()))
@@ -162,7 +140,7 @@ def test_replay_begins_at_once_whatever_the_clock_of_the_recording_was(tracked, 
 def test_replay_stops_at_the_first_stranger(tracked, can_id):
     """Drives that are switched on while it sends, or anybody else."""
     file = bus_file(f"replay_met_{can_id:03X}")
-    somebody, ear = Link(open_bus(file, passive=False), passive=False), Ear(file)
+    somebody, ear = Link(open_bus(file, passive=False), passive=False), Ear(file.channel)
 
     def meet() -> None:
         heard = 0

@@ -6,7 +6,7 @@ import pytest
 from dry_sessions import Unasked, dry_session, findings, swing
 from faulty_drives import FaultyDrives
 from made_up_buses import bus_of, bus_text, robot_of
-from test_scan import bus_file, served
+from virtual_buses import bus_file, served
 
 from acquisition.bus import Frame, Uploads, scan_nodes
 from acquisition.commands import main

@@ -7,19 +7,23 @@ import subprocess
 import sys
 import zlib
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
 import pytest
+from made_up_buses import bus_text, flat, robot_of, session
 from made_up_recordings import attempt, is_prefix, same, some_samples, write
 from mcap.writer import Writer
 
+from acquisition.bus import WallClock
 from acquisition.errors import AcquisitionError
 from acquisition.importing import import_recording
+from acquisition.recording import FRAME, read_recording
 from acquisition.recording import content as mcap_content
-from acquisition.recording import read_recording
 from acquisition.robot import Robot, robot_from_files
+from acquisition.session import Recorder, process
 
 
 @pytest.mark.slow
@@ -320,13 +324,6 @@ class Connection:
 
 def test_rows_are_whole_where_the_clock_is_set_forward(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """By half an hour before the first frame and an hour later; the recorder goes on with the session's clock."""
-    from functools import partial
-
-    from made_up_buses import bus_text, flat, robot_of, session
-
-    from acquisition.bus import WallClock
-    from acquisition.session import Recorder, process
-
     before_ns, further_ns = 1_800_000_000_000, 3_600_000_000_000
     true, now, wall = flat(session(syncs=60)), [0], [before_ns]
     monkeypatch.setattr(process, "WallClock", partial(WallClock, lambda: now[0] + wall[0], lambda: now[0]))
@@ -363,14 +360,6 @@ def test_rows_are_whole_where_the_clock_is_set_forward(tmp_path: Path, monkeypat
 def test_drops_of_the_recorders_own_socket_stand_in_the_recording(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from functools import partial
-
-    from made_up_buses import bus_text, robot_of
-
-    from acquisition.bus import WallClock
-    from acquisition.recording import FRAME
-    from acquisition.session import Recorder, process
-
     now, messages, dropping = [0], [], object()
 
     class Receiver:

@@ -119,6 +119,7 @@ def test_a_coupled_robot_by_hand() -> None:
     # Speeds (1, 2) rad/s at the joints are (18, 37) at the motors: 1·4 + 2·44 = 18·1 + 37·2 = 92 W.
     assert np.array([1.0, 2.0]) @ robot.joint_effort(np.array([[2.0, 8.0]]))[0] == pytest.approx(92)
     assert robot.gain.tolist() == [0.5, 0.25]
+    assert not robot.R.flags.writeable
     assert robot.gravity.tolist() == [0, 9.81, 0]
     assert robot.effort_units == ("N m", "N m")
 
@@ -170,23 +171,6 @@ def test_gains_and_units_of_motors(kind: str, motor: str, gain: float | None, re
     assert (robot.effort_units, robot.gain_known) == ((unit,), gain is not None)
     assert robot.joint_effort(np.array([[1.0]])) == pytest.approx(np.array([[50 * (gain or 1.0)]]))
     assert robot.motor_effort(np.array([[50.0]])) == pytest.approx(np.array([[1 / (gain or 1.0)]]))
-
-
-def test_gain_ratio_and_zero_make_si() -> None:
-    text = ONE_JOINT.replace('type = "revolute"', 'type = "revolute"\nzero_deg = -90\nposition_deg = [-180, 90]')
-    robot = robot_from_files({"robot.toml": text.encode()}, "here")
-    assert robot.joint_effort(np.array([[3.0]])).tolist() == [[pytest.approx(3.0 * 0.2 * 50)]]
-    assert robot.joint_position(np.array([[100.0]])).tolist() == [[pytest.approx(2.0 - np.pi / 2)]]
-    assert robot.joints[0].si("position") == pytest.approx((-np.pi, np.pi / 2))
-    assert robot.motors[0].recorded_unit == "A"
-    assert not robot.R.flags.writeable
-
-
-def test_without_a_gain_efforts_stay_in_amperes() -> None:
-    robot = robot_from_files({"robot.toml": ONE_JOINT.replace(GAIN, 'effort_unit = "A"').encode()}, "here")
-    assert not robot.gain_known
-    assert robot.effort_units == ("A",)
-    assert robot.joint_effort(np.array([[3.0]])).tolist() == [[150.0]]
 
 
 @pytest.mark.parametrize(

@@ -2,11 +2,8 @@
 
 import itertools
 import re
-import threading
 import time
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -16,6 +13,7 @@ import pytest
 from dry_sessions import Answering, Through, dry_session, heard_at_once, swing
 from faulty_drives import FaultyDrives
 from made_up_buses import bus_of, bus_text, robot_of
+from virtual_buses import Ear, bus_file, served
 
 from acquisition.bus import Frame, Link, Uploads, open_bus, open_link, scan_nodes
 from acquisition.commands import checking, main
@@ -25,43 +23,11 @@ from acquisition.commands.scanning import ARRAYS, OBJECTS, bus_lines, findings_o
 from acquisition.errors import AcquisitionError
 from acquisition.protocol import abort_answer, value_answer
 from acquisition.recording import ERROR, REMOTE_REQUEST, SENT
-from acquisition.robot import BusFile, lines_to_fill_in
+from acquisition.robot import lines_to_fill_in
 from acquisition.session import Task
-from acquisition.simulated import LockStepLink, SimulatedDrives, serve
+from acquisition.simulated import LockStepLink, SimulatedDrives
 
 IDENTITY = {(0x1018, sub): value for sub, value in ((1, 0xFB), (2, 0x60500000), (3, 0x1700010), (4, 77))}
-
-
-def bus_file(channel: str = "test") -> BusFile:
-    return BusFile(interface="virtual", channel=channel, drive=(), sync_period_s=1.0, master_node=0)
-
-
-class Ear:
-    """All frames on a virtual bus from now on."""
-
-    def __init__(self, channel: str) -> None:
-        self._link = open_link(bus_file(channel), passive=True)
-
-    def frames(self) -> list[Frame]:
-        found = []
-        while (frame := self._link.take(0)) is not None:
-            found.append(frame)
-        return found
-
-
-@contextmanager
-def served(channel: str, n: int, text: str = "") -> Iterator[None]:
-    """Simulated drives in real time: `n`, nodes from 1, or those of `text`."""
-    robot, stop, booted = robot_of(text or bus_text(n, channel=channel)), threading.Event(), threading.Event()
-    drives = SimulatedDrives(robot, bus_of(robot))
-    thread = threading.Thread(target=serve, args=(drives, stop.is_set, booted.set), daemon=True)
-    thread.start()
-    try:
-        assert booted.wait(10)
-        yield
-    finally:
-        stop.set()
-        thread.join(10)
 
 
 def scan(channel: str, *options: str) -> int:
