@@ -6,6 +6,7 @@ import signal
 import struct
 import threading
 import time
+from contextlib import closing
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -21,7 +22,6 @@ from test_recording_processes import (
     bus_at,
     checked,
     drives,
-    end,
     folder,
     frames_of,
     port,
@@ -29,7 +29,7 @@ from test_recording_processes import (
     tracking,
     wait_for,
 )
-from test_third_party import THIRD_PARTY_DRIVE, node, npm
+from test_third_party import npm, third_party_drive
 
 import acquisition.session.process as process_module
 import acquisition.simulated.node as simulated_supervision
@@ -106,10 +106,9 @@ def test_drives_without_supervision_of_their_own_are_stopped(folder, number):
 @pytest.mark.slow
 def test_drives_left_enabled_are_disabled_by_command(folder):
     with drives(folder, "--unsupervised"):
-        link = open_link(bus_at(folder), passive=False)
         robot = robot_of((folder / "robot.toml").read_text())
-        master = Master(link, bus_of(robot))
-        try:
+        with closing(open_link(bus_at(folder), passive=False)) as link:
+            master = Master(link, bus_of(robot))
             master.configure()
             master.start()
             for node_id in (1, 2):
@@ -128,8 +127,6 @@ def test_drives_left_enabled_are_disabled_by_command(folder):
             master.sync()
             master.wait(link.now_ns() + 100_000_000)
             assert master.state(master.bus.drives[0]) is State.SWITCH_ON_DISABLED
-        finally:
-            link.close()
 
 
 @pytest.mark.slow
@@ -304,16 +301,10 @@ def test_silence_is_longer_than_a_few_periods():
 @pytest.mark.slow
 def test_a_third_party_drive_is_stopped(folder, npm):
     """It knows no quick stop and goes on moving, so voltage goes off; it says so itself."""
-    if not THIRD_PARTY_DRIVE.exists():
-        pytest.skip("the third-party drive is not here: ../shared/tools/third_party_drive.js")
-    group, _, number = bus_at(folder).channel.partition(":")
     rpdo = 'rpdo = [{ objects = ["6040", "6060"] }]'
-    text = slow_bus_text(1, channel=f"{group}:{number}", drive=rpdo)
+    text = slow_bus_text(1, channel=bus_at(folder).channel, drive=rpdo)
     bus = bus_of(robot_of(text.replace("node = 1\n", "node = 7\n")))
-    process = node(npm, THIRD_PARTY_DRIVE, "7", group, number, "120")
-    link = open_link(bus.file, passive=False)
-    try:
-        assert "node 7" in process.stderr.readline()
+    with third_party_drive(folder, npm), closing(open_link(bus.file, passive=False)) as link:
         master = Master(link, bus)
         master.nmt(1, 7)
         for word in (6, 7, 15):
@@ -338,6 +329,3 @@ def test_a_third_party_drive_is_stopped(folder, npm):
         assert b"\x00\x00" in words
         assert [kind for _, kind, _ in watchdog.events] == ["fault", "disabled"]
         assert master.state(bus.drives[0]) is State.SWITCH_ON_DISABLED
-    finally:
-        link.close()
-        end(process, signal.SIGTERM)

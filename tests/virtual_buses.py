@@ -18,8 +18,8 @@ def bus_file(channel: str = "test", interface: str = "virtual") -> BusFile:
 class Ear:
     """All frames on a bus from now on."""
 
-    def __init__(self, channel: str) -> None:
-        self._link = open_link(bus_file(channel), passive=True)
+    def __init__(self, channel: str, interface: str = "virtual") -> None:
+        self._link = open_link(bus_file(channel, interface), passive=True)
 
     def frames(self) -> list[Frame]:
         found = list(iter(lambda: self._link.take(0), None))
