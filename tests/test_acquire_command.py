@@ -54,7 +54,7 @@ def refused(capsys: pytest.CaptureFixture[str], arguments: list[str]) -> str:
     return captured.err
 
 
-def test_import_info_repair(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_import_info_repair(folder, capsys):
     log, cut, out = folder / "log.mcap", folder / "cut.mcap", folder / "out.mcap"
     assert main(import_command(folder, log)) == 0
     assert "log.mcap: SCARA, 300 samples at 1000 Hz, effort in N m\n" in capsys.readouterr().out
@@ -74,9 +74,7 @@ def test_import_info_repair(folder: Path, capsys: pytest.CaptureFixture[str]) ->
     assert "missing: only what was written before the cut" in capsys.readouterr().out
 
 
-def test_info_tells_everything_and_passes_no_terminal_codes_on(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_info_tells_everything_and_passes_no_terminal_codes_on(tmp_path, capsys):
     write(tmp_path / "a.mcap", robot_named("scara"))
     assert main(["info", str(tmp_path / "a.mcap")]) == 0
     text = capsys.readouterr().out
@@ -103,9 +101,7 @@ def test_info_tells_everything_and_passes_no_terminal_codes_on(
     assert not {c for c in text if ord(c) < 32} - {"\n"}
 
 
-def test_info_tells_times_from_the_first_sample_and_pads_no_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_info_tells_times_from_the_first_sample_and_pads_no_line(tmp_path, capsys):
     start_ns, text = 1_795_260_831_000_000_000, "disabled: " + "every drive confirmed " * 20
     samples, frames = some_samples(100), some_frames(20)
     samples["stamp_ns"] += start_ns - samples["stamp_ns"][0]
@@ -130,14 +126,14 @@ def test_info_tells_times_from_the_first_sample_and_pads_no_line(
         assert json.loads(capsys.readouterr().out)["first_ns"] == start_ns
 
 
-def test_a_recording_without_samples_has_an_overview(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_recording_without_samples_has_an_overview(tmp_path, capsys):
     with RecordingWriter(tmp_path / "a.mcap", header(robot_named("scara"))):
         pass
     assert main(["info", str(tmp_path / "a.mcap")]) == 0
     assert "SCARA" in capsys.readouterr().out
 
 
-def test_known_errors_are_one_line_and_leave_nothing(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_known_errors_are_one_line_and_leave_nothing(folder, capsys):
     before = sorted(folder.iterdir())
     command = import_command(folder, folder / "log.mcap")
     assert "none.csv: cannot be read" in refused(capsys, ["import", str(folder / "none.csv"), *command[2:]])
@@ -156,7 +152,7 @@ def test_known_errors_are_one_line_and_leave_nothing(folder: Path, capsys: pytes
     assert sorted(folder.iterdir()) == before
 
 
-def test_sessions_that_cannot_begin_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_sessions_that_cannot_begin_are_one_line(tmp_path, capsys):
     robot, there = tmp_path / "robot.toml", tmp_path / "there.mcap"
     robot.write_text(bus_text(2, channel="nobody"))
     there.write_bytes(b"x")
@@ -180,7 +176,7 @@ def test_sessions_that_cannot_begin_are_one_line(tmp_path: Path, capsys: pytest.
     assert errors.count("\n") == 1
 
 
-def test_inputs_are_not_replaced(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_inputs_are_not_replaced(folder, capsys):
     content = (folder / "a.csv").read_bytes()
     robot = folder / "robot.toml"
     robot.write_bytes(SCARA.read_bytes())
@@ -197,9 +193,7 @@ def test_inputs_are_not_replaced(folder: Path, capsys: pytest.CaptureFixture[str
     assert not read_recording(folder / "log.mcap").cut
 
 
-def test_an_output_that_exists_stays_until_the_new_one_is_whole(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_output_that_exists_stays_until_the_new_one_is_whole(folder, capsys):
     log = folder / "log.mcap"
     log.write_bytes(b"old")
     (folder / "a.csv").write_text("1,2,3,4\n1,2,3,x\n")
@@ -213,7 +207,7 @@ def test_an_output_that_exists_stays_until_the_new_one_is_whole(
 
 @pytest.mark.parametrize("command", ["import", "import --topic /t", "import --map m.toml", "export"])
 @pytest.mark.parametrize("name", ["log.mcap", "log.bin"])
-def test_a_recording_is_not_replaced(folder: Path, capsys: pytest.CaptureFixture[str], command: str, name: str) -> None:
+def test_a_recording_is_not_replaced(folder, capsys, command, name):
     """By its suffix, or by what it holds; the option is asked for before anything is read."""
     log = folder / name
     content = b"old" if name == "log.mcap" else b"\x89MCAP0"
@@ -230,7 +224,7 @@ def test_a_recording_is_not_replaced(folder: Path, capsys: pytest.CaptureFixture
     assert log.read_bytes() == content
 
 
-def test_a_full_disk_is_one_line_and_leaves_nothing(folder: Path) -> None:
+def test_a_full_disk_is_one_line_and_leaves_nothing(folder):
     before = sorted(folder.iterdir())
     result = run(
         *import_command(folder, folder / "log.mcap"),
@@ -243,16 +237,14 @@ def test_a_full_disk_is_one_line_and_leaves_nothing(folder: Path) -> None:
     assert sorted(folder.iterdir()) == before
 
 
-def test_wrong_usage_is_status_2() -> None:
+def test_wrong_usage_is_status_2():
     for arguments in ([], ["fly"], ["info"], ["import", "a.csv"]):
         with pytest.raises(SystemExit) as caught:
             main(arguments)
         assert caught.value.code == 2
 
 
-def test_ctrl_c_is_one_line_and_status_130(
-    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_ctrl_c_is_one_line_and_status_130(folder, capsys, monkeypatch):
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
@@ -264,7 +256,7 @@ def test_ctrl_c_is_one_line_and_status_130(
 
 
 @pytest.mark.slow
-def test_a_terminal_without_unicode(tmp_path: Path) -> None:
+def test_a_terminal_without_unicode(tmp_path):
     write(tmp_path / "a.mcap", robot_named("scara"))
     ascii_only = {**os.environ, "PYTHONIOENCODING": "ascii"}
     for arguments in (["info", str(tmp_path / "a.mcap")], ["info", str(tmp_path / "a.mcap"), "--json"]):

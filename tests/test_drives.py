@@ -244,12 +244,6 @@ def test_pdos_of_a_description_with_numbers_and_identifiers():
     ]
 
 
-def test_the_load_of_a_bus_by_hand():
-    """SYNC 55 bits; each drive 135 of its TPDO of 8 bytes and 115 of its RPDO of 6: 555 of 1000 bits in 2 ms."""
-    bus = bus_of(robot_of(bus_text(2, extra="bitrate = 500000")))
-    assert bus.load == pytest.approx(0.555)
-
-
 def test_where_efforts_come_from_drive_by_drive():
     bus = bus_of(robot_of(bus_text(3).replace("node = 2\n", "node = 2\nsign = -1\n")))
     told = "object 6074:0 (torque demand, the reference of the current loop (CiA 402)), raw I16 in per mille of rated torque"

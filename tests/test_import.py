@@ -78,7 +78,7 @@ def refusal(folder: Path, robot: Robot, table_map: str, *tables: Path) -> tuple[
     return error.place.replace(f"{folder}/", ""), error.key, error.value, error.expected
 
 
-def test_motor_side_goes_through_the_robots_rule(tmp_path: Path, two: Robot) -> None:
+def test_motor_side_goes_through_the_robots_rule(tmp_path, two):
     table = csv(tmp_path / "a.csv", "p1,p2,c1,c2", Q, CURRENT)
     result = run(tmp_path, two, MAP, table)
     recording = read_recording(result.out)
@@ -96,14 +96,14 @@ def test_motor_side_goes_through_the_robots_rule(tmp_path: Path, two: Robot) -> 
     assert recording.attachments["robot.toml"] == ROBOT.encode()
 
 
-def test_an_effort_beyond_its_limit_is_told(tmp_path: Path) -> None:
+def test_an_effort_beyond_its_limit_is_told(tmp_path):
     text = ROBOT.replace('name = "second"\n', 'name = "second"\neffort_nm = 16\n')
     robot = robot_from_files({"robot.toml": text.encode()}, "two")
     result = run(tmp_path, robot, MAP, csv(tmp_path / "a.csv", "p1,p2,c1,c2", Q, CURRENT))
     assert result.warnings == ("effort of joint second up to 20 N m: limit 16 N m",)
 
 
-def test_joint_side_stands_as_it_is(tmp_path: Path, two: Robot) -> None:
+def test_joint_side_stands_as_it_is(tmp_path, two):
     """Where a joint has a zero, which would do nothing, it is refused."""
     table_map = MAP.replace("motor", "joint").replace("mA", "mN m") + '[reference]\ncolumns = ["p2", "p1"]\n'
     table_map += 'unit = ["deg", "rad"]\nside = "joint"\n'
@@ -136,7 +136,7 @@ def test_joint_side_stands_as_it_is(tmp_path: Path, two: Robot) -> None:
         "",
     ],
 )
-def test_kinds_of_csv(tmp_path: Path, two: Robot, separator: str, header: str) -> None:
+def test_kinds_of_csv(tmp_path, two, separator, header):
     table = csv(tmp_path / "a.csv", header.replace(",", separator), Q, CURRENT, separator=separator)
     table.write_text(table.read_text().replace("\n", "\r\n") + "\r\n# end\r\n")
     table_map = MAP if header else MAP.replace('["p1", "p2"]', "[1, 2]").replace('["c1", "c2"]', "[3, 4]")
@@ -144,13 +144,13 @@ def test_kinds_of_csv(tmp_path: Path, two: Robot, separator: str, header: str) -
     assert samples["effort"] == pytest.approx(np.array([[5, 0], [10, 10], [17.5, 20]]))
 
 
-def test_columns_that_are_not_asked_for_may_hold_text(tmp_path: Path, two: Robot) -> None:
+def test_columns_that_are_not_asked_for_may_hold_text(tmp_path, two):
     (tmp_path / "a.csv").write_text("when,p1,p2,c1,c2\n12:00,0,0,1000,0\n12:01,900,1800,0,2000\n")
     samples = read_recording(run(tmp_path, two, MAP, tmp_path / "a.csv").out).samples
     assert samples["effort"] == pytest.approx(np.array([[5, 0], [10, 10]]))
 
 
-def test_mat_vectors_rows_and_matrices(tmp_path: Path, two: Robot) -> None:
+def test_mat_vectors_rows_and_matrices(tmp_path, two):
     scipy.io.savemat(tmp_path / "a.mat", {"q": Q, "c1": CURRENT[:, 0], "c2": CURRENT[:, [1]].astype(np.int16)})
     table_map = MAP.replace('["p1", "p2"]', '["q"]')
     samples = read_recording(run(tmp_path, two, table_map, tmp_path / "a.mat").out).samples
@@ -163,7 +163,7 @@ def with_time(unit: str, rate: str = "") -> str:
 
 
 @pytest.mark.parametrize(("unit", "scale"), [("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
-def test_stamps_lie_on_the_grid_through_the_times(tmp_path: Path, two: Robot, unit: str, scale: float) -> None:
+def test_stamps_lie_on_the_grid_through_the_times(tmp_path, two, unit, scale):
     rng = np.random.default_rng(0)
     time_s = 2.0 + np.arange(1000) / 500 + rng.uniform(-5e-5, 5e-5, 1000)
     columns = [np.zeros((1000, 4)), np.round(time_s * scale, 9)]
@@ -176,19 +176,19 @@ def test_stamps_lie_on_the_grid_through_the_times(tmp_path: Path, two: Robot, un
 
 
 @pytest.mark.parametrize("rate_hz", [1000.0, 5000.0, 3.0, 1024.0, 44.1, 999.5])
-def test_the_rate_is_the_roundest_that_fits(tmp_path: Path, two: Robot, rate_hz: float) -> None:
+def test_the_rate_is_the_roundest_that_fits(tmp_path, two, rate_hz):
     columns = [np.zeros((2000, 4)), np.arange(2000) / rate_hz]
     table = csv(tmp_path / "a.csv", "p1,p2,c1,c2,t", *columns)
     assert run(tmp_path, two, with_time("s"), table).sample_rate_hz == rate_hz
 
 
-def test_a_short_record_with_jitter_keeps_its_own_rate(tmp_path: Path, two: Robot) -> None:
+def test_a_short_record_with_jitter_keeps_its_own_rate(tmp_path, two):
     time_s = np.array([0.0, 0.00221, 0.00416])  # 481 Hz; the scatter alone would allow 500
     table = csv(tmp_path / "a.csv", "p1,p2,c1,c2,t", np.zeros((3, 4)), time_s)
     assert run(tmp_path, two, with_time("s"), table).sample_rate_hz == pytest.approx(2 / 0.00416, rel=1e-4)
 
 
-def test_time_before_zero_is_counted_from_the_first_sample(tmp_path: Path, two: Robot) -> None:
+def test_time_before_zero_is_counted_from_the_first_sample(tmp_path, two):
     table = csv(tmp_path / "a.csv", "p1,p2,c1,c2,t", np.zeros((10, 4)), np.arange(10) / 500 - 0.01)
     samples = read_recording(run(tmp_path, two, with_time("s"), table).out).samples
     assert samples["stamp_ns"].tolist() == list(range(0, 20_000_000, 2_000_000))
@@ -211,7 +211,7 @@ GRID = np.arange(100) / 500
         (GRID + 1e10, "", "a.csv", "", None, "68 years and 100 MHz at most"),
     ],
 )  # fmt: skip
-def test_times_that_are_no_grid(tmp_path: Path, two: Robot, time_s, rate, place, key, value, expected) -> None:
+def test_times_that_are_no_grid(tmp_path, two, time_s, rate, place, key, value, expected):
     rows = [f"0,0,0,0,{t:.17g}" for t in time_s]
     (tmp_path / "a.csv").write_text("\n".join(["p1,p2,c1,c2,t", *rows]))
     found = refusal(tmp_path, two, with_time("s", rate), tmp_path / "a.csv")
@@ -238,7 +238,7 @@ def test_times_that_are_no_grid(tmp_path: Path, two: Robot, time_s, rate, place,
         ("1,2,3,4\n1,2,3,4\n", "a.csv", "", None, "numbers from 1 to 4"),
     ],
 )  # fmt: skip
-def test_csv_mistakes(tmp_path: Path, two: Robot, content, place, key, value, expected) -> None:
+def test_csv_mistakes(tmp_path, two, content, place, key, value, expected):
     (tmp_path / "a.csv").write_text(content)
     found = refusal(tmp_path, two, MAP, tmp_path / "a.csv")
     assert tuple(map(repr, found)) == tuple(map(repr, (place, key, value, expected)))
@@ -275,14 +275,14 @@ def test_csv_mistakes(tmp_path: Path, two: Robot, content, place, key, value, ex
         ("[effort]", "[torque]", "top level", None, ""),
     ],
 )  # fmt: skip
-def test_map_mistakes(tmp_path: Path, two: Robot, old, new, key, value, expected) -> None:
+def test_map_mistakes(tmp_path, two, old, new, key, value, expected):
     assert MAP.count(old) == 1
     table = csv(tmp_path / "a.csv", "p1,p2,c1,c2", Q, CURRENT)
     found = refusal(tmp_path, two, MAP.replace(old, new), table)
     assert found == ("map.toml" if key else "a.csv", key, value, expected)
 
 
-def test_the_side_may_be_left_out_where_nothing_hangs_on_it(tmp_path: Path, two: Robot) -> None:
+def test_the_side_may_be_left_out_where_nothing_hangs_on_it(tmp_path, two):
     """With an identity matrix position has one meaning; with a gain the unit of the effort tells its side."""
     table = csv(tmp_path / "a.csv", "p1,p2,c1,c2", Q, CURRENT)
     table_map = MAP.replace('side = "motor"\n', "")
@@ -300,7 +300,7 @@ def test_the_side_may_be_left_out_where_nothing_hangs_on_it(tmp_path: Path, two:
     assert refusal(tmp_path, in_amperes, joint_position, table)[1:3] == ("effort.side", None)
 
 
-def test_a_motor_may_turn_where_its_joint_slides(tmp_path: Path) -> None:
+def test_a_motor_may_turn_where_its_joint_slides(tmp_path):
     """A spindle of 5 mm: 2π/0.005 rad at the motor for each metre of the joint, and N m at the motor for newtons."""
     slide = ROBOT.partition("[[joint]]")[0].replace("motor_matrix = [[10, 0], [20, 20]]\n", "")
     slide += '[[joint]]\nname = "slide"\ntype = "prismatic"\n'
@@ -321,13 +321,13 @@ def test_a_motor_may_turn_where_its_joint_slides(tmp_path: Path) -> None:
     assert refusal(tmp_path, robot, joint_side, table) == ("map.toml", "position.unit", None, "a length")
 
 
-def test_tables_of_different_length(tmp_path: Path, two: Robot) -> None:
+def test_tables_of_different_length(tmp_path, two):
     tables = csv(tmp_path / "a.csv", "p1,p2", Q), csv(tmp_path / "b.csv", "c1,c2", CURRENT[:2])
     table_map = MAP.replace('unit = "mA"', 'unit = "mA"\ntable = 2')
     assert refusal(tmp_path, two, table_map, *tables) == ("map.toml", "effort", None, "3 as in position")
 
 
-def test_mat_mistakes(tmp_path: Path, two: Robot) -> None:
+def test_mat_mistakes(tmp_path, two):
     good = {"p1": Q[:, 0], "p2": Q[:, 1], "c1": CURRENT[:, 0]}
     for extra, place, key, value, expected in (
         ({}, "", "", None, "one of p1, p2, c1"),
@@ -388,7 +388,7 @@ unit = "EFFORT"
         ("N", "um", "N", [-1500.0, 0.0], [-0.0015, 0.0]),
     ],
 )
-def test_units_of_position_and_effort_by_hand(tmp_path, recorded, position, effort, value, si) -> None:
+def test_units_of_position_and_effort_by_hand(tmp_path, recorded, position, effort, value, si):
     kind = "prismatic" if recorded == "N" else "revolute"
     robot = robot_from_files({"robot.toml": SINGLE.replace("KIND", kind).replace("EFFORT", recorded).encode()}, "x")
     table = csv(tmp_path / "a.csv", "p,c", *np.array([[0.0, 0.0], value]).T)
@@ -399,7 +399,7 @@ def test_units_of_position_and_effort_by_hand(tmp_path, recorded, position, effo
     assert result.effort_units == (recorded,)
 
 
-def test_times_in_words_that_are_no_unit_and_in_columns_that_are_none(tmp_path: Path, two: Robot) -> None:
+def test_times_in_words_that_are_no_unit_and_in_columns_that_are_none(tmp_path, two):
     table = csv(tmp_path / "a.csv", "p1,p2,c1,c2,t", np.zeros((3, 4)), np.arange(3.0))
     short = csv(tmp_path / "b.csv", "t", np.arange(2.0))
     found = refusal(tmp_path, two, with_time("min"), table)
@@ -409,7 +409,7 @@ def test_times_in_words_that_are_no_unit_and_in_columns_that_are_none(tmp_path: 
     assert refusal(tmp_path, two, two_tables, table)[1:3] == ("time.table", 2)
 
 
-def test_joint_torques_beside_motor_currents(tmp_path: Path, two: Robot) -> None:
+def test_joint_torques_beside_motor_currents(tmp_path, two):
     """The unit tells the side: N m can only be the joint's where motors are recorded in A."""
     table = csv(tmp_path / "a.csv", "p1,p2,c1,c2", Q, CURRENT)
     table_map = MAP.replace('unit = "mA"\nside = "motor"', 'unit = "N m"')
@@ -429,21 +429,21 @@ def test_joint_torques_beside_motor_currents(tmp_path: Path, two: Robot) -> None
         ('effort_timing = "measured"', "measured at the instant of the sample", "measured"),
     ],
 )
-def test_what_instants_efforts_belong_to_is_what_the_map_says(tmp_path: Path, two: Robot, stated, kept, timing) -> None:
+def test_what_instants_efforts_belong_to_is_what_the_map_says(tmp_path, two, stated, kept, timing):
     table = csv(tmp_path / "a.csv", "p1,p2,c1,c2", Q, CURRENT)
     out = run(tmp_path, two, f"{stated}\n{MAP}", table).out
     assert read_recording(out).metadata.get("effort_timing") == kept
     assert load_signals(out).effort_timing == timing
 
 
-def test_missing_files_are_named(tmp_path: Path, two: Robot) -> None:
+def test_missing_files_are_named(tmp_path, two):
     assert refusal(tmp_path, two, MAP, tmp_path / "none.csv")[0] == "none.csv"
     assert refusal(tmp_path, two, MAP, tmp_path)[0] == str(tmp_path)
     with pytest.raises(AcquisitionError, match=r"none\.toml: cannot be read: No such file"):
         import_tables([], two, tmp_path / "none.toml", tmp_path / "out.mcap")
 
 
-def test_the_real_emps_record(emps: Path) -> None:
+def test_the_real_emps_record(emps):
     """One prismatic axis: volts at the drive, 35.15 N/V."""
     raw = scipy.io.loadmat(needs_data("emps", "DATA_EMPS.mat"))
     recording = read_recording(emps)
@@ -455,7 +455,7 @@ def test_the_real_emps_record(emps: Path) -> None:
     assert samples["stamp_ns"].tolist() == list(range(0, 24_841_000_000, 1_000_000))
 
 
-def test_the_real_tx40_record(tx40: Path) -> None:
+def test_the_real_tx40_record(tx40):
     """Six joints: the first row by hand from the tables, with the wrist's coupling."""
     samples = read_recording(tx40).samples
     pos, curr = (

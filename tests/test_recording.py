@@ -16,10 +16,10 @@ from rosbags.typesys import Stores, get_typestore
 
 from acquisition.errors import AcquisitionError
 from acquisition.recording import EXTENDED, FRAME, SENT, Header, RecordingWriter, gaps, read_recording, sample_dtype
-from acquisition.robot import Robot, load_robot
+from acquisition.robot import load_robot
 
 
-def test_reads_what_was_written(whole: Path, robot: Robot) -> None:
+def test_reads_what_was_written(whole, robot):
     recording = read_recording(whole)
     assert recording.samples.tobytes() == some_samples(240).tobytes()
     assert recording.samples.dtype == sample_dtype(2, reference=True)
@@ -37,7 +37,7 @@ def test_reads_what_was_written(whole: Path, robot: Robot) -> None:
     assert not recording.cut
 
 
-def test_one_large_block_is_stored_in_small_ones(tmp_path: Path, robot: Robot) -> None:
+def test_one_large_block_is_stored_in_small_ones(tmp_path, robot):
     samples = some_samples(9001, reference=False)
     with RecordingWriter(tmp_path / "a.mcap", header(robot)) as writer:
         writer.samples(samples)
@@ -51,7 +51,7 @@ def test_one_large_block_is_stored_in_small_ones(tmp_path: Path, robot: Robot) -
     assert [size // 22 for topic, size in found if topic == "/can/can0/frames"] == [100, 100, 100, 1]  # of 100 ms
 
 
-def test_blocks_byte_for_byte(tmp_path: Path, robot: Robot) -> None:
+def test_blocks_byte_for_byte(tmp_path, robot):
     """What a reader without numpy finds: layouts in words, rows packed little-endian, text in JSON."""
     samples = np.zeros(2, sample_dtype(2, reference=True))
     samples["stamp_ns"], samples["position"] = [7, 1_000_000_008], [[0.5, -1.5], [2.5, 3.0]]
@@ -83,7 +83,7 @@ def test_blocks_byte_for_byte(tmp_path: Path, robot: Robot) -> None:
     assert found["/events"][:3:2] == ("jsonschema", "json")
 
 
-def test_what_a_recording_says_of_itself(tmp_path: Path, robot: Robot) -> None:
+def test_what_a_recording_says_of_itself(tmp_path, robot):
     notes = {"bitrate": "500000", "robot": "not mine to say", "schema_version": "9"}
     with RecordingWriter(
         tmp_path / "a.mcap",
@@ -126,7 +126,7 @@ def write_rows(folder: Path, samples: np.ndarray) -> None:
         ([0, 1, 2**31 * 10**9], 3),
     ],
 )
-def test_stamps_that_a_recording_takes(tmp_path: Path, stamps: list[int], bad_row: int | None) -> None:
+def test_stamps_that_a_recording_takes(tmp_path, stamps, bad_row):
     samples = np.zeros(3, sample_dtype(2, reference=False))
     samples["stamp_ns"] = stamps
     if bad_row is None:
@@ -140,7 +140,7 @@ def test_stamps_that_a_recording_takes(tmp_path: Path, stamps: list[int], bad_ro
 
 
 @pytest.mark.parametrize("field", ["position", "effort", "reference"])
-def test_values_that_a_recording_does_not_take(tmp_path: Path, field: str) -> None:
+def test_values_that_a_recording_does_not_take(tmp_path, field):
     for value in (np.nan, np.inf, -np.inf):
         samples = some_samples(5)
         samples[field][3, 1] = value
@@ -151,9 +151,7 @@ def test_values_that_a_recording_does_not_take(tmp_path: Path, field: str) -> No
         assert (str(error.value), error.expected) == (str(value), "a finite number")
 
 
-def test_a_row_that_is_refused_is_counted_from_the_first_of_all_blocks(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_row_that_is_refused_is_counted_from_the_first_of_all_blocks(tmp_path, monkeypatch):
     monkeypatch.setattr("acquisition.recording.rows._AT_ONCE", 700)
     samples = some_samples(2000)
     samples["effort"][1500, 0] = np.nan
@@ -164,7 +162,7 @@ def test_a_row_that_is_refused_is_counted_from_the_first_of_all_blocks(
         write_rows(tmp_path, samples)
 
 
-def test_gaps_of_one_and_a_half_periods_and_more() -> None:
+def test_gaps_of_one_and_a_half_periods_and_more():
     samples = np.zeros(5, sample_dtype(1, reference=False))
     samples["stamp_ns"] = np.cumsum([0, 2_000_000, 2_999_990, 3_000_010, 8_000_000])
     found = [(g.row, g.stamp_ns, g.missing) for g in gaps(samples, 500.0)]
@@ -172,7 +170,7 @@ def test_gaps_of_one_and_a_half_periods_and_more() -> None:
     assert gaps(samples[:1], 500.0) == ()
 
 
-def test_readers_of_others_find_metadata_and_attachments(whole: Path) -> None:
+def test_readers_of_others_find_metadata_and_attachments(whole):
     with whole.open("rb") as file:
         reader = mcap.reader.make_reader(file, validate_crcs=True)
         assert [m.name for m in reader.iter_metadata()] == ["recording"]
@@ -185,7 +183,7 @@ def test_readers_of_others_find_metadata_and_attachments(whole: Path) -> None:
 
 
 @pytest.mark.parametrize(("rate_hz", "step"), [(50.0, 1), (100.0, 1), (250.0, 3), (1000.0, 10), (1024.0, 11)])
-def test_joint_states_are_cdr_at_100_hz_at_most(tmp_path: Path, robot: Robot, rate_hz: float, step: int) -> None:
+def test_joint_states_are_cdr_at_100_hz_at_most(tmp_path, robot, rate_hz, step):
     samples = some_samples(500, rate_hz=rate_hz)
     with RecordingWriter(tmp_path / "a.mcap", header(robot, rate_hz)) as writer:
         for k in range(0, 500, 7):  # decimation goes on across blocks
@@ -207,7 +205,7 @@ def test_joint_states_are_cdr_at_100_hz_at_most(tmp_path: Path, robot: Robot, ra
             assert state.header.stamp.sec * 10**9 + state.header.stamp.nanosec == row["stamp_ns"] == message.log_time
 
 
-def test_amperes_are_no_joint_state_effort(tmp_path: Path, robot: Robot) -> None:
+def test_amperes_are_no_joint_state_effort(tmp_path, robot):
     toml = robot.files["robot.toml"].replace(b'effort_unit = "N m"', b'effort_unit = "A"')
     (tmp_path / "robot.toml").write_bytes(toml)
     in_amperes = load_robot(tmp_path / "robot.toml")
@@ -220,7 +218,7 @@ def test_amperes_are_no_joint_state_effort(tmp_path: Path, robot: Robot) -> None
     assert json.loads(read_recording(tmp_path / "a.mcap").metadata["effort_unit"]) == ["A", "A"]
 
 
-def test_writer_refuses_what_the_reader_would(tmp_path: Path, robot: Robot) -> None:
+def test_writer_refuses_what_the_reader_would(tmp_path, robot):
     with RecordingWriter(tmp_path / "a.mcap", header(robot)) as writer:
         writer.samples(some_samples(10))
         for bad, message in (
@@ -242,7 +240,7 @@ def test_writer_refuses_what_the_reader_would(tmp_path: Path, robot: Robot) -> N
     assert len(recording.samples) == 20
 
 
-def test_a_counter_that_is_not_known_is_read_as_nan(tmp_path: Path, robot: Robot) -> None:
+def test_a_counter_that_is_not_known_is_read_as_nan(tmp_path, robot):
     with RecordingWriter(tmp_path / "a.mcap", header(robot, 1.0)) as writer:
         writer.health(3, {"drops": float("nan"), "late": 2})
     (health,) = read_recording(tmp_path / "a.mcap").health
@@ -250,7 +248,7 @@ def test_a_counter_that_is_not_known_is_read_as_nan(tmp_path: Path, robot: Robot
     assert health.counters["late"] == 2
 
 
-def test_the_file_ends_properly_when_a_session_fails(tmp_path: Path, robot: Robot) -> None:
+def test_the_file_ends_properly_when_a_session_fails(tmp_path, robot):
     def session() -> None:
         with RecordingWriter(tmp_path / "a.mcap", header(robot)) as writer:
             writer.samples(some_samples(10))
@@ -263,7 +261,7 @@ def test_the_file_ends_properly_when_a_session_fails(tmp_path: Path, robot: Robo
     assert len(recording.samples) == 10
 
 
-def test_reads_nine_seconds_of_six_joints_at_5_khz_quickly(tmp_path: Path) -> None:
+def test_reads_nine_seconds_of_six_joints_at_5_khz_quickly(tmp_path):
     robot = robot_named("tx40")
     samples = some_samples(45_000, n=6, rate_hz=5000.0)
     with RecordingWriter(tmp_path / "a.mcap", header(robot, 5000.0)) as writer:
@@ -277,7 +275,7 @@ def test_reads_nine_seconds_of_six_joints_at_5_khz_quickly(tmp_path: Path) -> No
     assert min(times_s) < 0.25  # about 0.03 s; ten times that means rows are read one by one
 
 
-def test_flush_reaches_the_disk(tmp_path: Path, robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_flush_reaches_the_disk(tmp_path, robot, monkeypatch):
     synced: list[int] = []
     monkeypatch.setattr(os, "fsync", lambda fd: synced.append(os.fstat(fd).st_size))
     with RecordingWriter(tmp_path / "a.mcap", header(robot)) as writer:

@@ -47,7 +47,7 @@ def refusal(text: str, files: dict[str, bytes] | None = None) -> str:
 @pytest.mark.parametrize(
     "path", sorted(REPLAY.glob("*/robot*.toml")), ids=lambda path: f"{path.parent.name}-{path.stem}"
 )
-def test_the_descriptions_in_replay_data_are_valid(path: Path) -> None:
+def test_the_descriptions_in_replay_data_are_valid(path):
     robot = load_robot(path)
     assert robot.n == len(robot.motors) == len(robot.R)
     assert robot.files["robot.toml"] == path.read_bytes()
@@ -56,7 +56,7 @@ def test_the_descriptions_in_replay_data_are_valid(path: Path) -> None:
     assert np.array_equal(again.R, robot.R)
 
 
-def test_wrist_motors_of_the_tx40_are_coupled() -> None:
+def test_wrist_motors_of_the_tx40_are_coupled():
     """q = inv(R) q_motor and tau = Rᵀ tau_motor, so tau_5 also gets 32 tau_motor_6 (data sheet of the record)."""
     robot = robot_named("tx40")
     q_motor = np.zeros((1, 6))
@@ -67,7 +67,7 @@ def test_wrist_motors_of_the_tx40_are_coupled() -> None:
     assert robot.effort_units == ("N m",) * 6
 
 
-def test_power_is_the_same_on_both_sides() -> None:
+def test_power_is_the_same_on_both_sides():
     """dqᵀ tau = dq_motorᵀ tau_motor for any motion, and each rule undoes its inverse."""
     robot = robot_named("tx40")
     rng = np.random.default_rng(0)
@@ -106,7 +106,7 @@ bandwidth_hz = 20
 """
 
 
-def test_a_coupled_robot_by_hand() -> None:
+def test_a_coupled_robot_by_hand():
     """Motor 1 turns by 10 q1 + 4 q2, motor 2 by -3 q1 + 20 q2; joint 1 gets 10 tau_m1 - 3 tau_m2, joint 2 the rest."""
     robot = robot_from_files({"robot.toml": COUPLED.encode()}, "here")
     q = np.array([[np.pi / 2 + 1.0, -np.pi / 4 + 2.0], [np.pi / 2, -np.pi / 4 - 0.5]])
@@ -134,7 +134,7 @@ def test_a_coupled_robot_by_hand() -> None:
         ("following_error", "", 1.8, np.pi / 100),
     ],
 )
-def test_limits_in_si(quantity: str, per: str, value: object, si: object) -> None:
+def test_limits_in_si(quantity, per, value, si):
     """Degrees become radians at a joint that turns; metres stay metres at one that slides; the other unit is refused."""
 
     def text(kind: str, unit: str) -> str:
@@ -164,7 +164,7 @@ def test_limits_in_si(quantity: str, per: str, value: object, si: object) -> Non
         ("revolute", 'effort_unit = "V"', None, "V", "V"),
     ],
 )
-def test_gains_and_units_of_motors(kind: str, motor: str, gain: float | None, recorded: str, unit: str) -> None:
+def test_gains_and_units_of_motors(kind, motor, gain, recorded, unit):
     text = ONE_JOINT.replace(GAIN, motor).replace("revolute", kind)
     robot = robot_from_files({"robot.toml": text.encode()}, "here")
     assert (robot.motors[0].gain, robot.motors[0].recorded_unit) == (gain, recorded)
@@ -208,9 +208,7 @@ def test_gains_and_units_of_motors(kind: str, motor: str, gain: float | None, re
         ("zero_deg = 90", "position_deg = [90, 90]", "joint[0].position_deg", (90.0, 90.0), "[lowest, highest]"),
     ],
 )  # fmt: skip
-def test_each_mistake_is_reported_with_key_value_and_expectation(
-    old: str, new: str, key: str, value: object, expected: str
-) -> None:
+def test_each_mistake_is_reported_with_key_value_and_expectation(old, new, key, value, expected):
     text = next(one for one in (ONE_JOINT, COUPLED) if one.count(old) == 1)
     error = refused(text.replace(old, new))
     assert (error.key, error.value) == (key, value)
@@ -233,12 +231,12 @@ def test_each_mistake_is_reported_with_key_value_and_expectation(
         ('name = "one"', 'name = "one"\nurdf = "x.urdf"', "joint[0].dh = DH("),
     ],
 )  # fmt: skip
-def test_each_mistake_is_told_in_one_line(old: str, new: str, message: str) -> None:
+def test_each_mistake_is_told_in_one_line(old, new, message):
     assert ONE_JOINT.count(old) == 1
     assert message in str(refused(ONE_JOINT.replace(old, new)))
 
 
-def test_a_singular_motor_matrix_and_bytes_that_are_no_text() -> None:
+def test_a_singular_motor_matrix_and_bytes_that_are_no_text():
     text = ONE_JOINT.replace("ratio = 50", "").replace('name = "one"', 'name = "one"\nmotor_matrix = [[0]]')
     assert "motor_matrix = ((0.0,),): expected an invertible matrix" in refusal(text)
     assert "motor_matrix = [2]: expected 1 rows of 1 numbers" in refusal(text.replace("[[0]]", "[[1, 2]]"))
@@ -248,7 +246,7 @@ def test_a_singular_motor_matrix_and_bytes_that_are_no_text() -> None:
         robot_from_files({}, "here")
 
 
-def test_the_urdf_comes_along_or_is_missed(tmp_path: Path) -> None:
+def test_the_urdf_comes_along_or_is_missed(tmp_path):
     text = ONE_JOINT.replace(DH, "").replace('name = "one"', 'name = "one"\nurdf = "arm.urdf"')
     (tmp_path / "robot.toml").write_text(text)
     with pytest.raises(AcquisitionError, match=r"urdf = 'arm\.urdf': cannot be read: No such file"):
@@ -265,7 +263,7 @@ def test_the_urdf_comes_along_or_is_missed(tmp_path: Path) -> None:
         load_robot(tmp_path / "none.toml")
 
 
-def test_errors_carry_their_data_and_make_one_line_of_it() -> None:
+def test_errors_carry_their_data_and_make_one_line_of_it():
     error = AcquisitionError("does nothing", place="a.toml", key="b.c", value=[1, 2], expected="d")
     assert str(error) == "a.toml: b.c = [1, 2]: does nothing: expected d"
     assert (error.place, error.key, error.value, error.expected) == ("a.toml", "b.c", [1, 2], "d")
@@ -277,12 +275,12 @@ def test_errors_carry_their_data_and_make_one_line_of_it() -> None:
     assert (str(bare), bare.key, bare.value) == (str(error), "b.c", [1, 2])
 
 
-def test_errors_are_one_printable_line() -> None:
+def test_errors_are_one_printable_line():
     assert str(AcquisitionError("a\nb\r\n\x1b[2Jc\udcff µ")) == "a b �[2Jc� µ"
     assert one_line("  two  words ") == "two words"
 
 
-def test_a_whole_file_replaces_the_old_one_only_when_complete(tmp_path: Path) -> None:
+def test_a_whole_file_replaces_the_old_one_only_when_complete(tmp_path):
     path = tmp_path / "out"
     path.write_text("old")
     with pytest.raises(UnicodeEncodeError), atomic_write(path) as partial:
@@ -296,7 +294,7 @@ def test_a_whole_file_replaces_the_old_one_only_when_complete(tmp_path: Path) ->
     assert path.read_text() == "new"
 
 
-def test_a_whole_file_is_on_the_disk_before_it_takes_its_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_whole_file_is_on_the_disk_before_it_takes_its_place(tmp_path, monkeypatch):
     """A power cut after the renaming must not leave a file without content."""
     synced: list[bool] = []
     monkeypatch.setattr(os, "fsync", lambda _: synced.append((tmp_path / "out").exists()))
@@ -305,7 +303,7 @@ def test_a_whole_file_is_on_the_disk_before_it_takes_its_place(tmp_path: Path, m
     assert synced == [False]
 
 
-def test_places_where_no_file_can_stand(tmp_path: Path) -> None:
+def test_places_where_no_file_can_stand(tmp_path):
     (tmp_path / "file").write_text("")
     os.mkfifo(tmp_path / "pipe")  # stands for any device, which a mistake here would replace
     for path, message in (
@@ -322,7 +320,7 @@ def test_places_where_no_file_can_stand(tmp_path: Path) -> None:
     assert (tmp_path / "pipe").is_fifo()
 
 
-def test_an_input_is_not_replaced_under_any_of_its_names(tmp_path: Path) -> None:
+def test_an_input_is_not_replaced_under_any_of_its_names(tmp_path):
     (tmp_path / "in").write_text("")
     (tmp_path / "link").symlink_to(tmp_path / "in")
     (tmp_path / "hard link").hardlink_to(tmp_path / "in")

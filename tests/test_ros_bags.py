@@ -40,11 +40,10 @@ def message(k, *, names=NAMES, frame="", stamp_ns=None, **parts):
 
 
 def bag(path, messages, *, storage=StoragePlugin.MCAP, compression=None, topic="/joint_states", late_ns=3_000_000):
-    with (
-        Writer(path, version=9, storage_plugin=storage)
-        if compression is None
-        else compressed(path, storage, compression) as w
-    ):
+    writer = Writer(path, version=9, storage_plugin=storage)
+    if compression is not None:
+        writer.set_compression(compression, CompressionFormat.ZSTD)
+    with writer as w:
         states = w.add_connection(topic, STATE, typestore=STORE)
         other = w.add_connection("/rosout", TEXT, typestore=STORE)
         text = STORE.types[TEXT]("hello")
@@ -54,13 +53,7 @@ def bag(path, messages, *, storage=StoragePlugin.MCAP, compression=None, topic="
     return path
 
 
-def compressed(path, storage, mode):
-    writer = Writer(path, version=9, storage_plugin=storage)
-    writer.set_compression(mode, CompressionFormat.ZSTD)
-    return writer
-
-
-def imported(path, *options, capsys=None, out=None):
+def imported(path, *options, out=None):
     out = out or path.parent / "out.mcap"
     arguments = ["import", str(path), "--robot", str(TOML), "--topic", "/joint_states", "-o", str(out)]
     status = main([*arguments, *(options or ("--effort-unit", "N m"))])

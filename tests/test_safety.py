@@ -21,7 +21,6 @@ from acquisition.protocol import (
     DISABLED,
     Mode,
     State,
-    load_dictionary,
     write_request,
 )
 from acquisition.robot import axis_of
@@ -104,11 +103,6 @@ def test_a_path_beyond_the_counter_is_refused_before_anything_is_sent(tmp_path):
     session = dry_session(tmp_path / "a.mcap", TRACK, robot=robot)
     assert "counts: expected -2147483648 to 2147483647" in session.outcome.reason
     assert len(session.sent) == 0
-
-
-def test_identity_of_a_real_dictionary():
-    maxon = load_dictionary(needs_data("eds", "maxon_EPOS4.eds").read_bytes(), "maxon", 1)
-    assert maxon.identity == [(1, "vendor", 0xFB), (2, "product", 0x60500000)]
 
 
 def test_check_shows_what_the_drive_holds_on_its_scale():
