@@ -226,6 +226,15 @@ def dry_session(
     )
 
 
+def connected(
+    robot: Robot | None = None, kind: type[SimulatedDrives] = FaultyDrives, **how: object
+) -> tuple[LockStepLink, Master]:
+    """Simulated drives of a robot, of two joints unless another is given, and a master on their bus."""
+    robot = robot or robot_of(bus_text(2))
+    run = LockStepLink(kind(robot, bus_of(robot), **how))
+    return run, Master(run, run.drives.bus)
+
+
 def findings(link: MasterLink, bus: Bus, subject: str = "", node: int | None = None) -> list[Finding]:
     """What `check` finds about the drives, or of it only what it finds about one subject, or of one node."""
     found = check_drives(link, bus)

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 import pytest
 from conftest import robot_named
-from dry_sessions import Answering, Through, dry_session, findings, swing
+from dry_sessions import Answering, Through, connected, dry_session, findings, swing
 from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.bus import Master, confirm_motion, position_words
@@ -19,16 +19,14 @@ from acquisition.robot import table_reference
 from acquisition.session import RecordOptions, Task, UserInterface, real_time_scheduling, record, timing
 from acquisition.session.running import _before_motion as before_motion
 from acquisition.session.timing import Pace, largest_delay_s, refuse_jitter
-from acquisition.simulated import LockStepLink, SimulatedDrives
 
 
 def drives_of(text: str, **values: int) -> tuple[object, Master]:
     """A dry run of a description, with positions of the drives in counts."""
-    robot = robot_of(text)
-    run = LockStepLink(SimulatedDrives(robot, bus_of(robot)))
+    run, master = connected(robot_of(text))
     for node in run.drives.nodes:
         node.values[0x6064, 0] = values.get(f"node_{node.drive.node}", 0)
-    return run, Master(run, bus_of(robot))
+    return run, master
 
 
 def test_joint_positions_in_words_by_hand():
@@ -236,9 +234,8 @@ class Late(Through):
 @pytest.mark.parametrize(("bound_s", "refused"), [(0.0121, False), (0.0119, True)])
 def test_jitter_that_would_be_a_fault_in_motion_is_refused(monkeypatch, bound_s, refused):
     """Intervals of 5 ± 4 ms by turns have a standard deviation of 4 ms, and three of them are 12 ms."""
-    robot = robot_of(bus_text(1, period_s=0.005))
-    run = LockStepLink(SimulatedDrives(robot, bus_of(robot)))
-    master = Master(Late(link=run, late_ns=4_000_000), bus_of(robot))
+    run, master = connected(robot_of(bus_text(1, period_s=0.005)))
+    master.link = Late(link=run, late_ns=4_000_000)
     monkeypatch.setattr(timing, "largest_delay_s", lambda _: bound_s)
     if refused:
         with pytest.raises(AcquisitionError, match=r"SYNC jitter sd = 4.000 ms: 3 sd exceed 11.9 ms"):
@@ -250,11 +247,10 @@ def test_jitter_that_would_be_a_fault_in_motion_is_refused(monkeypatch, bound_s,
 
 
 def test_jitter_of_another_producer_that_sends_no_sync():
-    robot = robot_of(bus_text(1, extra='sync_producer = "other"'))
-    run = LockStepLink(SimulatedDrives(robot, bus_of(robot)))
+    run, master = connected(robot_of(bus_text(1, extra='sync_producer = "other"')))
     before_ns = run.now_ns()
     with pytest.raises(AcquisitionError) as caught:
-        refuse_jitter(Master(run, bus_of(robot)))
+        refuse_jitter(master)
     assert (caught.value.place, caught.value.expected) == ("bus", "the other producer's")
     assert run.now_ns() - before_ns == 50 * 2_000_000
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from dry_sessions import Through, Unasked, dry_session, findings, heard_at_once, swing
+from dry_sessions import Through, Unasked, connected, dry_session, findings, heard_at_once, swing
 from made_up_buses import bus_of, bus_text, robot_of
 from virtual_buses import Ear, bus_file, served
 
@@ -186,8 +186,8 @@ def test_a_listed_device_that_beats_stops_no_session_in_motion(tmp_path):
     robot = robot_of(bus_text(2, extra="other_nodes = [5]"))
     session = dry_session(tmp_path / "a.mcap", TASKS[1], robot=robot, through=other_device())
     assert session.outcome.reason == "finished"
-    run = LockStepLink(SimulatedDrives(robot, bus_of(robot)))
-    assert not findings(other_device()(link=run), bus_of(robot), "other nodes")
+    run, _ = connected(robot)
+    assert not findings(other_device()(link=run), run.drives.bus, "other nodes")
 
 
 @pytest.mark.parametrize("task", TASKS)

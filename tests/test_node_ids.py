@@ -3,9 +3,9 @@
 from contextlib import ExitStack
 
 import pytest
-from dry_sessions import Unasked, dry_session, findings, swing
+from dry_sessions import Unasked, connected, dry_session, findings, swing
 from faulty_drives import FaultyDrives
-from made_up_buses import bus_of, bus_text, robot_of
+from made_up_buses import bus_text
 from virtual_buses import bus_file, served
 
 from acquisition.bus import Frame, Uploads, scan_nodes
@@ -14,7 +14,6 @@ from acquisition.commands.scanning import ARRAYS, OBJECTS
 from acquisition.errors import AcquisitionError
 from acquisition.protocol import State, abort_answer, read_request
 from acquisition.session import Task
-from acquisition.simulated import LockStepLink
 
 
 def test_two_drives_with_one_node_id_on_a_bus(tmp_path, capsys):
@@ -79,9 +78,9 @@ CASES = {
 @pytest.mark.parametrize("name", CASES)
 def test_an_answer_without_a_request(name):
     frames, said = CASES[name]
-    robot = robot_of(bus_text(2))
-    link = Unasked(link=LockStepLink(FaultyDrives(robot, bus_of(robot))), frames=list(frames))
-    rows = findings(link, bus_of(robot), "node ids")
+    run, master = connected()
+    link = Unasked(link=run, frames=list(frames))
+    rows = findings(link, master.bus, "node ids")
     assert [(row.found, row.ok) for row in rows] == ([(f"two devices answer as {said}", False)] if said else [])
     assert not link.frames
 
@@ -102,11 +101,10 @@ class Slow(FaultyDrives):
 
 
 def test_a_late_answer_is_not_that_of_a_second_device():
-    robot = robot_of(bus_text(2))
-    drives = Slow(robot, bus_of(robot))
-    assert findings(LockStepLink(drives), bus_of(robot), "node ids") == []
-    assert drives.asked > 20
-    nodes = scan_nodes(Uploads(LockStepLink(Slow(robot, bus_of(robot))), bus_file()), OBJECTS, ARRAYS)
+    run, master = connected(kind=Slow)
+    assert findings(run, master.bus, "node ids") == []
+    assert run.drives.asked > 20
+    nodes = scan_nodes(Uploads(connected(kind=Slow)[0], bus_file()), OBJECTS, ARRAYS)
     assert sorted(nodes) == [1, 2]
     with pytest.raises(AcquisitionError, match="two devices answer as node 2: expected one device for each node id"):
-        scan_nodes(Uploads(LockStepLink(Twice(robot, bus_of(robot))), bus_file()), OBJECTS, ARRAYS)
+        scan_nodes(Uploads(connected(kind=Twice)[0], bus_file()), OBJECTS, ARRAYS)

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 import pytest
 from conftest import needs_data
-from dry_sessions import Answering, At, SyncOfAnother, Unasked, at_boot, dry_session, findings, say, swing
+from dry_sessions import Answering, At, SyncOfAnother, Unasked, at_boot, connected, dry_session, findings, say, swing
 from faulty_drives import Fault
 from made_up_buses import bus_of, bus_text, robot_of
 
@@ -25,7 +25,7 @@ from acquisition.protocol import (
 )
 from acquisition.robot import axis_of
 from acquisition.session import RecordOptions, Stop, Task, UserInterface, record, stop_on_signals
-from acquisition.simulated import LockStepLink, SimulatedDrives, serve
+from acquisition.simulated import SimulatedDrives, serve
 
 TRACK = Task(reference=swing(2))
 ENABLED = 0x0237
@@ -63,9 +63,8 @@ def test_a_drive_found_in_fault_is_told(tmp_path, monkeypatch):
     session = dry_session(tmp_path / "a.mcap", TRACK)
     assert session.outcome.reason == "finished"
     assert session.events("mark") == [f"node {k}: found in fault" for k in (1, 2)]
-    robot = robot_of(bus_text(2))
-    run = LockStepLink(SimulatedDrives(robot, bus_of(robot)))
-    assert [f.ok for f in findings(run, bus_of(robot), "state")] == [False, False]
+    run, master = connected()
+    assert [f.ok for f in findings(run, master.bus, "state")] == [False, False]
 
 
 @pytest.mark.parametrize("task", [TRACK, Task(duration_s=1.0)])
@@ -109,8 +108,8 @@ def test_check_shows_what_the_drive_holds_on_its_scale():
     eds = needs_data("eds", "nanotec_CL4-E-2-12.eds")
     text = bus_text(1, drive='dictionary = "drive.eds"').replace('reference = "6074"', 'actual = "6077"')
     robot = robot_of(text, {"dictionary:drive.eds": eds.read_bytes()})
-    run = LockStepLink(SimulatedDrives(robot, bus_of(robot)))
-    (scale,) = findings(run, bus_of(robot), "scale")
+    run, master = connected(robot)
+    (scale,) = findings(run, master.bus, "scale")
     assert scale.found.startswith("encoder increments per turns 608F 2000/1, gear 6091 1/1, feed 6092 1/1")
     assert "robot.toml: 65536 counts per turn" in scale.found
 

@@ -9,16 +9,15 @@ from functools import partial
 
 import numpy as np
 import pytest
-from dry_sessions import At, Beats, SyncOfAnother, Through, dry_session, swing
+from dry_sessions import At, Beats, SyncOfAnother, Through, connected, dry_session, swing
 from faulty_drives import Fault, FaultyDrives
 from made_up_buses import bus_of, bus_text, robot_of
 
-from acquisition.bus import Frame, Master
+from acquisition.bus import Frame
 from acquisition.errors import AcquisitionError
 from acquisition.protocol import DISABLED, State
 from acquisition.recording import ERROR, SENT
 from acquisition.session import Stop, Task
-from acquisition.simulated import LockStepLink, SimulatedDrives
 
 LISTENED_NS = 1_500_000_000  # simulated time begins at 1 s; half a second of listening
 TRACK = Task(reference=swing(2))
@@ -335,9 +334,7 @@ def test_the_mode_is_awaited(tmp_path, reads, fault):
 
 
 def test_a_statusword_from_before_start_counts_for_nothing():
-    bus = bus_of(robot_of(bus_text(2)))
-    run = LockStepLink(SimulatedDrives(robot_of(bus_text(2)), bus))
-    master = Master(run, bus)
+    _, master = connected()
     master.dispatch(Frame(0, 0x181, bytes.fromhex("3702e8030000") + bytes(2)))
     assert (master.nodes[0].state, master.nodes[0].counts) == (State.OPERATION_ENABLED, 1000)
     master.start()

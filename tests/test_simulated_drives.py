@@ -6,13 +6,12 @@ import re
 import numpy as np
 import pytest
 from conftest import needs_data
-from dry_sessions import dry_session, findings, swing
+from dry_sessions import connected, dry_session, findings, swing
 from made_up_buses import bus_of, bus_text, robot_of
 
-from acquisition.bus import Master
 from acquisition.protocol import State
 from acquisition.session import Task
-from acquisition.simulated import LockStepLink, SimulatedDrives
+from acquisition.simulated import SimulatedDrives
 
 VENDORS = {  # keys of the drive, and where its effort comes from
     "elmo_Gold.dcf": (
@@ -80,26 +79,22 @@ def test_doubts_about_a_dictionary_reach_check_and_recording(tmp_path):
     session = dry_session(tmp_path / "a.mcap", Task(duration_s=0.2), robot=robot)
     assert session.recorded.warnings == (warning,)
     assert session.events("warning") == [warning]
-    run = LockStepLink(SimulatedDrives(robot, bus_of(robot)))
-    found = [(f.subject, f.node, f.ok) for f in findings(run, bus_of(robot)) if f.found == warning]
+    run, master = connected(robot)
+    found = [(f.subject, f.node, f.ok) for f in findings(run, master.bus) if f.found == warning]
     assert found == [("dictionary", 1, True), ("dictionary", 2, True)]
 
 
 def test_another_drive_than_the_dictionary_says_is_told():
-    robot = robot_with("elmo_Gold.dcf", n=1)
-    made = LockStepLink(SimulatedDrives(robot, bus_of(robot)))
-    master = Master(made, bus_of(robot))
+    run, master = connected(robot_with("elmo_Gold.dcf", n=1))
     assert master.differences() == []
-    made.drives.nodes[0].values[0x1018, 1] = 0x123
+    run.drives.nodes[0].values[0x1018, 1] = 0x123
     assert master.differences() == ["node 1: vendor (1018:1) = 0x123: expected 0x9A as its dictionary says"]
 
 
 def test_a_drive_states_its_units_limits_and_modes():
     """Literal values: 65536 counts per turn, ratio 50, 200 deg/s and +-150 deg at the joint; the second counts backwards."""
     before, after = bus_text(2).rsplit("65536", 1)
-    robot = robot_of(f"{before}6553.6\nsign = -1\nzero_counts = 100{after}")
-    made = LockStepLink(SimulatedDrives(robot, bus_of(robot)))
-    master = Master(made, bus_of(robot))
+    _, master = connected(robot_of(f"{before}6553.6\nsign = -1\nzero_counts = 100{after}"))
 
     def stated(node: int, *keys: tuple[int, int]) -> list[int]:
         return [master.read(node, *key) for key in keys]
@@ -117,8 +112,7 @@ def test_a_drive_states_its_units_limits_and_modes():
 
 def test_a_boot_up_counts_as_the_first_heartbeat():
     """CiA 301: a drive whose dictionary asks for heartbeats sends the first one a heartbeat time after its boot-up."""
-    robot = robot_of(bus_text(1))
-    made = LockStepLink(SimulatedDrives(robot, bus_of(robot)))
+    made, _ = connected(robot_of(bus_text(1)), SimulatedDrives)
     made.drives.set_heartbeats(100)
     assert made.drives.boot() == [(0x701, b"\0")]
     assert made.drives.advance(1_000_000_000) == []

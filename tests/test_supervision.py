@@ -4,14 +4,14 @@ import itertools
 
 import msgspec
 import pytest
-from dry_sessions import at_boot, dry_session, findings, swing
+from dry_sessions import at_boot, connected, dry_session, findings, swing
 from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.bus import Master, MasterHeartbeat, second_stop, supervision_of
 from acquisition.bus.supervision import free_entry, timeout_ms
 from acquisition.protocol import Command, Mode, State
 from acquisition.session import Task
-from acquisition.simulated import LockStepLink, SimulatedDrives
+from acquisition.simulated import LockStepLink
 from acquisition.simulated import node as simulated_supervision
 
 MS = 1_000_000
@@ -51,9 +51,7 @@ def test_without_motion_there_is_no_heartbeat(tmp_path):
 
 def enabled(*, abort_connection: int = 1, supervised: bool = True) -> tuple[LockStepLink, Master, MasterHeartbeat]:
     """Two drives in operation enabled, whose master has sent one heartbeat and now says nothing more."""
-    robot = robot_of(bus_text(2))
-    run = LockStepLink(SimulatedDrives(robot, bus_of(robot), supervised=supervised))
-    master = Master(run, bus_of(robot))
+    run, master = connected(supervised=supervised)
     heartbeat = MasterHeartbeat(master)
     master.configure()
     master.choose_mode(Mode.CYCLIC_SYNCHRONOUS_POSITION)
@@ -136,16 +134,13 @@ def test_the_time_out_is_three_heartbeats_or_periods():
 
 
 def supervision(values: dict[tuple[int, int], int], *missing: int) -> str:
-    robot = robot_of(bus_text(1))
-    run = LockStepLink(SimulatedDrives(robot, bus_of(robot)))
+    run, master = connected(robot_of(bus_text(1)))
     node = run.drives.nodes[0]
     node.types |= {(0x1029, 1): "U8", (0x1400, 5): "U16"}
     node.values |= {(0x1029, 1): 1, (0x1400, 5): 0} | values
     for key in [key for key in node.values if key[0] in missing]:
         del node.values[key]
-    master = Master(run, bus_of(robot))
-    text = "\n".join(" = ".join(pair) for pair in supervision_of(master, master.bus.drives[0]))
-    return text
+    return "\n".join(" = ".join(pair) for pair in supervision_of(master, master.bus.drives[0]))
 
 
 @pytest.mark.parametrize(
@@ -177,11 +172,10 @@ def test_supervision_in_words(values, missing, expected):
 
 
 def test_check_shows_it_and_where_there_is_no_second_stop():
-    robot = robot_of(bus_text(2))
-    run = LockStepLink(SimulatedDrives(robot, bus_of(robot)))
-    (reaction,) = findings(run, bus_of(robot), "reaction 6007", 2)
+    run, master = connected()
+    (reaction,) = findings(run, master.bus, "reaction 6007", 2)
     assert reaction.found.startswith("1: fault")
-    file = bus_of(robot).file
+    file = master.bus.file
     assert second_stop(file).startswith("the recorder's process stops the drives")
 
     slcan = msgspec.structs.replace(file, interface="slcan")

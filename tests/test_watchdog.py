@@ -13,8 +13,8 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 from busy_machine import SYNC_S, slow_bus_text, stalls, tried_again
-from dry_sessions import DrySession, SlowAnswers, Through, dry_session
-from faulty_drives import Fault, FaultyDrives
+from dry_sessions import DrySession, SlowAnswers, Through, connected, dry_session
+from faulty_drives import Fault
 from made_up_buses import bus_of, bus_text, robot_of
 from test_recording_processes import (
     PATIENCE_S,
@@ -39,7 +39,7 @@ from acquisition.protocol import State, state_of
 from acquisition.recording import Recording, read_recording
 from acquisition.session import InlineLog, Task
 from acquisition.session.process import Watchdog, WatchdogPipe, silence_s
-from acquisition.simulated import LockStepLink, serve
+from acquisition.simulated import serve
 
 __all__ = ["folder", "npm", "port"]  # fixtures
 LONGEST_S = 0.3 + 2 * SYNC_S  # from the last SYNC of the session to the quick stop of every drive
@@ -222,10 +222,8 @@ def test_six_slow_drives_end_without_a_word_of_the_second_stop(tmp_path):
 
 
 def test_an_answer_that_does_not_come_is_awaited_with_signs_of_life():
-    robot = robot_of(bus_text(2))
-    run = LockStepLink(FaultyDrives(robot, bus_of(robot)))
+    (run, master), times = connected(), list[int]()
     run.drives.silent.add(0)
-    master, times = Master(run, bus_of(robot)), list[int]()
     began_ns = run.now_ns()
     master.while_awaiting = lambda: times.append(run.now_ns() - began_ns)
     with pytest.raises(AcquisitionError, match=r"no answer in 0.3 s"):
