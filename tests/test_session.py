@@ -20,7 +20,7 @@ from acquisition.recording import ERROR, SENT
 from acquisition.session import Stop, Task
 
 LISTENED_NS = 1_500_000_000  # simulated time begins at 1 s; half a second of listening
-TRACK = Task(reference=swing(2))
+TRACK, SHORT = Task(reference=swing(2)), Task(reference=swing(2, seconds=0.4, amplitude=0.02))
 
 
 def test_a_reference_is_tracked_and_recorded(tmp_path):
@@ -228,7 +228,7 @@ def test_an_exception_in_any_phase(tmp_path, monkeypatch, method, error):
             raise error
 
     monkeypatch.setattr(place, broken)
-    session = dry_session(tmp_path / "a.mcap", TRACK)
+    session = dry_session(tmp_path / "a.mcap", SHORT)
     assert session.raised is error
     assert DISABLED.issuperset(session.drives.states)
     assert session.events("fault")[0].startswith(type(error).__name__)
