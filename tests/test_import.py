@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import scipy.io
 from conftest import REPLAY, needs_data, robot_named
+from descriptions import COUPLED, ONE_JOINT
 
 from acquisition.errors import AcquisitionError
 from acquisition.importing import ImportSummary, import_tables
@@ -13,29 +14,7 @@ from acquisition.recording import read_recording
 from acquisition.robot import Robot, robot_from_files
 from identification.data import load_signals
 
-ROBOT = """
-name = "two"
-motor_matrix = [[10, 0], [20, 20]]
-[[joint]]
-name = "first"
-type = "revolute"
-zero_deg = 90
-dh = { alpha_deg = 0, d_m = 0, theta_deg = 0, r_m = 0 }
-[[joint]]
-name = "second"
-type = "revolute"
-dh = { alpha_deg = 0, d_m = 0, theta_deg = 0, r_m = 0 }
-[[motor]]
-name = "m1"
-drive_gain = 0.5
-drive_gain_unit = "N m/A"
-[[motor]]
-name = "m2"
-drive_gain = 0.25
-drive_gain_unit = "N m/A"
-[controller]
-bandwidth_hz = 20
-"""
+ROBOT = COUPLED.replace("[[10, 4], [-3, 20]]", "[[10, 0], [20, 20]]").replace("zero_deg = -45\n", "")
 MAP = """
 sample_rate_hz = 500
 [position]
@@ -351,18 +330,11 @@ def test_mat_mistakes(tmp_path, two):
         assert refusal(tmp_path, two, MAP, tmp_path / "a.mat")[3].startswith("version 7;")
 
 
-SINGLE = """
-name = "single"
-[[joint]]
-name = "axis"
-type = "KIND"
-dh = { alpha_deg = 0, d_m = 0, theta_deg = 0, r_m = 0 }
-[[motor]]
-name = "motor"
-effort_unit = "EFFORT"
-[controller]
-bandwidth_hz = 20
-"""
+SINGLE = (
+    ONE_JOINT.replace("revolute", "KIND")
+    .replace("ratio = 50\n", "")
+    .replace('drive_gain = 0.2\ndrive_gain_unit = "N m/A"', 'effort_unit = "EFFORT"')
+)
 SINGLE_MAP = """
 sample_rate_hz = 500
 [position]

@@ -8,25 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import REPLAY, robot_named
+from descriptions import COUPLED, ONE_JOINT
 
 from acquisition.errors import AcquisitionError, one_line
 from acquisition.files import atomic_write, refuse_clash
 from acquisition.robot import load_robot, robot_from_files
 
-ONE_JOINT = """
-name = "one"
-[[joint]]
-name = "axis"
-type = "revolute"
-dh = { alpha_deg = 0, d_m = 0, theta_deg = 0, r_m = 0 }
-[[motor]]
-name = "motor"
-ratio = 50
-drive_gain = 0.2
-drive_gain_unit = "N m/A"
-[controller]
-bandwidth_hz = 20
-"""
 DH = "dh = { alpha_deg = 0, d_m = 0, theta_deg = 0, r_m = 0 }"
 GAIN = 'drive_gain = 0.2\ndrive_gain_unit = "N m/A"'
 
@@ -77,33 +64,6 @@ def test_power_is_the_same_on_both_sides():
     assert np.allclose(power, (dq_motor * tau_motor).sum(axis=1), rtol=1e-12)
     assert np.allclose(robot.joint_position(robot.motor_position(dq)), dq, atol=1e-14)
     assert np.allclose(robot.motor_effort(robot.joint_effort(tau_motor)), tau_motor, atol=1e-13)
-
-
-COUPLED = """
-name = "coupled"
-motor_matrix = [[10, 4], [-3, 20]]
-gravity_m_s2 = [0, 9.81, 0]
-[[joint]]
-name = "first"
-type = "revolute"
-zero_deg = 90
-dh = { alpha_deg = 0, d_m = 0, theta_deg = 0, r_m = 0 }
-[[joint]]
-name = "second"
-type = "revolute"
-zero_deg = -45
-dh = { alpha_deg = 0, d_m = 0, theta_deg = 0, r_m = 0 }
-[[motor]]
-name = "m1"
-drive_gain = 0.5
-drive_gain_unit = "N m/A"
-[[motor]]
-name = "m2"
-drive_gain = 0.25
-drive_gain_unit = "N m/A"
-[controller]
-bandwidth_hz = 20
-"""
 
 
 def test_a_coupled_robot_by_hand():
@@ -236,10 +196,7 @@ def test_each_mistake_is_told_in_one_line(old, new, message):
     assert message in str(refused(ONE_JOINT.replace(old, new)))
 
 
-def test_a_singular_motor_matrix_and_bytes_that_are_no_text():
-    text = ONE_JOINT.replace("ratio = 50", "").replace('name = "one"', 'name = "one"\nmotor_matrix = [[0]]')
-    assert "motor_matrix = ((0.0,),): expected an invertible matrix" in refusal(text)
-    assert "motor_matrix = [2]: expected 1 rows of 1 numbers" in refusal(text.replace("[[0]]", "[[1, 2]]"))
+def test_no_description_and_bytes_that_are_no_text():
     with pytest.raises(AcquisitionError, match="here: not valid TOML: 'utf-8' codec"):
         robot_from_files({"robot.toml": b"name = '\xff'"}, "here")
     with pytest.raises(AcquisitionError, match=r"here: holds no robot\.toml"):
