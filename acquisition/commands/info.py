@@ -15,11 +15,9 @@ def add(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> None:
     """Print the recording's overview."""
     with Progress("reading"):
-        from ..importing import row_warnings
         from ..recording import as_tables, overview, read_recording
 
-        recording = read_recording(options.recording)
-        found = overview(recording, row_warnings(recording))
+        found = overview(read_recording(options.recording))
     if options.json:
         import msgspec
 

@@ -18,12 +18,12 @@ from .rows import SENT, Block, gaps, in_parts
 _SHOWN = 20  # gaps and events in the tables; the JSON has all
 
 
-def overview(recording: Recording, row_warnings: str = "") -> dict[str, Any]:
+def overview(recording: Recording) -> dict[str, Any]:
     """The content of `robot-acquire info` as plain data; stamps are the recording's, tables count them from `first_ns`.
 
     `joints`: lowest and highest values. `step_jitter_s`: standard and largest deviation of the steps between samples without
-    gaps. `first_ns`: of the first sample, else of the first frame, else None. `row_warnings`: samples of an older version that
-    the frames refuse. `health`: the last counters. `attachments`: sizes in bytes by name.
+    gaps. `first_ns`: of the first sample, else of the first frame, else None. `health`: the last counters. `attachments`:
+    sizes in bytes by name.
     """
     samples, robot, metadata = recording.samples, recording.robot, recording.metadata
     joints, first_ns = [], None
@@ -48,7 +48,6 @@ def overview(recording: Recording, row_warnings: str = "") -> dict[str, Any]:
         "joints": joints,
         "step_jitter_s": (0.0, 0.0) if samples is None else _step_jitter(samples["stamp_ns"]),
         "no_samples": recording.no_samples if samples is None else "",
-        "row_doubts": row_warnings,
         **{key: metadata.get(key, "") for key in ("effort_provenance", "times")},
         "payload": recording.payload,
         "payload_text": recording.payload and recording.payload.describe(robot.joints[-1].name),
@@ -167,7 +166,7 @@ def _facts(found: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         yield "steps", f"jitter sd {sd:.4f} ms, worst {worst:.4f} ms, gaps left out"
     else:
         yield "samples", found["no_samples"]
-    texts = {"rows": "row_doubts", "times": "times", "effort": "effort_provenance", "payload": "payload_text"}
+    texts = {"times": "times", "effort": "effort_provenance", "payload": "payload_text"}
     yield from ((name, found[key]) for name, key in texts.items() if found[key])
     for count in found["frames"]:
         text = f"{count['frames']} frames, {count['sent']} of them sent, {count['duration_s']:g} s"
