@@ -1,12 +1,10 @@
 """Overview of a recording: tables for people, JSON for programs."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from rich.console import Console, ConsoleOptions, Group, RenderResult
-from rich.segment import Segment
+from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
@@ -128,27 +126,11 @@ def as_tables(found: Mapping[str, Any]) -> Group:
         ],
     )
     tables = [table for table in (facts, joints, holes, events) if table.row_count]
-    return Group(*(part for table in tables for part in (_Trimmed(table), Text())))
+    return Group(*(part for table in tables for part in (table, Text())))
 
 
 def _seconds(stamp_ns: int, found: Mapping[str, Any]) -> str:
     return f"{(stamp_ns - (found['first_ns'] or 0)) * 1e-9:.6f}"
-
-
-@dataclass(frozen=True)
-class _Trimmed:
-    """A table without trailing blanks: one long line would pad all others to its length."""
-
-    table: Table
-
-    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        for line in console.render_lines(self.table, options, pad=False):
-            while line and not line[-1].text.strip():
-                line.pop()
-            yield from line[:-1]
-            if line:
-                yield Segment(line[-1].text.rstrip(), line[-1].style)
-            yield Segment.line()
 
 
 def _facts(found: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
