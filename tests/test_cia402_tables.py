@@ -125,19 +125,9 @@ def test_every_controlword_gives_the_command_of_the_table():
         assert command_of(word | 0xF000) is command, hex(word)
 
 
-@pytest.mark.parametrize(
-    ("command", "word"),
-    [
-        (Command.SHUTDOWN, 0x0006),
-        (Command.SWITCH_ON, 0x0007),
-        (Command.ENABLE_OPERATION, 0x000F),
-        (Command.DISABLE_VOLTAGE, 0x0000),
-        (Command.QUICK_STOP, 0x0002),
-        (Command.FAULT_RESET, 0x0080),
-    ],
-)
-def test_the_word_written_for_each_command(command, word):
-    assert command.controlword == word
+def test_the_word_written_for_each_command():
+    words = [6, 7, 15, 0, 2, 128]  # in the order of `CONTROLWORDS`
+    assert {command.name: command.controlword for command in Command} == dict(zip(CONTROLWORDS, words, strict=True))
 
 
 @pytest.mark.parametrize(("state", "command"), list(itertools.product(State, Command)))

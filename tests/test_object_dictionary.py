@@ -82,12 +82,6 @@ def test_identities(text, expected):
     assert found(text).identity == expected
 
 
-def test_device_sections():
-    with_section, without = found(DEVICE + EDS), found(EDS)
-    assert (with_section.vendor, with_section.product) == (0x9A, 0x30924)
-    assert (without.vendor, without.product) == (0, 0)
-
-
 def test_a_dictionary_of_four_mebibytes_and_no_more():
     remark = ";" + "x" * (4 * 2**20 - len(EDS) - 1)
     assert len(found(EDS + remark).entries) == 14
