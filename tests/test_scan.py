@@ -10,9 +10,9 @@ from pathlib import Path
 
 import canopen
 import pytest
-from dry_sessions import Answering, Through, dry_session, heard_at_once, swing
+from dry_sessions import Answering, Through, connected, dry_session, heard_at_once, swing
 from faulty_drives import FaultyDrives
-from made_up_buses import bus_of, bus_text, robot_of
+from made_up_buses import bus_text, robot_of
 from virtual_buses import Ear, bus_file, served
 
 from acquisition.bus import Frame, Link, Uploads, open_bus, open_link, scan_nodes
@@ -22,10 +22,10 @@ from acquisition.commands.command_line import Progress
 from acquisition.commands.scanning import ARRAYS, OBJECTS, bus_lines, findings_of
 from acquisition.errors import AcquisitionError
 from acquisition.protocol import abort_answer, value_answer
-from acquisition.recording import ERROR, REMOTE_REQUEST, SENT
+from acquisition.recording import ERROR, REMOTE_REQUEST
 from acquisition.robot import lines_to_fill_in
 from acquisition.session import Task
-from acquisition.simulated import LockStepLink, SimulatedDrives
+from acquisition.simulated import LockStepLink
 
 IDENTITY = {(0x1018, sub): value for sub, value in ((1, 0xFB), (2, 0x60500000), (3, 0x1700010), (4, 77))}
 
@@ -81,9 +81,8 @@ def test_requests_are_a_millisecond_apart_and_nothing_comes_before_half_a_second
     assert times[126] - times[0] < 200_000_000  # the answers are awaited together
 
 
-def drives_of(n: int, kind: type[SimulatedDrives] = SimulatedDrives, **tap) -> LockStepLink:
-    robot = robot_of(bus_text(n))
-    return LockStepLink(kind(robot, bus_of(robot)), **tap)
+def drives_of(n: int, kind: type[FaultyDrives] = FaultyDrives) -> LockStepLink:
+    return connected(robot_of(bus_text(n)), kind)[0]
 
 
 @pytest.mark.parametrize(
@@ -94,11 +93,10 @@ def drives_of(n: int, kind: type[SimulatedDrives] = SimulatedDrives, **tap) -> L
 def test_nothing_but_a_read_can_be_sent(can_id, frame):
     if can_id != 0x601:
         frame = frame or b"\x40\x41\x60\x00" + bytes(4)  # a read, but to an identifier of another service
-    frames: list[Frame] = []
-    uploads = Uploads(drives_of(1, tap=frames.append), bus_file())
+    link = Answering()
     with pytest.raises(AcquisitionError, match="is no SDO read"):
-        uploads.send(can_id, frame)
-    assert [frame for frame in frames if frame.flags & SENT] == []
+        Uploads(link, bus_file()).send(can_id, frame)
+    assert link.sent == []
 
 
 MASTERS = [(0x000, b"\x01\x00"), (0x080, b""), (0x605, bytes(8)), (0x201, bytes(6))]
@@ -135,25 +133,26 @@ class Sudden(Through):
         return super().receive(until_ns)
 
 
-@pytest.mark.parametrize("after", [1, 60, 127, 128, 150, 200])
-@pytest.mark.parametrize("flags", [0, REMOTE_REQUEST])
-def test_a_master_that_begins_during_the_scan_silences_it(after, flags):
-    link = Sudden(link=drives_of(2), frame=Frame(0, 0x701 if flags else 0x80, b"", flags), after=after)
-    uploads = Uploads(link, bus_file())
-    with pytest.raises(AcquisitionError, match=f"expected none during a scan; {after} SDO reads were sent"):
-        scan_nodes(uploads, OBJECTS, ARRAYS)
-    for _ in range(2):  # for good
-        with pytest.raises(AcquisitionError, match="another master is active"):
-            uploads.send(0x601, b"\x40\x00\x10" + bytes(5))
-    assert len(link.sent) == after
+BEGUN = "expected none during a scan; {} SDO reads were sent"
+WRONG = "error frame: no acknowledgement.*bitrate"
 
 
-@pytest.mark.parametrize("after", [0, 30, 140])
-def test_an_error_frame_ends_the_scan_in_words(after):
-    frame = Frame(0, 0x20, bytes(8), ERROR)
+@pytest.mark.parametrize(
+    ("frame", "after", "told", "for_good"),
+    [
+        *((Frame(0, 0x80, b""), after, BEGUN, "another master is active") for after in (1, 60, 127, 128, 150, 200)),
+        *((Frame(0, 0x701, b"", REMOTE_REQUEST), after, BEGUN, "another master is active") for after in (1, 150)),
+        *((Frame(0, 0x20, bytes(8), ERROR), after, WRONG, WRONG) for after in (0, 30, 140)),
+    ],
+)
+def test_a_master_that_begins_or_an_error_frame_silences_the_scan(frame, after, told, for_good):
     link = Sudden(link=drives_of(2), frame=frame, after=after)
-    with pytest.raises(AcquisitionError, match=r"error frame: no acknowledgement.*bitrate"):
-        scan_nodes(Uploads(link, bus_file()), OBJECTS, ARRAYS)
+    uploads = Uploads(link, bus_file())
+    with pytest.raises(AcquisitionError, match=told.format(after)):
+        scan_nodes(uploads, OBJECTS, ARRAYS)
+    for _ in range(2):
+        with pytest.raises(AcquisitionError, match=for_good):
+            uploads.send(0x601, b"\x40\x00\x10" + bytes(5))
     assert len(link.sent) == after
 
 
