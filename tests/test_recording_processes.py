@@ -5,7 +5,6 @@ a test needs is waited for where it shows, on the bus or in the growing file.
 """
 
 import itertools
-import json
 import os
 import re
 import resource
@@ -26,6 +25,7 @@ from conftest import ROOT
 from made_up_buses import robot_of
 
 from acquisition.bus import Receiver, open_bus, open_link
+from acquisition.commands import main
 from acquisition.errors import AcquisitionError
 from acquisition.recording import FRAME, SENT, Block, Recording, read_recording
 from acquisition.robot import BusFile
@@ -125,6 +125,15 @@ def end(process: "subprocess.Popen[str]", number: signal.Signals) -> tuple[str, 
     if process.poll() is None:
         process.send_signal(number)
     return process.communicate(timeout=PATIENCE_S)
+
+
+def output_of(process: "subprocess.Popen[str]", number: signal.Signals | None = None) -> str:
+    """What a process printed, after a signal if one is given; it ended in order."""
+    if number is not None:
+        process.send_signal(number)
+    output, errors = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 0, errors
+    return output
 
 
 def wait_for(
@@ -237,9 +246,7 @@ def test_simulate_check_record(folder):
         output = checked(folder)
         assert re.search(r"^ok  state +1, 2  switch on disabled$", output, re.MULTILINE)
         assert re.search(r"^ok  description +agrees", output, re.MULTILINE)
-        done = acquire(folder, "record", str(folder / "robot.toml"), "-o", str(out), "--duration", "2")
-        output, errors = done.communicate(timeout=PATIENCE_S)
-    assert done.returncode == 0, errors
+        output = output_of(acquire(folder, "record", str(folder / "robot.toml"), "-o", str(out), "--duration", "2"))
     assert output.endswith("CAN frames; finished\n")
     recording = read_recording(out)
     frames = frames_of(recording)
@@ -272,11 +279,8 @@ def test_a_killed_recorder_leaves_all_but_the_last_second_and_stops_the_session(
     assert recording.cut
     frames = frames_of(recording)
     assert (killed_ns - frames["time_ns"][-1]) * 1e-9 < 1.0 + 2 * worst[0]
-    output = json.loads(acquire(folder, "info", str(out), "--json").communicate(timeout=PATIENCE_S)[0])
-    assert output["cut"] is True
     whole, decoded = folder / "whole.mcap", folder / "decoded.mcap"
-    assert acquire(folder, "import", str(out), "-o", str(whole)).wait(PATIENCE_S) == 0
-    assert acquire(folder, "import", str(whole), "-o", str(decoded)).wait(PATIENCE_S) == 0
+    assert main(["import", str(out), "-o", str(whole)]) == main(["import", str(whole), "-o", str(decoded)]) == 0
     samples = read_recording(decoded).samples
     assert SEEN_SYNCS < count(frames, 0x80) - 3 <= len(samples)  # answers to the last ones may be behind the cut
     assert "reference" in samples.dtype.names
@@ -301,9 +305,7 @@ def test_drives_whose_session_and_recorder_are_killed_stop_by_themselves(folder)
 def test_signals_end_a_session_in_order(folder, number):
     out = folder / "log.mcap"
     with drives(folder), tracking(folder, out) as session:
-        session.send_signal(number)
-        output, errors = session.communicate(timeout=PATIENCE_S)
-        assert session.returncode == 0, errors
+        output = output_of(session, number)
         assert output.endswith(f"stopped by {number.name}\n")
     recording = read_recording(out)
     assert not recording.cut
@@ -340,11 +342,9 @@ def test_passive_records_another_masters_session_and_sends_nothing(folder):
     out, active, alone = (folder / f"{name}.mcap" for name in ("passive", "active", "alone"))
     ours_ids = (0x80, 0x181, 0x182, 0x201, 0x202)
     command = ("record", str(folder / "robot.toml"), "--yes", "--track", str(folder / "ref.csv"), "-o")
-    assert acquire(folder, *command, str(alone), "--dry-run").wait(PATIENCE_S) == 0
+    assert main([*command, str(alone), "--dry-run"]) == 0
     with drives(folder), listening(folder, "passive.toml", out) as listener:
-        session = acquire(folder, *command, str(active))
-        _, errors = session.communicate(timeout=PATIENCE_S)
-        assert session.returncode == 0, errors
+        output_of(acquire(folder, *command, str(active)))
         ours = read_recording(active)
         said = data_by_id(ours, *ours_ids)
         said |= data_by_id(read_recording(alone), 0, 0x601, 0x602)
@@ -352,8 +352,7 @@ def test_passive_records_another_masters_session_and_sends_nothing(folder):
             objects = [(0x1016, 0), (0x1016, 1), (0x1016, 2), (0x6065, 0), (0x6064, 0), (0x6041, 0)]
             said[can_id][1:1] = [[0x40, index & 0xFF, index >> 8, k, 0, 0, 0, 0] for index, k in objects]
         wait_for(out, lambda r: all(count(frames_of(r), can_id) >= len(said[can_id]) for can_id in said), listener)
-        _, errors = end(listener, signal.SIGINT)
-    assert listener.returncode == 0, errors
+        output_of(listener, signal.SIGINT)
     sent = (frames_of(ours)["flags"] & SENT) != 0
     assert set(frames_of(ours)["can_id"][sent].tolist()) == {0, 0x80, 0x201, 0x202, 0x601, 0x602, 0x77F}
     passive = read_recording(out)
@@ -418,8 +417,7 @@ def test_a_follower_that_is_killed_in_motion_harms_nothing(folder):
         follower.communicate(timeout=PATIENCE_S)
         killed = syncs_tracked(read_recording(out))
         wait_for(out, lambda recording: syncs_tracked(recording) >= killed + SEEN_SYNCS, session)
-        _, errors = end(session, signal.SIGINT)
-    assert session.returncode == 0, errors
+        output_of(session, signal.SIGINT)
     recording = read_recording(out)
     assert not recording.cut
     assert texts(recording, "end") == ["stopped by SIGINT"]

@@ -31,6 +31,7 @@ from test_recording_processes import (
     folder,
     frames_of,
     listening,
+    output_of,
     port,
     wait_for,
 )
@@ -97,9 +98,7 @@ def test_a_third_party_drive_is_configured_and_recorded(folder, npm):
     (folder / "npm.toml").write_text(text)
     out = folder / "log.mcap"
     with third_party_drive(folder, npm) as drive:
-        session = acquire(folder, "record", str(folder / "npm.toml"), "-o", str(out), "--duration", "3")
-        _, errors = session.communicate(timeout=PATIENCE_S)
-        assert session.returncode == 0, errors
+        output_of(acquire(folder, "record", str(folder / "npm.toml"), "-o", str(out), "--duration", "3"))
         output = end(drive, signal.SIGTERM)[1]
     recording = read_recording(out)
     frames = frames_of(recording)
@@ -132,10 +131,8 @@ def test_a_third_party_drive_is_scanned(folder, npm):
     with third_party_drive(folder, npm), drives(folder):
         ear = Ear(channel, "udp_multicast")
         where = ("--interface", "udp_multicast", "--channel", channel)
-        scan = acquire(folder, "scan", *where, "--toml", str(folder / "bus.toml"))
-        output, errors = scan.communicate(timeout=PATIENCE_S)
+        output = output_of(acquire(folder, "scan", *where, "--toml", str(folder / "bus.toml")))
         frames = ear.frames()
-    assert scan.returncode == 0, errors
     from_nodes = [base + node for base in (0x580, 0x700) for node in (1, 2, 7)]
     sent = [frame for frame in frames if frame.can_id not in from_nodes]
     assert len(sent) > 127
@@ -164,13 +161,10 @@ def test_a_third_party_master_is_recorded_passively(folder, npm):
     out = folder / "passive.mcap"
     with drives(folder), listening(folder, "passive.toml", out) as listener:
         script, period_ms = ROOT / "tests" / "third_party_master.js", f"{SYNC_S * 1e3:g}"
-        master = node(npm, script, group, master_port, str(syncs), period_ms, "1", "2")
-        output, errors = master.communicate(timeout=PATIENCE_S)
-        assert master.returncode == 0, errors
+        output = output_of(node(npm, script, group, master_port, str(syncs), period_ms, "1", "2"))
         ids = (0x80, 0x181, 0x182, 0x201, 0x202)
         wait_for(out, lambda r: all(len(data) >= syncs for data in data_by_id(r, *ids).values()), listener)
-        _, errors = end(listener, signal.SIGINT)
-        assert listener.returncode == 0, errors
+        output_of(listener, signal.SIGINT)
     spoken = json.loads(output)
     recording = read_recording(out)
     frames = frames_of(recording)

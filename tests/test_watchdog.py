@@ -24,6 +24,7 @@ from test_recording_processes import (
     drives,
     folder,
     frames_of,
+    output_of,
     port,
     texts,
     tracking,
@@ -34,6 +35,7 @@ from test_third_party import npm, third_party_drive
 import acquisition.session.process as process_module
 import acquisition.simulated.node as simulated_supervision
 from acquisition.bus import Master, open_link
+from acquisition.commands import main
 from acquisition.errors import AcquisitionError
 from acquisition.protocol import State, state_of
 from acquisition.recording import Recording, read_recording
@@ -117,9 +119,7 @@ def test_drives_left_enabled_are_disabled_by_command(folder):
             master.sync()
             master.wait(link.now_ns() + 1_000_000_000, for_answers=True)
             assert [master.state(drive) for drive in master.bus.drives] == [State.OPERATION_ENABLED] * 2
-            done = acquire(folder, "disable", str(folder / "robot.toml"))
-            output, errors = done.communicate(timeout=PATIENCE_S)
-            assert (done.returncode, errors) == (0, "")
+            output = output_of(acquire(folder, "disable", str(folder / "robot.toml")))
             assert output == "disabled: nodes 1, 2; all in pre-operational\n"
             master.wait(link.now_ns() + 200_000_000)  # answers to the command's own questions
             assert [master.state(drive) for drive in master.bus.drives] == [State.SWITCH_ON_DISABLED] * 2
@@ -130,17 +130,14 @@ def test_drives_left_enabled_are_disabled_by_command(folder):
 
 
 @pytest.mark.slow
-def test_disable_says_first_who_did_not_confirm(folder):
-    done = acquire(folder, "disable", str(folder / "robot.toml"))
-    output, errors = done.communicate(timeout=PATIENCE_S)
-    assert (done.returncode, output) == (1, "")
-    assert errors == "NOT DISABLED: nodes 1, 2: EMERGENCY STOP\n"
+def test_disable_says_first_who_did_not_confirm(folder, capsys):
+    assert main(["disable", str(folder / "robot.toml")]) == 1
+    assert capsys.readouterr() == ("", "NOT DISABLED: nodes 1, 2: EMERGENCY STOP\n")
     (folder / "away.toml").write_text((folder / "robot.toml").read_text().replace("udp_multicast", "socketcan"))
-    done = acquire(folder, "disable", str(folder / "away.toml"))
-    _, errors = done.communicate(timeout=PATIENCE_S)
-    assert done.returncode == 1
-    assert errors.splitlines()[0] == "NOT DISABLED: nodes 1, 2: EMERGENCY STOP"
-    assert "cannot be opened" in errors.splitlines()[1]
+    assert main(["disable", str(folder / "away.toml")]) == 1
+    first, second = capsys.readouterr().err.splitlines()
+    assert first == "NOT DISABLED: nodes 1, 2: EMERGENCY STOP"
+    assert "cannot be opened" in second
 
 
 @pytest.mark.slow
