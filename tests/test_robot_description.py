@@ -54,18 +54,6 @@ def test_wrist_motors_of_the_tx40_are_coupled():
     assert robot.effort_units == ("N m",) * 6
 
 
-def test_power_is_the_same_on_both_sides():
-    """dqᵀ tau = dq_motorᵀ tau_motor for any motion, and each rule undoes its inverse."""
-    robot = robot_named("tx40")
-    rng = np.random.default_rng(0)
-    dq, tau_motor = rng.normal(size=(50, 6)), rng.normal(size=(50, 6))
-    dq_motor = robot.motor_position(dq) - robot.motor_position(np.zeros((50, 6)))
-    power = (dq * robot.joint_effort(tau_motor)).sum(axis=1)
-    assert np.allclose(power, (dq_motor * tau_motor).sum(axis=1), rtol=1e-12)
-    assert np.allclose(robot.joint_position(robot.motor_position(dq)), dq, atol=1e-14)
-    assert np.allclose(robot.motor_effort(robot.joint_effort(tau_motor)), tau_motor, atol=1e-13)
-
-
 def test_a_coupled_robot_by_hand():
     """Motor 1 turns by 10 q1 + 4 q2, motor 2 by -3 q1 + 20 q2; joint 1 gets 10 tau_m1 - 3 tau_m2, joint 2 the rest."""
     robot = robot_from_files({"robot.toml": COUPLED.encode()}, "here")
