@@ -66,6 +66,15 @@ MESSAGES = [
 ]  # fmt: skip
 
 
+def raising(error: Exception):
+    """A function that does nothing else."""
+
+    def fail(*_: object, **__: object) -> None:
+        raise error
+
+    return fail
+
+
 class KernelSocket(socket.socket):
     """What `recvmsg` gives, then nothing more; it is told to stop after the first message."""
 
@@ -119,11 +128,8 @@ def test_frames_of_the_kernel():
 
 
 def test_a_socket_that_fails_is_told():
-    def raise_(*_: object, **__: object) -> None:
-        raise OSError(19, "No such device")
-
     sock = KernelSocket([], lambda: None)
-    sock.recvmsg = raise_
+    sock.recvmsg = raising(OSError(19, "No such device"))
     receiver = Receiver(SimpleNamespace(socket=sock))
     receiver.run()
     assert receiver.error == "[Errno 19] No such device"
@@ -220,11 +226,7 @@ def test_a_passive_link_sends_nothing():
 
 def test_a_bus_that_takes_no_frame_is_told_and_nothing_is_noted():
     fake, tapped = FakeBus(), []
-
-    def refuse(*_: object, **__: object) -> None:
-        raise can.CanOperationError("buffer full")
-
-    fake.send = refuse
+    fake.send = raising(can.CanOperationError("buffer full"))
     with pytest.raises(AcquisitionError, match="bus: frame 0x605 cannot be sent: buffer full"):
         Link(fake, passive=False, tap=tapped.append).send(0x605, b"")
     assert tapped == []
@@ -256,11 +258,7 @@ def test_a_datagram_that_is_no_frame_ends_nothing_on_a_group_unless_its_socket_f
 
 def test_a_bus_that_is_gone_is_left():
     fake = FakeBus()
-
-    def gone() -> None:
-        raise can.CanOperationError("the adapter is gone")
-
-    fake.shutdown = gone
+    fake.shutdown = raising(can.CanOperationError("the adapter is gone"))
     Link(fake, passive=False).close()
 
 
@@ -374,10 +372,7 @@ def test_how_a_bus_is_opened(monkeypatch, keys, passive, expected):
     "error", [can.CanInitializationError("no such device"), OSError("no such device"), ImportError]
 )
 def test_a_bus_that_cannot_be_opened_is_told(monkeypatch, error):
-    def refuse(**_: object) -> None:
-        raise error
-
-    monkeypatch.setattr(can, "Bus", refuse)
+    monkeypatch.setattr(can, "Bus", raising(error))
     why = "ImportError" if error is ImportError else "no such device"
     with pytest.raises(AcquisitionError, match=f"bus: pcan PCAN_USBBUS1: cannot be opened: {why}"):
         open_bus(bus_file(interface="pcan", channel="PCAN_USBBUS1"), passive=False)

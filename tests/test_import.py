@@ -35,6 +35,11 @@ def two() -> Robot:
     return robot_from_files({"robot.toml": ROBOT.encode()}, "two")
 
 
+@pytest.fixture
+def table(tmp_path: Path) -> Path:
+    return csv(tmp_path / "a.csv", "p1,p2,c1,c2", Q, CURRENT)
+
+
 def csv(path: Path, header: str, *columns: np.ndarray, separator: str = ",") -> Path:
     lines = [separator.join(f"{value:.9g}" for value in row) for row in np.column_stack(columns)]
     path.write_text("\n".join([*([header] if header else []), *lines, ""]))
@@ -57,8 +62,7 @@ def refusal(folder: Path, robot: Robot, table_map: str, *tables: Path) -> tuple[
     return error.place.replace(f"{folder}/", ""), error.key, error.value, error.expected
 
 
-def test_motor_side_goes_through_the_robots_rule(tmp_path, two):
-    table = csv(tmp_path / "a.csv", "p1,p2,c1,c2", Q, CURRENT)
+def test_motor_side_goes_through_the_robots_rule(tmp_path, two, table):
     result = run(tmp_path, two, MAP, table)
     recording = read_recording(result.out)
     # Joint 1 turns by q_motor / 10 from its zero at 90°; joint 2 by the rest of motor 2 once joint 1 is taken off.
@@ -82,11 +86,10 @@ def test_an_effort_beyond_its_limit_is_told(tmp_path):
     assert result.warnings == ("effort of joint second up to 20 N m: limit 16 N m",)
 
 
-def test_joint_side_stands_as_it_is(tmp_path, two):
+def test_joint_side_stands_as_it_is(tmp_path, two, table):
     """Where a joint has a zero, which would do nothing, it is refused."""
     table_map = MAP.replace("motor", "joint").replace("mA", "mN m") + '[reference]\ncolumns = ["p2", "p1"]\n'
     table_map += 'unit = ["deg", "rad"]\nside = "joint"\n'
-    table = csv(tmp_path / "a.csv", "p1,p2,c1,c2", Q, CURRENT)
     with pytest.raises(
         AcquisitionError, match=r"position.side = 'joint': zero_deg of joint first in robot.toml has no effect"
     ):
@@ -254,16 +257,14 @@ def test_csv_mistakes(tmp_path, two, content, place, key, value, expected):
         ("[effort]", "[torque]", "top level", None, ""),
     ],
 )  # fmt: skip
-def test_map_mistakes(tmp_path, two, old, new, key, value, expected):
+def test_map_mistakes(tmp_path, two, old, new, key, value, expected, table):
     assert MAP.count(old) == 1
-    table = csv(tmp_path / "a.csv", "p1,p2,c1,c2", Q, CURRENT)
     found = refusal(tmp_path, two, MAP.replace(old, new), table)
     assert found == ("map.toml" if key else "a.csv", key, value, expected)
 
 
-def test_the_side_may_be_left_out_where_nothing_hangs_on_it(tmp_path, two):
+def test_the_side_may_be_left_out_where_nothing_hangs_on_it(tmp_path, two, table):
     """With an identity matrix position has one meaning; with a gain the unit of the effort tells its side."""
-    table = csv(tmp_path / "a.csv", "p1,p2,c1,c2", Q, CURRENT)
     table_map = MAP.replace('side = "motor"\n', "")
     direct = ROBOT.replace("[[10, 0], [20, 20]]", "[[1, 0], [0, 1]]").replace("zero_deg = 90\n", "")
     robot = robot_from_files({"robot.toml": direct.encode()}, "direct")
@@ -381,9 +382,8 @@ def test_times_in_words_that_are_no_unit_and_in_columns_that_are_none(tmp_path, 
     assert refusal(tmp_path, two, two_tables, table)[1:3] == ("time.table", 2)
 
 
-def test_joint_torques_beside_motor_currents(tmp_path, two):
+def test_joint_torques_beside_motor_currents(tmp_path, two, table):
     """The unit tells the side: N m can only be the joint's where motors are recorded in A."""
-    table = csv(tmp_path / "a.csv", "p1,p2,c1,c2", Q, CURRENT)
     table_map = MAP.replace('unit = "mA"\nside = "motor"', 'unit = "N m"')
     result = run(tmp_path, two, table_map, table)
     recording = read_recording(result.out)
@@ -401,8 +401,7 @@ def test_joint_torques_beside_motor_currents(tmp_path, two):
         ('effort_timing = "measured"', "measured at the instant of the sample", "measured"),
     ],
 )
-def test_what_instants_efforts_belong_to_is_what_the_map_says(tmp_path, two, stated, kept, timing):
-    table = csv(tmp_path / "a.csv", "p1,p2,c1,c2", Q, CURRENT)
+def test_what_instants_efforts_belong_to_is_what_the_map_says(tmp_path, two, stated, kept, timing, table):
     out = run(tmp_path, two, f"{stated}\n{MAP}", table).out
     assert read_recording(out).metadata.get("effort_timing") == kept
     assert load_signals(out).effort_timing == timing

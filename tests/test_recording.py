@@ -5,7 +5,6 @@ import json
 import os
 import struct
 import time
-from pathlib import Path
 
 import mcap.reader
 import numpy as np
@@ -110,45 +109,41 @@ def test_what_a_recording_says_of_itself(tmp_path, robot):
     assert recording.sha256 == hashlib.sha256((tmp_path / "a.mcap").read_bytes()).hexdigest()
 
 
-def write_rows(folder: Path, samples: np.ndarray) -> None:
+def write_rows(folder, samples) -> None:
     with RecordingWriter(folder / "rows.mcap", header(robot_named("scara"))) as writer:
         writer.samples(samples)
 
 
+@pytest.mark.parametrize("stamps", [[0, 1, 2], [0, 1, 2**31 * 10**9 - 1]])
+def test_stamps_that_a_recording_takes(tmp_path, stamps):
+    samples = some_samples(3)
+    samples["stamp_ns"] = stamps
+    write_rows(tmp_path, samples)
+
+
+GROWING, FINITE = "growing stamps from 0 to 2147483647999999999", "a finite number"
+
+
 @pytest.mark.parametrize(
-    ("stamps", "bad_row"),
+    ("field", "values", "row", "value", "expected"),
     [
-        ([0, 1, 2], None),
-        ([5, 5, 6], 2),
-        ([5, 4, 6], 2),
-        ([-1, 0, 1], 1),
-        ([0, 1, 2**31 * 10**9 - 1], None),
-        ([0, 1, 2**31 * 10**9], 3),
+        ("stamp_ns", [5, 5, 6], 2, 5, GROWING),
+        ("stamp_ns", [5, 4, 6], 2, 4, GROWING),
+        ("stamp_ns", [-1, 0, 1], 1, -1, GROWING),
+        ("stamp_ns", [0, 1, 2**31 * 10**9], 3, 2**31 * 10**9, GROWING),
+        ("position", [[0, 0], [0, 0], [0, np.nan]], 3, np.nan, FINITE),
+        ("effort", [[0, 0], [0, np.inf], [0, 0]], 2, np.inf, FINITE),
+        ("reference", [[0, -np.inf], [0, 0], [0, 0]], 1, -np.inf, FINITE),
     ],
 )
-def test_stamps_that_a_recording_takes(tmp_path, stamps, bad_row):
-    samples = np.zeros(3, sample_dtype(2, reference=False))
-    samples["stamp_ns"] = stamps
-    if bad_row is None:
-        write_rows(tmp_path, samples)
-        return
+def test_values_that_a_recording_does_not_take(tmp_path, field, values, row, value, expected):
+    samples = some_samples(3)
+    samples[field] = values
     with pytest.raises(AcquisitionError) as caught:
         write_rows(tmp_path, samples)
-    error = caught.value
-    assert (error.place, error.key) == (f"{tmp_path / 'rows.mcap'}: /samples: row {bad_row}", "stamp_ns")
-    assert (error.value, error.expected) == (stamps[bad_row - 1], "growing stamps from 0 to 2147483647999999999")
-
-
-@pytest.mark.parametrize("field", ["position", "effort", "reference"])
-def test_values_that_a_recording_does_not_take(tmp_path, field):
-    for value in (np.nan, np.inf, -np.inf):
-        samples = some_samples(5)
-        samples[field][3, 1] = value
-        with pytest.raises(AcquisitionError) as caught:
-            write_rows(tmp_path, samples)
-        error = caught.value
-        assert (error.place, error.key) == (f"{tmp_path / 'rows.mcap'}: /samples: row 4", f"{field} of joint 2")
-        assert (str(error.value), error.expected) == (str(value), "a finite number")
+    error, key = caught.value, field if field == "stamp_ns" else f"{field} of joint 2"
+    assert (error.place, error.key) == (f"{tmp_path / 'rows.mcap'}: /samples: row {row}", key)
+    assert (str(error.value), error.expected) == (str(value), expected)
 
 
 def test_a_row_that_is_refused_is_counted_from_the_first_of_all_blocks(tmp_path, monkeypatch):

@@ -236,33 +236,38 @@ def test_an_exception_in_any_phase(tmp_path, monkeypatch, method, error):
 
 
 @pytest.mark.parametrize(
-    ("change", "expected"),
+    ("change", "task", "expected"),
     [
-        (
-            ("rated_torque_nm = 0.42", "rated_torque_nm = 0.5"),
-            "rated value (6076:0) = 420: expected 500 as robot.toml says",
-        ),
-        (("node = 2", "node = 9"), "node 9: object 6041:0: no answer in 0.3 s"),
+        (("= 0.42", "= 0.5"), Task(duration_s=1.0), "rated value (6076:0) = 420: expected 500 as robot.toml says"),
+        (("node = 2", "node = 9"), Task(duration_s=1.0), "node 9: object 6041:0: no answer in 0.3 s"),
+        (("node = 1", 'tpdo = [{ objects = ["6064", "6074"] }]\nnode = 1'), TRACK, "node 1: no PDO from it carries 6041:0:"),
+        (("node = 1", 'rpdo = [{ objects = ["6040"] }]\nnode = 1'), TRACK, "no PDO to the drive carries 607A:0"),
+        (("node = 1", 'rpdo = [{ objects = ["6040", "607A"] }, { objects = ["6071"] }]\nnode = 1'), TRACK,
+         "carries 6071:0: expected only 6040:0, 6060:0"),
     ],
-)
-def test_a_description_that_disagrees_with_the_drive_is_refused_before_start(tmp_path, change, expected):
+)  # fmt: skip
+def test_a_description_that_disagrees_with_the_drive_or_the_task_is_refused_before_start(
+    tmp_path, change, task, expected
+):
     drives, other = bus_of(robot_of(bus_text(2))), robot_of(bus_text(2).replace(*change))
-    session = dry_session(tmp_path / "a.mcap", Task(duration_s=1.0), robot=other, drives=drives)
+    session = dry_session(tmp_path / "a.mcap", task, robot=other, drives=drives)
     assert expected in session.outcome.reason
     assert not any(node.operational for node in session.drives.nodes)
 
 
 @pytest.mark.parametrize(
-    ("reference", "expected"),
+    ("reference", "zero_counts", "expected"),
     [
-        (swing(2, amplitude=2.0), "position of joint_1 = 2.618 rad: expected -2.618 to 2.618"),
-        (swing(2, seconds=0.2), "speed of joint_1 = "),
-        (swing(2)[100:], "acceleration of joint_1"),  # it does not begin at rest
-        (swing(2)[:-100], "acceleration of joint_1"),
+        (swing(2, amplitude=2.0), 0, "position of joint_1 = 2.618 rad: expected -2.618 to 2.618"),
+        (swing(2, seconds=0.2), 0, "speed of joint_1 = "),
+        (swing(2)[100:], 0, "acceleration of joint_1"),  # it does not begin at rest
+        (swing(2)[:-100], 0, "acceleration of joint_1"),
+        (swing(2), 2147480000, "counts: expected -2147483648 to 2147483647"),
     ],
 )
-def test_a_reference_that_leaves_a_limit_is_refused_before_start(tmp_path, reference, expected):
-    session = dry_session(tmp_path / "a.mcap", Task(reference=reference, place="ref.csv"))
+def test_a_reference_that_leaves_a_limit_is_refused_before_start(tmp_path, reference, zero_counts, expected):
+    robot = robot_of(bus_text(2, drive=f"zero_counts = {zero_counts}"))
+    session = dry_session(tmp_path / "a.mcap", Task(reference=reference, place="ref.csv"), robot=robot)
     assert "ref.csv: at " in session.outcome.reason
     assert expected in session.outcome.reason
     assert len(session.sent) == 0
@@ -287,20 +292,6 @@ def test_a_sync_that_ends_stops_motion(tmp_path):
     assert "no SYNC in 10 periods" in session.outcome.reason  # in motion: 20 ms
     assert not session.outcome.unconfirmed
     assert DISABLED.issuperset(session.drives.states)
-
-
-@pytest.mark.parametrize(
-    ("pdos", "expected"),
-    [
-        ('tpdo = [{ objects = ["6064", "6074"] }]', "node 1: no PDO from it carries 6041:0: expected one to track"),
-        ('rpdo = [{ objects = ["6040"] }]', "no PDO to the drive carries 607A:0"),
-        ('rpdo = [{ objects = ["6040", "607A"] }, { objects = ["6071"] }]', "carries 6071:0: expected only 6040:0, 6060:0"),
-    ],
-)  # fmt: skip
-def test_pdos_that_cannot_be_tracked_with(tmp_path, pdos, expected):
-    session = dry_session(tmp_path / "a.mcap", TRACK, robot=robot_of(bus_text(2, drive=pdos)))
-    assert expected in session.outcome.reason
-    assert not any(node.operational for node in session.drives.nodes)
 
 
 @pytest.mark.parametrize(("reads", "fault"), [(3, False), (10_000, True)])
