@@ -11,6 +11,7 @@ from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.bus import Frame, Link, Master, MasterLink, open_link
 from acquisition.commands.checking import Finding, check_drives
+from acquisition.protocol import DISABLED
 from acquisition.recording import FRAME, SENT, Block, Recording, read_recording
 from acquisition.robot import Bus, BusFile, Robot
 from acquisition.session import InlineLog, Outcome, RecordedSummary, Recorder, Stop, Task, run_active
@@ -195,7 +196,7 @@ def dry_session(
     simulated: type[FaultyDrives] = FaultyDrives,
     log_of: type[InlineLog] = InlineLog,
 ) -> DrySession:
-    """A session from start to end; what is left afterwards, 0.2 s later, whatever was raised.
+    """A session from start to end; what is left afterwards, 0.2 s later, whatever was raised: drives that are disabled.
 
     `drives` are those on the bus, where they are others than the session thinks.
     """
@@ -215,6 +216,7 @@ def dry_session(
     until_ns = run.now_ns() + 200_000_000
     while run.receive(until_ns):
         pass
+    assert DISABLED.issuperset(run.drives.states)
     recorded = log.finish(run.now_ns())
     return DrySession(
         outcome=outcome,
