@@ -244,17 +244,6 @@ def test_wrong_usage_is_status_2():
         assert caught.value.code == 2
 
 
-def test_ctrl_c_is_one_line_and_status_130(folder, capsys, monkeypatch):
-    def interrupted(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    before = sorted(folder.iterdir())
-    monkeypatch.setattr(RecordingWriter, "samples", interrupted)
-    assert main(import_command(folder, folder / "log.mcap")) == 130
-    assert capsys.readouterr().err == "robot-acquire: interrupted\n"
-    assert sorted(folder.iterdir()) == before
-
-
 @pytest.mark.slow
 def test_a_terminal_without_unicode(tmp_path):
     write(tmp_path / "a.mcap", robot_named("scara"))

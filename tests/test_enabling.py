@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from dry_sessions import DrySession, Through, at_boot, dry_session, swing
+from dry_sessions import DrySession, Through, at_boot, connected, dry_session, findings, swing
 from faulty_drives import Fault, FaultyDrives
 from made_up_buses import bus_of, bus_text, robot_of
 
@@ -229,6 +229,8 @@ def test_a_fault_is_reset_by_a_rising_edge(tmp_path, monkeypatch):
     session = dry_session(tmp_path / "a.mcap", TRACK)
     assert session.outcome.reason == "finished"
     assert session.events("mark") == ["node 1: found in fault", "node 2: found in fault"]
+    run, master = connected()
+    assert [f.ok for f in findings(run, master.bus, "state")] == [False, False]
 
 
 def test_a_fault_that_nobody_was_asked_about_is_not_reset(tmp_path, monkeypatch):

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 import pytest
 from conftest import needs_data
-from dry_sessions import Answering, At, SyncOfAnother, Unasked, at_boot, connected, dry_session, findings, say, swing
+from dry_sessions import Answering, At, SyncOfAnother, Unasked, connected, dry_session, findings, say, swing
 from faulty_drives import Fault
 from made_up_buses import bus_of, bus_text, robot_of
 
@@ -19,7 +19,6 @@ from acquisition.bus import Frame, Master
 from acquisition.errors import AcquisitionError
 from acquisition.protocol import (
     Mode,
-    State,
     write_request,
 )
 from acquisition.robot import axis_of
@@ -53,36 +52,11 @@ def test_a_drive_that_is_enabled_already_is_somebody_elses(tmp_path, monkeypatch
     assert set(session.sent["data"][:, 0].tolist()) == {0x40}
 
 
-def test_a_drive_found_in_fault_is_told(tmp_path, monkeypatch):
-    def in_fault(node):
-        node.state = State.FAULT
-        node.tick()
-
-    at_boot(monkeypatch, in_fault)
-    session = dry_session(tmp_path / "a.mcap", TRACK)
-    assert session.outcome.reason == "finished"
-    assert session.events("mark") == [f"node {k}: found in fault" for k in (1, 2)]
-    run, master = connected()
-    assert [f.ok for f in findings(run, master.bus, "state")] == [False, False]
-
-
 @pytest.mark.parametrize("task", [TRACK, Task(duration_s=1.0)])
 def test_a_stop_before_anything_began(tmp_path, task):
     session = dry_session(tmp_path / "a.mcap", task, stop=Stop(reason="stopped by SIGTERM"))
     assert session.raised is None
     assert (session.outcome.reason, session.outcome.fault) == ("stopped by SIGTERM", False)
-
-
-def test_nothing_is_said_of_drives_that_were_not_addressed_and_nobody_confirms_for_those_away(tmp_path):
-    too_far = dry_session(tmp_path / "a.mcap", Task(reference=swing(2, amplitude=2.0)))
-    assert "position of joint_1" in too_far.outcome.reason
-    assert too_far.events("disabled") + too_far.events("not disabled") == []
-    assert len(too_far.sent) == 0
-    robot, other = robot_of(bus_text(2)), robot_of(bus_text(2).replace("node = 2", "node = 9"))
-    for name, task in (("track", TRACK), ("record", Task(duration_s=1.0))):
-        away = dry_session(tmp_path / f"{name}.mcap", task, robot=other, bus=bus_of(other), drives=bus_of(robot))
-        assert "node 9: object 6041:0: no answer" in away.outcome.reason
-        assert away.events("disabled") + away.events("not disabled") == []
 
 
 def test_drives_that_were_configured_and_then_refused_are_disabled_and_asked(tmp_path):

@@ -232,6 +232,7 @@ def test_an_exception_in_any_phase(tmp_path, monkeypatch, method, error):
     [
         (("= 0.42", "= 0.5"), Task(duration_s=1.0), "rated value (6076:0) = 420: expected 500 as robot.toml says"),
         (("node = 2", "node = 9"), Task(duration_s=1.0), "node 9: object 6041:0: no answer in 0.3 s"),
+        (("node = 2", "node = 9"), TRACK, "node 9: object 6041:0: no answer in 0.3 s"),
         (("node = 1", 'tpdo = [{ objects = ["6064", "6074"] }]\nnode = 1'), TRACK, "node 1: no PDO from it carries 6041:0:"),
         (("node = 1", 'rpdo = [{ objects = ["6040"] }]\nnode = 1'), TRACK, "no PDO to the drive carries 607A:0"),
         (("node = 1", 'rpdo = [{ objects = ["6040", "607A"] }, { objects = ["6071"] }]\nnode = 1'), TRACK,
@@ -244,6 +245,8 @@ def test_a_description_that_disagrees_with_the_drive_or_the_task_is_refused_befo
     drives, other = bus_of(robot_of(bus_text(2))), robot_of(bus_text(2).replace(*change))
     session = dry_session(tmp_path / "a.mcap", task, robot=other, drives=drives)
     assert expected in session.outcome.reason
+    if "no answer" in expected:  # nobody confirms for a drive that is away
+        assert session.events("disabled") + session.events("not disabled") == []
     assert not any(node.operational for node in session.drives.nodes)
 
 
@@ -263,6 +266,7 @@ def test_a_reference_that_leaves_a_limit_is_refused_before_start(tmp_path, refer
     assert "ref.csv: at " in session.outcome.reason
     assert expected in session.outcome.reason
     assert len(session.sent) == 0
+    assert session.events("disabled") + session.events("not disabled") == []  # nothing is said of drives not addressed
 
 
 def test_sync_of_another_producer_is_followed(tmp_path):
