@@ -176,6 +176,11 @@ def test_what_is_gone_is_told_with_the_new_way(capsys):
             f"fleet --low-speed-percent is gone: use low_speed_percent {key}",
         ),
         (identify, ["fit", "a.mcap", "--cluster=tcp://host:1"], "--cluster is gone: use --workers tcp://HOST:8786"),
+        (
+            identify,
+            ["fleet", "a", "--rrd", "b"],
+            "fleet --rrd is gone: use the table of -o OUT.csv, which marks changes",
+        ),
         (acquire, ["simulate", "robot.toml"], "simulate is gone: use emulate"),
         (identify, ["study", "robot.toml", "--rrd=s.rrd"], "study --rrd is gone: use --report FILE.html"),
         (identify, ["schema", "robot"], "schema is gone: all keys of robot.toml are in identification/reference.md"),

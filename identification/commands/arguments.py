@@ -41,6 +41,7 @@ GONE = {  # what older versions had: a command, an option, or an option of one c
     "sensitivity --rrd": "use --report FILE.html, which has the charts",
     "compare --rrd": "use --report FILE.html, which has the charts",
     "friction --rrd": "use --report FILE.html, which has the charts",
+    **dict.fromkeys(["fleet --rrd", "fleet --report"], "use the table of -o OUT.csv, which marks changes"),
 }
 
 

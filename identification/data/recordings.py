@@ -208,11 +208,6 @@ class RecordingFile:
         description = None if robot is None else tuple(robot.files.items())
         return cls(path=str(path.absolute()), description=description, payload=payload)
 
-    @property
-    def found(self) -> bool:
-        """Whether this process can read it."""
-        return Path(self.path).exists()
-
     def load(self) -> Signals:
         """The signals of the recording. Raises as `load_signals`."""
         robot = None if self.description is None else robot_from_files(dict(self.description), self.path)
