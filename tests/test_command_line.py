@@ -176,6 +176,9 @@ def test_what_is_gone_is_told_with_the_new_way(capsys):
             f"fleet --low-speed-percent is gone: use low_speed_percent {key}",
         ),
         (identify, ["fit", "a.mcap", "--cluster=tcp://host:1"], "--cluster is gone: use --workers tcp://HOST:8786"),
+        (identify, ["fit", "a.mcap", "--decimate", "5"], f"--decimate is gone: use decimation {key}"),
+        (identify, ["view", "a.mcap", "--torque-lag-s=0"], f"view --torque-lag-s is gone: use torque_lag_s {key}"),
+        (identify, ["demo", "--noise", "5"], "demo --noise is gone: use simulate --effort-noise-percent"),
         (
             identify,
             ["fleet", "a", "--rrd", "b"],

@@ -40,10 +40,9 @@ def fleet(tmp_path_factory):
     return folder
 
 
-def run(folder, say=lambda text: None, cutoff_hz=None, **how):
+def run(folder, say=lambda text: None, **how):
     (folder.parent / "store").mkdir(exist_ok=True)
-    found, settings = study.found_recordings([folder], **how), ("wls", Overrides(cutoff_hz=cutoff_hz))
-    return study.run_fleet(found, settings, folder.parent / "store", Work(), say)
+    return study.run_fleet(study.found_recordings([folder], **how), "wls", folder.parent / "store", Work(), say)
 
 
 @pytest.mark.slow
@@ -108,8 +107,9 @@ def test_a_run_goes_on_where_the_last_one_stopped(fleet, tmp_path):
     rows = run(folder, fits.append)
     assert run(folder, fits.append) == rows
     assert fits == [f"{k} of {COUNT}: {folder / f'{k}.mcap'}" for k in range(1, COUNT + 1)], "each once in three runs"
-    assert run(folder, cutoff_hz=40.0)[0].parameters != rows[0].parameters
-    run(folder, others.append, robot=REPLAY / "emps" / "robot.toml")
+    text = (REPLAY / "emps" / "robot.toml").read_text() + "\n[identification]\ncutoff_hz = 40\n"
+    (tmp_path / "robot.toml").write_text(text)
+    assert run(folder, others.append, robot=tmp_path / "robot.toml")[0].parameters != rows[0].parameters
     shutil.copy(fleet / "1.mcap", folder / "2.mcap")
     assert len({row.sha256 for row in run(folder, others.append)}) == COUNT - 1
     assert others[COUNT:] == [f"{COUNT} of {COUNT}: {folder / '2.mcap'}"]

@@ -2,11 +2,10 @@
 
 import argparse
 
-from acquisition.commands import Progress, add_flag, add_path, from_options
+from acquisition.commands import Progress, add_flag, add_path
 
 from ..errors import IdentificationError
-from ..options import Overrides
-from .arguments import add_settings, add_work, make_folder, print_results, refuse_outputs, trust_status, work_of
+from .arguments import add_method, add_work, make_folder, print_results, refuse_outputs, trust_status, work_of
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -15,7 +14,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     add_path(inputs, "folders", "FOLDER", "folder with recordings (*.mcap), subfolders included", nargs="+")
     add_flag(inputs, "--by-folder", "fit the recordings of each folder together: one row per folder")
     add_path(inputs, "--robot", "ROBOT.toml", "use this description instead of the recordings' own")
-    add_settings(parser, method=True)
+    add_method(parser.add_argument_group("settings of the fit"))
     add_work(parser)
     text = "the table to write, .parquet or .csv; the folder OUT.rows keeps its fits, which the next run does not make again"
     add_path(parser.add_argument_group("outputs"), "-o --out", "OUT", text, required=True)
@@ -32,8 +31,7 @@ def run(options: argparse.Namespace) -> int:
         found = found_recordings(options.folders, options.robot, by_folder=options.by_folder)
         store = out.with_name(f"{out.name}.rows")
         make_folder(store)
-        settings = options.method, from_options(Overrides, options)
-        rows = run_fleet(found, settings, store, work_of(options, len(found)), progress.say)
+        rows = run_fleet(found, options.method, store, work_of(options, len(found)), progress.say)
     write_table(out, rows)
     print_results(fleet_document(rows))
     reasons = [] if any(row.parameters for row in rows) else [f"no recording could be fitted: {rows[0].reason}"]

@@ -55,22 +55,23 @@ def found_recordings(folders: Sequence[Path], robot: Path | None = None, *, by_f
 
 
 def run_fleet(
-    found: Found, settings: tuple[Method | None, Overrides], store: Path, work: Work, say: Callable[[str], None]
+    found: Found, method: Method | None, store: Path, work: Work, say: Callable[[str], None]
 ) -> list[FleetRow]:
-    """A row for each entry of `found` by these settings, ordered by start; those without a start come last.
+    """A row for each entry of `found`, ordered by start; those without a start come last.
 
-    Each fit is stored in the folder `store`, and reused until a file, the settings or versions of packages differ. A failure is
-    a row with a `reason`. Raises `AcquisitionError` if a fit cannot be stored, `IdentificationError` if a worker ends early.
+    Each fit is stored in the folder `store`, and reused until a file, its description, the method or versions of packages
+    differ. A failure is a row with a `reason`. Raises `AcquisitionError` if a fit cannot be stored, `IdentificationError` if a
+    worker ends early.
     """
     rows, tasks = list[FleetRow](), dict[Path, tuple[object, ...]]()
     for path, sources in found.items():
-        made_from = sources, [Path(source.path).stat().st_mtime_ns for source in sources], settings, versions()
+        made_from = sources, [Path(source.path).stat().st_mtime_ns for source in sources], method, versions()
         name = store / f"{hashlib.sha256(repr(made_from).encode()).hexdigest()[:32]}.json"
         try:
             stored = msgspec.json.decode(name.read_bytes(), type=FleetRow)
             rows.append(msgspec.structs.replace(stored, file=str(path)))
         except (OSError, msgspec.DecodeError):  # none, damaged, or of another version
-            tasks[name] = str(path), sources, *settings
+            tasks[name] = str(path), sources, method
     for name, row in zip(tasks, work.run(fit_row, list(tasks.values())), strict=True):
         if row.parameters:  # what failed is tried again
             write_json(name, row)
@@ -79,11 +80,11 @@ def run_fleet(
     return with_changes(sorted(rows, key=lambda row: (row.start.timestamp() if row.start else float("inf"), row.file)))
 
 
-def fit_row(file: str, sources: Sequence[RecordingFile], method: Method | None, overrides: Overrides) -> FleetRow:
+def fit_row(file: str, sources: Sequence[RecordingFile], method: Method | None) -> FleetRow:
     """The row with the fit of one recording, or of several of one robot together, or with the reason why there is none."""
     try:
         loaded = tuple(source.load() for source in sources)
-        fit = identify(Recordings(sources=loaded), overrides, method=method)
+        fit = identify(Recordings(sources=loaded), Overrides(), method=method)
     except Exception as error:  # a bug that one recording triggers must not end a run of days
         expected = isinstance(error, RobotIdimError | OSError)
         return FleetRow(file=file, reason=str(error) if expected else f"unexpected {error!r}")
