@@ -33,6 +33,6 @@ def run(options: argparse.Namespace) -> int:
         make_folder(store)
         rows = run_fleet(found, options.method, store, work_of(options, len(found)), progress.say)
     write_table(out, rows)
-    print_results(fleet_document(rows))
+    print_results(fleet_document(rows), everything=False)
     reasons = [] if any(row.parameters for row in rows) else [f"no recording could be fitted: {rows[0].reason}"]
     return trust_status(reasons)
