@@ -63,9 +63,7 @@ class Overrides:
         float | None,
         option("low-pass cut-off of the position in Hz, or none (default: 5 times the bandwidth)", "F", cutoff),
     ] = None
-    decimation: Annotated[
-        int | None, option("samples per row of the fit (default: by the bandwidth)", "N", positive, "--decimate")
-    ] = None
+    decimation: int | None = None
     span: Span | None = None
     edges: "Edges | None" = None
     low_speed_percent: "float | LowSpeed | None" = None

@@ -1,7 +1,5 @@
 """Every Rerun file that a command writes opens: each view of its layout stands under one parent."""
 
-import shutil
-
 import pytest
 from blueprints import has_one_parent_each
 from conftest import IDENTIFY, REPLAY
@@ -12,7 +10,6 @@ COMMANDS = {  # what stands before --rrd FILE
     "view": [SESSION],
     "view --follow": [SESSION],
     "excite": [ROBOT, "--period", "3", "--harmonics", "3", "--periods", "2", "-o", "ref.csv"],
-    "fleet": ["fleet", "-o", "fleet.parquet"],
 }
 
 
@@ -27,9 +24,6 @@ def test_the_commands_are_those_that_write_such_files():
 @pytest.mark.parametrize("command", COMMANDS)
 def test_each_view_stands_under_one_parent(command, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    for name in ("scara", "emps") if command == "fleet" else ():
-        (tmp_path / "fleet" / name).mkdir(parents=True)
-        shutil.copy(REPLAY / name / "session.mcap", tmp_path / "fleet" / name)
     out = "-o" if command.startswith("view") else "--rrd"
     assert IDENTIFY.main([*command.split(), *map(str, COMMANDS[command]), out, "a.rrd"]) == 0
     assert has_one_parent_each(tmp_path / "a.rrd")

@@ -253,7 +253,8 @@ def test_why_there_are_no_samples_is_said_by_all_who_need_some(tmp_path, capsys)
     assert why in recorder.finish(3 * 10**9).no_samples
     assert read_recording(log).samples is None
     for command in (["info", log], ["export", log, "-o", tmp_path / "a.csv"]):
-        assert why in told(capsys, *command)
+        assert why in (text := told(capsys, *command))
+    assert "with a corrected --robot" in text
     with pytest.raises(IdentificationError, match=why):
         load_signals(log)
     cut.write_bytes(log.read_bytes()[:-100])

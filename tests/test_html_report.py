@@ -170,7 +170,6 @@ def test_commands_write_their_report(ending, tmp_path, capsys, monkeypatch):
         "friction": ["friction", "log.mcap"],
         "sensitivity": ["sensitivity", "log.mcap", "--position-noise", "1e-4"],
         "study": ["study", scara / "robot.toml", "--runs", "2", "--duration-s", "3", "--workers", "1"],
-        "fleet": ["fleet", ".", "-o", "fleet.parquet", "--workers", "1"],
         "excite": [
             "excite",
             scara / "robot.toml",

@@ -293,9 +293,8 @@ def test_a_start_of_iv_is_refused_with_least_squares(capsys, method):
 @pytest.mark.slow
 def test_validate_takes_the_settings_of_the_fit(capsys, tmp_path):
     fit, errors = tmp_path / "fit.json", tmp_path / "errors.json"
-    settings = ["--cutoff-hz", "40", "--decimate", "20"]
-    robot = with_keys(tmp_path, 'span = "all"', "low_speed_percent = 7")
-    assert main(["fit", str(SCARA), *settings, "--robot", robot, "--json", str(fit)]) == 0
+    robot = with_keys(tmp_path, 'span = "all"', "low_speed_percent = 7", "decimation = 20")
+    assert main(["fit", str(SCARA), "--cutoff-hz", "40", "--robot", robot, "--json", str(fit)]) == 0
     stored = json.loads(fit.read_text())
     assert stored["low_speed_percent"] == {"ls": 7.0, "iv": 7.0}
     assert (stored["edges"], stored["span_rule"], stored["span"]) == ("smooth", "all", "all samples")

@@ -91,12 +91,12 @@ class Written:
                 self.static.setdefault(chunk.entity_path, {}).update({k: v.to_pylist()[0] for k, v in columns.items()})
             else:
                 (timeline,) = chunk.timeline_names
-                assert timeline in ("time", "date")
+                assert timeline == "time"
                 if "Scalars:scalars" not in columns:
                     assert chunk.entity_path not in self.moving, "in one piece"
                     self.moving[chunk.entity_path] = {name: c.to_pylist() for name, c in columns.items()}
                     continue
-                t = columns[timeline].to_numpy(zero_copy_only=False).astype(np.int64)
+                t = columns["time"].to_numpy(zero_copy_only=False).astype(np.int64)
                 x = np.array([row[0] for row in columns["Scalars:scalars"].to_pylist()])
                 assert chunk.entity_path not in self.curves, "in one piece"
                 self.curves[chunk.entity_path] = (t, x)

@@ -36,7 +36,7 @@ def _samples(path: Path, warn: Callable[[str], None]) -> tuple[Block, Robot]:
     """Samples and robot; calls `warn` if samples are missing."""
     recording = read_recording(path)
     if recording.samples is None:
-        expected = "some; `robot-acquire import` makes them from frames"
+        expected = "some; `robot-acquire import`, with a corrected --robot, makes them from frames that are not lost"
         Place(str(path)).refuse(text=recording.no_samples, expected=expected)
     missing = [gap.missing for gap in gaps(recording.samples, recording.sample_rate_hz) if not gap.late]
     if missing:

@@ -16,7 +16,7 @@ from acquisition.commands import Progress, add_options, add_path
 from acquisition.errors import one_line
 
 from ..errors import IdentificationError
-from ..options import CellOptions, Overrides, StudyOptions, workers
+from ..options import CellOptions, StudyOptions, workers
 
 if TYPE_CHECKING:
     from ..data import RecordingFile, Work
@@ -31,16 +31,24 @@ GONE = {  # what older versions had: a command, an option, or an option of one c
     "study --encoder-step": "use --position-noise",
     "study --rrd": "use --report FILE.html",
     "--all-samples": 'use span = "all" under [identification] of robot.toml',
-    **dict.fromkeys(
-        [f"{command} --low-speed-percent" for command in ("fit", "friction", "fleet")],
-        "use low_speed_percent under [identification] of robot.toml",
-    ),
+    **{
+        name: f"use {key} under [identification] of robot.toml"
+        for key, names in {
+            "cutoff_hz": ["fleet --cutoff-hz"],
+            "decimation": ["--decimate"],
+            "low_speed_percent": [f"{command} --low-speed-percent" for command in ("fit", "friction", "fleet")],
+            "max_iterations": ["--max-iterations"],
+            "tolerance_percent": ["--tolerance-percent"],
+            "torque_lag_s": ["fleet --torque-lag-s", "view --torque-lag-s"],
+        }.items()
+        for name in names
+    },
     "--cluster": "use --workers tcp://HOST:8786",
-    "--max-iterations": "use max_iterations under [identification] of robot.toml",
-    "--tolerance-percent": "use tolerance_percent under [identification] of robot.toml",
     "sensitivity --rrd": "use --report FILE.html, which has the charts",
     "compare --rrd": "use --report FILE.html, which has the charts",
+    "demo --noise": "use simulate --effort-noise-percent",
     "friction --rrd": "use --report FILE.html, which has the charts",
+    **dict.fromkeys(["fleet --rrd", "fleet --report"], "use the table of -o OUT.csv, which marks changes"),
 }
 
 
@@ -69,17 +77,13 @@ def add_recordings(inputs: "argparse._ArgumentGroup") -> None:
     inputs.add_argument("--payload", metavar="NAME=KG[@X,Y,Z]", action="append", default=[], help=text)
 
 
-def add_settings(parser: argparse.ArgumentParser, *, method: bool = False) -> "argparse._ArgumentGroup":
-    """The settings group: filters and lag; with `method` also the method."""
-    group = parser.add_argument_group("settings of the fit")
-    add_options(group, Overrides, "cutoff_hz", "decimation", "torque_lag_s")
-    if method:
-        text = (
-            "ols: ordinary least squares; wls: weighted by joint; iv: instrumental variables (default: iv if every recording "
-            "has its reference, else wls)"
-        )
-        group.add_argument("--method", choices=["ols", "wls", "iv"], help=text)
-    return group
+def add_method(settings: "argparse._ActionsContainer") -> None:
+    """`--method`."""
+    text = (
+        "ols: ordinary least squares; wls: weighted by joint; iv: instrumental variables (default: iv if every recording "
+        "has its reference, else wls)"
+    )
+    settings.add_argument("--method", choices=["ols", "wls", "iv"], help=text)
 
 
 def sources(options: argparse.Namespace) -> list["RecordingFile"]:

@@ -6,7 +6,6 @@ from pathlib import Path
 
 from acquisition.commands import Progress, add_flag, add_overwrite, add_path
 
-from ..options import not_negative
 from .arguments import make_folder, print_results
 
 NEXT = (
@@ -23,9 +22,6 @@ def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_path(parser, "--out", "DIR", "folder for results (default: session)", default=Path("session"))
     parser.add_argument("--robot", choices=["scara", "tx40"], default="tx40", help="the simulated robot (default tx40)")
-    parser.add_argument(
-        "--noise", type=not_negative, default=3.0, metavar="P", help="torque noise, %% of the rms torque (default 3)"
-    )
     text = "instead record drives in A, without and with 2 kg, and compare the drive gains with the true ones"
     add_flag(parser, "--gains", text)
     add_flag(parser, "--all", "print the whole fits by least squares and iv, and all parameters")
@@ -54,7 +50,7 @@ def run(options: argparse.Namespace) -> None:
         make_folder(out)
         with atomic_write(out / "session.mcap") as recording:
             progress.say("simulated drives")
-            record_simulated_session(robot, str(place), recording, noise_percent=options.noise)
+            record_simulated_session(robot, str(place), recording)
         signals = load_signals(out / "session.mcap")
         base, true = study_truth(robot)
         write_json(out / "truth.json", base_file(base, robot, true))
@@ -93,7 +89,7 @@ def _identify_gains(options: argparse.Namespace) -> None:
         refuse_clash([], *paths, overwrite=options.overwrite, option="--out")
         make_folder(out)
         progress.say("simulated drives")
-        true = record_gain_pair(load_robot(place), str(place), paths, options.noise)
+        true = record_gain_pair(load_robot(place), str(place), paths)
         recordings = Recordings(sources=tuple(RecordingFile.at(path) for path in paths))
         fit = identify(recordings, Overrides(gains=("all",)), say=progress.say)
         write_json(out / "k.json", fit_file(fit))

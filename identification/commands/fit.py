@@ -11,9 +11,9 @@ from acquisition.commands import Progress, add_flag, add_options, add_path, from
 from ..errors import IdentificationError
 from ..options import Overrides
 from .arguments import (
+    add_method,
     add_pictures,
     add_recordings,
-    add_settings,
     add_work,
     print_results,
     refuse_outputs,
@@ -31,7 +31,9 @@ if TYPE_CHECKING:
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_recordings(parser.add_argument_group("inputs"))
-    settings = add_settings(parser, method=True)
+    settings = parser.add_argument_group("settings of the fit")
+    add_options(settings, Overrides, "cutoff_hz", "torque_lag_s")
+    add_method(settings)
     add_options(settings, Overrides, "gains")
     add_flag(settings, "--essential", "fit only the essential (well-determined) parameters")
     consistent = parser.add_argument_group("physically consistent parameters")

@@ -2,14 +2,13 @@
 
 import argparse
 
-from acquisition.commands import Progress, add_flag, add_path, from_options
+from acquisition.commands import Progress, add_flag, add_options, add_path, from_options
 
 from ..errors import IdentificationError
 from ..options import Overrides
 from .arguments import (
     add_recordings,
     add_report,
-    add_settings,
     print_results,
     refuse_outputs,
     sources,
@@ -20,7 +19,7 @@ from .arguments import (
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_recordings(parser.add_argument_group("inputs"))
-    add_settings(parser)
+    add_options(parser.add_argument_group("settings of the fit"), Overrides, "cutoff_hz", "torque_lag_s")
     outputs = parser.add_argument_group("outputs")
     add_path(outputs, "--json", "FILE", "write all sets of terms that were tried, and the recommended one, as JSON")
     add_report(outputs)

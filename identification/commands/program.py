@@ -13,7 +13,7 @@ PROGRAM = Program(
     commands={
         "fit": "identify base parameters from one or more recordings",
         "friction": "choose friction terms by cross-validation",
-        "fleet": "fit every recording in folders: a table, and drift over time",
+        "fleet": "fit every recording in folders: a table that marks what has changed",
         "view": "draw a recording in Rerun, before a fit",
         "compare": "compare the parameters of two fits",
         "validate": "torque error of a fit on other recordings",

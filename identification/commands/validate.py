@@ -4,13 +4,12 @@ import argparse
 from hashlib import sha256
 from typing import TYPE_CHECKING
 
-from acquisition.commands import Progress, add_flag, add_path, from_options
+from acquisition.commands import Progress, add_flag, add_options, add_path, from_options
 
 from ..options import Overrides, above_zero
 from .arguments import (
     add_recordings,
     add_report,
-    add_settings,
     print_results,
     refuse_outputs,
     sources,
@@ -27,7 +26,8 @@ def add(parser: argparse.ArgumentParser) -> None:
     inputs = parser.add_argument_group("inputs")
     add_path(inputs, "fit", "FIT.json", "the fit, as `fit --json` writes it")
     add_recordings(inputs)
-    add_settings(parser).description = "The settings in FIT.json stand in for the defaults below."
+    text = "The settings in FIT.json stand in for the defaults below."
+    add_options(parser.add_argument_group("settings of the fit", text), Overrides, "cutoff_hz", "torque_lag_s")
     outputs = parser.add_argument_group("outputs")
     add_path(outputs, "--json", "FILE", "write the errors as JSON")
     add_report(outputs)

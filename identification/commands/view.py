@@ -5,16 +5,17 @@ import os
 import sys
 from pathlib import Path
 
-from acquisition.commands import Progress, add_flag, add_path, from_options
+from acquisition.commands import Progress, add_flag, add_options, add_path, from_options
 
 from ..errors import IdentificationError
-from .arguments import add_recordings, add_settings, print_results, refuse_outputs, sources
+from ..options import Overrides
+from .arguments import add_recordings, print_results, refuse_outputs, sources
 
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_recordings(parser.add_argument_group("inputs"))
-    add_settings(parser)
+    add_options(parser.add_argument_group("settings of the fit"), Overrides, "cutoff_hz")
     outputs = parser.add_argument_group("outputs")
     add_path(
         outputs,
@@ -42,7 +43,6 @@ def run(options: argparse.Namespace) -> None:
     outs = [options.out or Path(str(path).removesuffix(path.suffix) + ".rrd") for path in options.recordings]
     refuse_outputs([*options.recordings, options.robot], *outs)
     with Progress("reading") as progress:
-        from ..regression import Overrides
         from ..view import draw_recording, write_html, write_rrd
 
         for out, source in zip(outs, sources(options), strict=True):

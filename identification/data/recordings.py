@@ -58,7 +58,7 @@ def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signa
         raise IdentificationError("is cut off", place=str(path), expected=expected)
     samples = recording.samples
     if samples is None or len(samples) == 0:
-        expected = "the channel /samples (`robot-acquire import` makes it from frames)"
+        expected = "some; `robot-acquire import`, with a corrected --robot, makes them from frames that are not lost"
         raise IdentificationError(recording.no_samples, place=str(path), expected=expected)
     stamps, fields = field_of(samples, "stamp_ns"), samples.dtype.names or ()
     grid, rate_hz, off_grid = _grid(stamps, recording.sample_rate_hz, path)
@@ -207,11 +207,6 @@ class RecordingFile:
         """The recording at `path`, with the description `robot` and the `payload` if given."""
         description = None if robot is None else tuple(robot.files.items())
         return cls(path=str(path.absolute()), description=description, payload=payload)
-
-    @property
-    def found(self) -> bool:
-        """Whether this process can read it."""
-        return Path(self.path).exists()
 
     def load(self) -> Signals:
         """The signals of the recording. Raises as `load_signals`."""

@@ -200,7 +200,7 @@ class Trials:
         signals, edges = [one.problem.signals for one in whole.observations], np.cumsum(whole.regression.parts)
         self.names, self._own = [one.recording for one in signals], [one.own for one in whole.parameters.of]
         if whole.regression.reduced:
-            expected = "a part of it, or a larger --decimate"
+            expected = "a part of it, or a larger decimation"
             raise IdentificationError("too long", place=", ".join(self.names), expected=expected)
         if len(signals) == 1:
             self.names, self._own = [f"fifth {k + 1}" for k in range(FIFTHS)], [set()] * FIFTHS

@@ -83,7 +83,7 @@ def with_consistent(fit: Fit, prior: Prior) -> Fit:
     if any(not len(one.problem.signals.q) for one in fit.recordings):  # several, too long to be held
         text = "the recordings together are too long for the torque errors of a consistent set"
         raise IdentificationError(
-            text, place=problem.signals.robot.name, expected="a larger --decimate, or one recording"
+            text, place=problem.signals.robot.name, expected="a larger decimation, or one recording"
         )
     carried = [one.parameters.payload for one in fit.recordings]
     each = [

@@ -148,7 +148,7 @@ class OwnParameters:
         if each[0].reduced and not self.plain:
             key = "gains" if self.motors else "identification.own" if self.any else "payload"
             text = "the recordings are too long for parameters of their own, payloads and drive gains"
-            raise IdentificationError(text, key=key, expected="a larger --decimate, or none")
+            raise IdentificationError(text, key=key, expected="a larger decimation, or none")
         if not self.plain:
             each = [self._wide(one, k, drives[k] if drives else None) for k, one in enumerate(each)]
         return _stacked(each)

@@ -4,6 +4,8 @@ Friction is stepped implicitly with stick phases, so that light joints do not ch
 the group `robot_idim.plants` that dry runs use.
 """
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -207,7 +209,10 @@ class RigidBodyPlant:
     def __init__(
         self, model: DirectModel, q: Array, *, speed_scale: Array, step_s: float, disturbance: Array, seed: int
     ) -> None:
-        """`speed_scale` (n,) is the maximum speed, which sets the speed below which friction sticks."""
+        """`speed_scale` (n,) is the maximum speed, which sets the speed below which friction sticks.
+
+        `step_s` divides the durations of `step`: else the robot would move in another time than its drives.
+        """
         self._model, self._step_s = model, step_s
         self._q, self._dq = np.array(q, dtype=float), np.zeros(len(q))
         self._friction = Friction(model, np.abs(model.directions @ speed_scale), self._dq, step_s)
@@ -262,12 +267,12 @@ def described_robot(robot: Robot, payload: Payload | None = None) -> tuple[Rigid
     reason = why_not_positive(M)
     if reason is not None:
         raise AcquisitionError(f"robot {robot.name}: [parameters] cannot be simulated: {reason}")
-    period_s = robot.bus.sync_period_s if robot.bus is not None else SUBSTEPS * MAX_PLANT_STEP_S
+    duration_s = robot.bus.sync_period_s / SUBSTEPS if robot.bus is not None else MAX_PLANT_STEP_S
     plant = RigidBodyPlant(
         loaded,
         middle_of_range(robot),
         speed_scale=np.array([joint.si("speed") or 1.0 for joint in robot.joints]),
-        step_s=min(period_s / SUBSTEPS, MAX_PLANT_STEP_S),
+        step_s=duration_s / math.ceil(duration_s / MAX_PLANT_STEP_S),
         disturbance=np.zeros(robot.n),
         seed=0,
     )

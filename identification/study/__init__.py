@@ -2,8 +2,7 @@
 
 from .base_report import base_document, base_file
 from .demo import description, gains_document, record_gain_pair, record_simulated_session, truth_document
-from .fleet import FleetSettings, Row, Value, found_recordings, method_of, run_fleet
-from .fleet_report import ControlChart, Drift, control_limits, drifts, fleet_document, write_table
+from .fleet import FleetRow, fleet_document, found_recordings, run_fleet, with_changes, write_table
 from .sensitivity import VariedFit, moves_of, sensitivity_document, vary
 from .simulated_cell import Noise, closed_loop, random_reference, study_truth, write_signals
 from .study import Run, RunFit, Study, run_study, simulate_recording

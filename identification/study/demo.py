@@ -84,16 +84,14 @@ def description(name: str) -> Path:
     return installed if installed.exists() else Path(__file__).parents[2] / "replay_data" / name / "robot.toml"
 
 
-def record_gain_pair(robot: Robot, place: str, paths: tuple[Path, Path], noise_percent: float) -> list[float]:
+def record_gain_pair(robot: Robot, place: str, paths: tuple[Path, Path]) -> list[float]:
     """Record sessions without and with the payload, of drives whose gains are not those described; returns the true ones."""
     described = CATALOGUE[: robot.n]
     true = [gain * factor for gain, factor in zip(described, TRUE_FACTORS, strict=False)]
     drives, stated = in_amperes(robot, true), in_amperes(robot, described)
     for path, payload in zip(paths, (None, PAYLOAD), strict=True):
         with atomic_write(path) as recording:
-            record_simulated_session(
-                drives, place, recording, noise_percent=noise_percent, payload=payload, described=stated
-            )
+            record_simulated_session(drives, place, recording, payload=payload, described=stated)
     return true
 
 

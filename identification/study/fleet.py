@@ -1,231 +1,158 @@
-"""Fleets: find recordings, fit each to a row, reuse stored rows of earlier runs."""
+"""Fleets: a fit of every recording in folders, as a row of a table; fits of earlier runs are reused."""
 
 import hashlib
+import textwrap
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
-from typing import Literal, NamedTuple
 
 import msgspec
 
-from acquisition.errors import AcquisitionError
+from acquisition.errors import RobotIdimError
 from acquisition.files import atomic_write
-from acquisition.recording import has_reference
+from acquisition.robot import load_robot
 
 from ..data import RecordingFile, Recordings, Work
 from ..errors import IdentificationError
-from ..methods import Fit, fitted_parameters, identify
+from ..methods import fitted_parameters, identify
 from ..regression import Overrides
-from ..report import Method, versions
+from ..report import Document, Method, Number, Parameter, ResultFile, Section, Table, columns, versions, write_json
 
-Say = Callable[[int, str], None]
-WorkFor = Callable[[int], Work]
-NOT_FOUND = "{}: not found by a worker: expected a folder that all workers read at the same path"
-
-
-@dataclass(frozen=True, kw_only=True)
-class FleetSettings:
-    """Settings of all fits of a fleet; `description` as in `RecordingFile`."""
-
-    method: Method = "wls"
-    overrides: Overrides = field(default_factory=Overrides)
-    description: tuple[tuple[str, bytes], ...] | None = None
-
-    @property
-    def digest(self) -> str:
-        """SHA-256 of settings and package versions: rows with another digest are made again."""
-        made_with = (self.method, self.overrides, self.description, sorted(versions().items()))
-        return hashlib.sha256(repr(made_with).encode()).hexdigest()
+MAX_WIDTH = 60  # characters of the changes in a line of the printed table
+Found = dict[Path, list[RecordingFile]]  # by the path of a recording, or of a folder of some, what is fitted
 
 
-class Value(msgspec.Struct, frozen=True, kw_only=True):
-    """A base parameter with the ends of its 95 % interval, SI."""
+class FleetRow(ResultFile, frozen=True, kw_only=True):
+    """The fit of a recording, or of those of a folder together; `failed` for a `reason`; `changed` by `with_changes`."""
 
-    value: float
-    low: float | None
-    high: float | None
-    unit: str
-
-
-class Row(msgspec.Struct, frozen=True, kw_only=True):
-    """The fit of a recording, or of recordings fitted together.
-
-    Attributes:
-        folder: of the fleet in which the recording was found; `file` its path, or the folder of several.
-        sha256: `digest_of` the files; empty if one cannot be read, like the robot's name.
-        start: when the recording began, None if unknown.
-        status: of the fit, `failed` or `copy`; `reason` says why there is no fit.
-        error_percent, moving_error_percent, standing_error_percent: relative torque errors of all rows, of moving
-            joints and of joints at rest.
-    """
-
-    folder: str
     file: str
     sha256: str = ""
     start: datetime | None = None
     robot: str = ""
-    method: Method
-    status: str
+    method: str = ""
+    status: str = "failed"
     verdict: str = ""
     reason: str = ""
-    error_percent: float | None = None
+    changed: str = ""
     moving_error_percent: float | None = None
-    standing_error_percent: float | None = None
-    parameters: dict[str, Value] = {}
-
-    @property
-    def is_fitted(self) -> bool:
-        """Whether the row has an estimate."""
-        return bool(self.parameters)
+    parameters: dict[str, Parameter] = msgspec.field(default_factory=dict)
 
 
-def digest_of(digests: Sequence[str]) -> str:
-    """The digest of a recording, or of several in any order."""
-    return digests[0] if len(digests) == 1 else hashlib.sha256(" ".join(sorted(digests)).encode()).hexdigest()
+def found_recordings(folders: Sequence[Path], robot: Path | None = None, *, by_folder: bool = False) -> Found:
+    """Every `*.mcap` under the folders; `by_folder` together with the others in its folder.
 
-
-def fit_row(sources: tuple[RecordingFile, ...], settings: FleetSettings, row: Row) -> Row | None:
-    """Fit a recording, or several of one robot together.
-
-    Returns the row, with a `reason` if the fit failed; None if this process does not find a file.
+    The file `robot` replaces the stored descriptions. Raises `IdentificationError`: if one of `folders` has no recording.
     """
-    if not all(source.found for source in sources):
-        return None
-    try:
-        loaded = tuple(source.load() for source in sources)
-        began = [signals.began for signals in loaded if signals.began is not None]
-        row = msgspec.structs.replace(row, robot=loaded[0].robot.name, start=min(began, default=None))
-        if digest_of([signals.sha256 for signals in loaded]) != row.sha256:
-            expected = "a finished recording"
-            raise IdentificationError("has changed since the run began", place=row.file, expected=expected)
-        return _fitted_row(row, identify(Recordings(sources=loaded), settings.overrides, method=settings.method))
-    except (AcquisitionError, IdentificationError, OSError, MemoryError) as error:
-        reason = str(error) or type(error).__name__
-    except Exception as error:  # a bug that one recording triggers must not end a run of days
-        reason = f"unexpected {type(error).__name__}: {error}"
-    return _failed_row(row, reason.replace("\n", " "))
-
-
-def _fitted_row(row: Row, fit: Fit) -> Row:
-    whole = fit.errors[-1]
-    return msgspec.structs.replace(
-        row,
-        status=fit.status,
-        verdict=fit.trust.verdict,
-        reason=(fit.iv.reason or "") if fit.iv else "",
-        error_percent=whole.relative_error_percent,
-        moving_error_percent=whole.moving_relative_error_percent,
-        standing_error_percent=whole.standing_relative_error_percent,
-        parameters={
-            name: Value(value=p.value, low=p.low, high=p.high, unit=p.unit)
-            for name, p in fitted_parameters(fit).parameters.items()
-        },
-    )
-
-
-Task = tuple[tuple[RecordingFile, ...], FleetSettings, Row]
-
-
-class FleetEntry(NamedTuple):
-    """What one row is about: the folder of the fleet, the path of a recording or of a folder of some, the recordings."""
-
-    folder: Path
-    path: Path
-    files: tuple[Path, ...]
-
-
-def found_recordings(folders: Sequence[Path], *, by_folder: bool = False) -> list[FleetEntry]:
-    """Every `*.mcap` under the folders, by name, with the first of `folders` that contains it.
-
-    `by_folder`: one entry per folder that has recordings, which are fitted together. Raises `IdentificationError`: if one of
-    `folders` is not a folder, or none holds a recording.
-    """
-    found: dict[Path, FleetEntry] = {}
+    files, found, described = set[Path](), Found(), load_robot(robot) if robot else None
     for folder in folders:
-        if not folder.is_dir():
-            raise IdentificationError("is not a folder", place=str(folder), expected="a folder of recordings, *.mcap")
-        groups: dict[Path, list[Path]] = {}
-        for file in sorted(folder.rglob("*.mcap")):
-            if file.is_file() and not file.name.startswith("."):  # hidden ones are being written
-                groups.setdefault(file.parent if by_folder else file, []).append(file)
-        for path, files in groups.items():
-            found.setdefault(path.resolve(), FleetEntry(folder, path, tuple(files)))
-    if not found:
-        expected = "files *.mcap in the folders or below them"
-        raise IdentificationError("no recordings", place=", ".join(map(str, folders)), expected=expected)
-    return list(found.values())
-
-
-def method_of(entries: Sequence[FleetEntry]) -> Literal["iv", "wls"]:
-    """The method of a whole table: instrumental variables if every recording has its reference."""
-    return "iv" if all(has_reference(file) for entry in entries for file in entry.files) else "wls"
+        new = {x for x in folder.rglob("*.mcap") if x.is_file() and x.name[0] != "."}  # hidden ones are being written
+        if not new:
+            raise IdentificationError("no recordings", place=str(folder), expected="a folder with files *.mcap")
+        files |= new
+    for file in sorted(files):
+        found.setdefault(file.parent if by_folder else file, []).append(RecordingFile.at(file, described))
+    return found
 
 
 def run_fleet(
-    entries: Sequence[FleetEntry], settings: FleetSettings, row_folder: Path, work_for: WorkFor, say: Say
-) -> list[Row]:
-    """One fit per recording, or per folder of recordings.
+    found: Found, method: Method | None, store: Path, work: Work, say: Callable[[str], None]
+) -> list[FleetRow]:
+    """A row for each entry of `found`, ordered by start; those without a start come last.
 
-    Returns a row per path, ordered by start; those without a start come last. A recording that cannot be fitted, or has the
-    same content as another, has a row with the reason. Raises `AcquisitionError`: if a row cannot be stored in `row_folder`.
-    Raises `IdentificationError`: if a worker ends in mid-task.
+    Each fit is stored in the folder `store`, and reused until a file, its description, the method or versions of packages
+    differ. A failure is a row with a `reason`. Raises `AcquisitionError` if a fit cannot be stored, `IdentificationError` if a
+    worker ends early.
     """
-    digest = settings.digest[:16]
-
-    def file_of(row: Row) -> Path:
-        return row_folder / f"{row.sha256[:32]}-{digest}.json"
-
-    rows: list[Row] = []
-    first: dict[str, str] = {}  # file with that digest
-    tasks: list[Task] = []
-    for folder, path, files in entries:
-        row = _initial_row(Row(folder=str(folder), file=str(path), method=settings.method, status="open"), files)
-        if row.sha256 in first:
-            row = msgspec.structs.replace(row, status="copy", reason=f"same content as {first[row.sha256]}")
-        elif row.sha256:
-            first[row.sha256] = row.file
-            earlier = _stored_row(file_of(row), row)
-            if earlier is None:
-                sources = (RecordingFile(path=str(file.absolute()), description=settings.description) for file in files)
-                tasks.append((tuple(sources), settings, row))
-                continue
-            row = earlier
-        rows.append(row)
-    say(len(rows), "stored by earlier runs")
-    results = work_for(len(tasks)).run(fit_row, tasks)
-    for (_, _, initial), found in zip(tasks, results, strict=True):
-        row = found or _failed_row(initial, NOT_FOUND.format(initial.file))
-        if found is not None:
-            with atomic_write(file_of(row)) as partial:
-                partial.write_bytes(msgspec.json.format(msgspec.json.encode(row), indent=1))
-        rows.append(row)
-        say(len(rows), row.file)
-    return sorted(rows, key=lambda row: (row.start is None, row.start.timestamp() if row.start else 0.0, row.file))
-
-
-def _stored_row(path: Path, recording: Row) -> Row | None:
-    """The stored row of a recording with this content, wherever its file was; None if there is none."""
-    try:
-        row = msgspec.json.decode(path.read_bytes(), type=Row)
-    except (OSError, msgspec.DecodeError):  # of another version, or damaged: fit again
-        return None
-    if row.sha256 != recording.sha256:
-        return None
-    return msgspec.structs.replace(row, folder=recording.folder, file=recording.file)
-
-
-def _initial_row(row: Row, files: Sequence[Path]) -> Row:
-    """The row with the digest of the files; failed if one cannot be read."""
-    digests = []
-    for path in files:
+    rows, tasks = list[FleetRow](), dict[Path, tuple[object, ...]]()
+    for path, sources in found.items():
+        made_from = sources, [Path(source.path).stat().st_mtime_ns for source in sources], method, versions()
+        name = store / f"{hashlib.sha256(repr(made_from).encode()).hexdigest()[:32]}.json"
         try:
-            with path.open("rb") as file:
-                digests.append(hashlib.file_digest(file, "sha256").hexdigest())
-        except OSError as error:
-            return _failed_row(row, f"{path}: cannot be read: {error.strerror or error}")
-    return msgspec.structs.replace(row, sha256=digest_of(digests))
+            stored = msgspec.json.decode(name.read_bytes(), type=FleetRow)
+            rows.append(msgspec.structs.replace(stored, file=str(path)))
+        except (OSError, msgspec.DecodeError):  # none, damaged, or of another version
+            tasks[name] = str(path), sources, method
+    for name, row in zip(tasks, work.run(fit_row, list(tasks.values())), strict=True):
+        if row.parameters:  # what failed is tried again
+            write_json(name, row)
+        rows.append(row)
+        say(f"{len(rows)} of {len(found)}: {row.file}")
+    return with_changes(sorted(rows, key=lambda row: (row.start.timestamp() if row.start else float("inf"), row.file)))
 
 
-def _failed_row(row: Row, reason: str) -> Row:
-    return msgspec.structs.replace(row, status="failed", reason=reason)
+def fit_row(file: str, sources: Sequence[RecordingFile], method: Method | None) -> FleetRow:
+    """The row with the fit of one recording, or of several of one robot together, or with the reason why there is none."""
+    try:
+        loaded = tuple(source.load() for source in sources)
+        fit = identify(Recordings(sources=loaded), Overrides(), method=method)
+    except Exception as error:  # a bug that one recording triggers must not end a run of days
+        expected = isinstance(error, RobotIdimError | OSError)
+        return FleetRow(file=file, reason=str(error) if expected else f"unexpected {error!r}")
+    return FleetRow(
+        file=file,
+        sha256=" ".join(signals.sha256 for signals in loaded),
+        start=min((signals.began for signals in loaded if signals.began is not None), default=None),
+        robot=loaded[0].robot.name,
+        method=fit.method,
+        status=fit.status,
+        verdict=fit.trust.verdict,
+        reason=(fit.iv.reason or "") if fit.iv else "",
+        moving_error_percent=fit.errors[-1].moving_relative_error_percent,
+        parameters=dict(fitted_parameters(fit).parameters),
+    )
+
+
+def with_changes(rows: Sequence[FleetRow]) -> list[FleetRow]:
+    """Name in `changed` the parameters whose 95 % interval does not overlap that of the fit before, in the order of `rows`.
+
+    Compared are fits of one robot in one folder by one method with a known start, but for the verdict `do not use`. Of two
+    independent estimates of one value with equal intervals 0.6 % are marked: |a - b| > 2 * 1.96 sigma.
+    """
+    marked, before = list[FleetRow](), dict[tuple[str, ...], FleetRow]()
+    for row in rows:
+        is_known = row.start is not None and row.verdict != "do not use"
+        key = (str(Path(row.file).parent), row.robot, row.method) if is_known else (row.file,)
+        earlier, before[key] = before.get(key, row).parameters, row
+        changed = [
+            f"{name} {old.value:.4g} to {x.value:.4g} {x.unit}"
+            for name, x in row.parameters.items()
+            if (old := earlier.get(name, x)) and abs(x.value - old.value) > old.half + x.half
+        ]
+        marked.append(msgspec.structs.replace(row, changed=", ".join(changed)))
+    return marked
+
+
+def write_table(path: Path, rows: Sequence[FleetRow]) -> None:
+    """Write the rows as a CSV file if `path` ends in .csv, else as a Parquet file, whole or not at all.
+
+    Columns are the fields of `FleetRow`, and for each parameter its name, and name_half_width of its 95 % interval, with the
+    `unit` in the metadata of a Parquet column. Missing values are null, in CSV empty.
+    """
+    import pyarrow
+    from pyarrow import csv, parquet
+
+    kinds = {"start": pyarrow.timestamp("us", tz="UTC"), "moving_error_percent": pyarrow.float64()}
+    names = [name for name in FleetRow.__struct_fields__ if name not in ("format", "parameters")]
+    fields = [pyarrow.field(name, kinds.get(name, pyarrow.string())) for name in names]
+    for name, unit in {name: x.unit for row in rows for name, x in row.parameters.items()}.items():
+        fields += [pyarrow.field(name + end, pyarrow.float64(), metadata={"unit": unit}) for end in ("", "_half_width")]
+    cells = [msgspec.structs.asdict(row) for row in rows]
+    for cell, row in zip(cells, rows, strict=True):
+        for name, x in row.parameters.items():
+            cell |= {name: x.value, f"{name}_half_width": x.half}
+    table = pyarrow.Table.from_pylist(cells, schema=pyarrow.schema(fields))
+    with atomic_write(path) as partial:
+        (csv.write_csv if path.suffix == ".csv" else parquet.write_table)(table, partial)
+
+
+def fleet_document(rows: Sequence[FleetRow]) -> Document:
+    """The printed table: a line per fit with what has changed since the one before; the reasons of what failed."""
+    lines = []
+    for row in rows:
+        start, error = f"{row.start:%Y-%m-%d %H:%M}" if row.start else "-", Number(row.moving_error_percent, ".3g")
+        changed = textwrap.shorten(row.changed, MAX_WIDTH, placeholder=" ...")
+        lines.append((start, row.file, row.status, row.verdict or "-", error, changed or "-"))
+    head = columns("start, UTC", "recording", "status", "verdict", numbers=("moving error %",)) + columns("changed")
+    reasons = tuple(f"{row.file}: {row.status}: {row.reason}" for row in rows if row.reason)
+    title = f"recordings: {len(rows)}, fitted: {sum(bool(row.parameters) for row in rows)}"
+    return Document(title=title, sections=(Section(table=Table(columns=head, rows=tuple(lines)), warnings=reasons),))

@@ -1,4 +1,4 @@
-"""Pictures of recordings, fits and fleets, as Rerun files or HTML. The only room that imports rerun, to write its files."""
+"""Pictures of recordings, fits and studies, as Rerun files or HTML. The only room that imports rerun, to write its files."""
 
 from typing import TYPE_CHECKING
 
@@ -7,7 +7,6 @@ from acquisition.lazy import lazy_names
 from .pages import draw_comparison as draw_comparison
 from .pages import draw_excitation as draw_excitation
 from .pages import draw_fit as draw_fit
-from .pages import draw_fleet as draw_fleet
 from .pages import draw_friction as draw_friction
 from .pages import draw_recording as draw_recording
 from .pages import draw_sensitivity as draw_sensitivity

@@ -1,4 +1,4 @@
-"""Curves over time of a recording, a fit, an excitation, a fleet."""
+"""Curves over time of a recording, a fit, an excitation."""
 
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
@@ -14,7 +14,6 @@ from ..data import Signals
 from ..design import Excitation
 from ..methods import Fit
 from ..regression import FilteredMotion, Motion, Settings, predicted_torque
-from ..study import Drift
 from .colors import JOINTS, MEASURED, PREDICTED, REFERENCE, RESIDUAL, SIMULATED, VERMILLION
 from .panels import Curve, Line, Plot
 
@@ -239,26 +238,6 @@ def excitation_plots(excitation: Excitation) -> dict[str, list[Plot]]:
             path, title = (quantity, joint.name), f"{quantity} {joint.name}, {unit}"
             plot = Plot(path=path, title=title, curves=tuple(curves), legend=False)
             plots.setdefault(quantity, []).append(plot)
-    return plots
-
-
-def drift_plots(drift: Drift) -> list[Plot]:
-    """A plot per quantity of a fleet's fits with its interval and control limits; first those with values beyond the limits."""
-    plots: list[Plot] = []
-    for chart in sorted((c for c in drift.charts if len(c.x)), key=lambda chart: not chart.outside):
-        curves = [Curve(key="value", color=SIMULATED, line=(chart.t_s, chart.x), width=2.0)]
-        if not np.isnan(chart.low).any():
-            for key, x in (("interval_low", chart.low), ("interval_high", chart.high)):
-                curves.append(Curve(key=key, name="95 % interval", color=MEASURED, line=(chart.t_s, x)))
-        limits = zip(
-            ("centre", "limit_low", "limit_high"), (REFERENCE, RESIDUAL, RESIDUAL), chart.limits or (), strict=False
-        )
-        for key, color, limit in limits:
-            line = chart.t_s[[0, -1]], np.full(2, limit)
-            curves.append(Curve(key=key, name=key.replace("_", " "), color=color, line=line, dashed=key == "centre"))
-        beyond = f", {len(chart.outside)} beyond" if chart.outside else ""
-        path, title = ("drift", drift.name, chart.name), f"{chart.name} [{chart.unit}]{beyond}"
-        plots.append(Plot(path=path, title=title, curves=tuple(curves), legend=not plots, start=drift.rows[0].start))
     return plots
 
 

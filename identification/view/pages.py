@@ -18,7 +18,7 @@ from ..methods import (
 )
 from ..regression import Overrides, Settings, make_settings, with_bandwidth
 from ..report import Document, ParameterSet, comparison_section
-from ..study import Drift, Run, VariedFit
+from ..study import Run, VariedFit
 from . import charts, curves
 from .panels import Page, Panel, Picture
 from .robot_drawing import excitation_scene, robot_scene
@@ -128,21 +128,6 @@ def draw_excitation(excitation: Excitation, document: Document) -> Picture:
     groups |= {"intervals": charts.interval_charts(excitation), **curves.excitation_plots(excitation)}
     page = Page(name="excitation", groups=groups)
     return Picture(name=f"{excitation.robot.name}, excitation", document=document, pages=(page,), sha256={})
-
-
-def draw_fleet(series: Sequence[Drift], document: Document) -> Picture:
-    """The drift of a fleet, a page per robot: entities `drift/<robot>/<number>`, and `report`.
-
-    Times are those of the recordings, on the timeline `date`.
-    """
-    pages = [Page(name=one.name, groups={"drift": curves.drift_plots(one)}) for one in series]
-    return Picture(
-        name=f"fleet {', '.join(drift.name for drift in series)}",
-        document=document,
-        pages=tuple(pages),
-        sha256={row.file: row.sha256 for drift in series for row in drift.rows},
-        timeline="date" if series else "time",
-    )
 
 
 def _signal_pages(signals: Signals, settings: Settings | None, fit: Fit | None) -> list[Page]:

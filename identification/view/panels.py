@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from datetime import datetime
 from typing import Literal
 
 from ..arrays import Array
@@ -54,9 +53,7 @@ class Graph(_Panel):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Plot(Graph):
-    """Curves over time in seconds; with a `start`, the time of second 0, over dates."""
-
-    start: datetime | None = None
+    """Curves over time in seconds."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,10 +133,9 @@ class Page:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Picture:
-    """A result: its name, report and pages; `sha256` are those of its files by name, `timeline` that of Rerun."""
+    """A result: its name, report and pages; `sha256` are those of its files by name."""
 
     name: str
     document: Document
     pages: tuple[Page, ...]
     sha256: Mapping[str, str]
-    timeline: str = "time"

@@ -6,7 +6,6 @@ import tempfile
 import unicodedata
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -50,7 +49,7 @@ def write_rrd(path: Path, picture: Picture) -> None:
                 text = []  # stands beside the first page
         blueprint = rrb.Blueprint(
             rrb.Tabs(*tabs, active_tab=0) if len(tabs) > 1 else rrb.Vertical(*tabs, *text),
-            rrb.TimePanel(state="collapsed", timeline=picture.timeline, loop_mode="all", play_state="Paused"),
+            rrb.TimePanel(state="collapsed", timeline="time", loop_mode="all", play_state="Paused"),
             collapse_panels=True,
             auto_views=False,
             auto_layout=False,
@@ -86,7 +85,7 @@ def _show(recording: Any, panel: Panel) -> Any:
                 style = {"names": name, "colors": c.color, "widths": c.width, "visible_series": c.visible}
                 # By default Rerun averages the values of one pixel, which loses peaks.
                 recording.log(entity, rr.SeriesLines(**style, aggregation_policy="MinMax"), static=True)
-                recording.send_columns(entity, indexes=[_time(c.line[0], panel.start)], columns=columns)
+                recording.send_columns(entity, indexes=[_time(c.line[0])], columns=columns)
             legend, axis = rrb.PlotLegend(visible=panel.legend), rrb.TimeAxis(link="LinkToGlobal")
             return rrb.TimeSeriesView(origin=origin, name=title, axis_x=axis, plot_legend=legend)
         case Log():
@@ -117,12 +116,9 @@ def _replace_glyph(c: str) -> str:
     return plain or "?"
 
 
-def _time(t_s: Array, start: datetime | None = None) -> Any:
-    """Times on the timeline `time`, or with a start on `date`."""
-    times = np.rint(1e9 * t_s).astype("timedelta64[ns]")
-    if start is None:
-        return rr.TimeColumn("time", duration=times)
-    return rr.TimeColumn("date", timestamp=np.datetime64(start.astimezone(UTC).replace(tzinfo=None), "ns") + times)
+def _time(t_s: Array) -> Any:
+    """Times on the timeline `time`."""
+    return rr.TimeColumn("time", duration=np.rint(1e9 * t_s).astype("timedelta64[ns]"))
 
 
 def _show_robot(recording: Any, origin: str, scene: Scene) -> Any:

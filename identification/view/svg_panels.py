@@ -2,8 +2,6 @@
 
 import math
 from collections.abc import Iterable
-from dataclasses import replace
-from datetime import UTC, datetime, timedelta
 from html import escape
 
 import numpy as np
@@ -12,14 +10,13 @@ from ..arrays import Array
 from .axes import Axis, decades, linear, logarithmic
 from .colors import CLASSES, GREY, LIGHT, Color
 from .curves import extremes
-from .panels import Curve, Graph, Mark, Panel, Plot, Rows
+from .panels import Curve, Graph, Mark, Panel, Rows
 
 WIDTH, HEIGHT = 480.0, 200.0  # of a plot, in pixels
 LEFT, RIGHT, TOP, BOTTOM = 56.0, 472.0, 8.0, 178.0  # edges of its axes
 SHEET, WIDE = 560.0, 1180.0  # widths of rows with two or three columns, and with more
 HEAD, PITCH = 36.0, 18.0  # heights of the heads of rows, and of a row
 STEPS = 2.0  # coordinates of curves are whole numbers, this many in a pixel
-MIN_DATES_S = 2 * 86_400.0  # a shorter axis has times of day
 
 
 def draw_graph(graph: Graph) -> str:
@@ -30,13 +27,11 @@ def draw_graph(graph: Graph) -> str:
     )
     known = points[np.isfinite(points).all(axis=1)]
     t, x = (known if len(known) else np.zeros((1, 2))).T  # of a joint that stands still
-    start = graph.start if isinstance(graph, Plot) else None
     if graph.log:
         axes = logarithmic(t.min(), t.max(), 6), decades([max(x.min(), 1e-12 * x.max()), x.max()], 6)
     else:
         margin = 0.04 * float(np.ptp(x)) or 0.05 * float(np.abs(x).max()) or 1.0
-        across = linear(t.min(), t.max(), 6 if start is None else 3)
-        axes = across if start is None else _dated(across, start), linear(x.min() - margin, x.max() + margin, 5)
+        axes = linear(t.min(), t.max(), 6), linear(x.min() - margin, x.max() + margin, 5)
     parts = _grid(*axes)
     inside = ((mark, text) for mark, text in graph.marks.items() if t.min() < mark < t.max())
     for number, (mark, text) in enumerate(inside):
@@ -101,13 +96,6 @@ _RING = "m-3.2 0a3.2 3.2 0 1 0 6.4 0a3.2 3.2 0 1 0-6.4 0"
 def _svg(title: str, width: float, height: float, parts: Iterable[str]) -> str:
     label = f'role="img" aria-label="{escape(title)}" viewBox="0 0 {width:g} {height:g}"'
     return f'<svg {label} style="max-width:{1.35 * width if width < SHEET else width:.0f}px">{"".join(parts)}</svg>'
-
-
-def _dated(axis: Axis, start: datetime) -> Axis:
-    """An axis of seconds from a start with dates as texts."""
-    form = "%Y-%m-%d" if axis.high - axis.low > MIN_DATES_S else "%m-%d %H:%M"
-    dates = {value: start.astimezone(UTC) + timedelta(seconds=value) for value in axis.ticks}
-    return replace(axis, ticks={value: date.strftime(form) for value, date in dates.items()})
 
 
 def _grid(across: Axis, up: Axis) -> list[str]:
