@@ -11,7 +11,8 @@ from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.bus import Frame, Link, Master, MasterLink, open_link
 from acquisition.commands.checking import Finding, check_drives
-from acquisition.recording import Recording, read_recording
+from acquisition.protocol import DISABLED
+from acquisition.recording import FRAME, SENT, Block, Recording, read_recording
 from acquisition.robot import Bus, BusFile, Robot
 from acquisition.session import InlineLog, Outcome, RecordedSummary, Recorder, Stop, Task, run_active
 from acquisition.simulated import DrivenPlant, LockStepLink, SimulatedDrives, cascaded_loops
@@ -23,6 +24,29 @@ def swing(n: int, *, seconds: float = 1.0, period_s: float = 0.002, amplitude: f
     """A reference that begins and ends at rest."""
     t = np.arange(round(seconds / period_s) + 1) * period_s
     return np.repeat(amplitude * (1 - np.cos(2 * np.pi * t / seconds))[:, None], n, axis=1)
+
+
+class Answering:
+    """A link whose time goes on where nothing comes; `answer` gives what comes after a frame that is sent."""
+
+    def __init__(self, answer: Callable[[int, bytes], list[tuple[int, bytes]]] = lambda can_id, data: []) -> None:
+        self.answer, self.sent, self.waiting, self.time_ns = answer, [], [], 1_000_000_000
+
+    def now_ns(self):
+        return self.time_ns
+
+    def send(self, can_id, data):
+        self.sent.append((can_id, data))
+        self.waiting += self.answer(can_id, data)
+
+    def receive(self, until_ns):
+        if self.waiting:
+            return Frame(self.time_ns, *self.waiting.pop(0))
+        self.time_ns = max(self.time_ns, until_ns)
+        return None
+
+    def close(self):
+        pass
 
 
 @dataclass(kw_only=True)
@@ -39,6 +63,54 @@ class Through:
 
     def receive(self, until_ns: int) -> Frame | None:
         return self.link.receive(until_ns)  # type: ignore[attr-defined,no-any-return]
+
+
+@dataclass(kw_only=True)
+class Unasked(Through):
+    """Frames of somebody else come at their times."""
+
+    frames: list[Frame]
+
+    def receive(self, until_ns):
+        if self.frames and self.frames[0].time_ns <= self.now_ns():
+            return self.frames.pop(0)._replace(time_ns=self.now_ns())
+        frame = super().receive(min([until_ns, *(f.time_ns for f in self.frames[:1])]))
+        return self.receive(until_ns) if frame is None and self.now_ns() < until_ns else frame
+
+
+@dataclass(kw_only=True)
+class Beats(Through):
+    """Of the heartbeats of a node that say operational, those in `which`, from 1, are other frames, or are lost."""
+
+    node: int
+    which: range
+    other: dict[str, object] | None
+    count: int = 0
+
+    def receive(self, until_ns):
+        while True:
+            frame = super().receive(until_ns)
+            if frame is None or (frame.can_id, frame.data) != (0x700 + self.node, b"\x05"):
+                return frame
+            self.count += 1
+            if self.count not in self.which:
+                return frame
+            if self.other is not None:
+                return frame._replace(**self.other)
+
+
+@dataclass(kw_only=True)
+class At(Through):
+    """Something is done once, at a time."""
+
+    at_ns: int
+    act: Callable[[], object] | None
+
+    def receive(self, until_ns):
+        if self.act is not None and self.now_ns() > self.at_ns:
+            self.act, act = None, self.act
+            act()
+        return super().receive(until_ns)
 
 
 @dataclass(kw_only=True)
@@ -95,6 +167,20 @@ class DrySession:
     def events(self, kind: str) -> list[str]:
         return [e.text for e in self.recording.events if e.kind == kind]
 
+    @property
+    def phases(self) -> dict[str, int]:
+        """When each phase began."""
+        return {e.text: e.stamp_ns for e in self.recording.events if e.kind == "phase"}
+
+    @property
+    def frames(self) -> Block:
+        """The frames of the only channel; none before the first."""
+        return next(iter(self.recording.frames.values()), np.zeros(0, FRAME))
+
+    @property
+    def sent(self) -> Block:
+        return self.frames[(self.frames["flags"] & SENT) != 0]
+
 
 def dry_session(
     path: Path,
@@ -110,7 +196,7 @@ def dry_session(
     simulated: type[FaultyDrives] = FaultyDrives,
     log_of: type[InlineLog] = InlineLog,
 ) -> DrySession:
-    """A session from start to end; what is left afterwards, 0.2 s later, whatever was raised.
+    """A session from start to end; what is left afterwards, 0.2 s later, whatever was raised: drives that are disabled.
 
     `drives` are those on the bus, where they are others than the session thinks.
     """
@@ -130,6 +216,7 @@ def dry_session(
     until_ns = run.now_ns() + 200_000_000
     while run.receive(until_ns):
         pass
+    assert DISABLED.issuperset(run.drives.states)
     recorded = log.finish(run.now_ns())
     return DrySession(
         outcome=outcome,
@@ -139,6 +226,15 @@ def dry_session(
         recording=read_recording(path),
         announced=tuple(announced),
     )
+
+
+def connected(
+    robot: Robot | None = None, kind: type[SimulatedDrives] = FaultyDrives, **how: object
+) -> tuple[LockStepLink, Master]:
+    """Simulated drives of a robot, of two joints unless another is given, and a master on their bus."""
+    robot = robot or robot_of(bus_text(2))
+    run = LockStepLink(kind(robot, bus_of(robot), **how))
+    return run, Master(run, run.drives.bus)
 
 
 def findings(link: MasterLink, bus: Bus, subject: str = "", node: int | None = None) -> list[Finding]:

@@ -1,11 +1,14 @@
 """Robots with drives on a bus, and frames as such drives would send them, made up for tests."""
 
+import re
 import struct
 from collections.abc import Mapping
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
+from acquisition.errors import AcquisitionError
 from acquisition.recording import FRAME, SENT, Block
 from acquisition.robot import Bus, Robot, resolve, robot_from_files
 
@@ -49,6 +52,14 @@ def robot_of(text: str, files: Mapping[str, bytes] | None = None) -> Robot:
 
 def bus_of(robot: Robot) -> Bus:
     return resolve(robot, "robot.toml")
+
+
+def refused(text: str, expected: str, files: Mapping[str, bytes] | None = None) -> None:
+    """A description is refused in one line with `expected` in it, which begins with the key that is wrong."""
+    with pytest.raises(AcquisitionError, match=re.escape(expected)) as caught:
+        bus_of(robot_of(text, files))
+    assert str(caught.value).startswith(f"robot.toml: {caught.value.key}")
+    assert "\n" not in str(caught.value)
 
 
 def frame(time_ns: int, can_id: int, data: bytes = b"", flags: int = 0) -> tuple[int, int, int, int, NDArray[np.uint8]]:

@@ -125,10 +125,13 @@ def test_a_counter_tells_what_was_lost():
     )
 
 
-def test_a_target_is_in_force_from_the_next_sync_on():
-    found = decoded("S 1:1 2:1 t1:10 t2:20 S 1:2 2:2 t1:11 t2:21 S 1:3 2:3 t1:12 t1:13 t2:22 S 1:4 2:4")
+@pytest.mark.parametrize(("early", "first"), [("", (1, 1)), ("t1:7 t2:8", (7, 8))])
+def test_a_target_is_in_force_from_the_next_sync_on(early, first):
+    """Before the first one the position stands in; a target is held until the next."""
+    between = "t1:10 t2:20 S 1:2 2:2 t1:11 t2:21 S 1:3 2:3 t1:12 t1:13 t2:22 S 1:4 2:4 t1:14 S 1:5 2:5"
+    found = decoded(f"{early} S 1:1 2:1 {between}")
     joint = [drive.position_codec.si(np.array(counts)) / 50 for drive, counts in zip(
-        BUS.drives, ([1, 10, 11, 13], [1, 20, 21, 22]), strict=True)]  # fmt: skip
+        BUS.drives, ([first[0], 10, 11, 13, 14], [first[1], 20, 21, 22, 22]), strict=True)]  # fmt: skip
     np.testing.assert_allclose(found.samples["reference"].T, joint, rtol=1e-12)
 
 

@@ -2,6 +2,7 @@
 
 import socket
 import struct
+import time
 from types import SimpleNamespace
 
 import can
@@ -15,6 +16,7 @@ from acquisition.bus import (
     Receiver,
     WallClock,
     block_of,
+    describe_step,
     kernel_drops,
     links,
     open_bus,
@@ -62,6 +64,15 @@ MESSAGES = [
     ("04 00 00 20 08 00 00 00 00 10 00 00 00 00 00 00", (6, 0), 0, (6_000_000_000, 4, 8, ERROR, "0010" + "00" * 6)),
     ("FF 0F 00 00 0F 00 00 00 01 02 03 04 05 06 07 08", (7, 0), 0, (7_000_000_000, 0x7FF, 8, 0, "0102030405060708")),
 ]  # fmt: skip
+
+
+def raising(error: Exception):
+    """A function that does nothing else."""
+
+    def fail(*_: object, **__: object) -> None:
+        raise error
+
+    return fail
 
 
 class KernelSocket(socket.socket):
@@ -117,11 +128,8 @@ def test_frames_of_the_kernel():
 
 
 def test_a_socket_that_fails_is_told():
-    def raise_(*_: object, **__: object) -> None:
-        raise OSError(19, "No such device")
-
     sock = KernelSocket([], lambda: None)
-    sock.recvmsg = raise_
+    sock.recvmsg = raising(OSError(19, "No such device"))
     receiver = Receiver(SimpleNamespace(socket=sock))
     receiver.run()
     assert receiver.error == "[Errno 19] No such device"
@@ -131,13 +139,16 @@ def test_a_socket_that_fails_is_told():
 
 
 class FakeBus:
-    """As python-can's: hands out messages, keeps what is sent."""
+    """As python-can's: hands out messages and raises errors, keeps what is sent."""
 
-    def __init__(self, *messages) -> None:
+    def __init__(self, *messages: can.Message | Exception) -> None:
         self.messages, self.sent, self.ended = list(messages), [], False
 
     def recv(self, timeout):
-        return self.messages.pop(0) if self.messages else None
+        message = self.messages.pop(0) if self.messages else None
+        if isinstance(message, Exception):
+            raise message
+        return message
 
     def send(self, message, timeout=None) -> None:
         self.sent.append((message.arbitration_id, bytes(message.data), message.is_extended_id))
@@ -163,7 +174,6 @@ FRAMES = [
 def test_frames_of_python_can(given, expected):
     tapped: list[Frame] = []
     frame = Link(FakeBus(given), passive=True, tap=tapped.append).take(0)
-    assert frame is not None
     assert frame[1:] == expected[1:]
     assert frame.time_ns == pytest.approx(expected.time_ns, abs=200)  # a double holds no more of such a time
     assert tapped == [frame]
@@ -188,9 +198,7 @@ def test_a_receiver_keeps_the_order_and_leaves_can_fd_out():
 
 
 def test_a_receiver_ends_with_the_bus_and_says_why():
-    fake = FakeBus()
-    fake.recv = lambda timeout: (_ for _ in ()).throw(can.CanOperationError("adapter gone"))
-    receiver = Receiver(fake)
+    receiver = Receiver(FakeBus(can.CanOperationError("adapter gone")))
     receiver.run()
     assert receiver.error == "adapter gone"
 
@@ -218,28 +226,59 @@ def test_a_passive_link_sends_nothing():
 
 def test_a_bus_that_takes_no_frame_is_told_and_nothing_is_noted():
     fake, tapped = FakeBus(), []
-
-    def refuse(*_: object, **__: object) -> None:
-        raise can.CanOperationError("buffer full")
-
-    fake.send = refuse
+    fake.send = raising(can.CanOperationError("buffer full"))
     with pytest.raises(AcquisitionError, match="bus: frame 0x605 cannot be sent: buffer full"):
         Link(fake, passive=False, tap=tapped.append).send(0x605, b"")
     assert tapped == []
 
 
 def test_a_bus_that_cannot_be_read_is_told():
-    fake = FakeBus()
-    fake.recv = lambda timeout: (_ for _ in ()).throw(OSError("gone"))
     with pytest.raises(AcquisitionError, match="bus: cannot be read: gone"):
-        Link(fake, passive=True).take(0)
+        Link(FakeBus(OSError("gone")), passive=True).take(0)
+
+
+def group(*messages: can.Message | Exception) -> FakeBus:
+    """The bus of a multicast group."""
+    fake = FakeBus(*messages)
+    fake._multicast = SimpleNamespace(_socket=None)
+    return fake
+
+
+def test_a_datagram_that_is_no_frame_ends_nothing_on_a_group_unless_its_socket_fails():
+    datagram, broken = can.CanOperationError("no frame"), can.CanOperationError("failed to wait")
+    broken.__cause__ = OSError(19, "No such device")
+    assert Link(group(datagram, message()), passive=False).take(0.1).can_id == 0x185
+    for fake, why in ((FakeBus(datagram), "no frame"), (group(broken), "failed to wait")):
+        with pytest.raises(AcquisitionError, match=f"bus: cannot be read: {why}"):
+            Link(fake, passive=False).take(0.01)
+    noisy = group()
+    noisy.messages = SimpleNamespace(pop=lambda _: datagram)  # again and again
+    assert Link(noisy, passive=False).take(0.01) is None
+
+
+def test_a_bus_that_is_gone_is_left():
+    fake = FakeBus()
+    fake.shutdown = raising(can.CanOperationError("the adapter is gone"))
+    Link(fake, passive=False).close()
+
+
+def test_an_adapter_that_gives_back_what_was_sent(monkeypatch):
+    """As gs_usb does, marked as not received. What others send from this machine may be marked so too, and stays."""
+    monkeypatch.setattr(FakeBus, "__module__", "can.interfaces.gs_usb")
+    fake = FakeBus()
+    link = Link(fake, passive=False)
+    link.send(0x80, b"")
+    fake.messages.append(message(0x80, b"", is_rx=False))
+    assert link.take(0.0) is None
+    link.send(0x81, b"")
+    fake.messages += [message(0x81, b""), message(0x81, b"", is_rx=False)]
+    assert link.take(0.0).can_id == 0x81  # somebody else's
+    assert link.take(0.0) is None
 
 
 def test_frames_that_a_group_gives_back_are_left_out_once():
     """A multicast group returns what was sent; the same bytes from somebody else, later, are a frame like any other."""
-    fake = FakeBus(message(0x80, b""), message(0x185), message(0x80, b""))
-    fake._multicast = SimpleNamespace(_socket=None)
-    link = Link(fake, passive=False)
+    link = Link(group(message(0x80, b""), message(0x185), message(0x80, b"")), passive=False)
     link.send(0x80, b"")
     assert [link.take(0).can_id for _ in range(2)] == [0x185, 0x80]
     assert link.take(0) is None
@@ -286,6 +325,11 @@ def test_drops_that_the_kernel_counts():
     assert kernel_drops(SimpleNamespace(getsockopt=lambda *_: b"")) == 0
 
 
+def bus_file(**keys) -> BusFile:
+    drive = DriveFile(node=1, reference="6074", counts_per_turn=1.0)
+    return BusFile(**({"interface": "socketcan", "channel": "can0", "drive": (drive,), "sync_period_s": 0.002} | keys))
+
+
 def opened(monkeypatch, passive=False, **keys):
     """The options that python-can is opened with, and the bus."""
     asked = []
@@ -295,9 +339,7 @@ def opened(monkeypatch, passive=False, **keys):
         return FakeBus()
 
     monkeypatch.setattr(can, "Bus", bus)
-    drive = DriveFile(node=1, reference="6074", counts_per_turn=1.0)
-    file = BusFile(**({"interface": "socketcan", "channel": "can0", "drive": (drive,), "sync_period_s": 0.002} | keys))
-    found = open_bus(file, passive=passive)
+    found = open_bus(bus_file(**keys), passive=passive)
     return asked[0], found
 
 
@@ -330,15 +372,10 @@ def test_how_a_bus_is_opened(monkeypatch, keys, passive, expected):
     "error", [can.CanInitializationError("no such device"), OSError("no such device"), ImportError]
 )
 def test_a_bus_that_cannot_be_opened_is_told(monkeypatch, error):
-    def refuse(**_: object) -> None:
-        raise error
-
-    drive = DriveFile(node=1, reference="6074", counts_per_turn=1.0)
-    file = BusFile(interface="pcan", channel="PCAN_USBBUS1", drive=(drive,), sync_period_s=0.002)
-    monkeypatch.setattr(can, "Bus", refuse)
+    monkeypatch.setattr(can, "Bus", raising(error))
     why = "ImportError" if error is ImportError else "no such device"
     with pytest.raises(AcquisitionError, match=f"bus: pcan PCAN_USBBUS1: cannot be opened: {why}"):
-        open_bus(file, passive=False)
+        open_bus(bus_file(interface="pcan", channel="PCAN_USBBUS1"), passive=False)
 
 
 def test_a_bus_opened_passively_cannot_send(monkeypatch):
@@ -376,15 +413,13 @@ def test_the_socket_under_a_bus_of_the_kernel_and_under_a_group():
 
 
 def test_a_group_on_loopback_sends_by_no_other_interface():
-    sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    drive = DriveFile(node=1, reference="6074", counts_per_turn=1.0)
-    file = BusFile(interface="udp_multicast", channel="239.1.2.3:4321", drive=(drive,), sync_period_s=0.002)
-    with sock:
+    file = bus_file(interface="udp_multicast", channel="239.1.2.3:4321")
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
         links.stay_on_loopback(SimpleNamespace(_multicast=SimpleNamespace(_socket=sock)), file)
         assert socket.inet_ntoa(sock.getsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, 4)) == "127.0.0.1"
 
 
-# Logs
+# Logs and times
 
 
 def test_a_candump_by_hand(tmp_path):
@@ -397,6 +432,7 @@ def test_a_candump_by_hand(tmp_path):
         "(4.000000) can0 20000080#\n"
         "(5.000000) can0 185##1AABB\n"
         "(6.000000) can0 000#0105\n"
+        "(2147483647.000000) can0 080#\n"
     )
     assert list(read_log(path)) == [
         ("can0", Frame(1000, 0x080, b"", 0)),
@@ -406,21 +442,8 @@ def test_a_candump_by_hand(tmp_path):
         (None, Frame(4_000_000_000, 0, b"", ERROR)),
         ("can0", None),
         ("can0", Frame(6_000_000_000, 0, b"\1\5", 0)),
+        ("can0", Frame(2_147_483_647_000_000_000, 0x80, b"", 0)),
     ]
-
-
-def test_the_latest_time_of_a_log(tmp_path):
-    path = tmp_path / "a.log"
-    path.write_text("(2147483647.000000) can0 080#\n(2147483649.000000) can0 080#\n")
-    frames = read_log(path)
-    assert next(frames)[1] == Frame(2_147_483_647_000_000_000, 0x80, b"")
-    with pytest.raises(AcquisitionError, match="frame 2: time 2147483649 s: expected 0 to 2147483648"):
-        next(frames)
-
-
-def test_rows_of_frames_beyond_their_length_are_zero():
-    block = block_of([Frame(0, 1, b"\xff" * 8), Frame(1, 2, b"\xee")])
-    assert np.array_equal(block["data"], [[255] * 8, [238] + [0] * 7])
 
 
 @pytest.mark.parametrize("step_ns", [3_600_000_000_000, 60_000_000, -60_000_000])
@@ -457,3 +480,31 @@ def test_an_adapter_with_a_clock_of_its_own_keeps_it():
     for first in (3, 5, 7):
         assert clock.continued(np.array([first, first + 1])).tolist() == [first, first + 1]
     assert clock.continued(np.array([90_000_000])).tolist() == [90_000_000]  # a pause
+
+
+def test_a_clock_that_is_set_is_told_apart_from_one_that_goes_on():
+    wall, monotonic = [1_000_000_000], [5_000_000_000]
+    clock = WallClock(lambda: wall[0], lambda: monotonic[0])
+    found = []
+    for elapsed_ns, by_ns in (
+        (500_000_000, 0),
+        (500_000_000, 10_000_000),
+        (100, 3_600_000_000_000),
+        (100, -50_000_000),
+    ):
+        wall[0] += elapsed_ns + by_ns
+        monotonic[0] += elapsed_ns
+        found.append(clock.step_ns())
+    assert found == [0, 0, 3_600_000_000_000, -50_000_000]
+    assert clock.now_ns() == 2_000_000_200  # as if it had never been set
+    assert describe_step(found[2]) == "the clock was set forward by 3.6e+03 s"
+    assert describe_step(found[3]) == "the clock was set back by 0.05 s"
+
+
+def test_time_does_not_follow_a_clock_that_is_set(monkeypatch):
+    link = Link(None, passive=True)
+    before = link.now_ns()
+    assert abs(before - time.time_ns()) < 1_000_000_000
+    real = time.time_ns
+    monkeypatch.setattr(time, "time_ns", lambda: real() - 3600 * 10**9)
+    assert 0 <= link.now_ns() - before < 1_000_000_000

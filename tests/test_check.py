@@ -1,17 +1,15 @@
 """What `robot-acquire check` prints: drives that are alike share a row, differences in words, the verdict in one line."""
 
 import pytest
-from faulty_drives import FaultyDrives
-from made_up_buses import bus_of, bus_text, robot_of
+from dry_sessions import connected
+from made_up_buses import bus_text, robot_of
 
 from acquisition.commands.checking import Finding, check_drives, refusal, table
-from acquisition.simulated import LockStepLink
 
 
 @pytest.fixture
 def run():
-    robot = robot_of(bus_text(3))
-    return LockStepLink(FaultyDrives(robot, bus_of(robot)))
+    return connected(robot_of(bus_text(3)))[0]
 
 
 def test_drives_that_are_alike_share_a_row(run):

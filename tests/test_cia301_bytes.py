@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 import pytest
+from dry_sessions import Answering
 from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.bus import Frame, Master
@@ -465,39 +466,17 @@ def test_the_mode_is_displayed_and_the_rated_torque_served(node):
 # The master
 
 
-class Answering:
-    """A link on which each request gets the answers given, in order."""
-
-    def __init__(self, answers: dict[str, list[tuple[int, str]]]) -> None:
-        self.answers, self.sent, self.waiting, self.time_ns = answers, [], [], 1_000_000_000
-
-    def now_ns(self) -> int:
-        return self.time_ns
-
-    def send(self, can_id: int, content: bytes) -> None:
-        self.sent.append((can_id, content.hex(" ").upper()))
-        self.waiting += self.answers.get(self.sent[-1][1], [])
-
-    def receive(self, until_ns: int) -> Frame | None:
-        if self.waiting:
-            can_id, text = self.waiting.pop(0)
-            return Frame(self.time_ns, can_id, data(text))
-        self.time_ns = max(self.time_ns, until_ns)
-        return None
-
-
 def test_a_master_reads_and_writes(bus):
-    link = Answering(
-        {
-            "40 41 60 00 00 00 00 00": [
-                (0x586, "4B 41 60 00 11 11 00 00"),  # of another node
-                (0x585, "4B 40 60 00 22 22 00 00"),  # to another question
-                (0x585, "4B 41 60 00 37 12 00 00"),
-            ],
-            "2B 40 60 00 06 00 00 00": [(0x585, "60 40 60 00 00 00 00 00")],
-            "40 00 10 00 00 00 00 00": [(0x585, "80 00 10 00 00 00 00 08")],
-        }
-    )
+    answers = {
+        data("40 41 60 00 00 00 00 00"): [
+            (0x586, data("4B 41 60 00 11 11 00 00")),  # of another node
+            (0x585, data("4B 40 60 00 22 22 00 00")),  # to another question
+            (0x585, data("4B 41 60 00 37 12 00 00")),
+        ],
+        data("2B 40 60 00 06 00 00 00"): [(0x585, data("60 40 60 00 00 00 00 00"))],
+        data("40 00 10 00 00 00 00 00"): [(0x585, data("80 00 10 00 00 00 00 08"))],
+    }
+    link = Answering(lambda can_id, asked: answers.get(asked, []))
     master = Master(link, bus)
     assert master.read(5, 0x6041) == 0x1237
     master.write(5, 0x6040, 0, 6, 2)
@@ -505,29 +484,29 @@ def test_a_master_reads_and_writes(bus):
         master.read(5, 0x1000)
     with pytest.raises(AcquisitionError, match="node 5: object 1001:0: no answer in"):
         master.read(5, 0x1001)
-    assert link.sent[:2] == [(0x605, "40 41 60 00 00 00 00 00"), (0x605, "2B 40 60 00 06 00 00 00")]
+    assert link.sent[:2] == [(0x605, data("40 41 60 00 00 00 00 00")), (0x605, data("2B 40 60 00 06 00 00 00"))]
 
 
 def test_nmt_and_sync_of_a_master(bus):
-    link = Answering({})
+    link = Answering()
     master = Master(link, bus)
     for command in (1, 2, 0x80, 0x81, 0x82):
         master.nmt(command, 5)
     master.sync()
-    assert link.sent == [(0, "01 05"), (0, "02 05"), (0, "80 05"), (0, "81 05"), (0, "82 05"), (0x80, "")]
+    assert link.sent == [*((0, data(f"{command} 05")) for command in ("01", "02", "80", "81", "82")), (0x80, b"")]
 
 
 @pytest.mark.parametrize(("text", "nmt", "booted"), [("00", 0, True), ("04", 4, False), ("05", 5, False), ("7F", 127, False),
                                                      ("FF", 127, False)])  # fmt: skip
 def test_heartbeats_as_a_master_takes_them(bus, text, nmt, booted):
-    master = Master(Answering({}), bus)
+    master = Master(Answering(), bus)
     master.dispatch(Frame(0, 0x705, data(text)))
     master.dispatch(Frame(0, 0x706, data("04")))  # a node that is not ours
     assert (master.nodes[0].nmt, master.nodes[0].booted) == (nmt, booted)
 
 
 def test_emergencies_as_a_master_takes_them(bus):
-    master = Master(Answering({}), bus)
+    master = Master(Answering(), bus)
     master.dispatch(Frame(0, 0x086, data("10 23 01 00 00 00 00 00")))
     master.dispatch(Frame(0, 0x085, data("00 00 00 00 00 00 00 00")))  # no error any more
     assert master.nodes[0].emergency is None
@@ -536,7 +515,7 @@ def test_emergencies_as_a_master_takes_them(bus):
 
 
 def test_pdos_as_a_master_takes_them(bus):
-    master = Master(Answering({}), bus)
+    master = Master(Answering(), bus)
     watch = master.nodes[0]
     master.dispatch(Frame(0, 0x185, data("37 12 FB FF FF FF D4")))  # too short
     assert (watch.statusword, watch.counts, watch.answers) == (None, None, 0)

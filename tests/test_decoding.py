@@ -1,7 +1,5 @@
 """Frames → samples: association with SYNC under every fault, counts, times, the traffic of a third party."""
 
-import struct
-
 import numpy as np
 import pytest
 from conftest import needs_data
@@ -47,27 +45,6 @@ def test_a_clean_session():
     assert found.samples["effort"][3, 1] == pytest.approx((20 + 3) * 0.42e-3 * 50)
 
 
-@pytest.mark.parametrize("run", [1, 2, 3])
-def test_late_pdos_belong_to_their_own_sync(run):
-    intervals = session()
-    # PDO of drive 1 for SYNCs 20 to 20+run-1, all of them after the next SYNC.
-    for k in range(20 + run - 1, 19, -1):
-        intervals[k + 1].insert(1, intervals[k].pop(1))
-    found = decoded(intervals)
-    right(found)
-    assert [p.late for p in found.pdos] == [run, 0]
-    assert any("late" in w for w in found.warnings)
-
-
-def test_a_burst_after_a_stall():
-    intervals = session()
-    burst = [intervals[k].pop(2) for k in (30, 31)]
-    intervals[32][2:2] = burst
-    found = decoded(intervals)
-    right(found)
-    assert [p.late for p in found.pdos] == [0, 2]
-
-
 def test_missing_duplicate_and_short_pdos():
     intervals = session()
     del intervals[10][1]
@@ -92,21 +69,8 @@ def test_syncs_without_a_sample_are_counted(sync_recorded):
     assert found.counters["uncertain"] == 1
 
 
-def test_a_duplicate_after_a_missing_one_is_no_late_one():
+def test_a_sync_that_was_not_recorded():
     intervals = session()
-    del intervals[10][1]
-    intervals[11].append(intervals[11][1])
-    found = decoded(intervals)
-    right(found, lost=(10,))
-    assert [(p.late, p.duplicate, p.missing) for p in found.pdos] == [(0, 1, 1), (0, 0, 0)]
-
-
-@pytest.mark.parametrize("counter", [False, True])
-def test_a_sync_that_was_not_recorded(counter):
-    intervals = session()
-    if counter:
-        for k, rows in enumerate(intervals):
-            rows[0] = frame(rows[0][0], 0x80, bytes([k % 10 + 1]))
     del intervals[25][0]
     found = decoded(intervals)
     right(found)
@@ -134,31 +98,6 @@ def test_frames_of_others_do_not_matter():
     found = decode(both[np.argsort(both["time_ns"], kind="stable")], ROBOT, BUS, "log")
     right(found)
     assert found.warnings == ()
-
-
-def test_the_reference_is_the_target_in_force_at_sync():
-    found = decoded(session(targets=True))
-    reference = found.samples["reference"]
-    codec = BUS.drives[1].position_codec
-    assert reference[0].tolist() == found.samples["position"][0].tolist()  # no target yet
-    expected = [codec.si(np.array(counts(2, k) + 3)) / 50 for k in range(1, 50)]
-    assert reference[1:, 1] == pytest.approx(expected)
-
-
-def test_a_target_in_the_first_frame_of_all_is_in_force_at_the_first_sync():
-    intervals = session(targets=True)
-    early = [frame(999_000_000 + node, 0x200 + node, struct.pack("<Hi", 0x0F, 500 * node), SENT) for node in (1, 2)]
-    intervals[0][:0] = early
-    codec = BUS.drives[0].position_codec
-    expected = codec.si(np.array([500, 1000])) / 50
-    assert decoded(intervals).samples["reference"][0] == pytest.approx(expected)
-
-
-def test_a_target_is_held_until_the_next():
-    intervals = session(targets=True)
-    del intervals[9][3]
-    reference = decoded(intervals).samples["reference"][:, 0]
-    assert reference[10] == reference[9] != reference[11]
 
 
 def test_jitter_of_sync():
@@ -194,16 +133,6 @@ def test_a_pause_of_sync_is_no_other_period():
     (gap,) = gaps(found.samples, 500.0)
     assert (gap.row, gap.missing) == (24, 50)
     assert found.warnings == ("SYNC paused 1 times for more than 1.5 periods, the longest 102 ms at 0.048 s",)
-
-
-def test_of_two_answers_to_a_sync_neither_is_the_sample():
-    """The same PDO again, later and with other contents, while no SYNC is without an answer."""
-    intervals = session()
-    t, _, length, flags, data = intervals[20][1]
-    intervals[20].append((t + 500_000, 0x181, length, flags, data + np.uint8(1)))
-    found = decoded(intervals)
-    right(found, lost=(20,))
-    assert [p.duplicate for p in found.pdos] == [1, 0]
 
 
 @pytest.mark.parametrize("at_once", [7, 1000])

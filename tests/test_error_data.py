@@ -3,14 +3,12 @@
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 from conftest import REPLAY
-from made_up_buses import bus_of, bus_text, robot_of
+from made_up_buses import bus_text, robot_of
 
-from acquisition.bus import read_log
 from acquisition.errors import AcquisitionError
-from acquisition.robot import check_limits, load_robot
+from acquisition.robot import load_robot
 from identification import IdentificationError, fit
 from identification.data import load_signals
 from identification.simulation import described_robot
@@ -19,34 +17,6 @@ from identification.simulation import described_robot
 def data_of(caught):
     error = caught.value
     return error.place, error.key, error.value, error.expected
-
-
-@pytest.mark.parametrize(
-    ("change", "key", "value", "expected"),
-    [
-        (("sync_period_s = 0.002", "sync_period_s = 0.002\nsync_can_id = 0x181"), "bus.sync_can_id", 0x181, "0x80, or "),
-        (('"6074"', '"2222"'), "bus.drive[0].reference", "2222", "an object of the drive, or one in objects"),
-        (("rated_torque_nm = 0.42", ""), "bus.drive[0].rated_torque_nm", None, "the rated value that"),
-        (("counts_per_turn = 65536", "counts_per_m = 1.5"), "bus.drive[0].counts_per_m", 1.5, "counts_per_turn"),
-        (('"6074"', '"6074"\nreference_rule = "mA"'), "bus.drive[0].reference_rule", "mA", "N m as motor"),
-        (("node = 1\n", 'node = 1\ndictionary = "a.eds"\n'), "bus.drive[0].dictionary", "a.eds", ""),
-        (("= 0.42", "= 1e308"), "bus.drive[0].rated_torque_nm", 1e308, "0.001 to 4.295e+06: an U32 in mN m"),
-        (("= 0.42", "= 1e-4"), "bus.drive[0].rated_torque_nm", 1e-4, "0.001 to "),
-        (("= 0.42", "= 1\nrated_force_n = 1e9"), "bus.drive[0].rated_force_n", 1e9, "0.001 to "),
-        (("= 0.42", "= 1\nrated_current_a = 1e9"), "bus.drive[0].rated_current_a", 1e9, "0.001 to "),
-        (("= 65536", "= 1e13"), "bus.drive[0].counts_per_turn", 1e13, "`float` <= 1000000000000.0"),
-        (("0.002", "0.002\nother_nodes = [5, 1]"), "bus.other_nodes", 1, "node ids that neither a drive"),
-        (("0.002", "0.002\nother_nodes = [127]"), "bus.other_nodes", 127, "node ids that neither a drive"),
-        (("node = 1\n", "node = 1\nrpdo = [{ objects = ['6040'], number = 5 }]\n"), "bus.drive[0].rpdo[0].can_id", None, "an "),
-    ],
-)  # fmt: skip
-def test_of_a_description(change, key, value, expected):
-    text = bus_text(1)
-    assert change[0] in text
-    with pytest.raises(AcquisitionError) as caught:
-        bus_of(robot_of(text.replace(*change, 1)))
-    assert data_of(caught)[:3] == ("robot.toml", key, value)
-    assert caught.value.expected.startswith(expected)
 
 
 @pytest.mark.parametrize(
@@ -86,28 +56,6 @@ def test_of_a_guard_that_guards_nothing(tmp_path: Path, key, most, prismatic):
         load_robot(path)
     assert data_of(caught) == (str(path), key, pytest.approx(1.001 * most), f"{most:g} at most")
     robot_of(with_value(1e9 if name != "heartbeat_s" else 10.0))
-
-
-def test_of_a_path():
-    robot = robot_of(bus_text(1))
-    path = np.zeros((10, 1))
-    path[4] = 3.0  # beyond 150 degrees
-    with pytest.raises(AcquisitionError) as caught:
-        check_limits(path, robot, 0.5, "path.csv")
-    assert data_of(caught) == ("path.csv: at 2 s", "position of joint_1", 3.0, "-2.618 to 2.618")
-    assert str(caught.value) == "path.csv: at 2 s: position of joint_1 = 3 rad: expected -2.618 to 2.618"
-
-
-def test_of_a_log(tmp_path: Path):
-    path = tmp_path / "a.log"
-    path.write_text("(-5.0) can0 080#\n")
-    with pytest.raises(AcquisitionError) as caught:
-        list(read_log(path))
-    assert caught.value.place == f"{path}: frame 1"
-    with pytest.raises(AcquisitionError) as caught:
-        list(read_log(tmp_path / "a.txt"))
-    assert caught.value.place == str(tmp_path / "a.txt")
-    assert caught.value.expected == ".log (candump), .asc, .blf or .trc"
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,6 @@ import pytest
 from dry_sessions import dry_session, swing
 from made_up_buses import bus_of, bus_text, flat, robot_of, session
 
-from acquisition.bus import WallClock, describe_step
 from acquisition.errors import AcquisitionError
 from acquisition.importing import export_csv, import_recording
 from acquisition.recording import Header, RecordingWriter, read_recording, sample_dtype, writer
@@ -26,20 +25,6 @@ def test_they_get_pdos_of_their_own():
         ["606C:0", "6077:0", "2081:1"],
         ["2082:0"],
     ]
-
-
-@pytest.mark.parametrize(
-    ("drive", "expected"),
-    [
-        ('extra = ["2081:1"]', "extra[0] = '2081:1': its type is not known"),
-        ('extra = ["606C"]\ntpdo = [{ objects = ["6041", "6064", "6074"] }]', "no PDO from the drive carries 606C:0"),
-        ("extra = [{ scale = 0.1 }]", "bus.drive[0].extra[0] = '': expected an object, such as 606C or 2081:1"),
-    ],
-)
-def test_what_is_refused(drive, expected):
-    with pytest.raises(AcquisitionError) as caught:
-        bus_of(robot_of(bus_text(1, drive=drive)))
-    assert expected in str(caught.value)
 
 
 def test_simulated_drives_send_their_velocity_and_the_frames_hold_it(tmp_path):
@@ -113,22 +98,3 @@ def test_a_wrong_period_loses_no_frame_and_the_corrected_description_decodes_it(
     assert not (tmp_path / "b.mcap").exists()
     corrected = robot_of(bus_text(2, period_s=0.0054))
     assert import_recording(tmp_path / "a.mcap", tmp_path / "b.mcap", corrected, "robot.toml").samples == 50
-
-
-def test_a_clock_that_is_set_is_told_apart_from_one_that_goes_on():
-    wall, monotonic = [1_000_000_000], [5_000_000_000]
-    clock = WallClock(lambda: wall[0], lambda: monotonic[0])
-    found = []
-    for elapsed_ns, by_ns in (
-        (500_000_000, 0),
-        (500_000_000, 10_000_000),
-        (100, 3_600_000_000_000),
-        (100, -50_000_000),
-    ):
-        wall[0] += elapsed_ns + by_ns
-        monotonic[0] += elapsed_ns
-        found.append(clock.step_ns())
-    assert found == [0, 0, 3_600_000_000_000, -50_000_000]
-    assert clock.now_ns() == 2_000_000_200  # as if it had never been set
-    assert describe_step(found[2]) == "the clock was set forward by 3.6e+03 s"
-    assert describe_step(found[3]) == "the clock was set back by 0.05 s"

@@ -1,7 +1,6 @@
 """Whatever stands in a file, a reader returns or raises `AcquisitionError` in one line; nothing else gets out."""
 
 import contextlib
-import math
 import os
 import random
 from collections.abc import Callable, Iterator
@@ -95,39 +94,6 @@ def test_changed_descriptions(use: Callable[[str], None], text: str) -> None:
 @given(text=st.text(alphabet=st.sampled_from("[]{}=.,\"'\n\\ #ab1e-_:T")))
 def test_any_toml(use: Callable[[str], None], text: str) -> None:
     use(text)
-
-
-NAMES = [
-    "joint", "motor", "controller", "bandwidth_hz", "name", "type", "dh", "position", "effort", "columns", "unit", "side",
-    "time", "column", "table", "sample_rate_hz", "motor_matrix", "urdf", "gravity_m_s2", "parameters", "identification",
-]  # fmt: skip
-LEAVES = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5) | st.sampled_from(NAMES)
-TREES = st.recursive(
-    LEAVES, lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.sampled_from(NAMES), inner, max_size=6)
-)
-
-
-def as_toml(value: object) -> str:
-    """An inline TOML value."""
-    if isinstance(value, dict):
-        return "{" + ", ".join(f"{key} = {as_toml(inner)}" for key, inner in value.items()) + "}"
-    if isinstance(value, list):
-        return "[" + ", ".join(map(as_toml, value)) + "]"
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, float):
-        return "nan" if math.isnan(value) else repr(value)
-    if isinstance(value, str):
-        return '"' + "".join(c if c.isalnum() and c.isascii() else " " for c in value) + '"'
-    return "[]" if value is None else str(value)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("use", [use_robot, use_map])
-@FUZZ
-@given(tree=st.dictionaries(st.sampled_from(NAMES), TREES, max_size=8))
-def test_any_structure(use: Callable[[str], None], tree: dict[str, object]) -> None:
-    use("\n".join(f"{key} = {as_toml(value)}" for key, value in tree.items()))
 
 
 CELLS = st.sampled_from(

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import scipy.io
 from conftest import REPLAY, needs_data, robot_named
+from descriptions import COUPLED, ONE_JOINT
 
 from acquisition.errors import AcquisitionError
 from acquisition.importing import ImportSummary, import_tables
@@ -13,29 +14,7 @@ from acquisition.recording import read_recording
 from acquisition.robot import Robot, robot_from_files
 from identification.data import load_signals
 
-ROBOT = """
-name = "two"
-motor_matrix = [[10, 0], [20, 20]]
-[[joint]]
-name = "first"
-type = "revolute"
-zero_deg = 90
-dh = { alpha_deg = 0, d_m = 0, theta_deg = 0, r_m = 0 }
-[[joint]]
-name = "second"
-type = "revolute"
-dh = { alpha_deg = 0, d_m = 0, theta_deg = 0, r_m = 0 }
-[[motor]]
-name = "m1"
-drive_gain = 0.5
-drive_gain_unit = "N m/A"
-[[motor]]
-name = "m2"
-drive_gain = 0.25
-drive_gain_unit = "N m/A"
-[controller]
-bandwidth_hz = 20
-"""
+ROBOT = COUPLED.replace("[[10, 4], [-3, 20]]", "[[10, 0], [20, 20]]").replace("zero_deg = -45\n", "")
 MAP = """
 sample_rate_hz = 500
 [position]
@@ -54,6 +33,11 @@ CURRENT = np.array([[1000.0, 0.0], [0.0, 2000.0], [-500.0, 4000.0]])
 @pytest.fixture
 def two() -> Robot:
     return robot_from_files({"robot.toml": ROBOT.encode()}, "two")
+
+
+@pytest.fixture
+def table(tmp_path: Path) -> Path:
+    return csv(tmp_path / "a.csv", "p1,p2,c1,c2", Q, CURRENT)
 
 
 def csv(path: Path, header: str, *columns: np.ndarray, separator: str = ",") -> Path:
@@ -78,11 +62,9 @@ def refusal(folder: Path, robot: Robot, table_map: str, *tables: Path) -> tuple[
     return error.place.replace(f"{folder}/", ""), error.key, error.value, error.expected
 
 
-def test_motor_side_goes_through_the_robots_rule(tmp_path: Path, two: Robot) -> None:
-    table = csv(tmp_path / "a.csv", "p1,p2,c1,c2", Q, CURRENT)
+def test_motor_side_goes_through_the_robots_rule(tmp_path, two, table):
     result = run(tmp_path, two, MAP, table)
     recording = read_recording(result.out)
-    assert recording.samples is not None
     # Joint 1 turns by q_motor / 10 from its zero at 90°; joint 2 by the rest of motor 2 once joint 1 is taken off.
     assert np.rad2deg(recording.samples["position"]) == pytest.approx(np.array([[90, 0], [180, 0], [0, 90]]))
     # tau = Rᵀ G i: 1 A gives 0.5 N m at motor 1, 0.25 N m at motor 2.
@@ -97,18 +79,17 @@ def test_motor_side_goes_through_the_robots_rule(tmp_path: Path, two: Robot) -> 
     assert recording.attachments["robot.toml"] == ROBOT.encode()
 
 
-def test_an_effort_beyond_its_limit_is_told(tmp_path: Path) -> None:
+def test_an_effort_beyond_its_limit_is_told(tmp_path):
     text = ROBOT.replace('name = "second"\n', 'name = "second"\neffort_nm = 16\n')
     robot = robot_from_files({"robot.toml": text.encode()}, "two")
     result = run(tmp_path, robot, MAP, csv(tmp_path / "a.csv", "p1,p2,c1,c2", Q, CURRENT))
     assert result.warnings == ("effort of joint second up to 20 N m: limit 16 N m",)
 
 
-def test_joint_side_stands_as_it_is(tmp_path: Path, two: Robot) -> None:
+def test_joint_side_stands_as_it_is(tmp_path, two, table):
     """Where a joint has a zero, which would do nothing, it is refused."""
     table_map = MAP.replace("motor", "joint").replace("mA", "mN m") + '[reference]\ncolumns = ["p2", "p1"]\n'
     table_map += 'unit = ["deg", "rad"]\nside = "joint"\n'
-    table = csv(tmp_path / "a.csv", "p1,p2,c1,c2", Q, CURRENT)
     with pytest.raises(
         AcquisitionError, match=r"position.side = 'joint': zero_deg of joint first in robot.toml has no effect"
     ):
@@ -117,7 +98,6 @@ def test_joint_side_stands_as_it_is(tmp_path: Path, two: Robot) -> None:
     result = run(tmp_path, plain, table_map, table)
     recording = read_recording(result.out)
     samples = recording.samples
-    assert samples is not None
     assert samples["position"] == pytest.approx(np.deg2rad(Q))
     assert samples["effort"] == pytest.approx(CURRENT * 1e-3)
     assert samples["reference"] == pytest.approx(Q[:, ::-1] * [np.pi / 180, 1])
@@ -138,27 +118,24 @@ def test_joint_side_stands_as_it_is(tmp_path: Path, two: Robot) -> None:
         "",
     ],
 )
-def test_kinds_of_csv(tmp_path: Path, two: Robot, separator: str, header: str) -> None:
+def test_kinds_of_csv(tmp_path, two, separator, header):
     table = csv(tmp_path / "a.csv", header.replace(",", separator), Q, CURRENT, separator=separator)
     table.write_text(table.read_text().replace("\n", "\r\n") + "\r\n# end\r\n")
     table_map = MAP if header else MAP.replace('["p1", "p2"]', "[1, 2]").replace('["c1", "c2"]', "[3, 4]")
     samples = read_recording(run(tmp_path, two, table_map, table).out).samples
-    assert samples is not None
     assert samples["effort"] == pytest.approx(np.array([[5, 0], [10, 10], [17.5, 20]]))
 
 
-def test_columns_that_are_not_asked_for_may_hold_text(tmp_path: Path, two: Robot) -> None:
+def test_columns_that_are_not_asked_for_may_hold_text(tmp_path, two):
     (tmp_path / "a.csv").write_text("when,p1,p2,c1,c2\n12:00,0,0,1000,0\n12:01,900,1800,0,2000\n")
     samples = read_recording(run(tmp_path, two, MAP, tmp_path / "a.csv").out).samples
-    assert samples is not None
     assert samples["effort"] == pytest.approx(np.array([[5, 0], [10, 10]]))
 
 
-def test_mat_vectors_rows_and_matrices(tmp_path: Path, two: Robot) -> None:
+def test_mat_vectors_rows_and_matrices(tmp_path, two):
     scipy.io.savemat(tmp_path / "a.mat", {"q": Q, "c1": CURRENT[:, 0], "c2": CURRENT[:, [1]].astype(np.int16)})
     table_map = MAP.replace('["p1", "p2"]', '["q"]')
     samples = read_recording(run(tmp_path, two, table_map, tmp_path / "a.mat").out).samples
-    assert samples is not None
     assert np.rad2deg(samples["position"]) == pytest.approx(np.array([[90, 0], [180, 0], [0, 90]]))
     assert samples["effort"] == pytest.approx(np.array([[5, 0], [10, 10], [17.5, 20]]))
 
@@ -168,7 +145,7 @@ def with_time(unit: str, rate: str = "") -> str:
 
 
 @pytest.mark.parametrize(("unit", "scale"), [("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
-def test_stamps_lie_on_the_grid_through_the_times(tmp_path: Path, two: Robot, unit: str, scale: float) -> None:
+def test_stamps_lie_on_the_grid_through_the_times(tmp_path, two, unit, scale):
     rng = np.random.default_rng(0)
     time_s = 2.0 + np.arange(1000) / 500 + rng.uniform(-5e-5, 5e-5, 1000)
     columns = [np.zeros((1000, 4)), np.round(time_s * scale, 9)]
@@ -176,28 +153,26 @@ def test_stamps_lie_on_the_grid_through_the_times(tmp_path: Path, two: Robot, un
         run(tmp_path, two, with_time(unit), csv(tmp_path / "a.csv", "p1,p2,c1,c2,t", *columns)).out
     )
     assert recording.sample_rate_hz == 500.0
-    assert recording.samples is not None
     assert set(np.diff(recording.samples["stamp_ns"])) == {2_000_000}
     assert recording.samples["stamp_ns"][0] == pytest.approx(time_s[0] * 1e9, abs=1e3)
 
 
 @pytest.mark.parametrize("rate_hz", [1000.0, 5000.0, 3.0, 1024.0, 44.1, 999.5])
-def test_the_rate_is_the_roundest_that_fits(tmp_path: Path, two: Robot, rate_hz: float) -> None:
+def test_the_rate_is_the_roundest_that_fits(tmp_path, two, rate_hz):
     columns = [np.zeros((2000, 4)), np.arange(2000) / rate_hz]
     table = csv(tmp_path / "a.csv", "p1,p2,c1,c2,t", *columns)
     assert run(tmp_path, two, with_time("s"), table).sample_rate_hz == rate_hz
 
 
-def test_a_short_record_with_jitter_keeps_its_own_rate(tmp_path: Path, two: Robot) -> None:
+def test_a_short_record_with_jitter_keeps_its_own_rate(tmp_path, two):
     time_s = np.array([0.0, 0.00221, 0.00416])  # 481 Hz; the scatter alone would allow 500
     table = csv(tmp_path / "a.csv", "p1,p2,c1,c2,t", np.zeros((3, 4)), time_s)
     assert run(tmp_path, two, with_time("s"), table).sample_rate_hz == pytest.approx(2 / 0.00416, rel=1e-4)
 
 
-def test_time_before_zero_is_counted_from_the_first_sample(tmp_path: Path, two: Robot) -> None:
+def test_time_before_zero_is_counted_from_the_first_sample(tmp_path, two):
     table = csv(tmp_path / "a.csv", "p1,p2,c1,c2,t", np.zeros((10, 4)), np.arange(10) / 500 - 0.01)
     samples = read_recording(run(tmp_path, two, with_time("s"), table).out).samples
-    assert samples is not None
     assert samples["stamp_ns"].tolist() == list(range(0, 20_000_000, 2_000_000))
 
 
@@ -218,7 +193,7 @@ GRID = np.arange(100) / 500
         (GRID + 1e10, "", "a.csv", "", None, "68 years and 100 MHz at most"),
     ],
 )  # fmt: skip
-def test_times_that_are_no_grid(tmp_path: Path, two: Robot, time_s, rate, place, key, value, expected) -> None:
+def test_times_that_are_no_grid(tmp_path, two, time_s, rate, place, key, value, expected):
     rows = [f"0,0,0,0,{t:.17g}" for t in time_s]
     (tmp_path / "a.csv").write_text("\n".join(["p1,p2,c1,c2,t", *rows]))
     found = refusal(tmp_path, two, with_time("s", rate), tmp_path / "a.csv")
@@ -245,7 +220,7 @@ def test_times_that_are_no_grid(tmp_path: Path, two: Robot, time_s, rate, place,
         ("1,2,3,4\n1,2,3,4\n", "a.csv", "", None, "numbers from 1 to 4"),
     ],
 )  # fmt: skip
-def test_csv_mistakes(tmp_path: Path, two: Robot, content, place, key, value, expected) -> None:
+def test_csv_mistakes(tmp_path, two, content, place, key, value, expected):
     (tmp_path / "a.csv").write_text(content)
     found = refusal(tmp_path, two, MAP, tmp_path / "a.csv")
     assert tuple(map(repr, found)) == tuple(map(repr, (place, key, value, expected)))
@@ -282,21 +257,18 @@ def test_csv_mistakes(tmp_path: Path, two: Robot, content, place, key, value, ex
         ("[effort]", "[torque]", "top level", None, ""),
     ],
 )  # fmt: skip
-def test_map_mistakes(tmp_path: Path, two: Robot, old, new, key, value, expected) -> None:
+def test_map_mistakes(tmp_path, two, old, new, key, value, expected, table):
     assert MAP.count(old) == 1
-    table = csv(tmp_path / "a.csv", "p1,p2,c1,c2", Q, CURRENT)
     found = refusal(tmp_path, two, MAP.replace(old, new), table)
     assert found == ("map.toml" if key else "a.csv", key, value, expected)
 
 
-def test_the_side_may_be_left_out_where_nothing_hangs_on_it(tmp_path: Path, two: Robot) -> None:
+def test_the_side_may_be_left_out_where_nothing_hangs_on_it(tmp_path, two, table):
     """With an identity matrix position has one meaning; with a gain the unit of the effort tells its side."""
-    table = csv(tmp_path / "a.csv", "p1,p2,c1,c2", Q, CURRENT)
     table_map = MAP.replace('side = "motor"\n', "")
     direct = ROBOT.replace("[[10, 0], [20, 20]]", "[[1, 0], [0, 1]]").replace("zero_deg = 90\n", "")
     robot = robot_from_files({"robot.toml": direct.encode()}, "direct")
     samples = read_recording(run(tmp_path, robot, table_map, table).out).samples
-    assert samples is not None
     assert samples["position"] == pytest.approx(np.deg2rad(Q))
     assert samples["effort"] == pytest.approx(CURRENT * [0.5e-3, 0.25e-3])
     (tmp_path / "out.mcap").unlink()
@@ -308,7 +280,7 @@ def test_the_side_may_be_left_out_where_nothing_hangs_on_it(tmp_path: Path, two:
     assert refusal(tmp_path, in_amperes, joint_position, table)[1:3] == ("effort.side", None)
 
 
-def test_a_motor_may_turn_where_its_joint_slides(tmp_path: Path) -> None:
+def test_a_motor_may_turn_where_its_joint_slides(tmp_path):
     """A spindle of 5 mm: 2π/0.005 rad at the motor for each metre of the joint, and N m at the motor for newtons."""
     slide = ROBOT.partition("[[joint]]")[0].replace("motor_matrix = [[10, 0], [20, 20]]\n", "")
     slide += '[[joint]]\nname = "slide"\ntype = "prismatic"\n'
@@ -321,7 +293,6 @@ def test_a_motor_may_turn_where_its_joint_slides(tmp_path: Path) -> None:
     table_map = MAP.replace(', "p2"', "").replace(', "c2"', "").replace("mA", "mN m")
     result = run(tmp_path, robot, table_map, table)
     samples = read_recording(result.out).samples
-    assert samples is not None
     assert samples["position"] == pytest.approx(np.array([[0], [0.01]]))
     assert samples["effort"] == pytest.approx(np.array([[0], [2 * np.pi / 0.005]]))
     assert result.effort_units == ("N",)
@@ -330,13 +301,13 @@ def test_a_motor_may_turn_where_its_joint_slides(tmp_path: Path) -> None:
     assert refusal(tmp_path, robot, joint_side, table) == ("map.toml", "position.unit", None, "a length")
 
 
-def test_tables_of_different_length(tmp_path: Path, two: Robot) -> None:
+def test_tables_of_different_length(tmp_path, two):
     tables = csv(tmp_path / "a.csv", "p1,p2", Q), csv(tmp_path / "b.csv", "c1,c2", CURRENT[:2])
     table_map = MAP.replace('unit = "mA"', 'unit = "mA"\ntable = 2')
     assert refusal(tmp_path, two, table_map, *tables) == ("map.toml", "effort", None, "3 as in position")
 
 
-def test_mat_mistakes(tmp_path: Path, two: Robot) -> None:
+def test_mat_mistakes(tmp_path, two):
     good = {"p1": Q[:, 0], "p2": Q[:, 1], "c1": CURRENT[:, 0]}
     for extra, place, key, value, expected in (
         ({}, "", "", None, "one of p1, p2, c1"),
@@ -360,18 +331,11 @@ def test_mat_mistakes(tmp_path: Path, two: Robot) -> None:
         assert refusal(tmp_path, two, MAP, tmp_path / "a.mat")[3].startswith("version 7;")
 
 
-SINGLE = """
-name = "single"
-[[joint]]
-name = "axis"
-type = "KIND"
-dh = { alpha_deg = 0, d_m = 0, theta_deg = 0, r_m = 0 }
-[[motor]]
-name = "motor"
-effort_unit = "EFFORT"
-[controller]
-bandwidth_hz = 20
-"""
+SINGLE = (
+    ONE_JOINT.replace("revolute", "KIND")
+    .replace("ratio = 50\n", "")
+    .replace('drive_gain = 0.2\ndrive_gain_unit = "N m/A"', 'effort_unit = "EFFORT"')
+)
 SINGLE_MAP = """
 sample_rate_hz = 500
 [position]
@@ -384,62 +348,31 @@ unit = "EFFORT"
 
 
 @pytest.mark.parametrize(
-    ("kind", "unit", "value", "si"),
+    ("recorded", "position", "effort", "value", "si"),
     [
-        ("revolute", "rad", 1.25, 1.25),
-        ("revolute", "deg", 180.0, 3.141592653589793),
-        ("revolute", "deg", -57.29577951308232, -1.0),
-        ("prismatic", "m", 0.3, 0.3),
-        ("prismatic", "mm", 250.0, 0.25),
-        ("prismatic", "um", -1500.0, -0.0015),
+        ("N m", "rad", "N m", [1.25, 0.42], [1.25, 0.42]),
+        ("N m", "deg", "mN m", [180.0, 420.0], [3.141592653589793, 0.42]),
+        ("A", "deg", "A", [-57.29577951308232, 2.5], [-1.0, 2.5]),
+        ("A", "rad", "mA", [0.0, 2500.0], [0.0, 2.5]),
+        ("V", "rad", "V", [0.0, -10.0], [0.0, -10.0]),
+        ("V", "rad", "mV", [0.0, -10.0], [0.0, -0.01]),
+        ("N", "m", "N", [0.3, 80.0], [0.3, 80.0]),
+        ("N", "mm", "N", [250.0, 0.0], [0.25, 0.0]),
+        ("N", "um", "N", [-1500.0, 0.0], [-0.0015, 0.0]),
     ],
 )
-def test_units_of_position_by_hand(tmp_path: Path, kind: str, unit: str, value: float, si: float) -> None:
-    effort = "N m" if kind == "revolute" else "N"
-    robot = robot_from_files({"robot.toml": SINGLE.replace("KIND", kind).replace("EFFORT", effort).encode()}, "x")
-    table = csv(tmp_path / "a.csv", "p,c", np.array([0.0, value]), np.zeros(2))
-    result = run(tmp_path, robot, SINGLE_MAP.replace("POSITION", unit).replace("EFFORT", effort), table)
-    samples = read_recording(result.out).samples
-    assert samples is not None
-    assert samples["position"][:, 0] == pytest.approx([0.0, si], rel=1e-8)
-
-
-@pytest.mark.parametrize(
-    ("recorded", "unit", "value", "si"),
-    [
-        ("A", "A", 2.5, 2.5),
-        ("A", "mA", 2500.0, 2.5),
-        ("V", "V", -10.0, -10.0),
-        ("V", "mV", -10.0, -0.01),
-        ("N m", "N m", 0.42, 0.42),
-        ("N m", "mN m", 420.0, 0.42),
-        ("N", "N", 80.0, 80.0),
-    ],
-)
-def test_units_of_effort_by_hand(tmp_path: Path, recorded: str, unit: str, value: float, si: float) -> None:
+def test_units_of_position_and_effort_by_hand(tmp_path, recorded, position, effort, value, si):
     kind = "prismatic" if recorded == "N" else "revolute"
     robot = robot_from_files({"robot.toml": SINGLE.replace("KIND", kind).replace("EFFORT", recorded).encode()}, "x")
-    table = csv(tmp_path / "a.csv", "p,c", np.zeros(2), np.array([0.0, value]))
-    table_map = SINGLE_MAP.replace("POSITION", "m" if recorded == "N" else "rad").replace("EFFORT", unit)
-    result = run(tmp_path, robot, table_map, table)
+    table = csv(tmp_path / "a.csv", "p,c", *np.array([[0.0, 0.0], value]).T)
+    result = run(tmp_path, robot, SINGLE_MAP.replace("POSITION", position).replace("EFFORT", effort), table)
     samples = read_recording(result.out).samples
-    assert samples is not None
-    assert samples["effort"][:, 0] == pytest.approx([0.0, si], rel=1e-12)
+    assert samples["position"][:, 0] == pytest.approx([0.0, si[0]], rel=1e-8)
+    assert samples["effort"][:, 0] == pytest.approx([0.0, si[1]], rel=1e-12)
     assert result.effort_units == (recorded,)
 
 
-@pytest.mark.parametrize(("unit", "per_s"), [("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
-def test_units_of_time_by_hand(tmp_path: Path, two: Robot, unit: str, per_s: float) -> None:
-    """Rows 4 ms apart from 1.5 s on."""
-    times = (1.5 + 0.004 * np.arange(3)) * per_s
-    table = csv(tmp_path / "a.csv", "p1,p2,c1,c2,t", np.zeros((3, 4)), times)
-    recording = read_recording(run(tmp_path, two, with_time(unit), table).out)
-    assert recording.samples is not None
-    assert recording.samples["stamp_ns"].tolist() == [1_500_000_000, 1_504_000_000, 1_508_000_000]
-    assert recording.sample_rate_hz == 250.0
-
-
-def test_times_in_words_that_are_no_unit_and_in_columns_that_are_none(tmp_path: Path, two: Robot) -> None:
+def test_times_in_words_that_are_no_unit_and_in_columns_that_are_none(tmp_path, two):
     table = csv(tmp_path / "a.csv", "p1,p2,c1,c2,t", np.zeros((3, 4)), np.arange(3.0))
     short = csv(tmp_path / "b.csv", "t", np.arange(2.0))
     found = refusal(tmp_path, two, with_time("min"), table)
@@ -449,14 +382,12 @@ def test_times_in_words_that_are_no_unit_and_in_columns_that_are_none(tmp_path: 
     assert refusal(tmp_path, two, two_tables, table)[1:3] == ("time.table", 2)
 
 
-def test_joint_torques_beside_motor_currents(tmp_path: Path, two: Robot) -> None:
+def test_joint_torques_beside_motor_currents(tmp_path, two, table):
     """The unit tells the side: N m can only be the joint's where motors are recorded in A."""
-    table = csv(tmp_path / "a.csv", "p1,p2,c1,c2", Q, CURRENT)
     table_map = MAP.replace('unit = "mA"\nside = "motor"', 'unit = "N m"')
     result = run(tmp_path, two, table_map, table)
     recording = read_recording(result.out)
     samples = recording.samples
-    assert samples is not None
     assert samples["effort"].tolist() == CURRENT.tolist()
     assert recording.metadata["effort_provenance"] == "a.csv: c1, c2: N m at the joint; joint effort = value in N m"
 
@@ -470,26 +401,24 @@ def test_joint_torques_beside_motor_currents(tmp_path: Path, two: Robot) -> None
         ('effort_timing = "measured"', "measured at the instant of the sample", "measured"),
     ],
 )
-def test_what_instants_efforts_belong_to_is_what_the_map_says(tmp_path: Path, two: Robot, stated, kept, timing) -> None:
-    table = csv(tmp_path / "a.csv", "p1,p2,c1,c2", Q, CURRENT)
+def test_what_instants_efforts_belong_to_is_what_the_map_says(tmp_path, two, stated, kept, timing, table):
     out = run(tmp_path, two, f"{stated}\n{MAP}", table).out
     assert read_recording(out).metadata.get("effort_timing") == kept
     assert load_signals(out).effort_timing == timing
 
 
-def test_missing_files_are_named(tmp_path: Path, two: Robot) -> None:
+def test_missing_files_are_named(tmp_path, two):
     assert refusal(tmp_path, two, MAP, tmp_path / "none.csv")[0] == "none.csv"
     assert refusal(tmp_path, two, MAP, tmp_path)[0] == str(tmp_path)
     with pytest.raises(AcquisitionError, match=r"none\.toml: cannot be read: No such file"):
         import_tables([], two, tmp_path / "none.toml", tmp_path / "out.mcap")
 
 
-def test_the_real_emps_record(emps: Path) -> None:
+def test_the_real_emps_record(emps):
     """One prismatic axis: volts at the drive, 35.15 N/V."""
     raw = scipy.io.loadmat(needs_data("emps", "DATA_EMPS.mat"))
     recording = read_recording(emps)
     samples = recording.samples
-    assert samples is not None
     assert np.array_equal(samples["position"], raw["qm"])
     assert np.array_equal(samples["reference"], raw["qg"])
     assert np.allclose(samples["effort"], 35.15065188 * raw["vir"], rtol=1e-14)
@@ -497,10 +426,9 @@ def test_the_real_emps_record(emps: Path) -> None:
     assert samples["stamp_ns"].tolist() == list(range(0, 24_841_000_000, 1_000_000))
 
 
-def test_the_real_tx40_record(tx40: Path) -> None:
+def test_the_real_tx40_record(tx40):
     """Six joints: the first row by hand from the tables, with the wrist's coupling."""
     samples = read_recording(tx40).samples
-    assert samples is not None
     pos, curr = (
         np.loadtxt(needs_data("tx40", name), delimiter=",", skiprows=1)
         for name in ("pos_read_data.csv", "curr_data.csv")

@@ -71,14 +71,7 @@ def test_without_parameters_or_dynamics_a_stand_in_with_weight_moves(monkeypatch
     assert "no installed package offers the robot's dynamics (entry points robot_idim.plants)" in alone.warning
 
 
-@pytest.mark.parametrize(
-    ("was", "becomes", "expected"),
-    [
-        ("ZZ2 = 0.061", "ZZ2 = -1000.0", "cannot be simulated: the inertia matrix is not positive"),
-        ("ZZ2 = 0.061", "ZZ9 = 0.061", "ZZ9 = 0.061: not a standard parameter"),
-    ],
-)
-def test_parameters_that_describe_no_robot_are_refused_in_one_line(was, becomes, expected):
-    robot = robot_of((REPLAY / "scara" / "robot.toml").read_text().replace(was, becomes))
-    with pytest.raises(AcquisitionError, match=expected.replace("(", r"\(")):
+def test_parameters_that_describe_no_robot_are_refused_in_one_line():
+    robot = robot_of((REPLAY / "scara" / "robot.toml").read_text().replace("ZZ2 = 0.061", "ZZ2 = -1000.0"))
+    with pytest.raises(AcquisitionError, match="cannot be simulated: the inertia matrix is not positive"):
         driven_plant(robot, bus_of(robot))

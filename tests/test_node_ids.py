@@ -3,10 +3,10 @@
 from contextlib import ExitStack
 
 import pytest
-from dry_sessions import Through, dry_session, findings, swing
+from dry_sessions import Unasked, connected, dry_session, findings, swing
 from faulty_drives import FaultyDrives
-from made_up_buses import bus_of, bus_text, robot_of
-from test_scan import bus_file, served
+from made_up_buses import bus_text
+from virtual_buses import bus_file, served
 
 from acquisition.bus import Frame, Uploads, scan_nodes
 from acquisition.commands import main
@@ -14,7 +14,6 @@ from acquisition.commands.scanning import ARRAYS, OBJECTS
 from acquisition.errors import AcquisitionError
 from acquisition.protocol import State, abort_answer, read_request
 from acquisition.session import Task
-from acquisition.simulated import LockStepLink
 
 
 def test_two_drives_with_one_node_id_on_a_bus(tmp_path, capsys):
@@ -63,41 +62,25 @@ def test_a_session_ends_before_a_drive_is_enabled(tmp_path, task, after_ms):
     assert done.drives.states == [State.SWITCH_ON_DISABLED] * 2
 
 
-class Unasked(Through):
-    """Frames that come at times of their own, after the first second."""
-
-    frames: list[tuple[int, int, bytes]]
-
-    def receive(self, until_ns):
-        due = [frame for frame in self.frames if frame[0] <= self.now_ns()]
-        if due:
-            self.frames.remove(due[0])
-            return Frame(self.now_ns(), *due[0][1:])
-        return super().receive(min([until_ns, *(frame[0] for frame in self.frames)])) or (
-            self.receive(until_ns) if self.frames and self.frames[0][0] <= self.now_ns() < until_ns else None
-        )
-
-
 VALUE, LATER = b"\x43\x18\x10\x04\x01\x00\x00\x00", b"\x41\x08\x10\x00\x08\x00\x00\x00"
 AT_ONCE, IN_CHECK = 1_100_000_000, 1_500_000_000
 CASES = {
-    "while listening": ([(AT_ONCE, 0x585, VALUE)], "node 5"),
-    "between our own": ([(IN_CHECK, 0x582, VALUE)], "node 2"),
-    "of a device that is not described": ([(IN_CHECK, 0x5FF, VALUE)], "node 127"),
-    "asked by another": ([(IN_CHECK, 0x605, read_request(0x1018, 4)), (IN_CHECK + 1, 0x585, VALUE)], ""),
-    "a transfer that is given up": ([(AT_ONCE, 0x582, abort_answer(0x1008, 0, "timed out"))], ""),
-    "a transfer in segments": ([(AT_ONCE, 0x582, LATER)], ""),
-    "no SDO": ([(AT_ONCE, 0x580, VALUE)], ""),
+    "while listening": ([Frame(AT_ONCE, 0x585, VALUE)], "node 5"),
+    "between our own": ([Frame(IN_CHECK, 0x582, VALUE)], "node 2"),
+    "of a device that is not described": ([Frame(IN_CHECK, 0x5FF, VALUE)], "node 127"),
+    "asked by another": ([Frame(IN_CHECK, 0x605, read_request(0x1018, 4)), Frame(IN_CHECK + 1, 0x585, VALUE)], ""),
+    "a transfer that is given up": ([Frame(AT_ONCE, 0x582, abort_answer(0x1008, 0, "timed out"))], ""),
+    "a transfer in segments": ([Frame(AT_ONCE, 0x582, LATER)], ""),
+    "no SDO": ([Frame(AT_ONCE, 0x580, VALUE)], ""),
 }
 
 
 @pytest.mark.parametrize("name", CASES)
 def test_an_answer_without_a_request(name):
     frames, said = CASES[name]
-    robot = robot_of(bus_text(2))
-    link = Unasked(link=LockStepLink(FaultyDrives(robot, bus_of(robot))))
-    link.frames = list(frames)
-    rows = findings(link, bus_of(robot), "node ids")
+    run, master = connected()
+    link = Unasked(link=run, frames=list(frames))
+    rows = findings(link, master.bus, "node ids")
     assert [(row.found, row.ok) for row in rows] == ([(f"two devices answer as {said}", False)] if said else [])
     assert not link.frames
 
@@ -118,11 +101,10 @@ class Slow(FaultyDrives):
 
 
 def test_a_late_answer_is_not_that_of_a_second_device():
-    robot = robot_of(bus_text(2))
-    drives = Slow(robot, bus_of(robot))
-    assert findings(LockStepLink(drives), bus_of(robot), "node ids") == []
-    assert drives.asked > 20
-    nodes = scan_nodes(Uploads(LockStepLink(Slow(robot, bus_of(robot))), bus_file()), OBJECTS, ARRAYS)
+    run, master = connected(kind=Slow)
+    assert findings(run, master.bus, "node ids") == []
+    assert run.drives.asked > 20
+    nodes = scan_nodes(Uploads(connected(kind=Slow)[0], bus_file()), OBJECTS, ARRAYS)
     assert sorted(nodes) == [1, 2]
     with pytest.raises(AcquisitionError, match="two devices answer as node 2: expected one device for each node id"):
-        scan_nodes(Uploads(LockStepLink(Twice(robot, bus_of(robot))), bus_file()), OBJECTS, ARRAYS)
+        scan_nodes(Uploads(connected(kind=Twice)[0], bus_file()), OBJECTS, ARRAYS)

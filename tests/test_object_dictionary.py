@@ -1,15 +1,20 @@
-"""A small EDS typed by hand (CiA 306), and what is made of it; what `[bus]` takes at each end of its ranges."""
+"""Object dictionaries: a small EDS typed by hand (CiA 306), real ones, PDOs as they map them, damaged ones."""
 
 import re
+from contextlib import suppress
 
 import pytest
-from made_up_buses import bus_of, bus_text, robot_of
+from conftest import DATA, needs_data
+from hypothesis import given
+from hypothesis import strategies as st
+from made_up_buses import bus_of, bus_text, refused, robot_of
 
 from acquisition.errors import AcquisitionError
-from acquisition.protocol import ObjectEntry, load_dictionary
-from acquisition.robot import parse_homed, resolve
+from acquisition.protocol import load_dictionary, pdos_of
+from acquisition.robot import load_robot, resolve
 from acquisition.simulated import SimulatedDrives
 
+REAL = sorted(path.name for path in (DATA / "eds").glob("*")) or ["(none)"]
 DEVICE = "[DeviceInfo]\nVendorName=a\nVendorNumber=0x9A\nProductName=gold\nProductNumber=0x30924\n"
 
 
@@ -77,25 +82,11 @@ def test_identities(text, expected):
     assert found(text).identity == expected
 
 
-def test_device_sections():
-    with_section, without = found(DEVICE + EDS), found(EDS)
-    assert (with_section.vendor, with_section.product) == (0x9A, 0x30924)
-    assert (without.vendor, without.product) == (0, 0)
-
-
 def test_a_dictionary_of_four_mebibytes_and_no_more():
     remark = ";" + "x" * (4 * 2**20 - len(EDS) - 1)
     assert len(found(EDS + remark).entries) == 14
     with pytest.raises(AcquisitionError, match=re.escape("a.eds: 4194305 bytes: expected 4194304 at most")):
         found(EDS + remark + "x")
-
-
-def test_a_dictionary_that_is_missing_beside_the_description():
-    robot = robot_of(bus_text(1).replace("node = 1\n", 'node = 1\ndictionary = "a.eds"\n'))
-    with pytest.raises(
-        AcquisitionError, match=r"bus.drive\[0\].dictionary = 'a.eds': is missing next to the description"
-    ):
-        resolve(robot, "robot.toml")
 
 
 @pytest.mark.parametrize(
@@ -123,121 +114,6 @@ def test_a_simulated_drive_serves_its_dictionary(asked, answer):
     assert drive.receive(0x605, bytes.fromhex(asked)) == [(0x585, bytes.fromhex(answer))]
 
 
-# [bus]
-
-
-@pytest.mark.parametrize(
-    ("name", "key"), [("6064", (0x6064, 0)), ("60c2:2", (0x60C2, 2)), ("1018:10", (0x1018, 10)), ("2031:255", (0x2031, 255))]
-)  # fmt: skip
-def test_names_of_objects(name, key):
-    """The index is hexadecimal, the sub-index decimal."""
-    assert parse_homed(name) == (*key, None)
-
-
-def test_what_a_description_may_leave_out():
-    robot = robot_of(bus_text(1))
-    assert robot.bus is not None
-    file, drive = robot.bus, robot.bus.drive[0]
-    assert (drive.status, drive.control, drive.position, drive.target) == ("6041", "6040", "6064", "607A")
-    assert (drive.sign, drive.effort_sign, drive.zero_counts, drive.mapping) == (1, None, 0, "table")
-    assert (drive.rated_current_unit, drive.rated_torque_unit) == ("mA", "mN m")
-    assert (file.bitrate, file.sync_producer, file.sync_can_id, file.heartbeat_s) == (1_000_000, "recorder", 0x80, 0.1)
-    assert file.loopback  # frames stay on this machine
-    assert bus_of(robot).period_ns == 2_000_000
-
-
-@pytest.mark.parametrize("bitrate", [10, 20, 50, 100, 125, 250, 500, 800, 1000])
-def test_bit_rates_of_can(bitrate):
-    """Those of CiA 301, and 100 kbit/s, which it had before."""
-    assert robot_of(bus_text(1, extra=f"bitrate = {bitrate}000")).bus.bitrate == bitrate * 1000
-
-
-@pytest.mark.parametrize(
-    ("change", "expected"),
-    [
-        (("0.002", "0.0001"), None),
-        (("0.002", "0.00009"), "bus.sync_period_s = 9e-05: expected 0.0001 to 1"),
-        (("0.002", "1.0"), None),
-        (("0.002", "1.001"), "bus.sync_period_s = 1.001: expected 0.0001 to 1"),
-        (("node = 1\n", "node = 126\n"), None),
-        (("node = 1\n", "node = 128\n"), "bus.drive[0].node = 128: expected `int` <= 127"),
-        (("node = 1\n", "node = 0\n"), "bus.drive[0].node = 0: expected `int` >= 1"),
-        (("node = 1\n", 'node = 1\nrpdo = [{ objects = ["6040"], number = 512, can_id = 0x300 }]\n'), None),
-        (("node = 1\n", 'node = 1\nrpdo = [{ objects = ["6040"], number = 513, can_id = 0x300 }]\n'), "expected `int` <= 512"),
-        (("node = 1\n", 'node = 1\nrpdo = [{ objects = ["6040"], can_id = 0x800 }]\n'), "expected `int` <= 2047"),
-        (("node = 1\n", "node = 1\nsign = 0\n"), "bus.drive[0].sign = 0: expected one of"),
-        (("node = 1\n", "node = 1\nzero_counts = -2147483648\n"), None),
-        (("node = 1\n", "node = 1\nzero_counts = 2147483648\n"), "zero_counts = 2147483648: expected `int` <= 2147483647"),
-        (("node = 1\n", 'node = 1\nrated_torque_unit = "Nm"\n'), "rated_torque_unit = 'Nm': expected one of mA, mN m, uN m"),
-        (("node = 1\n", 'node = 1\nrated_current_unit = "A"\n'), "rated_current_unit = 'A': expected one of mA, mN m"),
-        (("node = 1\n", "node = 1\ncounts_per_m = 5\n"), "expected counts_per_turn or counts_per_m, one of the two"),
-        (("node = 1\n", 'node = 1\nposition = "06064"\n'), "bus.drive[0].position = '06064': expected `str` matching"),
-        (('channel = "test"', f'channel = "{"x" * 64}"'), None),
-        (('channel = "test"', f'channel = "{"x" * 65}"'), "expected `str` of length <= 64"),
-        (('channel = "test"', 'channel = "test"\nheartbeat_s = 0.01'), None),
-        (('channel = "test"', 'channel = "test"\nheartbeat_s = 0.009'), "bus.heartbeat_s = 0.009: expected `float` >= 0.01"),
-    ],
-)  # fmt: skip
-def test_ends_of_ranges(change, expected):
-    text = bus_text(1)
-    assert change[0] in text
-    if expected is None:
-        robot_of(text.replace(*change))
-    else:
-        with pytest.raises(AcquisitionError) as caught:
-            robot_of(text.replace(*change))
-        assert expected in str(caught.value)
-
-
-def test_one_drive_for_each_motor_and_a_node_of_its_own_for_the_master():
-    text = bus_text(2)
-    with pytest.raises(AcquisitionError, match=r"bus.drive = '1 tables': expected one per motor: 2"):
-        robot_of(text[: text.rindex("[[bus.drive]]")])
-    with pytest.raises(AcquisitionError, match=r"bus\.master_node = 2: expected a node id that no drive has"):
-        robot_of(bus_text(2, extra="master_node = 2"))
-    assert robot_of(bus_text(2, extra="master_node = 3")).bus.master_node == 3
-
-
-def entries(pdo) -> list[str]:
-    return [str(entry) for entry in pdo.entries]
-
-
-def test_what_does_not_fit_one_pdo_goes_into_two():
-    """Statusword, position and a reference of 32 bits are 10 bytes."""
-    text = bus_text(1).replace('reference = "6074"', 'reference = "30D0"\nobjects = { "30D0" = "I32" }')
-    drive = bus_of(robot_of(text.replace('"N m"', '"A"').replace("node = 1\n", "node = 9\n"))).drives[0]
-    assert [(pdo.number, pdo.can_id, pdo.length, entries(pdo)) for pdo in drive.tpdos] == [
-        (1, 0x189, 6, ["6041:0", "6064:0"]),
-        (2, 0x289, 4, ["30D0:0"]),
-    ]
-    assert drive.carrier(ObjectEntry(index=0x30D0, sub=0, type="I32"), "tpdo") is drive.tpdos[1]
-    assert drive.carrier(drive.target, "rpdo") is drive.rpdos[0]
-    assert drive.carrier(drive.target, "tpdo") is None
-
-
-def test_pdos_of_a_description_with_numbers_and_identifiers():
-    line = 'tpdo = [{ objects = ["6064", "6074"], number = 3 }, { objects = ["6041"], can_id = 0x6A0, number = 7 }]\n'
-    drive = bus_of(robot_of(bus_text(1).replace("node = 1\n", f"node = 1\n{line}"))).drives[0]
-    assert [(pdo.number, pdo.can_id, entries(pdo)) for pdo in drive.tpdos] == [
-        (3, 0x381, ["6064:0", "6074:0"]),
-        (7, 0x6A0, ["6041:0"]),
-    ]
-
-
-def test_the_load_of_a_bus_by_hand():
-    """SYNC 55 bits; each drive 135 of its TPDO of 8 bytes and 115 of its RPDO of 6: 555 of 1000 bits in 2 ms."""
-    bus = bus_of(robot_of(bus_text(2, extra="bitrate = 500000")))
-    assert bus.load == pytest.approx(0.555)
-
-
-def test_where_efforts_come_from_drive_by_drive():
-    bus = bus_of(robot_of(bus_text(3).replace("node = 2\n", "node = 2\nsign = -1\n")))
-    told = "object 6074:0 (torque demand, the reference of the current loop (CiA 402)), raw I16 in per mille of rated torque"
-    assert bus.provenance == (
-        f"motor_1, motor_3: {told} x 0.42 (rated_torque_nm), sign +1; motor_2: {told} x 0.42 (rated_torque_nm), sign -1"
-    )
-
-
 def test_an_empty_number_is_read_as_0_with_a_warning():
     """Makers leave them empty; what says nothing of the identity is not compared with the drive."""
     device = (
@@ -252,3 +128,123 @@ def test_an_empty_number_is_read_as_0_with_a_warning():
     )
     assert len(dictionary.entries) == len(found(DEVICE + EDS).entries)
     assert found(DEVICE + EDS).warnings == ()
+
+
+@pytest.mark.parametrize("name", REAL)
+def test_every_real_dictionary_loads_or_is_refused_in_one_line(name):
+    path = needs_data("eds") / name
+    if name.startswith("infranor"):
+        with pytest.raises(AcquisitionError, match=r"line 2112: .ManufacturerObjects. holds '12' twice") as caught:
+            load_dictionary(path.read_bytes(), name, 1)
+        assert "\n" not in str(caught.value)
+        return
+    found = load_dictionary(path.read_bytes(), name, 5)
+    assert found.entries[0x6041, 0].type == "U16"
+    assert found.entries[0x6064, 0].type == "I32"
+    assert found.vendor in (0xFB, 0x9A, 0x26C, 0x1A3)
+    assert found.entries[0x1800, 1].type == "U32"
+
+
+def test_an_object_the_dictionary_does_not_hold():
+    data = (needs_data("eds") / "maxon_EPOS4.eds").read_bytes()
+    text = bus_text(1).replace("node = 1\n", 'node = 1\ndictionary = "a.eds"\n')
+    refused(text, "reference = '6074': a.eds does not contain it", {"dictionary:a.eds": data})
+    text = text.replace('reference = "6074"', 'reference = "2031"')  # a U32 there, and no current reference
+    nanotec = (needs_data("eds") / "nanotec_CL4-E-2-12.eds").read_bytes()
+    refused(text, "reference_rule is missing: 2031:0 (U32) is not known", {"dictionary:a.eds": nanotec})
+
+
+def test_mapping_of_a_dcf():
+    name = "maxon_EPOS4_Module_50_15_node1.dcf"
+    data = (needs_data("eds") / name).read_bytes()
+    text = bus_text(1).replace(
+        'reference = "6074"\nrated_torque_nm = 0.42',
+        f'dictionary = "{name}"\nreference = "30D0"\nmapping = "dictionary"',
+    )
+    text = text.replace('effort_unit = "N m"', 'effort_unit = "A"')
+    with pytest.raises(AcquisitionError, match="no PDO from the drive carries"):
+        bus_of(robot_of(text, {f"dictionary:{name}": data}))  # this one maps no current demand
+    found = load_dictionary(data, name, 1)
+    values = {key: e.value for key, e in found.entries.items() if e.value is not None}
+    types = {key: e.type for key, e in found.entries.items()}
+    pdos = pdos_of("tpdo", values, types, name)
+    assert pdos[0].can_id == 0x181
+    assert str(pdos[0].entries[0]) == "6041:0"
+
+
+OBJECTS = "".join(
+    entry_eds(index, "x", kind, access)
+    for index, kind, access in (
+        ("6040", "6", "rw"),
+        ("6041", "6", "ro"),
+        ("6064", "4", "ro"),
+        ("6074", "3", "ro"),
+        ("607A", "4", "rw"),
+    )
+)
+SENT_OBJECTS = [3, 0x60410010, 0x60640020, 0x60740010]
+TAKEN_OBJECTS = [2, 0x60400010, 0x607A0020]
+
+
+def dictionary_and_text(records: dict[int, list[int]]) -> tuple[str, dict[str, bytes]]:
+    """A drive mapped as its dictionary says, and that dictionary."""
+    known = {0x1800: [1, 0x181], 0x1A00: SENT_OBJECTS, 0x1400: [1, 0x201], 0x1600: TAKEN_OBJECTS} | records
+    eds = OBJECTS
+    for index, values in known.items():
+        eds += f"[{index:04X}]\nParameterName=p\nObjectType=9\nSubNumber={len(values)}\n"
+        for sub, value in enumerate(values):
+            eds += entry_eds(f"{index:04X}sub{sub}", "s", "7" if sub else "5", "rw", f"DefaultValue=0x{value:X}")
+    text = bus_text(1).replace("node = 1\n", 'node = 1\ndictionary = "a.dcf"\nmapping = "dictionary"\n')
+    return text, {"dictionary:a.dcf": eds.encode()}
+
+
+@pytest.mark.parametrize(
+    ("records", "expected"),
+    [
+        ({0x1A00: [4, *SENT_OBJECTS[1:], 0x60410010]}, "tpdo 1 (mapping = 'dictionary'): 10 bytes: expected 8 at most"),
+        ({0x1400: [1, 0x601]}, "rpdo 1 (mapping = 'dictionary'): identifier 0x601: expected 0x181 to 0x57F"),
+        ({0x1400: [1, 0x20000201]}, "rpdo 1 (mapping = 'dictionary'): identifier 0x20000201: expected 0x181 to 0x57F"),
+        ({0x1400: [1, 0x181]}, "rpdo 1 (mapping = 'dictionary'): identifier 0x181 is that of a PDO of motor_1"),
+        ({0x1800: [1, 0]}, "no PDO from the drive carries 6064:0"),
+    ],
+)
+def test_pdos_of_a_dictionary_are_looked_at_as_those_of_the_file(records, expected):
+    text, files = dictionary_and_text(records)
+    refused(text, expected, files)
+
+
+def test_a_pdo_with_the_identifier_0_is_switched_off():
+    """Controlwords would go out as commands of network management."""
+    drive = bus_of(robot_of(*dictionary_and_text({}))).drives[0]
+    assert [pdo.can_id for pdo in drive.rpdos] == [0x201]
+    for off in (0, 0x40000000):
+        assert bus_of(robot_of(*dictionary_and_text({0x1400: [1, off]}))).drives[0].rpdos == ()
+
+
+def test_damaged_dictionaries(tmp_path):
+    for data, expected in (
+        (b"", "holds no objects"),
+        (b"\xff\xfe\x00junk", "not a readable EDS or DCF"),
+        (b"[DeviceInfo]\nVendorNumber=x\n", "not a readable EDS or DCF"),
+        (b"[1000]\nObjectType=7\n", "not a readable EDS or DCF"),
+        (b"[6041]\na=1\n[6041]\n", "line 3: [6041] is there twice: expected once"),
+    ):
+        with pytest.raises(AcquisitionError, match=re.escape(f"x.eds: {expected}")) as caught:
+            load_dictionary(data, "x.eds", 1)
+        assert "\n" not in str(caught.value)
+    (tmp_path / "robot.toml").write_text(bus_text(1).replace("node = 1\n", 'node = 1\ndictionary = "none.eds"\n'))
+    with pytest.raises(AcquisitionError, match=r"bus.drive\[0\].dictionary = 'none.eds': cannot be read: No such file"):
+        load_robot(tmp_path / "robot.toml")
+
+
+@given(st.binary(max_size=300))
+def test_any_bytes_as_a_dictionary_are_one_line_or_a_result(data):
+    with suppress(AcquisitionError):  # which is one line whatever it is made of
+        load_dictionary(b"[DeviceInfo]\n[6041]\nParameterName=x\nDataType=6\nAccessType=ro\n" + data, "x.eds", 1)
+
+
+def test_pdos_of_traffic_are_looked_at_too():
+    values = {(0x1800, 1): 0x701, (0x1A00, 0): 3} | {(0x1A00, k): SENT_OBJECTS[k] for k in (1, 2, 3)}
+    robot = robot_of(bus_text(1, drive='mapping = "traffic"'))
+    with pytest.raises(AcquisitionError, match=r"tpdo 1 \(mapping = 'traffic'\): identifier 0x701"):
+        resolve(robot, "r.toml", {1: values})

@@ -5,7 +5,6 @@ import json
 import os
 import struct
 import time
-from pathlib import Path
 
 import mcap.reader
 import numpy as np
@@ -16,12 +15,11 @@ from rosbags.typesys import Stores, get_typestore
 
 from acquisition.errors import AcquisitionError
 from acquisition.recording import EXTENDED, FRAME, SENT, Header, RecordingWriter, gaps, read_recording, sample_dtype
-from acquisition.robot import Robot, load_robot
+from acquisition.robot import load_robot
 
 
-def test_reads_what_was_written(whole: Path, robot: Robot) -> None:
+def test_reads_what_was_written(whole, robot):
     recording = read_recording(whole)
-    assert recording.samples is not None
     assert recording.samples.tobytes() == some_samples(240).tobytes()
     assert recording.samples.dtype == sample_dtype(2, reference=True)
     assert not recording.samples.flags.writeable
@@ -38,13 +36,12 @@ def test_reads_what_was_written(whole: Path, robot: Robot) -> None:
     assert not recording.cut
 
 
-def test_one_large_block_is_stored_in_small_ones(tmp_path: Path, robot: Robot) -> None:
+def test_one_large_block_is_stored_in_small_ones(tmp_path, robot):
     samples = some_samples(9001, reference=False)
     with RecordingWriter(tmp_path / "a.mcap", header(robot)) as writer:
         writer.samples(samples)
         writer.frames("can0", some_frames(301))
     recording = read_recording(tmp_path / "a.mcap")
-    assert recording.samples is not None
     assert recording.samples.tobytes() == samples.tobytes()
     with (tmp_path / "a.mcap").open("rb") as file:
         found = [(c.topic, len(m.data)) for _, c, m in mcap.reader.make_reader(file).iter_messages()]
@@ -53,7 +50,7 @@ def test_one_large_block_is_stored_in_small_ones(tmp_path: Path, robot: Robot) -
     assert [size // 22 for topic, size in found if topic == "/can/can0/frames"] == [100, 100, 100, 1]  # of 100 ms
 
 
-def test_blocks_byte_for_byte(tmp_path: Path, robot: Robot) -> None:
+def test_blocks_byte_for_byte(tmp_path, robot):
     """What a reader without numpy finds: layouts in words, rows packed little-endian, text in JSON."""
     samples = np.zeros(2, sample_dtype(2, reference=True))
     samples["stamp_ns"], samples["position"] = [7, 1_000_000_008], [[0.5, -1.5], [2.5, 3.0]]
@@ -85,7 +82,7 @@ def test_blocks_byte_for_byte(tmp_path: Path, robot: Robot) -> None:
     assert found["/events"][:3:2] == ("jsonschema", "json")
 
 
-def test_what_a_recording_says_of_itself(tmp_path: Path, robot: Robot) -> None:
+def test_what_a_recording_says_of_itself(tmp_path, robot):
     notes = {"bitrate": "500000", "robot": "not mine to say", "schema_version": "9"}
     with RecordingWriter(
         tmp_path / "a.mcap",
@@ -112,50 +109,44 @@ def test_what_a_recording_says_of_itself(tmp_path: Path, robot: Robot) -> None:
     assert recording.sha256 == hashlib.sha256((tmp_path / "a.mcap").read_bytes()).hexdigest()
 
 
-def write_rows(folder: Path, samples: np.ndarray) -> None:
+def write_rows(folder, samples) -> None:
     with RecordingWriter(folder / "rows.mcap", header(robot_named("scara"))) as writer:
         writer.samples(samples)
 
 
+@pytest.mark.parametrize("stamps", [[0, 1, 2], [0, 1, 2**31 * 10**9 - 1]])
+def test_stamps_that_a_recording_takes(tmp_path, stamps):
+    samples = some_samples(3)
+    samples["stamp_ns"] = stamps
+    write_rows(tmp_path, samples)
+
+
+GROWING, FINITE = "growing stamps from 0 to 2147483647999999999", "a finite number"
+
+
 @pytest.mark.parametrize(
-    ("stamps", "bad_row"),
+    ("field", "values", "row", "value", "expected"),
     [
-        ([0, 1, 2], None),
-        ([5, 5, 6], 2),
-        ([5, 4, 6], 2),
-        ([-1, 0, 1], 1),
-        ([0, 1, 2**31 * 10**9 - 1], None),
-        ([0, 1, 2**31 * 10**9], 3),
+        ("stamp_ns", [5, 5, 6], 2, 5, GROWING),
+        ("stamp_ns", [5, 4, 6], 2, 4, GROWING),
+        ("stamp_ns", [-1, 0, 1], 1, -1, GROWING),
+        ("stamp_ns", [0, 1, 2**31 * 10**9], 3, 2**31 * 10**9, GROWING),
+        ("position", [[0, 0], [0, 0], [0, np.nan]], 3, np.nan, FINITE),
+        ("effort", [[0, 0], [0, np.inf], [0, 0]], 2, np.inf, FINITE),
+        ("reference", [[0, -np.inf], [0, 0], [0, 0]], 1, -np.inf, FINITE),
     ],
 )
-def test_stamps_that_a_recording_takes(tmp_path: Path, stamps: list[int], bad_row: int | None) -> None:
-    samples = np.zeros(3, sample_dtype(2, reference=False))
-    samples["stamp_ns"] = stamps
-    if bad_row is None:
-        write_rows(tmp_path, samples)
-        return
+def test_values_that_a_recording_does_not_take(tmp_path, field, values, row, value, expected):
+    samples = some_samples(3)
+    samples[field] = values
     with pytest.raises(AcquisitionError) as caught:
         write_rows(tmp_path, samples)
-    error = caught.value
-    assert (error.place, error.key) == (f"{tmp_path / 'rows.mcap'}: /samples: row {bad_row}", "stamp_ns")
-    assert (error.value, error.expected) == (stamps[bad_row - 1], "growing stamps from 0 to 2147483647999999999")
+    error, key = caught.value, field if field == "stamp_ns" else f"{field} of joint 2"
+    assert (error.place, error.key) == (f"{tmp_path / 'rows.mcap'}: /samples: row {row}", key)
+    assert (str(error.value), error.expected) == (str(value), expected)
 
 
-@pytest.mark.parametrize("field", ["position", "effort", "reference"])
-def test_values_that_a_recording_does_not_take(tmp_path: Path, field: str) -> None:
-    for value in (np.nan, np.inf, -np.inf):
-        samples = some_samples(5)
-        samples[field][3, 1] = value
-        with pytest.raises(AcquisitionError) as caught:
-            write_rows(tmp_path, samples)
-        error = caught.value
-        assert (error.place, error.key) == (f"{tmp_path / 'rows.mcap'}: /samples: row 4", f"{field} of joint 2")
-        assert (str(error.value), error.expected) == (str(value), "a finite number")
-
-
-def test_a_row_that_is_refused_is_counted_from_the_first_of_all_blocks(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_row_that_is_refused_is_counted_from_the_first_of_all_blocks(tmp_path, monkeypatch):
     monkeypatch.setattr("acquisition.recording.rows._AT_ONCE", 700)
     samples = some_samples(2000)
     samples["effort"][1500, 0] = np.nan
@@ -166,28 +157,28 @@ def test_a_row_that_is_refused_is_counted_from_the_first_of_all_blocks(
         write_rows(tmp_path, samples)
 
 
-def test_gaps_of_one_and_a_half_periods_and_more() -> None:
+def test_gaps_of_one_and_a_half_periods_and_more():
     samples = np.zeros(5, sample_dtype(1, reference=False))
     samples["stamp_ns"] = np.cumsum([0, 2_000_000, 2_999_990, 3_000_010, 8_000_000])
     found = [(g.row, g.stamp_ns, g.missing) for g in gaps(samples, 500.0)]
     assert found == [(2, 4_999_990, 1), (3, 8_000_000, 3)]
+    assert gaps(samples[:1], 500.0) == ()
 
 
-def test_readers_of_others_find_metadata_and_attachments(whole: Path) -> None:
+def test_readers_of_others_find_metadata_and_attachments(whole):
     with whole.open("rb") as file:
         reader = mcap.reader.make_reader(file, validate_crcs=True)
         assert [m.name for m in reader.iter_metadata()] == ["recording"]
         attached = {(a.name, a.log_time, a.create_time) for a in reader.iter_attachments()}
         assert attached == {("../../etc/drive.eds", 0, 0), ("robot.toml", 0, 0)}  # no clock: the same bytes each time
         summary = reader.get_summary()
-    assert summary is not None
     topics = {channel.topic for channel in summary.channels.values()}
     joint_states = {"/joint_states/measured", "/joint_states/reference"}
     assert topics == {"/samples", "/can/can0/frames", "/events", "/health"} | joint_states
 
 
 @pytest.mark.parametrize(("rate_hz", "step"), [(50.0, 1), (100.0, 1), (250.0, 3), (1000.0, 10), (1024.0, 11)])
-def test_joint_states_are_cdr_at_100_hz_at_most(tmp_path: Path, robot: Robot, rate_hz: float, step: int) -> None:
+def test_joint_states_are_cdr_at_100_hz_at_most(tmp_path, robot, rate_hz, step):
     samples = some_samples(500, rate_hz=rate_hz)
     with RecordingWriter(tmp_path / "a.mcap", header(robot, rate_hz)) as writer:
         for k in range(0, 500, 7):  # decimation goes on across blocks
@@ -200,7 +191,6 @@ def test_joint_states_are_cdr_at_100_hz_at_most(tmp_path: Path, robot: Robot, ra
         assert len(found) == len(shown)
         assert np.diff([m.log_time for _, _, m in found]).min() >= 10_000_000 - 1
         for (schema, channel, message), row in zip(found, shown, strict=True):
-            assert schema is not None
             assert (schema.name, schema.encoding) == ("sensor_msgs/msg/JointState", "ros2msg")
             assert channel.message_encoding == "cdr"
             state = store.deserialize_cdr(message.data, schema.name)
@@ -210,7 +200,7 @@ def test_joint_states_are_cdr_at_100_hz_at_most(tmp_path: Path, robot: Robot, ra
             assert state.header.stamp.sec * 10**9 + state.header.stamp.nanosec == row["stamp_ns"] == message.log_time
 
 
-def test_amperes_are_no_joint_state_effort(tmp_path: Path, robot: Robot) -> None:
+def test_amperes_are_no_joint_state_effort(tmp_path, robot):
     toml = robot.files["robot.toml"].replace(b'effort_unit = "N m"', b'effort_unit = "A"')
     (tmp_path / "robot.toml").write_bytes(toml)
     in_amperes = load_robot(tmp_path / "robot.toml")
@@ -223,7 +213,7 @@ def test_amperes_are_no_joint_state_effort(tmp_path: Path, robot: Robot) -> None
     assert json.loads(read_recording(tmp_path / "a.mcap").metadata["effort_unit"]) == ["A", "A"]
 
 
-def test_writer_refuses_what_the_reader_would(tmp_path: Path, robot: Robot) -> None:
+def test_writer_refuses_what_the_reader_would(tmp_path, robot):
     with RecordingWriter(tmp_path / "a.mcap", header(robot)) as writer:
         writer.samples(some_samples(10))
         for bad, message in (
@@ -233,30 +223,19 @@ def test_writer_refuses_what_the_reader_would(tmp_path: Path, robot: Robot) -> N
         ):
             with pytest.raises(AcquisitionError, match=message):
                 writer.samples(bad)
-        infinite = some_samples(10, first=10)
-        infinite["effort"][3, 1] = np.inf
-        with pytest.raises(AcquisitionError, match="row 4: effort of joint 2 = inf"):
-            writer.samples(infinite)
         with pytest.raises(AcquisitionError, match=r"CAN channel '\.\./x': expected letters"):
             writer.frames("../x", some_frames(1))
         with pytest.raises(AcquisitionError, match="can0/frames: rows of"):
             writer.frames("can0", some_samples(1))
-        too_long = some_frames(3)
-        too_long["length"][1] = 9
-        with pytest.raises(
-            AcquisitionError, match="can0/frames: row 2: length = 9, time_ns = 1000000: expected 8 bytes"
-        ):
-            writer.frames("can0", too_long)
         with pytest.raises(AcquisitionError, match="stamp_ns = -1"):
             writer.event(-1, "phase", "track")
         writer.samples(some_samples(0, first=10))
         writer.samples(some_samples(10, first=10))
     recording = read_recording(tmp_path / "a.mcap")
-    assert recording.samples is not None
     assert len(recording.samples) == 20
 
 
-def test_a_counter_that_is_not_known_is_read_as_nan(tmp_path: Path, robot: Robot) -> None:
+def test_a_counter_that_is_not_known_is_read_as_nan(tmp_path, robot):
     with RecordingWriter(tmp_path / "a.mcap", header(robot, 1.0)) as writer:
         writer.health(3, {"drops": float("nan"), "late": 2})
     (health,) = read_recording(tmp_path / "a.mcap").health
@@ -264,7 +243,7 @@ def test_a_counter_that_is_not_known_is_read_as_nan(tmp_path: Path, robot: Robot
     assert health.counters["late"] == 2
 
 
-def test_the_file_ends_properly_when_a_session_fails(tmp_path: Path, robot: Robot) -> None:
+def test_the_file_ends_properly_when_a_session_fails(tmp_path, robot):
     def session() -> None:
         with RecordingWriter(tmp_path / "a.mcap", header(robot)) as writer:
             writer.samples(some_samples(10))
@@ -274,18 +253,10 @@ def test_the_file_ends_properly_when_a_session_fails(tmp_path: Path, robot: Robo
         session()
     recording = read_recording(tmp_path / "a.mcap")
     assert not recording.cut
-    assert recording.samples is not None
     assert len(recording.samples) == 10
 
 
-def test_gaps_are_named_and_jitter_is_none() -> None:
-    samples = np.delete(some_samples(100), [10, 11, 50])
-    samples["stamp_ns"][5:] += 200_000  # a fifth of a period late
-    assert [(g.row, g.stamp_ns, g.missing) for g in gaps(samples, 1000.0)] == [(9, 9_200_000, 2), (47, 49_200_000, 1)]
-    assert gaps(some_samples(1), 1000.0) == ()
-
-
-def test_reads_nine_seconds_of_six_joints_at_5_khz_quickly(tmp_path: Path) -> None:
+def test_reads_nine_seconds_of_six_joints_at_5_khz_quickly(tmp_path):
     robot = robot_named("tx40")
     samples = some_samples(45_000, n=6, rate_hz=5000.0)
     with RecordingWriter(tmp_path / "a.mcap", header(robot, 5000.0)) as writer:
@@ -295,12 +266,11 @@ def test_reads_nine_seconds_of_six_joints_at_5_khz_quickly(tmp_path: Path) -> No
         start_s = time.process_time()
         recording = read_recording(tmp_path / "a.mcap")
         times_s.append(time.process_time() - start_s)
-    assert recording.samples is not None
     assert recording.samples.tobytes() == samples.tobytes()
     assert min(times_s) < 0.25  # about 0.03 s; ten times that means rows are read one by one
 
 
-def test_flush_reaches_the_disk(tmp_path: Path, robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_flush_reaches_the_disk(tmp_path, robot, monkeypatch):
     synced: list[int] = []
     monkeypatch.setattr(os, "fsync", lambda fd: synced.append(os.fstat(fd).st_size))
     with RecordingWriter(tmp_path / "a.mcap", header(robot)) as writer:

@@ -1,5 +1,7 @@
 """References as motion: limits on both of their sides, moves from rest to rest, series and splines against calculus."""
 
+import re
+
 import numpy as np
 import pytest
 from made_up_buses import bus_text, robot_of
@@ -137,6 +139,13 @@ def test_a_joint_with_the_longest_way_sets_the_duration_of_an_approach():
     assert (len(approach(np.zeros(2), np.zeros(2), robot, PERIOD_S)) - 1) * PERIOD_S == pytest.approx(0.2)
 
 
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e308])
+def test_positions_that_are_not_within_a_limit_because_they_are_no_number(value):
+    q = np.zeros((5, 2))
+    q[2, 1] = value
+    assert re.fullmatch(r"here: at 0.004 s: position of joint_2 = .*: expected -2.618 to 1.047", told(q, robot_with()))
+
+
 def test_a_series_and_its_derivatives_by_hand():
     """q = 0.5 + 0.3 sin wt - 0.2 (cos 2wt - 1), at t = 0 and at a quarter of the period of 4 s."""
     sine, cosine = np.array([[0.3, 0.0]]), np.array([[0.0, -0.2]])
@@ -205,18 +214,32 @@ def test_a_table_is_a_spline_at_rest_at_its_ends(tmp_path):
     assert q[:, 1] == pytest.approx(0.5 - 0.2 * (3 * x**2 - 2 * x**3), abs=1e-12)
 
 
-@pytest.mark.parametrize("rows", ["0,0", "0,0\n0,1", "0,0\n1,1\n0.5,0"])
-def test_tables_whose_time_does_not_grow(tmp_path, rows):
+@pytest.mark.parametrize(
+    ("rows", "period_s", "expected"),
+    [
+        ("0,0,0", 0.002, "time_s: expected two rows or more, with growing times"),
+        ("0,0,0\n0,1,0", 0.002, "time_s: expected two rows or more, with growing times"),
+        ("0,0,0\n1,1,0\n0.5,0,0", 0.002, "time_s: expected two rows or more, with growing times"),
+        ("0,0,0\n1e-310,0,1\n1,0,0", 0.002, "rows 1e-310 s apart or more, positions up to 1: expected positions in rad"),
+        ("0,0,0\n1,0,1e308\n2,0,-1e308", 0.002, "rows 1 s apart or more, positions up to 1e+308: expected positions"),
+        ("0,0,0\n1e12,1,1", 0.002, "time_s: 1e+12 s from first to last: expected 86400 s at most, with SYNC every 0.002 s"),
+        ("0,0,0\n1e300,1,1", 0.002, "time_s: 1e+300 s from first to last: expected 86400 s at most"),
+        ("-1e308,0,0\n1e308,1,1", 0.002, "time_s: inf s from first to last: expected 86400 s at most"),
+        ("0,0,0\n86401,1,1", 1.0, "time_s: 86401 s from first to last: expected 86400 s at most"),
+        ("0,0,0\n6000,1,1", 1e-4, "time_s: 6000 s from first to last: expected 5000 s at most, with SYNC every 0.0001"),
+    ],
+)  # fmt: skip
+def test_tables_that_no_path_leads_through(tmp_path, rows, period_s, expected):
     path = tmp_path / "ref.csv"
-    path.write_text(f"time_s,joint_1\n{rows}\n")
-    with pytest.raises(AcquisitionError, match="time_s: expected two rows or more, with growing times"):
-        table_reference(path, robot_of(bus_text(1)), PERIOD_S)
+    path.write_text(f"time_s,joint_1,joint_2\n{rows}\n")
+    with pytest.raises(AcquisitionError, match=re.escape(f"{path}: {expected}")) as caught:
+        table_reference(path, robot_of(bus_text(2)), period_s)
+    assert "\n" not in str(caught.value)
 
 
-def test_a_table_of_a_day_and_no_more(tmp_path):
+def test_a_table_of_a_day_and_one_without_a_joint(tmp_path):
     path = tmp_path / "ref.csv"
     path.write_text("time_s,joint_1\n0,0\n86400,1\n")
     assert len(table_reference(path, robot_of(bus_text(1)), 1.0)) == 86401
-    path.write_text("time_s,joint_1\n0,0\n86401,1\n")
-    with pytest.raises(AcquisitionError, match="86401 s from first to last: expected 86400 s at most"):
-        table_reference(path, robot_of(bus_text(1)), 1.0)
+    with pytest.raises(AcquisitionError, match="'joint_2' does not exist"):
+        table_reference(path, robot_of(bus_text(2)), 1.0)

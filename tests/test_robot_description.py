@@ -8,25 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import REPLAY, robot_named
+from descriptions import COUPLED, ONE_JOINT
 
 from acquisition.errors import AcquisitionError, one_line
 from acquisition.files import atomic_write, refuse_clash
 from acquisition.robot import load_robot, robot_from_files
 
-ONE_JOINT = """
-name = "one"
-[[joint]]
-name = "axis"
-type = "revolute"
-dh = { alpha_deg = 0, d_m = 0, theta_deg = 0, r_m = 0 }
-[[motor]]
-name = "motor"
-ratio = 50
-drive_gain = 0.2
-drive_gain_unit = "N m/A"
-[controller]
-bandwidth_hz = 20
-"""
 DH = "dh = { alpha_deg = 0, d_m = 0, theta_deg = 0, r_m = 0 }"
 GAIN = 'drive_gain = 0.2\ndrive_gain_unit = "N m/A"'
 
@@ -47,7 +34,7 @@ def refusal(text: str, files: dict[str, bytes] | None = None) -> str:
 @pytest.mark.parametrize(
     "path", sorted(REPLAY.glob("*/robot*.toml")), ids=lambda path: f"{path.parent.name}-{path.stem}"
 )
-def test_the_descriptions_in_replay_data_are_valid(path: Path) -> None:
+def test_the_descriptions_in_replay_data_are_valid(path):
     robot = load_robot(path)
     assert robot.n == len(robot.motors) == len(robot.R)
     assert robot.files["robot.toml"] == path.read_bytes()
@@ -56,7 +43,7 @@ def test_the_descriptions_in_replay_data_are_valid(path: Path) -> None:
     assert np.array_equal(again.R, robot.R)
 
 
-def test_wrist_motors_of_the_tx40_are_coupled() -> None:
+def test_wrist_motors_of_the_tx40_are_coupled():
     """q = inv(R) q_motor and tau = Rᵀ tau_motor, so tau_5 also gets 32 tau_motor_6 (data sheet of the record)."""
     robot = robot_named("tx40")
     q_motor = np.zeros((1, 6))
@@ -67,46 +54,7 @@ def test_wrist_motors_of_the_tx40_are_coupled() -> None:
     assert robot.effort_units == ("N m",) * 6
 
 
-def test_power_is_the_same_on_both_sides() -> None:
-    """dqᵀ tau = dq_motorᵀ tau_motor for any motion, and each rule undoes its inverse."""
-    robot = robot_named("tx40")
-    rng = np.random.default_rng(0)
-    dq, tau_motor = rng.normal(size=(50, 6)), rng.normal(size=(50, 6))
-    dq_motor = robot.motor_position(dq) - robot.motor_position(np.zeros((50, 6)))
-    power = (dq * robot.joint_effort(tau_motor)).sum(axis=1)
-    assert np.allclose(power, (dq_motor * tau_motor).sum(axis=1), rtol=1e-12)
-    assert np.allclose(robot.joint_position(robot.motor_position(dq)), dq, atol=1e-14)
-    assert np.allclose(robot.motor_effort(robot.joint_effort(tau_motor)), tau_motor, atol=1e-13)
-
-
-COUPLED = """
-name = "coupled"
-motor_matrix = [[10, 4], [-3, 20]]
-gravity_m_s2 = [0, 9.81, 0]
-[[joint]]
-name = "first"
-type = "revolute"
-zero_deg = 90
-dh = { alpha_deg = 0, d_m = 0, theta_deg = 0, r_m = 0 }
-[[joint]]
-name = "second"
-type = "revolute"
-zero_deg = -45
-dh = { alpha_deg = 0, d_m = 0, theta_deg = 0, r_m = 0 }
-[[motor]]
-name = "m1"
-drive_gain = 0.5
-drive_gain_unit = "N m/A"
-[[motor]]
-name = "m2"
-drive_gain = 0.25
-drive_gain_unit = "N m/A"
-[controller]
-bandwidth_hz = 20
-"""
-
-
-def test_a_coupled_robot_by_hand() -> None:
+def test_a_coupled_robot_by_hand():
     """Motor 1 turns by 10 q1 + 4 q2, motor 2 by -3 q1 + 20 q2; joint 1 gets 10 tau_m1 - 3 tau_m2, joint 2 the rest."""
     robot = robot_from_files({"robot.toml": COUPLED.encode()}, "here")
     q = np.array([[np.pi / 2 + 1.0, -np.pi / 4 + 2.0], [np.pi / 2, -np.pi / 4 - 0.5]])
@@ -119,6 +67,7 @@ def test_a_coupled_robot_by_hand() -> None:
     # Speeds (1, 2) rad/s at the joints are (18, 37) at the motors: 1·4 + 2·44 = 18·1 + 37·2 = 92 W.
     assert np.array([1.0, 2.0]) @ robot.joint_effort(np.array([[2.0, 8.0]]))[0] == pytest.approx(92)
     assert robot.gain.tolist() == [0.5, 0.25]
+    assert not robot.R.flags.writeable
     assert robot.gravity.tolist() == [0, 9.81, 0]
     assert robot.effort_units == ("N m", "N m")
 
@@ -133,7 +82,7 @@ def test_a_coupled_robot_by_hand() -> None:
         ("following_error", "", 1.8, np.pi / 100),
     ],
 )
-def test_limits_in_si(quantity: str, per: str, value: object, si: object) -> None:
+def test_limits_in_si(quantity, per, value, si):
     """Degrees become radians at a joint that turns; metres stay metres at one that slides; the other unit is refused."""
 
     def text(kind: str, unit: str) -> str:
@@ -163,30 +112,13 @@ def test_limits_in_si(quantity: str, per: str, value: object, si: object) -> Non
         ("revolute", 'effort_unit = "V"', None, "V", "V"),
     ],
 )
-def test_gains_and_units_of_motors(kind: str, motor: str, gain: float | None, recorded: str, unit: str) -> None:
+def test_gains_and_units_of_motors(kind, motor, gain, recorded, unit):
     text = ONE_JOINT.replace(GAIN, motor).replace("revolute", kind)
     robot = robot_from_files({"robot.toml": text.encode()}, "here")
     assert (robot.motors[0].gain, robot.motors[0].recorded_unit) == (gain, recorded)
     assert (robot.effort_units, robot.gain_known) == ((unit,), gain is not None)
     assert robot.joint_effort(np.array([[1.0]])) == pytest.approx(np.array([[50 * (gain or 1.0)]]))
     assert robot.motor_effort(np.array([[50.0]])) == pytest.approx(np.array([[1 / (gain or 1.0)]]))
-
-
-def test_gain_ratio_and_zero_make_si() -> None:
-    text = ONE_JOINT.replace('type = "revolute"', 'type = "revolute"\nzero_deg = -90\nposition_deg = [-180, 90]')
-    robot = robot_from_files({"robot.toml": text.encode()}, "here")
-    assert robot.joint_effort(np.array([[3.0]])).tolist() == [[pytest.approx(3.0 * 0.2 * 50)]]
-    assert robot.joint_position(np.array([[100.0]])).tolist() == [[pytest.approx(2.0 - np.pi / 2)]]
-    assert robot.joints[0].si("position") == pytest.approx((-np.pi, np.pi / 2))
-    assert robot.motors[0].recorded_unit == "A"
-    assert not robot.R.flags.writeable
-
-
-def test_without_a_gain_efforts_stay_in_amperes() -> None:
-    robot = robot_from_files({"robot.toml": ONE_JOINT.replace(GAIN, 'effort_unit = "A"').encode()}, "here")
-    assert not robot.gain_known
-    assert robot.effort_units == ("A",)
-    assert robot.joint_effort(np.array([[3.0]])).tolist() == [[150.0]]
 
 
 @pytest.mark.parametrize(
@@ -224,9 +156,7 @@ def test_without_a_gain_efforts_stay_in_amperes() -> None:
         ("zero_deg = 90", "position_deg = [90, 90]", "joint[0].position_deg", (90.0, 90.0), "[lowest, highest]"),
     ],
 )  # fmt: skip
-def test_each_mistake_is_reported_with_key_value_and_expectation(
-    old: str, new: str, key: str, value: object, expected: str
-) -> None:
+def test_each_mistake_is_reported_with_key_value_and_expectation(old, new, key, value, expected):
     text = next(one for one in (ONE_JOINT, COUPLED) if one.count(old) == 1)
     error = refused(text.replace(old, new))
     assert (error.key, error.value) == (key, value)
@@ -239,8 +169,6 @@ def test_each_mistake_is_reported_with_key_value_and_expectation(
         ('name = "one"', "", "top level: Object missing required field `name`"),
         ('name = "one"', 'name = "one"\nmass_kg = 3', "top level: Object contains unknown field `mass_kg`"),
         ('name = "one"', 'name = "one"\n"a\\nb" = 3', "top level: Object contains unknown field `a b`"),
-        ('name = "one"', 'name = "a\\u001b[31m"', "name = 'a\\x1b[31m': expected `str` matching regex"),
-        ("ratio = 50", "ratio = nan", "motor[0].ratio = nan: expected a finite number"),
         ("ratio = 50", f"ratio = {'9' * 1500}", f"motor[0].ratio = {'9' * 77}: Number out of range"),
         ("ratio = 50", "ratio = 50\nratio = 50", "not valid TOML: Cannot overwrite a value"),
         ("[[joint]]", f"a = {'[' * 1900}", "not valid TOML: "),
@@ -249,22 +177,19 @@ def test_each_mistake_is_reported_with_key_value_and_expectation(
         ('name = "one"', 'name = "one"\nurdf = "x.urdf"', "joint[0].dh = DH("),
     ],
 )  # fmt: skip
-def test_each_mistake_is_told_in_one_line(old: str, new: str, message: str) -> None:
+def test_each_mistake_is_told_in_one_line(old, new, message):
     assert ONE_JOINT.count(old) == 1
     assert message in str(refused(ONE_JOINT.replace(old, new)))
 
 
-def test_a_singular_motor_matrix_and_bytes_that_are_no_text() -> None:
-    text = ONE_JOINT.replace("ratio = 50", "").replace('name = "one"', 'name = "one"\nmotor_matrix = [[0]]')
-    assert "motor_matrix = ((0.0,),): expected an invertible matrix" in refusal(text)
-    assert "motor_matrix = [2]: expected 1 rows of 1 numbers" in refusal(text.replace("[[0]]", "[[1, 2]]"))
+def test_no_description_and_bytes_that_are_no_text():
     with pytest.raises(AcquisitionError, match="here: not valid TOML: 'utf-8' codec"):
         robot_from_files({"robot.toml": b"name = '\xff'"}, "here")
     with pytest.raises(AcquisitionError, match=r"here: holds no robot\.toml"):
         robot_from_files({}, "here")
 
 
-def test_the_urdf_comes_along_or_is_missed(tmp_path: Path) -> None:
+def test_the_urdf_comes_along_or_is_missed(tmp_path):
     text = ONE_JOINT.replace(DH, "").replace('name = "one"', 'name = "one"\nurdf = "arm.urdf"')
     (tmp_path / "robot.toml").write_text(text)
     with pytest.raises(AcquisitionError, match=r"urdf = 'arm\.urdf': cannot be read: No such file"):
@@ -281,7 +206,7 @@ def test_the_urdf_comes_along_or_is_missed(tmp_path: Path) -> None:
         load_robot(tmp_path / "none.toml")
 
 
-def test_errors_carry_their_data_and_make_one_line_of_it() -> None:
+def test_errors_carry_their_data_and_make_one_line_of_it():
     error = AcquisitionError("does nothing", place="a.toml", key="b.c", value=[1, 2], expected="d")
     assert str(error) == "a.toml: b.c = [1, 2]: does nothing: expected d"
     assert (error.place, error.key, error.value, error.expected) == ("a.toml", "b.c", [1, 2], "d")
@@ -293,12 +218,12 @@ def test_errors_carry_their_data_and_make_one_line_of_it() -> None:
     assert (str(bare), bare.key, bare.value) == (str(error), "b.c", [1, 2])
 
 
-def test_errors_are_one_printable_line() -> None:
+def test_errors_are_one_printable_line():
     assert str(AcquisitionError("a\nb\r\n\x1b[2Jc\udcff µ")) == "a b �[2Jc� µ"
     assert one_line("  two  words ") == "two words"
 
 
-def test_a_whole_file_replaces_the_old_one_only_when_complete(tmp_path: Path) -> None:
+def test_a_whole_file_replaces_the_old_one_only_when_complete(tmp_path):
     path = tmp_path / "out"
     path.write_text("old")
     with pytest.raises(UnicodeEncodeError), atomic_write(path) as partial:
@@ -312,7 +237,7 @@ def test_a_whole_file_replaces_the_old_one_only_when_complete(tmp_path: Path) ->
     assert path.read_text() == "new"
 
 
-def test_a_whole_file_is_on_the_disk_before_it_takes_its_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_whole_file_is_on_the_disk_before_it_takes_its_place(tmp_path, monkeypatch):
     """A power cut after the renaming must not leave a file without content."""
     synced: list[bool] = []
     monkeypatch.setattr(os, "fsync", lambda _: synced.append((tmp_path / "out").exists()))
@@ -321,7 +246,7 @@ def test_a_whole_file_is_on_the_disk_before_it_takes_its_place(tmp_path: Path, m
     assert synced == [False]
 
 
-def test_places_where_no_file_can_stand(tmp_path: Path) -> None:
+def test_places_where_no_file_can_stand(tmp_path):
     (tmp_path / "file").write_text("")
     os.mkfifo(tmp_path / "pipe")  # stands for any device, which a mistake here would replace
     for path, message in (
@@ -338,7 +263,7 @@ def test_places_where_no_file_can_stand(tmp_path: Path) -> None:
     assert (tmp_path / "pipe").is_fifo()
 
 
-def test_an_input_is_not_replaced_under_any_of_its_names(tmp_path: Path) -> None:
+def test_an_input_is_not_replaced_under_any_of_its_names(tmp_path):
     (tmp_path / "in").write_text("")
     (tmp_path / "link").symlink_to(tmp_path / "in")
     (tmp_path / "hard link").hardlink_to(tmp_path / "in")

@@ -40,11 +40,10 @@ def message(k, *, names=NAMES, frame="", stamp_ns=None, **parts):
 
 
 def bag(path, messages, *, storage=StoragePlugin.MCAP, compression=None, topic="/joint_states", late_ns=3_000_000):
-    with (
-        Writer(path, version=9, storage_plugin=storage)
-        if compression is None
-        else compressed(path, storage, compression) as w
-    ):
+    writer = Writer(path, version=9, storage_plugin=storage)
+    if compression is not None:
+        writer.set_compression(compression, CompressionFormat.ZSTD)
+    with writer as w:
         states = w.add_connection(topic, STATE, typestore=STORE)
         other = w.add_connection("/rosout", TEXT, typestore=STORE)
         text = STORE.types[TEXT]("hello")
@@ -54,23 +53,21 @@ def bag(path, messages, *, storage=StoragePlugin.MCAP, compression=None, topic="
     return path
 
 
-def compressed(path, storage, mode):
-    writer = Writer(path, version=9, storage_plugin=storage)
-    writer.set_compression(mode, CompressionFormat.ZSTD)
-    return writer
+def run(path, out):
+    """The status of an import."""
+    where = ["--robot", str(TOML), "--topic", "/joint_states", "-o", str(out)]
+    return main(["import", str(path), *where, "--effort-unit", "N m"])
 
 
-def imported(path, *options, capsys=None, out=None):
-    out = out or path.parent / "out.mcap"
-    arguments = ["import", str(path), "--robot", str(TOML), "--topic", "/joint_states", "-o", str(out)]
-    status = main([*arguments, *(options or ("--effort-unit", "N m"))])
-    return status, out
+def imported(path, out):
+    assert run(path, out) == 0
+    return read_recording(out)
 
 
-def refusal(path, capsys, *options):
-    status, out = imported(path, *options)
+def refusal(path, capsys):
+    out = path.parent / "out.mcap"
+    assert run(path, out) == 1
     err = capsys.readouterr().err
-    assert status == 1
     assert not out.exists()
     assert err.count("\n") == 1
     return err
@@ -100,9 +97,7 @@ def test_bags_of_rosbags_are_read_sample_by_sample(tmp_path, kind, whole_folder,
     path = bag(tmp_path / "a_bag", map(message, range(N)), storage=storage, compression=compression)
     if not whole_folder:
         (path,) = (file for file in path.iterdir() if file.suffix in (".mcap", ".db3"))
-    status, out = imported(path, out=tmp_path / "out.mcap")
-    assert status == 0
-    recording = read_recording(out)
+    recording = imported(path, tmp_path / "out.mcap")
     samples = recording.samples
     assert samples["position"] == pytest.approx(Q, abs=1e-12)
     assert samples["velocity"] == pytest.approx(DQ, abs=1e-12)
@@ -133,9 +128,8 @@ def lz4_mcap(path, messages):
 
 
 def test_chunks_of_lz4(tmp_path):
-    status, out = imported(lz4_mcap(tmp_path / "a.mcap", map(message, range(N))), out=tmp_path / "out.mcap")
-    assert status == 0
-    assert read_recording(out).samples["position"] == pytest.approx(Q, abs=1e-12)
+    recording = imported(lz4_mcap(tmp_path / "a.mcap", map(message, range(N))), tmp_path / "out.mcap")
+    assert recording.samples["position"] == pytest.approx(Q, abs=1e-12)
 
 
 def test_joints_go_by_name_and_times_by_header(tmp_path):
@@ -151,9 +145,7 @@ def test_joints_go_by_name_and_times_by_header(tmp_path):
             if k % 7 == 0:  # another publisher, of a gripper
                 m = message(k, names=("gripper",), velocity=None)
                 w.write(states, int(received[k]) + 1, STORE.serialize_cdr(m, STATE))
-    status, out = imported(path, out=tmp_path / "out.mcap")
-    assert status == 0
-    recording = read_recording(out)
+    recording = imported(path, tmp_path / "out.mcap")
     assert recording.samples["position"] == pytest.approx(Q, abs=1e-12)
     assert recording.samples["effort"] == pytest.approx(EFFORT, abs=1e-12)
     assert "velocity" not in recording.samples.dtype.names
@@ -162,23 +154,20 @@ def test_joints_go_by_name_and_times_by_header(tmp_path):
 
 def test_without_header_stamps_receptions_are_the_time(tmp_path, capsys):
     path = bag(tmp_path / "a", (message(k, stamp_ns=0) for k in range(N)))
-    status, out = imported(path, out=tmp_path / "out.mcap")
-    assert status == 0
-    assert read_recording(out).samples["stamp_ns"][0] == FIRST_NS + 3_000_000
+    assert imported(path, tmp_path / "out.mcap").samples["stamp_ns"][0] == FIRST_NS + 3_000_000
     assert "warning: headers have no stamps: times are those of reception" in capsys.readouterr().out
 
 
 def test_a_clock_that_begins_at_zero_stamps_the_first_header_with_it(tmp_path):
     """As a recording of simulated time has it."""
     path = bag(tmp_path / "a", (message(k, stamp_ns=k * 10_000_000) for k in range(N)))
-    status, out = imported(path, out=tmp_path / "out.mcap")
-    assert status == 0
-    np.testing.assert_array_equal(read_recording(out).samples["stamp_ns"], np.arange(N) * 10_000_000)
+    np.testing.assert_array_equal(imported(path, tmp_path / "out.mcap").samples["stamp_ns"], np.arange(N) * 10_000_000)
 
 
 def test_efforts_of_a_bag_were_measured_and_no_lag_is_expected(tmp_path, whole):
     """The robot's control rate is described: commands of it would be shifted by half a millisecond."""
-    signals = load_signals(imported(whole, out=tmp_path / "out.mcap")[1])
+    imported(whole, tmp_path / "out.mcap")
+    signals = load_signals(tmp_path / "out.mcap")
     assert signals.effort_timing == "measured"
     assert make_problem(signals, Overrides()).settings.known_lag.value_s == 0.0
     command = make_problem(replace(signals, effort_timing="command"), Overrides())
@@ -295,7 +284,7 @@ def test_true_states_are_of_one_publisher(tmp_path):
         ]
     ):
         path = bag(tmp_path / str(k), (message(i, position=q, effort=effort, velocity=None) for i in range(N)))
-        assert imported(path, "--effort-unit", "N m", out=tmp_path / f"{k}.mcap")[0] == 0
+        imported(path, tmp_path / f"{k}.mcap")
 
 
 def test_several_publishers_are_told(tmp_path):
@@ -325,9 +314,7 @@ def test_doubts_about_a_bag_are_told_and_kept(tmp_path, capsys):
         message(k, stamp_ns=FIRST_NS + k * 10_000_000 + late, velocity=unknown) for k, late in enumerate(late_ns)
     ]
     messages.insert(50, messages[49])
-    status, out = imported(bag(tmp_path / "late", messages), out=tmp_path / "out.mcap")
-    assert status == 0
-    recording = read_recording(out)
+    recording = imported(bag(tmp_path / "late", messages), tmp_path / "out.mcap")
     assert "velocity" not in recording.samples.dtype.names
     texts = [event.text for event in recording.events]
     assert texts[0] == "velocities that are not finite numbers are left out"
@@ -383,7 +370,7 @@ def test_damaged_bags_are_read_or_refused_in_one_line(tmp_path, storage, capsys)
             for place in rng.integers(len(whole), size=200):
                 damaged[place] = rng.integers(256)
         file.write_bytes(bytes(damaged))
-        status, out = imported(file, out=tmp_path / "out.mcap")
+        status, out = run(file, tmp_path / "out.mcap"), tmp_path / "out.mcap"
         err = capsys.readouterr().err
         seen.add(status)
         assert status == 0 or (status == 1 and err.count("\n") == 1 and err.startswith(f"robot-acquire: {file}"))

@@ -2,20 +2,18 @@
 
 import itertools
 import re
-import threading
 import time
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
 import canopen
 import pytest
-from dry_sessions import Through, dry_session, heard_at_once, swing
+from dry_sessions import Answering, Through, connected, dry_session, heard_at_once, swing
 from faulty_drives import FaultyDrives
-from made_up_buses import bus_of, bus_text, robot_of
+from made_up_buses import bus_text, robot_of
+from virtual_buses import Ear, bus_file, served
 
 from acquisition.bus import Frame, Link, Uploads, open_bus, open_link, scan_nodes
 from acquisition.commands import checking, main
@@ -24,44 +22,12 @@ from acquisition.commands.command_line import Progress
 from acquisition.commands.scanning import ARRAYS, OBJECTS, bus_lines, findings_of
 from acquisition.errors import AcquisitionError
 from acquisition.protocol import abort_answer, value_answer
-from acquisition.recording import ERROR, REMOTE_REQUEST, SENT
-from acquisition.robot import BusFile, lines_to_fill_in
+from acquisition.recording import ERROR, REMOTE_REQUEST
+from acquisition.robot import lines_to_fill_in
 from acquisition.session import Task
-from acquisition.simulated import LockStepLink, SimulatedDrives, serve
+from acquisition.simulated import LockStepLink
 
 IDENTITY = {(0x1018, sub): value for sub, value in ((1, 0xFB), (2, 0x60500000), (3, 0x1700010), (4, 77))}
-
-
-def bus_file(channel: str = "test") -> BusFile:
-    return BusFile(interface="virtual", channel=channel, drive=(), sync_period_s=1.0, master_node=0)
-
-
-class Ear:
-    """All frames on a virtual bus from now on."""
-
-    def __init__(self, channel: str) -> None:
-        self._link = open_link(bus_file(channel), passive=True)
-
-    def frames(self) -> list[Frame]:
-        found = []
-        while (frame := self._link.take(0)) is not None:
-            found.append(frame)
-        return found
-
-
-@contextmanager
-def served(channel: str, n: int, text: str = "") -> Iterator[None]:
-    """Simulated drives in real time: `n`, nodes from 1, or those of `text`."""
-    robot, stop, booted = robot_of(text or bus_text(n, channel=channel)), threading.Event(), threading.Event()
-    drives = SimulatedDrives(robot, bus_of(robot))
-    thread = threading.Thread(target=serve, args=(drives, stop.is_set, booted.set), daemon=True)
-    thread.start()
-    try:
-        assert booted.wait(10)
-        yield
-    finally:
-        stop.set()
-        thread.join(10)
 
 
 def scan(channel: str, *options: str) -> int:
@@ -115,9 +81,8 @@ def test_requests_are_a_millisecond_apart_and_nothing_comes_before_half_a_second
     assert times[126] - times[0] < 200_000_000  # the answers are awaited together
 
 
-def drives_of(n: int, kind: type[SimulatedDrives] = SimulatedDrives, **tap) -> LockStepLink:
-    robot = robot_of(bus_text(n))
-    return LockStepLink(kind(robot, bus_of(robot)), **tap)
+def drives_of(n: int, kind: type[FaultyDrives] = FaultyDrives) -> LockStepLink:
+    return connected(robot_of(bus_text(n)), kind)[0]
 
 
 @pytest.mark.parametrize(
@@ -128,11 +93,10 @@ def drives_of(n: int, kind: type[SimulatedDrives] = SimulatedDrives, **tap) -> L
 def test_nothing_but_a_read_can_be_sent(can_id, frame):
     if can_id != 0x601:
         frame = frame or b"\x40\x41\x60\x00" + bytes(4)  # a read, but to an identifier of another service
-    frames: list[Frame] = []
-    uploads = Uploads(drives_of(1, tap=frames.append), bus_file())
+    link = Answering()
     with pytest.raises(AcquisitionError, match="is no SDO read"):
-        uploads.send(can_id, frame)
-    assert [frame for frame in frames if frame.flags & SENT] == []
+        Uploads(link, bus_file()).send(can_id, frame)
+    assert link.sent == []
 
 
 MASTERS = [(0x000, b"\x01\x00"), (0x080, b""), (0x605, bytes(8)), (0x201, bytes(6))]
@@ -169,25 +133,26 @@ class Sudden(Through):
         return super().receive(until_ns)
 
 
-@pytest.mark.parametrize("after", [1, 60, 127, 128, 150, 200])
-@pytest.mark.parametrize("flags", [0, REMOTE_REQUEST])
-def test_a_master_that_begins_during_the_scan_silences_it(after, flags):
-    link = Sudden(link=drives_of(2), frame=Frame(0, 0x701 if flags else 0x80, b"", flags), after=after)
-    uploads = Uploads(link, bus_file())
-    with pytest.raises(AcquisitionError, match=f"expected none during a scan; {after} SDO reads were sent"):
-        scan_nodes(uploads, OBJECTS, ARRAYS)
-    for _ in range(2):  # for good
-        with pytest.raises(AcquisitionError, match="another master is active"):
-            uploads.send(0x601, b"\x40\x00\x10" + bytes(5))
-    assert len(link.sent) == after
+BEGUN = "expected none during a scan; {} SDO reads were sent"
+WRONG = "error frame: no acknowledgement.*bitrate"
 
 
-@pytest.mark.parametrize("after", [0, 30, 140])
-def test_an_error_frame_ends_the_scan_in_words(after):
-    frame = Frame(0, 0x20, bytes(8), ERROR)
+@pytest.mark.parametrize(
+    ("frame", "after", "told", "for_good"),
+    [
+        *((Frame(0, 0x80, b""), after, BEGUN, "another master is active") for after in (1, 60, 127, 128, 150, 200)),
+        *((Frame(0, 0x701, b"", REMOTE_REQUEST), after, BEGUN, "another master is active") for after in (1, 150)),
+        *((Frame(0, 0x20, bytes(8), ERROR), after, WRONG, WRONG) for after in (0, 30, 140)),
+    ],
+)
+def test_a_master_that_begins_or_an_error_frame_silences_the_scan(frame, after, told, for_good):
     link = Sudden(link=drives_of(2), frame=frame, after=after)
-    with pytest.raises(AcquisitionError, match=r"error frame: no acknowledgement.*bitrate"):
-        scan_nodes(Uploads(link, bus_file()), OBJECTS, ARRAYS)
+    uploads = Uploads(link, bus_file())
+    with pytest.raises(AcquisitionError, match=told.format(after)):
+        scan_nodes(uploads, OBJECTS, ARRAYS)
+    for _ in range(2):
+        with pytest.raises(AcquisitionError, match=for_good):
+            uploads.send(0x601, b"\x40\x00\x10" + bytes(5))
     assert len(link.sent) == after
 
 
@@ -354,30 +319,19 @@ def test_mapped_pdos_and_consumers_are_shown():
     assert "1016 0x2, 1016:1 0x0, 1016:2 0x7F001E" in row(nodes, {}, "supervision", 1).found
 
 
-class AllAnswer:
-    """A link in simulated time to all node ids that are not in `silent`, each a device of type `device`."""
+def all_answer(device: int = 0, silent: tuple[int, ...] = (), *heard: int) -> Answering:
+    """A link to all node ids that are not in `silent`, each a device of type `device`; heartbeats of `heard`."""
 
-    def __init__(self, device: int = 0, silent: tuple[int, ...] = (), *heard: int) -> None:
-        self._time_ns, self._device, self._silent = 0, device, silent
-        self._frames = [Frame(0, 0x700 + node, b"\x7f") for node in heard]
-
-    def now_ns(self):
-        return self._time_ns
-
-    def send(self, can_id, data):
+    def answer(can_id, data):
         key = int.from_bytes(data[1:3], "little"), data[3]
-        if can_id - 0x600 not in self._silent:
-            answer = abort_answer(*key, "object does not exist")
-            answer = value_answer(*key, self._device, 4) if key == (0x1000, 0) else answer
-            self._frames.append(Frame(self._time_ns, can_id - 0x80, answer))
+        if can_id - 0x600 in silent:
+            return []
+        refused = abort_answer(*key, "object does not exist")
+        return [(can_id - 0x80, value_answer(*key, device, 4) if key == (0x1000, 0) else refused)]
 
-    def receive(self, until_ns):
-        if not self._frames:
-            self._time_ns = max(until_ns, self._time_ns)
-        return self._frames.pop(0) if self._frames else None
-
-    def close(self):
-        pass
+    link = Answering(answer)
+    link.waiting = [(0x700 + node, b"\x7f") for node in heard]
+    return link
 
 
 NO_ID = "# master_node = ... # FILL IN: of this program; no node id is free"
@@ -386,15 +340,15 @@ NO_ID = "# master_node = ... # FILL IN: of this program; no node id is free"
 @pytest.mark.parametrize(
     ("link", "said"),
     [
-        (AllAnswer(), NO_ID),
-        (AllAnswer(402), NO_ID),
-        (AllAnswer(0, (9, 5)), "master_node = 9 # of this program; no device has it"),
+        (all_answer(), NO_ID),
+        (all_answer(402), NO_ID),
+        (all_answer(0, (9, 5)), "master_node = 9 # of this program; no device has it"),
         (
-            AllAnswer(0, (9, 5), 9),
+            all_answer(0, (9, 5), 9),
             "master_node = 5 # of this program; no device has it",
         ),  # 9 is heard, but does not answer
-        (AllAnswer(0, tuple(range(2, 128)), 127, 126), "master_node = 125 # of this program; no device has it"),
-        (AllAnswer(0, tuple(range(2, 128))), None),
+        (all_answer(0, tuple(range(2, 128)), 127, 126), "master_node = 125 # of this program; no device has it"),
+        (all_answer(0, tuple(range(2, 128))), None),
     ],
 )
 def test_the_node_id_of_this_program_is_that_of_no_device(link, said, tmp_path, monkeypatch, capsys):
@@ -407,7 +361,7 @@ def test_the_node_id_of_this_program_is_that_of_no_device(link, said, tmp_path, 
 
 def test_on_a_terminal_a_scan_says_which_node_it_reads(monkeypatch):
     said = []
-    monkeypatch.setattr("acquisition.bus.open_link", lambda *_, **__: AllAnswer(0, tuple(range(8, 128))))
+    monkeypatch.setattr("acquisition.bus.open_link", lambda *_, **__: all_answer(0, tuple(range(8, 128))))
     monkeypatch.setattr(Progress, "say", lambda progress, text: said.append(text))
     assert scan("scan_all") == 0
     nodes = [int(re.fullmatch(r"asking node (\d+) of 1 to 127", text)[1]) for text in said]

@@ -4,15 +4,14 @@ import itertools
 
 import msgspec
 import pytest
-from dry_sessions import at_boot, dry_session, findings, swing
+from dry_sessions import at_boot, connected, dry_session, findings, swing
 from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.bus import Master, MasterHeartbeat, second_stop, supervision_of
 from acquisition.bus.supervision import free_entry, timeout_ms
-from acquisition.errors import AcquisitionError
 from acquisition.protocol import Command, Mode, State
 from acquisition.session import Task
-from acquisition.simulated import LockStepLink, SimulatedDrives
+from acquisition.simulated import LockStepLink
 from acquisition.simulated import node as simulated_supervision
 
 MS = 1_000_000
@@ -24,7 +23,7 @@ ASKED, REMOVED = bytes.fromhex("231610012c017f00"), bytes.fromhex("2316100100000
 def test_a_tracking_session_is_supervised_from_start_to_disabled(tmp_path):
     session = dry_session(tmp_path / "a.mcap", TRACK)
     assert session.outcome.reason == "finished"
-    frames = next(iter(session.recording.frames.values()))
+    frames = session.frames
     beats = frames[frames["can_id"] == 0x77F]
     assert {bytes(d[:n]) for d, n in zip(beats["data"], beats["length"], strict=True)} == {b"\x05"}
     syncs = frames["time_ns"][frames["can_id"] == 0x80]
@@ -47,15 +46,12 @@ def test_a_tracking_session_is_supervised_from_start_to_disabled(tmp_path):
 
 def test_without_motion_there_is_no_heartbeat(tmp_path):
     session = dry_session(tmp_path / "a.mcap", Task(duration_s=0.5))
-    frames = next(iter(session.recording.frames.values()))
-    assert not (frames["can_id"] == 0x77F).any()
+    assert not (session.frames["can_id"] == 0x77F).any()
 
 
 def enabled(*, abort_connection: int = 1, supervised: bool = True) -> tuple[LockStepLink, Master, MasterHeartbeat]:
     """Two drives in operation enabled, whose master has sent one heartbeat and now says nothing more."""
-    robot = robot_of(bus_text(2))
-    run = LockStepLink(SimulatedDrives(robot, bus_of(robot), supervised=supervised))
-    master = Master(run, bus_of(robot))
+    run, master = connected(supervised=supervised)
     heartbeat = MasterHeartbeat(master)
     master.configure()
     master.choose_mode(Mode.CYCLIC_SYNCHRONOUS_POSITION)
@@ -137,22 +133,14 @@ def test_the_time_out_is_three_heartbeats_or_periods():
     assert timeout_ms(bus_of(robot_of(bus_text(2, period_s=0.02, extra="heartbeat_s = 0.01"))).file) == 60
 
 
-def test_a_master_under_the_id_of_a_drive_is_refused():
-    with pytest.raises(AcquisitionError, match=r"bus.master_node = 2: expected a node id that no drive has"):
-        robot_of(bus_text(2, extra="master_node = 2"))
-
-
 def supervision(values: dict[tuple[int, int], int], *missing: int) -> str:
-    robot = robot_of(bus_text(1))
-    run = LockStepLink(SimulatedDrives(robot, bus_of(robot)))
+    run, master = connected(robot_of(bus_text(1)))
     node = run.drives.nodes[0]
     node.types |= {(0x1029, 1): "U8", (0x1400, 5): "U16"}
     node.values |= {(0x1029, 1): 1, (0x1400, 5): 0} | values
     for key in [key for key in node.values if key[0] in missing]:
         del node.values[key]
-    master = Master(run, bus_of(robot))
-    text = "\n".join(" = ".join(pair) for pair in supervision_of(master, master.bus.drives[0]))
-    return text
+    return "\n".join(" = ".join(pair) for pair in supervision_of(master, master.bus.drives[0]))
 
 
 @pytest.mark.parametrize(
@@ -184,11 +172,10 @@ def test_supervision_in_words(values, missing, expected):
 
 
 def test_check_shows_it_and_where_there_is_no_second_stop():
-    robot = robot_of(bus_text(2))
-    run = LockStepLink(SimulatedDrives(robot, bus_of(robot)))
-    (reaction,) = findings(run, bus_of(robot), "reaction 6007", 2)
+    run, master = connected()
+    (reaction,) = findings(run, master.bus, "reaction 6007", 2)
     assert reaction.found.startswith("1: fault")
-    file = bus_of(robot).file
+    file = master.bus.file
     assert second_stop(file).startswith("the recorder's process stops the drives")
 
     slcan = msgspec.structs.replace(file, interface="slcan")

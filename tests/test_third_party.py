@@ -9,6 +9,8 @@ import signal
 import subprocess
 import threading
 import tomllib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import canopen
@@ -29,11 +31,12 @@ from test_recording_processes import (
     folder,
     frames_of,
     listening,
+    output_of,
     port,
     wait_for,
 )
+from virtual_buses import Ear
 
-from acquisition.bus import open_link
 from acquisition.recording import read_recording
 from acquisition.simulated import SimulatedDrives, serve
 from acquisition.simulated import node as simulated_supervision
@@ -73,30 +76,29 @@ def node(npm: Path, script: Path, *arguments: str) -> "subprocess.Popen[str]":
     )
 
 
-def channel_of(folder: Path) -> tuple[str, str]:
+@contextmanager
+def third_party_drive(folder: Path, npm: Path) -> Iterator["subprocess.Popen[str]"]:
+    """npm's drive, node 7, on the bus of a folder, for 120 s at most."""
+    if not THIRD_PARTY_DRIVE.exists():
+        pytest.skip("the third-party drive is not here: ../shared/tools/third_party_drive.js")
     group, _, number = bus_at(folder).channel.partition(":")
-    return group, number
+    drive = node(npm, THIRD_PARTY_DRIVE, "7", group, number, "120")
+    try:
+        assert "node 7" in drive.stderr.readline()
+        yield drive
+    finally:
+        end(drive, signal.SIGTERM)
 
 
 @pytest.mark.slow
 def test_a_third_party_drive_is_configured_and_recorded(folder, npm):
     """Its motion is known: every sample is what it sent, in number and value."""
-    if not THIRD_PARTY_DRIVE.exists():
-        pytest.skip("the third-party drive is not here: ../shared/tools/third_party_drive.js")
-    group, number = channel_of(folder)
-    channel = f"{group}:{number}"
-    text = slow_bus_text(1, ratio=1.0, channel=channel)
+    text = slow_bus_text(1, ratio=1.0, channel=bus_at(folder).channel)
     text = text.replace("node = 1\n", "node = 7\n").replace("65536", "6553600")
     (folder / "npm.toml").write_text(text)
     out = folder / "log.mcap"
-    drive = node(npm, THIRD_PARTY_DRIVE, "7", group, number, "120")
-    try:
-        assert drive.stderr is not None
-        assert "node 7" in drive.stderr.readline()
-        session = acquire(folder, "record", str(folder / "npm.toml"), "-o", str(out), "--duration", "3")
-        _, errors = session.communicate(timeout=PATIENCE_S)
-        assert session.returncode == 0, errors
-    finally:
+    with third_party_drive(folder, npm) as drive:
+        output_of(acquire(folder, "record", str(folder / "npm.toml"), "-o", str(out), "--duration", "3"))
         output = end(drive, signal.SIGTERM)[1]
     recording = read_recording(out)
     frames = frames_of(recording)
@@ -125,26 +127,12 @@ def test_a_third_party_drive_is_configured_and_recorded(folder, npm):
 @pytest.mark.slow
 def test_a_third_party_drive_is_scanned(folder, npm):
     """Beside two simulated drives; what goes to the drives are reads of objects."""
-    if not THIRD_PARTY_DRIVE.exists():
-        pytest.skip("the third-party drive is not here: ../shared/tools/third_party_drive.js")
-    group, number = channel_of(folder)
-    drive = node(npm, THIRD_PARTY_DRIVE, "7", group, number, "120")
-    ear = open_link(bus_at(folder), passive=True)
-    try:
-        assert drive.stderr is not None
-        assert "node 7" in drive.stderr.readline()
-        with drives(folder):
-            where = ("--interface", "udp_multicast", "--channel", f"{group}:{number}")
-            scan = acquire(folder, "scan", *where, "--toml", str(folder / "bus.toml"))
-            output, errors = scan.communicate(timeout=PATIENCE_S)
-        assert scan.returncode == 0, errors
-        frames = []
-        while (frame := ear.take(0)) is not None:
-            frames.append(frame)
-    finally:
-        ear.close()
-        end(drive, signal.SIGTERM)
-    print(output)
+    channel = bus_at(folder).channel
+    with third_party_drive(folder, npm), drives(folder):
+        ear = Ear(channel, "udp_multicast")
+        where = ("--interface", "udp_multicast", "--channel", channel)
+        output = output_of(acquire(folder, "scan", *where, "--toml", str(folder / "bus.toml")))
+        frames = ear.frames()
     from_nodes = [base + node for base in (0x580, 0x700) for node in (1, 2, 7)]
     sent = [frame for frame in frames if frame.can_id not in from_nodes]
     assert len(sent) > 127
@@ -164,7 +152,7 @@ def test_a_third_party_drive_is_scanned(folder, npm):
 @pytest.mark.slow
 def test_a_third_party_master_is_recorded_passively(folder, npm):
     """It configures and moves our simulated drives; sent and recorded are equal in number and value."""
-    group, master_port = channel_of(folder)
+    group, _, master_port = bus_at(folder).channel.partition(":")
     syncs = 120
     text = (folder / "robot.toml").read_text()
     for number in (1, 2):
@@ -173,13 +161,10 @@ def test_a_third_party_master_is_recorded_passively(folder, npm):
     out = folder / "passive.mcap"
     with drives(folder), listening(folder, "passive.toml", out) as listener:
         script, period_ms = ROOT / "tests" / "third_party_master.js", f"{SYNC_S * 1e3:g}"
-        master = node(npm, script, group, master_port, str(syncs), period_ms, "1", "2")
-        output, errors = master.communicate(timeout=PATIENCE_S)
-        assert master.returncode == 0, errors
+        output = output_of(node(npm, script, group, master_port, str(syncs), period_ms, "1", "2"))
         ids = (0x80, 0x181, 0x182, 0x201, 0x202)
         wait_for(out, lambda r: all(len(data) >= syncs for data in data_by_id(r, *ids).values()), listener)
-        _, errors = end(listener, signal.SIGINT)
-        assert listener.returncode == 0, errors
+        output_of(listener, signal.SIGINT)
     spoken = json.loads(output)
     recording = read_recording(out)
     frames = frames_of(recording)

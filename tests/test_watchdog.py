@@ -6,14 +6,15 @@ import signal
 import struct
 import threading
 import time
+from contextlib import closing
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 import pytest
 from busy_machine import SYNC_S, slow_bus_text, stalls, tried_again
-from dry_sessions import DrySession, SlowAnswers, Through, dry_session
-from faulty_drives import Fault, FaultyDrives
+from dry_sessions import DrySession, SlowAnswers, Through, connected, dry_session
+from faulty_drives import Fault
 from made_up_buses import bus_of, bus_text, robot_of
 from test_recording_processes import (
     PATIENCE_S,
@@ -21,25 +22,26 @@ from test_recording_processes import (
     bus_at,
     checked,
     drives,
-    end,
     folder,
     frames_of,
+    output_of,
     port,
     texts,
     tracking,
     wait_for,
 )
-from test_third_party import THIRD_PARTY_DRIVE, node, npm
+from test_third_party import npm, third_party_drive
 
 import acquisition.session.process as process_module
 import acquisition.simulated.node as simulated_supervision
 from acquisition.bus import Master, open_link
+from acquisition.commands import main
 from acquisition.errors import AcquisitionError
 from acquisition.protocol import State, state_of
 from acquisition.recording import Recording, read_recording
 from acquisition.session import InlineLog, Task
 from acquisition.session.process import Watchdog, WatchdogPipe, silence_s
-from acquisition.simulated import LockStepLink, serve
+from acquisition.simulated import serve
 
 __all__ = ["folder", "npm", "port"]  # fixtures
 LONGEST_S = 0.3 + 2 * SYNC_S  # from the last SYNC of the session to the quick stop of every drive
@@ -106,10 +108,9 @@ def test_drives_without_supervision_of_their_own_are_stopped(folder, number):
 @pytest.mark.slow
 def test_drives_left_enabled_are_disabled_by_command(folder):
     with drives(folder, "--unsupervised"):
-        link = open_link(bus_at(folder), passive=False)
         robot = robot_of((folder / "robot.toml").read_text())
-        master = Master(link, bus_of(robot))
-        try:
+        with closing(open_link(bus_at(folder), passive=False)) as link:
+            master = Master(link, bus_of(robot))
             master.configure()
             master.start()
             for node_id in (1, 2):
@@ -118,9 +119,7 @@ def test_drives_left_enabled_are_disabled_by_command(folder):
             master.sync()
             master.wait(link.now_ns() + 1_000_000_000, for_answers=True)
             assert [master.state(drive) for drive in master.bus.drives] == [State.OPERATION_ENABLED] * 2
-            done = acquire(folder, "disable", str(folder / "robot.toml"))
-            output, errors = done.communicate(timeout=PATIENCE_S)
-            assert (done.returncode, errors) == (0, "")
+            output = output_of(acquire(folder, "disable", str(folder / "robot.toml")))
             assert output == "disabled: nodes 1, 2; all in pre-operational\n"
             master.wait(link.now_ns() + 200_000_000)  # answers to the command's own questions
             assert [master.state(drive) for drive in master.bus.drives] == [State.SWITCH_ON_DISABLED] * 2
@@ -128,22 +127,17 @@ def test_drives_left_enabled_are_disabled_by_command(folder):
             master.sync()
             master.wait(link.now_ns() + 100_000_000)
             assert master.state(master.bus.drives[0]) is State.SWITCH_ON_DISABLED
-        finally:
-            link.close()
 
 
 @pytest.mark.slow
-def test_disable_says_first_who_did_not_confirm(folder):
-    done = acquire(folder, "disable", str(folder / "robot.toml"))
-    output, errors = done.communicate(timeout=PATIENCE_S)
-    assert (done.returncode, output) == (1, "")
-    assert errors == "NOT DISABLED: nodes 1, 2: EMERGENCY STOP\n"
+def test_disable_says_first_who_did_not_confirm(folder, capsys):
+    assert main(["disable", str(folder / "robot.toml")]) == 1
+    assert capsys.readouterr() == ("", "NOT DISABLED: nodes 1, 2: EMERGENCY STOP\n")
     (folder / "away.toml").write_text((folder / "robot.toml").read_text().replace("udp_multicast", "socketcan"))
-    done = acquire(folder, "disable", str(folder / "away.toml"))
-    _, errors = done.communicate(timeout=PATIENCE_S)
-    assert done.returncode == 1
-    assert errors.splitlines()[0] == "NOT DISABLED: nodes 1, 2: EMERGENCY STOP"
-    assert "cannot be opened" in errors.splitlines()[1]
+    assert main(["disable", str(folder / "away.toml")]) == 1
+    first, second = capsys.readouterr().err.splitlines()
+    assert first == "NOT DISABLED: nodes 1, 2: EMERGENCY STOP"
+    assert "cannot be opened" in second
 
 
 @pytest.mark.slow
@@ -225,10 +219,8 @@ def test_six_slow_drives_end_without_a_word_of_the_second_stop(tmp_path):
 
 
 def test_an_answer_that_does_not_come_is_awaited_with_signs_of_life():
-    robot = robot_of(bus_text(2))
-    run = LockStepLink(FaultyDrives(robot, bus_of(robot)))
+    (run, master), times = connected(), list[int]()
     run.drives.silent.add(0)
-    master, times = Master(run, bus_of(robot)), list[int]()
     began_ns = run.now_ns()
     master.while_awaiting = lambda: times.append(run.now_ns() - began_ns)
     with pytest.raises(AcquisitionError, match=r"no answer in 0.3 s"):
@@ -304,17 +296,10 @@ def test_silence_is_longer_than_a_few_periods():
 @pytest.mark.slow
 def test_a_third_party_drive_is_stopped(folder, npm):
     """It knows no quick stop and goes on moving, so voltage goes off; it says so itself."""
-    if not THIRD_PARTY_DRIVE.exists():
-        pytest.skip("the third-party drive is not here: ../shared/tools/third_party_drive.js")
-    group, _, number = bus_at(folder).channel.partition(":")
     rpdo = 'rpdo = [{ objects = ["6040", "6060"] }]'
-    text = slow_bus_text(1, channel=f"{group}:{number}", drive=rpdo)
+    text = slow_bus_text(1, channel=bus_at(folder).channel, drive=rpdo)
     bus = bus_of(robot_of(text.replace("node = 1\n", "node = 7\n")))
-    process = node(npm, THIRD_PARTY_DRIVE, "7", group, number, "120")
-    link = open_link(bus.file, passive=False)
-    try:
-        assert process.stderr is not None
-        assert "node 7" in process.stderr.readline()
+    with third_party_drive(folder, npm), closing(open_link(bus.file, passive=False)) as link:
         master = Master(link, bus)
         master.nmt(1, 7)
         for word in (6, 7, 15):
@@ -339,6 +324,3 @@ def test_a_third_party_drive_is_stopped(folder, npm):
         assert b"\x00\x00" in words
         assert [kind for _, kind, _ in watchdog.events] == ["fault", "disabled"]
         assert master.state(bus.drives[0]) is State.SWITCH_ON_DISABLED
-    finally:
-        link.close()
-        end(process, signal.SIGTERM)

@@ -15,11 +15,9 @@ def add(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> None:
     """Print the recording's overview."""
     with Progress("reading"):
-        from ..importing import row_warnings
         from ..recording import as_tables, overview, read_recording
 
-        recording = read_recording(options.recording)
-        found = overview(recording, row_warnings(recording))
+        found = overview(read_recording(options.recording))
     if options.json:
         import msgspec
 
@@ -27,5 +25,8 @@ def run(options: argparse.Namespace) -> None:
     else:
         from rich.console import Console
 
-        # Do not break lines in a pipe, which has no width.
-        Console(width=None if sys.stdout.isatty() else 500).print(as_tables(found))
+        # Do not break lines in a pipe, which has no width; without trailing blanks, since one long line pads all others.
+        console = Console(width=None if sys.stdout.isatty() else 500)
+        with console.capture() as shown:
+            console.print(as_tables(found))
+        print(*(line.rstrip() for line in shown.get().splitlines()), sep="\n")

@@ -8,11 +8,10 @@ from typing import Any
 import numpy as np
 
 from ..bus import SUFFIXES, Frame, block_of, read_log
-from ..errors import AcquisitionError, Place
+from ..errors import Place
 from ..files import atomic_write
 from ..recording import (
     NO_SAMPLES,
-    UNCERTAIN,
     Block,
     Decoded,
     Header,
@@ -32,8 +31,7 @@ from .time_base import ImportSummary
 def import_recording(path: Path, out: Path, robot: Robot | None = None, place: str = "") -> ImportSummary:
     """Write a recording again: samples decoded from its frames, and everything before the cut if it was cut off.
 
-    Without `robot`, samples of a cut recording are copied if there are no frames; also if these do not decode, unless
-    `row_warnings` refuses them.
+    Without `robot`, samples of a cut recording are copied if there are no frames, or if these do not decode.
 
     Parameters
     ----------
@@ -54,43 +52,11 @@ def import_recording(path: Path, out: Path, robot: Robot | None = None, place: s
         Place(str(path)).refuse(text="holds no CAN frames and is not cut off", expected="a recording of drives")
     frames = max(recording.frames.values(), key=len)
     decoded = _decode_checked(frames, robot or recording.robot, str(path), place or f"{path}: robot.toml")
-    decoded = replace(decoded, warnings=(*decoded.warnings, *_refused_row_warnings(recording, decoded)))
     notes = {**recording.metadata, "decoded_from": recording.sha256}
     header, end_ns = replace(recording.header, notes=notes, **_bus_header(decoded)), int(frames["time_ns"][-1])
     # Warnings are those of the decoding before.
     rewrite(recording, header, out, lambda writer: decoded.write(writer, end_ns), without="warning")
     return _summarize(decoded, out)
-
-
-def row_warnings(recording: Recording) -> str:
-    """Which samples of an older version its frames refuse, and why; empty if none.
-
-    Frames refuse a row if they do not prove that its joints are of one instant; without drives in the description they prove
-    nothing.
-    """
-    if not recording.frames or recording.samples is None or recording.robot.bus is None or not _is_older(recording):
-        return ""
-    frames = max(recording.frames.values(), key=len)
-    try:
-        decoded = _decode_checked(frames, recording.robot, "its frames", "its robot.toml")
-    except AcquisitionError as error:
-        return f"all {len(recording.samples)} rows are refused: {error}"
-    return "; ".join(_refused_row_warnings(recording, decoded))
-
-
-def _refused_row_warnings(recording: Recording, decoded: Decoded) -> list[str]:
-    """A warning if joints of samples of an older version are not proven to be of one instant."""
-    if recording.samples is None or not _is_older(recording):
-        return []
-    stamps = recording.samples["stamp_ns"]
-    count = int(np.count_nonzero(~np.isin(stamps, decoded.stamps)))
-    text = f"{count} of {len(stamps)} rows of an older version are refused: their joints may be of different instants"
-    return [text] if count else []
-
-
-def _is_older(recording: Recording) -> bool:
-    """Whether the version that made the samples did not yet count uncertain ones."""
-    return not any(UNCERTAIN in health.counters for health in recording.health)
 
 
 def _repair(recording: Recording, path: Path, out: Path) -> ImportSummary:
@@ -104,7 +70,7 @@ def _repair(recording: Recording, path: Path, out: Path) -> ImportSummary:
             frames = max(recording.frames.values(), key=len)
             end_ns = int(frames["time_ns"][-1])
             summary = write_decoded(writer, frames, recording.robot, end_ns, str(path))
-            if not summary.no_samples or samples is None or row_warnings(recording):
+            if not summary.no_samples or samples is None:
                 return
             text = f"{summary.no_samples}; the {len(samples)} samples before the cut are copied"
             writer.event(end_ns, "warning", text)

@@ -1,6 +1,6 @@
 """The recording: reads and writes the MCAP file, decodes its frames to rows on the SYNC grid."""
 
-from .decoding import UNCERTAIN, Decoded, decode
+from .decoding import Decoded, decode
 from .following import RecordingFollower
 from .marks import add_mark, take_marks
 from .reader import NO_SAMPLES, Recording, has_reference, read_recording, rewrite

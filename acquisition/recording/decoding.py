@@ -22,7 +22,6 @@ MAX_PERIOD_ERROR = 0.05  # of the described SYNC period
 MIN_SYNCS = 10  # with fewer, their period is not checked
 MAX_MISSING_SHARE = 0.05  # of the PDOs of a drive; with more, wrong rows may look right
 MAX_MISSING_COUNT = 2  # PDOs of a drive; so few are no share of a short recording
-UNCERTAIN = "uncertain"  # counter of SYNCs without a sample, in `/health`
 LOSSES = ("late", "duplicate", "missing", "short")  # counters of PDOs
 _AT_ONCE = 10_000  # samples
 MIN_TARGET_SHARE = 0.1  # of the SYNCs; with fewer there is no reference
@@ -126,7 +125,7 @@ class Decoded:
         return {
             "syncs": self.syncs,
             "syncs_lost": self.syncs_lost,
-            UNCERTAIN: self.syncs + self.syncs_lost - len(self.stamps),
+            "uncertain": self.syncs + self.syncs_lost - len(self.stamps),
             "sync_jitter_sd_s": self.jitter_s[0],
             "sync_jitter_worst_s": self.jitter_s[1],
             **{word: sum(getattr(p, word) for p in self.pdos) for word in LOSSES},

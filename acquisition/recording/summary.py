@@ -1,12 +1,10 @@
 """Overview of a recording: tables for people, JSON for programs."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from rich.console import Console, ConsoleOptions, Group, RenderResult
-from rich.segment import Segment
+from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
@@ -18,12 +16,12 @@ from .rows import SENT, Block, gaps, in_parts
 _SHOWN = 20  # gaps and events in the tables; the JSON has all
 
 
-def overview(recording: Recording, row_warnings: str = "") -> dict[str, Any]:
+def overview(recording: Recording) -> dict[str, Any]:
     """The content of `robot-acquire info` as plain data; stamps are the recording's, tables count them from `first_ns`.
 
     `joints`: lowest and highest values. `step_jitter_s`: standard and largest deviation of the steps between samples without
-    gaps. `first_ns`: of the first sample, else of the first frame, else None. `row_warnings`: samples of an older version that
-    the frames refuse. `health`: the last counters. `attachments`: sizes in bytes by name.
+    gaps. `first_ns`: of the first sample, else of the first frame, else None. `health`: the last counters. `attachments`:
+    sizes in bytes by name.
     """
     samples, robot, metadata = recording.samples, recording.robot, recording.metadata
     joints, first_ns = [], None
@@ -48,7 +46,6 @@ def overview(recording: Recording, row_warnings: str = "") -> dict[str, Any]:
         "joints": joints,
         "step_jitter_s": (0.0, 0.0) if samples is None else _step_jitter(samples["stamp_ns"]),
         "no_samples": recording.no_samples if samples is None else "",
-        "row_doubts": row_warnings,
         **{key: metadata.get(key, "") for key in ("effort_provenance", "times")},
         "payload": recording.payload,
         "payload_text": recording.payload and recording.payload.describe(robot.joints[-1].name),
@@ -129,27 +126,11 @@ def as_tables(found: Mapping[str, Any]) -> Group:
         ],
     )
     tables = [table for table in (facts, joints, holes, events) if table.row_count]
-    return Group(*(part for table in tables for part in (_Trimmed(table), Text())))
+    return Group(*(part for table in tables for part in (table, Text())))
 
 
 def _seconds(stamp_ns: int, found: Mapping[str, Any]) -> str:
     return f"{(stamp_ns - (found['first_ns'] or 0)) * 1e-9:.6f}"
-
-
-@dataclass(frozen=True)
-class _Trimmed:
-    """A table without trailing blanks: one long line would pad all others to its length."""
-
-    table: Table
-
-    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        for line in console.render_lines(self.table, options, pad=False):
-            while line and not line[-1].text.strip():
-                line.pop()
-            yield from line[:-1]
-            if line:
-                yield Segment(line[-1].text.rstrip(), line[-1].style)
-            yield Segment.line()
 
 
 def _facts(found: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
@@ -167,7 +148,7 @@ def _facts(found: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         yield "steps", f"jitter sd {sd:.4f} ms, worst {worst:.4f} ms, gaps left out"
     else:
         yield "samples", found["no_samples"]
-    texts = {"rows": "row_doubts", "times": "times", "effort": "effort_provenance", "payload": "payload_text"}
+    texts = {"times": "times", "effort": "effort_provenance", "payload": "payload_text"}
     yield from ((name, found[key]) for name, key in texts.items() if found[key])
     for count in found["frames"]:
         text = f"{count['frames']} frames, {count['sent']} of them sent, {count['duration_s']:g} s"

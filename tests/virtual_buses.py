@@ -1,0 +1,42 @@
+"""Virtual buses of python-can for tests: drives in real time, and an ear that hears all frames."""
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from made_up_buses import bus_of, bus_text, robot_of
+
+from acquisition.bus import Frame, open_link
+from acquisition.robot import BusFile
+from acquisition.simulated import SimulatedDrives, serve
+
+
+def bus_file(channel: str = "test", interface: str = "virtual") -> BusFile:
+    return BusFile(interface=interface, channel=channel, drive=(), sync_period_s=1.0, master_node=0)
+
+
+class Ear:
+    """All frames on a bus from now on."""
+
+    def __init__(self, channel: str, interface: str = "virtual") -> None:
+        self._link = open_link(bus_file(channel, interface), passive=True)
+
+    def frames(self) -> list[Frame]:
+        found = list(iter(lambda: self._link.take(0), None))
+        self._link.close()
+        return found
+
+
+@contextmanager
+def served(channel: str, n: int, text: str = "") -> Iterator[None]:
+    """Simulated drives in real time: `n`, nodes from 1, or those of `text`."""
+    robot, stop, booted = robot_of(text or bus_text(n, channel=channel)), threading.Event(), threading.Event()
+    drives = SimulatedDrives(robot, bus_of(robot))
+    thread = threading.Thread(target=serve, args=(drives, stop.is_set, booted.set), daemon=True)
+    thread.start()
+    try:
+        assert booted.wait(10)
+        yield
+    finally:
+        stop.set()
+        thread.join(10)
