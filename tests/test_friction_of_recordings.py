@@ -14,12 +14,13 @@ from test_friction_terms import LOAD, ROOT, WITHOUT_LAG, recorded, upright
 from identification import view
 from identification.commands import main
 from identification.data import RecordingFile, Recordings
-from identification.design import friction_of_joints, select_friction, with_terms
+from identification.design import select_friction, with_terms
 from identification.design.selection import Trial, smallest_near_best
 from identification.errors import IdentificationError
 from identification.methods import identify_ls
 from identification.regression import make_problem, regression_of_recording
 from identification.study import write_signals
+from identification.view import charts
 
 USUAL = ["viscous", "coulomb"]
 MORE = "Fr1 = 0.8\nmu1 = 0.3\nmu2 = 0.3\n"
@@ -165,35 +166,36 @@ def test_the_command_takes_several_recordings(tmp_path, capsys):
     assert found.recommended.terms == (ROOT | LOAD, LOAD)
 
 
-def test_the_page_has_each_joint_over_all_recordings():
+def test_the_page_has_each_joint_over_all_recordings(monkeypatch):
     """Rows of all recordings, and the curve of the parameters that they share; of own parameters the mean."""
-    recordings = several()
+    monkeypatch.setattr(charts, "MAX_DOTS", 10**9)  # each row
     robot = with_own(upright([[*USUAL, "root"], USUAL], "Fr1 = 0.8\n"), "Fv")
-    fit = identify_ls(
-        Recordings(sources=tuple(dataclasses.replace(one, robot=robot) for one in recordings)), WITHOUT_LAG
-    )
+    sources = tuple(dataclasses.replace(one, robot=robot) for one in several())
+    fit = identify_ls(Recordings(sources=sources), WITHOUT_LAG)
     values = dict(zip(fit.estimate.names, fit.estimate.beta, strict=True))
-    whole = friction_of_joints(fit)[0]
-    each = [friction_of_joints(fit.on(one))[0] for one in fit.recordings]
-    fast = [np.abs(one.speed) > 0.02 * np.abs(whole.speed).max() for one in each]  # of the peak that all have
-    assert sum(map(sum, fast)) > 100
-    for name in ("speed", "torque", "load"):
-        expected = np.concatenate([getattr(one, name)[rows] for one, rows in zip(each, fast, strict=True)])
-        np.testing.assert_allclose(getattr(whole, name), expected, rtol=1e-12)
-    (curve,) = whole.curves
-    v = curve.speed
-    mean = np.mean([values[f"Fv1@r{k}"] for k in (1, 2, 3)])
-    expected = mean * v + (values["Fc1"] + values["Fr1"] * np.sqrt(np.abs(v))) * np.sign(v)
-    np.testing.assert_allclose(curve.torque, expected, rtol=1e-9, atol=1e-9)
-    for one, fitted, name in zip(each, fit.recordings, ("r1", "r2", "r3"), strict=True):
+    own = [values[f"Fv1@r{k}"] for k in (1, 2, 3)]
 
-        def friction(v, name=name):
-            return values[f"Fv1@{name}"] * v + (values["Fc1"] + values["Fr1"] * np.sqrt(np.abs(v))) * np.sign(v)
+    def drawn(fit):
+        """Points (2, k) of the rows of the shoulder, and of its curve."""
+        shoulder, _ = charts.friction_charts(fit)
+        ((dots, _),) = shoulder.dots
+        return dots.T, np.concatenate([curve.line for curve in shoulder.curves[::3]], axis=1)
 
-        np.testing.assert_allclose(one.curves[0].torque, friction(one.curves[0].speed), rtol=1e-9, atol=1e-9)
+    def friction(v, Fv):
+        return Fv * v + (values["Fc1"] + values["Fr1"] * np.sqrt(np.abs(v))) * np.sign(v)
+
+    whole, (v, torque) = drawn(fit)
+    np.testing.assert_allclose(torque, friction(v, np.mean(own)), rtol=1e-9, atol=1e-9)
+    each = []
+    for fitted, Fv in zip(fit.recordings, own, strict=True):
+        dots, (v, torque) = drawn(fit.on(fitted))
+        np.testing.assert_allclose(torque, friction(v, Fv), rtol=1e-9, atol=1e-9)
         v, rho = (x[fitted.rows, 0] for x in (fit.speed, fit.tau - fit.tau_predicted))
         rows = np.abs(v) > 0.02 * np.abs(v).max()
-        np.testing.assert_allclose(one.torque, (friction(v) + rho)[rows], rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(dots, np.stack([v, friction(v, Fv) + rho])[:, rows], rtol=1e-9, atol=1e-9)
+        each.append(dots[:, np.abs(dots[0]) > 0.02 * np.abs(whole[0]).max()])  # of the peak that all have
+    assert len(whole[0]) > 100
+    np.testing.assert_allclose(whole, np.concatenate(each, axis=1), rtol=1e-12)
 
 
 @pytest.mark.slow

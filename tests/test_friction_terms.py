@@ -16,7 +16,7 @@ from acquisition.errors import AcquisitionError
 from acquisition.robot import fourier_reference, robot_from_files
 from identification.commands import main
 from identification.data import RecordingFile, Recordings, Work, signals_from_arrays
-from identification.design import friction_of_joints, select_friction, with_terms
+from identification.design import select_friction, with_terms
 from identification.design.friction_report import with_friction
 from identification.design.selection import Trials
 from identification.estimation import System
@@ -36,6 +36,7 @@ from identification.regression import (
 )
 from identification.simulation import Reference, surrogate_loop
 from identification.study import Noise, closed_loop, random_reference, write_signals
+from identification.view.charts import friction_charts
 
 USUAL = ["viscous", "coulomb", "offset"]
 ALL = [*USUAL, "asymmetric", "root", "load", "stribeck"]
@@ -572,10 +573,10 @@ def test_terms_of_several_recordings_hold_the_truth(method, own):
     assert off.max() < 3
     assert fit.trust.line("physical").level == "ok", fit.trust.line("physical").text
     for one in fit.recordings:
-        first = friction_of_joints(fit.on(one))[0].curves[0]
-        v, value = first.speed, dict(zip(fit.estimate.names, fit.estimate.beta, strict=True))
+        value = dict(zip(fit.estimate.names, fit.estimate.beta, strict=True))
+        v, torque = friction_charts(fit.on(one))[0].curves[0].line
         expected = (value["Fv1"] * np.abs(v) + value["Fc1"] + value["Fr1"] * np.sqrt(np.abs(v))) * np.sign(v)
-        np.testing.assert_allclose(first.torque, expected + value["Fa1"] * np.abs(v), rtol=1e-6, atol=1e-9)
+        np.testing.assert_allclose(torque, expected + value["Fa1"] * np.abs(v), rtol=1e-6, atol=1e-9)
 
 
 def test_friction_of_its_own_is_judged_in_its_own_recording():
