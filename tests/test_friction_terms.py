@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import re
+import tomllib
 
 import msgspec
 import numpy as np
@@ -17,10 +18,10 @@ from acquisition.robot import fourier_reference, robot_from_files
 from identification.commands import main
 from identification.data import RecordingFile, Recordings, Work, signals_from_arrays
 from identification.design import select_friction, with_terms
-from identification.design.friction_report import with_friction
 from identification.design.selection import Trials
+from identification.errors import IdentificationError
 from identification.estimation import System
-from identification.export import split_parameters
+from identification.export import replace_in_tables, split_parameters
 from identification.export.exported_model import random_states, representable, whole_regressor
 from identification.methods import Iteration, Prior, identify_iv, identify_ls, solve_with_load_friction, with_consistent
 from identification.methods.settled import independent_norm
@@ -40,6 +41,13 @@ from identification.view.charts import friction_charts
 
 USUAL = ["viscous", "coulomb", "offset"]
 ALL = [*USUAL, "asymmetric", "root", "load", "stribeck"]
+
+
+def with_friction(text: str, terms) -> str:
+    """A description with a list of terms for each joint."""
+    others = dict.fromkeys(("viscous", "coulomb", "offset"))
+    joints = zip(tomllib.loads(text)["joint"], terms, strict=True)
+    return replace_in_tables(text, "joint", {joint["name"]: {"friction": own} | others for joint, own in joints}, "")
 
 
 def described(name: str, terms, more: str = ""):
@@ -573,8 +581,10 @@ def test_terms_of_several_recordings_hold_the_truth(method, own):
     assert off.max() < 3
     assert fit.trust.line("physical").level == "ok", fit.trust.line("physical").text
     for one in fit.recordings:
-        value = dict(zip(fit.estimate.names, fit.estimate.beta, strict=True))
-        v, torque = friction_charts(fit.on(one))[0].curves[0].line
+        (v, torque), value = (
+            friction_charts(fit.on(one))[0].curves[0].line,
+            dict(zip(fit.estimate.names, fit.estimate.beta, strict=True)),
+        )
         expected = (value["Fv1"] * np.abs(v) + value["Fc1"] + value["Fr1"] * np.sqrt(np.abs(v))) * np.sign(v)
         np.testing.assert_allclose(torque, expected + value["Fa1"] * np.abs(v), rtol=1e-6, atol=1e-9)
 
@@ -640,9 +650,50 @@ def test_the_command_writes_the_terms_where_they_belong(tmp_path, capsys):
     assert 0.1 < best["fitted_error_percent"] < best["held_out_error_percent"] < 1
     assert 'friction = ["viscous", "coulomb", "root", "load"] # shoulder' in capsys.readouterr().out
     first, second = (f'friction = ["viscous", "coulomb", {rest}]\n' for rest in ('"root", "load"', '"load"'))
-    expected = text.replace("rotor_inertia = false", first + "rotor_inertia = false", 1)
-    expected = expected.replace('name = "elbow"\ntype = "revolute"\n', f'name = "elbow"\ntype = "revolute"\n{second}')
+    expected = text.replace(
+        "rotor_inertia = false", "# viscous = true\n# coulomb = true # both\nrotor_inertia = false", 1
+    )
+    for joint, line in (("shoulder", first), ("elbow", second)):
+        expected = expected.replace(f'name = "{joint}"\n', f'name = "{joint}"\n{line}')
     assert toml.read_text() == expected
+
+
+TABLES = """# of two joints
+[[joint]] # the first
+name = "a"
+speed = 3 # fast
+friction = [
+    "root", # a remark
+]
+  viscous = true
+[[ joint ]]
+name = "b"
+[controller]
+bandwidth_hz = 5
+"""
+
+
+@pytest.mark.parametrize(
+    ("values", "changed"),
+    [
+        ({"a": {"friction": ["load"]}}, {'[\n    "root", # a remark\n]': '["load"]'}),
+        ({"a": {"speed": 2.5, "viscous": None}}, {"speed = 3 #": "speed = 2.5 #", "  viscous": "#   viscous"}),
+        ({"a": {"offset": None}, "b": {"unit": "N m", "gain": 2}}, {'"b"\n': '"b"\ngain = 2\nunit = "N m"\n'}),
+        ({"a": {"friction": None}}, None),  # the lines after the first remain
+        ({"b": {"bandwidth_hz": 1.0}}, None),  # it is not of the joint
+        ({"c": {"speed": 1.0}}, None),
+    ],
+)
+def test_values_in_tables_of_a_description_are_replaced_line_by_line(values, changed):
+    if changed is None:
+        with pytest.raises(IdentificationError) as refused:
+            replace_in_tables(TABLES, "joint", values, "robot.toml")
+        assert (refused.value.place, refused.value.key) == ("robot.toml", "[[joint]]")
+    else:
+        expected = TABLES
+        for old, new in changed.items():
+            expected = expected.replace(old, new)
+        assert replace_in_tables(TABLES, "joint", values, "robot.toml") == expected
 
 
 def test_a_description_whose_lines_cannot_be_replaced_stays(tmp_path, capsys):
@@ -655,7 +706,7 @@ def test_a_description_whose_lines_cannot_be_replaced_stays(tmp_path, capsys):
     text = (REPLAY / "scara" / "robot.toml").read_text().replace("[[joint]]", "[['joint']]", 1)
     toml.write_text(text)
     assert main(["friction", str(tmp_path / "log.mcap"), "--robot", str(toml), "--write"]) == 1
-    assert "its lines of friction cannot be replaced" in capsys.readouterr().err
+    assert "robot.toml: [[joint]]: cannot be replaced line by line" in capsys.readouterr().err
     assert toml.read_text() == text
 
 

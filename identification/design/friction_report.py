@@ -1,26 +1,17 @@
 """Report and JSON file of a choice of friction terms, and the lines of a description."""
 
-import re
-from collections.abc import Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
-from acquisition.errors import AcquisitionError
 from acquisition.files import atomic_write
-from acquisition.robot import FrictionTerm, Robot, robot_from_files
+from acquisition.robot import FrictionTerm, Robot
 
-from ..errors import IdentificationError
+from ..export import replace_in_tables
 from ..report import Document, Number, ResultFile, Section, Table, columns
 from .selection import CANDIDATES, TermChoice, Trial, at_all_joints, described_terms
 
-_TABLE = re.compile(r"(?m)^(?=[ \t]*\[[ \t]*\[?[ \t]*[\w.\"'-]+[ \t]*\])")
-_JOINT = re.compile(r"[ \t]*\[\[[ \t]*joint[ \t]*\]\]")
-_LINES = re.compile(r"(?m)^[ \t]*(?:friction|viscous|coulomb|offset)[ \t]*=[^\[\n]*(?:\[[^\]]*\].*)?\n?")
-_SPEED = re.compile(r"(?m)^[ \t]*stribeck_speed_(?:deg|m)_s[ \t]*=")
-_TYPE = re.compile(r"(?s).*?\n[ \t]*type[ \t]*=[^\n]*\n|[^\n]*\n")  # up to it
 Lists = dict[str, tuple[FrictionTerm, ...]]  # by joint, as the list `friction` of a description
 
 
@@ -117,33 +108,14 @@ def set_text(robot: Robot, trial: Trial) -> str:
 
 
 def write_friction(path: Path, choice: TermChoice) -> None:
-    """Put the recommended terms into the description at `path`, which is that of the choice.
+    """Put the recommended terms into the description at `path`, which is that of the choice; lines without use become comments.
 
     Raises `IdentificationError`: where the layout prevents replacing lines; the file is not changed.
     """
-    files, found = choice.robot.files, None
-    written = with_friction(files["robot.toml"].decode(), tuple(choice.described.values()))
-    with suppress(AcquisitionError):
-        robot = robot_from_files({**files, "robot.toml": written.encode()}, str(path))
-        found = {joint.name: joint.friction for joint in robot.joints}
-    if found != choice.described:
-        problem = "its lines of friction cannot be replaced"
-        expected = "a table of its own for each joint, a key a line; copy the printed lines"
-        raise IdentificationError(problem, place=str(path), key="[[joint]]", value=None, expected=expected)
+    values = dict[str, dict[str, Any]]()
+    for joint, terms in zip(choice.robot.joints, choice.described.values(), strict=True):
+        unused = ["viscous", "coulomb", "offset", *([] if "stribeck" in terms else [joint.key("stribeck_speed")])]
+        values[joint.name] = {"friction": list(terms)} | dict.fromkeys(unused)
+    written = replace_in_tables(choice.robot.files["robot.toml"].decode(), "joint", values, str(path))
     with atomic_write(path) as partial:
         partial.write_text(written, encoding="utf-8")
-
-
-def with_friction(text: str, terms: Sequence[tuple[FrictionTerm, ...]]) -> str:
-    """A description's text with these terms, joint by joint; the speed of removed Stribeck friction becomes a comment."""
-    tables, left = _TABLE.split(text), list(terms)
-    return "".join(_joint_table(x, left.pop(0)) if left and _JOINT.match(x) else x for x in tables)
-
-
-def _joint_table(text: str, terms: tuple[FrictionTerm, ...]) -> str:
-    """The lines of a joint; the list replaces its first line of friction, or follows its type."""
-    if "stribeck" not in terms:
-        text = _SPEED.sub(r"# \g<0>", text)
-    found = _LINES.search(text) or _TYPE.match(text)
-    at = len(text) if found is None else found.start() if found.re is _LINES else found.end()
-    return f"{text[:at]}{friction_line(terms)}\n{_LINES.sub('', text[at:])}"
