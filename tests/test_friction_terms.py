@@ -18,7 +18,6 @@ from acquisition.robot import fourier_reference, robot_from_files
 from identification.commands import main
 from identification.data import RecordingFile, Recordings, Work, signals_from_arrays
 from identification.design import select_friction, with_terms
-from identification.design.selection import Trials
 from identification.errors import IdentificationError
 from identification.estimation import System
 from identification.export import replace_in_tables, split_parameters
@@ -509,11 +508,12 @@ def test_the_terms_that_a_robot_has_are_recommended(seed):
 
 def test_held_out_errors_are_those_of_fits_of_the_other_rows():
     """By hand: least squares of the weighted rows outside a part, its error in the moving rows of the part."""
-    problem = make_problem(recorded(upright([["viscous", "coulomb"]] * 2), 1), WITHOUT_LAG)
-    plain = regression_of_recording(problem)
-    whole = system_of(problem, plain=plain)
-    trial = Trials(whole).of((NONE, NONE))
-    weights = identify_ls(problem.signals, WITHOUT_LAG).estimate.weights
+    signals = recorded(upright([["viscous", "coulomb"]] * 2), 1)
+    plain, trial = (
+        regression_of_recording(make_problem(signals, WITHOUT_LAG)),
+        select_friction(signals, WITHOUT_LAG).usual,
+    )
+    weights = identify_ls(signals, WITHOUT_LAG).estimate.weights
     T, n = plain.tau.shape
     W, Y = plain.system.W.reshape(n, T, -1), plain.system.Y.reshape(n, T)
     moving = np.abs(plain.speed) > 0.02 * np.abs(plain.speed).max(axis=0)
