@@ -13,12 +13,12 @@ from test_viewer_pages import values
 from identification.methods import Gains
 from identification.study import Run, RunFit
 from identification.trust import Figure, Trust, TrustLine
+from identification.view import charts
 from identification.view.axes import about_zero, decades, linear, logarithmic
 from identification.view.charts import (
     MAX_ROWS,
     STUDY_ROWS,
     deviation_charts,
-    friction_chart,
     gains_chart,
     study_chart,
     trust_charts,
@@ -188,14 +188,12 @@ def test_spectra_show_a_sine_where_it_is_and_the_cut_offs_of_the_fit():
     assert "bandwidth" not in draw_graph(replace(position, marks={1e6: "bandwidth 1e6 Hz"})), "beyond the axis"
 
 
-def test_a_joint_that_stands_still_has_an_empty_chart():
-    from identification.design import friction_of_joints
-
-    one, _ = friction_of_joints(fitted(made_up()))
-    none = np.zeros(0)
-    still = [replace(c, speed=np.zeros(3), torque=np.zeros(3), half=np.zeros(3)) for c in one.curves]
-    chart = friction_chart(replace(one, speed=none, torque=none, load=none, curves=tuple(still)))
-    assert "nan" not in draw_graph(chart)
+def test_a_joint_that_stands_still_has_a_chart_without_rows(monkeypatch):
+    rows = charts.rigid_torque_at_rows
+    monkeypatch.setattr(charts, "rigid_torque_at_rows", lambda *of: tuple(x * [1.0, 0.0] for x in rows(*of)))
+    _, still = charts.friction_charts(fitted(made_up()))
+    assert sum(len(dots) for dots, _ in still.dots) == 0
+    assert "nan" not in draw_graph(still)
 
 
 def test_rows_are_drawn_where_their_axis_says():

@@ -1,15 +1,17 @@
 """Each control law against its sampled loop written out by hand, with the exact matrix exponential of the plant."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from conftest import REPLAY
-from loops import simulate
+from loops import free, modelled, simulate
 from scipy.linalg import expm
 
 from acquisition.robot import load_robot, robot_from_files
-from identification.model import InverseModel, base_parameters, described_parameters, direct_model, inertias
+from identification.errors import IdentificationError
+from identification.model import InverseModel, described_parameters, direct_model, inertias
 from identification.simulation import Control, ControlLaw, Reference, recorded_loop, surrogate_loop
 
 MASS, VISCOUS, GAIN, RATIO, T = 20.0, 5.0, 10.0, 2.0, 1e-3
@@ -43,6 +45,9 @@ def axis(structure: str, estimate: str, saturation: float):
         },
         "axis.toml",
     )
+
+
+REST = (np.zeros(1), np.zeros(1))
 
 
 def by_hand(
@@ -106,12 +111,8 @@ def path_of(kind: str) -> np.ndarray:
 @pytest.mark.parametrize("structure", LAWS)
 def test_each_law_is_the_sampled_loop(structure, estimate, kind, saturation):
     robot = axis(structure, estimate, saturation)
-    dynamics = InverseModel(robot)
-    base = base_parameters(dynamics)
-    model, path = direct_model(dynamics, base.standard_parameters(described_parameters(dynamics, base))), path_of(kind)
-    references = [x[:, None].copy() for x in path]
-    rest = (np.zeros(1), np.zeros(1))
-    done = simulate(model, recorded_loop(robot), Reference(*references), start=rest, bound=np.ones(1), substeps=4)
+    (*_, model), path = modelled(robot), path_of(kind)
+    done = simulate(model, recorded_loop(robot), Reference(*path[..., None]), start=REST, substeps=4)
     q, effort = by_hand(structure, estimate, path, saturation)
     assert (np.abs(effort) > 0.999 * saturation).any() == (saturation == 3.0)
     assert np.abs(q).max() > 5e-3
@@ -124,18 +125,11 @@ def test_each_law_is_the_sampled_loop(structure, estimate, kind, saturation):
 def test_known_torque_and_feedforward_act_on_the_sampled_loop(structure, saturation):
     """Pulses of the motor's effort, counted before the saturation, and a force on the mass, which it does not see."""
     robot = axis(structure, "exact", saturation)
-    dynamics = InverseModel(robot)
-    base = base_parameters(dynamics)
-    model, path = (
-        direct_model(dynamics, base.standard_parameters(described_parameters(dynamics, base))),
-        path_of("sine"),
-    )
+    (*_, model), path = modelled(robot), path_of("sine")
     k = np.arange(TICKS)
     ahead, force = 1.5 + 2.0 * ((k > 100) & (k < 160)), 8.0 - 20.0 * (k > 250)
     known = {"feedforward": ahead[:, None], "known_torque": force[:, None]}
-    rest = (np.zeros(1), np.zeros(1))
-    references = Reference(*(x[:, None].copy() for x in path), **known)
-    done = simulate(model, recorded_loop(robot), references, start=rest, bound=np.ones(1), substeps=4)
+    done = simulate(model, recorded_loop(robot), Reference(*path[..., None], **known), start=REST, substeps=4)
     q, effort = by_hand(structure, "exact", path, saturation, ahead, force)
     np.testing.assert_allclose(done.q[::4, 0], q, atol=5e-7)
     np.testing.assert_allclose(done.tau[::4, 0], GAIN * RATIO * effort, atol=1e-3 * np.abs(GAIN * RATIO * effort).max())
@@ -144,13 +138,9 @@ def test_known_torque_and_feedforward_act_on_the_sampled_loop(structure, saturat
 def test_a_surrogate_holds_what_the_known_torque_does_not():
     """At rest under a constant force a surrogate stands at its reference: without sag."""
     robot = axis("pd", "exact", np.inf)
-    dynamics = InverseModel(robot)
-    base = base_parameters(dynamics)
-    model = direct_model(dynamics, base.standard_parameters(described_parameters(dynamics, base)))
-    still = [np.zeros((TICKS, 1)) for _ in range(3)]
-    references = Reference(*still, known_torque=np.full((TICKS, 1), 30.0))
-    loop = surrogate_loop(5.0, np.array([MASS]), 1 / T)
-    done = simulate(model, loop, references, start=(np.zeros(1), np.zeros(1)), bound=np.ones(1))
+    *_, model = modelled(robot)
+    references = Reference(*np.zeros((3, TICKS, 1)), known_torque=np.full((TICKS, 1), 30.0))
+    done = simulate(model, surrogate_loop(5.0, np.array([MASS]), 1 / T), references)
     assert np.abs(done.q).max() < 1e-12
     assert done.tau[:, 0] == pytest.approx(-30.0)
 
@@ -159,15 +149,12 @@ def test_a_surrogate_holds_what_the_known_torque_does_not():
 def test_the_gain_update_leaves_the_motion_as_it_was(structure):
     """Twice the mass and friction under twice the gains and twice the limit: the same motion, saturated or not."""
     robot = axis(structure, "backward_difference", 3.0)
-    dynamics = InverseModel(robot)
-    base = base_parameters(dynamics)
-    zero = np.zeros((TICKS, 1))
+    dynamics, base, _ = modelled(robot)
     moved = []
     for factor in (1.0, 2.0):
         model = direct_model(dynamics, base.standard_parameters(factor * described_parameters(dynamics, base)))
         loop = recorded_loop(robot).scaled(np.array([factor]))
-        step = path_of("step")[0][:, None].copy()
-        moved.append(simulate(model, loop, Reference(step, zero, zero), start=(zero[0], zero[0]), bound=np.ones(1)))
+        moved.append(simulate(model, loop, path_of("step")[0][:, None].copy()))
     assert np.abs(moved[0].tau).max() == pytest.approx(3.0 * GAIN * RATIO)
     np.testing.assert_allclose(moved[1].q, moved[0].q, atol=1e-12)
     np.testing.assert_allclose(moved[1].tau, 2 * moved[0].tau, rtol=1e-9, atol=1e-9)
@@ -181,17 +168,12 @@ def test_viscous_friction_of_each_direction_slows_its_own(way):
     chi = np.array([values.get(name, 0.0) for name in dynamics.names])
     Fv, Fc = (160.0, 15.0) if way > 0 else (240.0, 25.0)
     model = direct_model(dynamics, chi)
-    one = np.ones(1)
     zero, speed = np.zeros((1, 1)), np.full((1, 1), way * 0.2)
     assert model.torque(zero, speed, zero) == pytest.approx(way * (Fv * 0.2 + Fc))
     row = dynamics.regressor(zero, speed, zero)[0, 0] @ chi
     assert row == pytest.approx(way * (Fv * 0.2 + Fc))
-    zero = np.zeros((TICKS, 1))
-    loop = ControlLaw(
-        period_s=T, R=np.eye(1), G=one, Kp=0 * one, Kd=0 * one, Ki=0 * one, position_share=one, feedforward=0.0,
-        saturation=np.full(1, np.inf), velocity_estimate="exact", computed_torque=False,
-    )  # fmt: skip
-    done = simulate(model, loop, Reference(zero, zero, zero), start=(0 * one, way * 0.5 * one), bound=one, substeps=4)
+    start = (np.zeros(1), np.array([way * 0.5]))
+    done = simulate(model, free(1, 1 / T), np.zeros((TICKS, 1)), start=start, substeps=4)
     t = T / 4 * np.arange(4 * TICKS)
     np.testing.assert_allclose(way * done.dq[:, 0], (0.5 + Fc / Fv) * np.exp(-Fv / 95 * t) - Fc / Fv, atol=1e-4)
 
@@ -208,13 +190,10 @@ def test_a_loop_of_another_gain_and_motor_matrix_acts_at_the_motors():
         position_share=np.ones(2), feedforward=0.0, saturation=np.full(2, np.inf), velocity_estimate="exact",
         computed_torque=False,
     )  # fmt: skip
-    reference, zero = np.tile(e, (2, 1)), np.zeros((2, 2))
     m1, m2 = 10.0 * 7.0 * 2.0 * 0.01, 5.0 * 11.0 * (3.0 * 0.01 - 4.0 * 0.02)
     for estimate in ("exact", "backward_difference"):  # the two ways through the law
         law = replace(loop, velocity_estimate=estimate)
-        done = simulate(
-            model, law, Reference(reference, zero, zero), start=(np.zeros(2), np.zeros(2)), bound=np.ones(2)
-        )
+        done = simulate(model, law, np.tile(e, (2, 1)), start=(np.zeros(2), np.zeros(2)))
         np.testing.assert_allclose(done.tau[0], [2.0 * m1 + 3.0 * m2, -4.0 * m2], rtol=1e-12)
     # The joints' inertias that make these gains oscillators of 5 Hz: w² J = Rᵀ G Kp R on the diagonal.
     w2 = (2 * np.pi * 5.0) ** 2
@@ -228,8 +207,7 @@ def test_a_loop_begun_in_motion_along_its_reference_asks_for_nothing(estimate):
     dynamics = InverseModel(robot)
     model = direct_model(dynamics, np.array([{"M1": MASS}.get(name, 0.0) for name in dynamics.names]))
     path, speed = 0.1 + 0.2 * T * np.arange(20)[:, None], np.full((20, 1), 0.2)
-    start = (path[0], speed[0])
-    done = simulate(model, recorded_loop(robot), Reference(path, speed, 0 * speed), start=start, bound=np.ones(1))
+    done = simulate(model, recorded_loop(robot), Reference(path, speed, 0 * speed))
     np.testing.assert_allclose(done.tau, 0.0, atol=1e-9)
     np.testing.assert_allclose(done.q, path, atol=1e-12)
 
@@ -254,20 +232,20 @@ def test_friction_by_direction_holds_by_direction(force, moves):
     dynamics = InverseModel(load_robot(REPLAY / "emps" / "robot_published_asymmetric.toml"))
     values = {"M1": 95.0, "Fcp1": 15.0, "Fcn1": 25.0}
     model = direct_model(dynamics, np.array([values.get(name, 0.0) for name in dynamics.names]))
-    one, zero = np.ones(1), np.zeros((TICKS, 1))
-    loop = ControlLaw(
-        period_s=T, R=np.eye(1), G=one, Kp=0 * one, Kd=0 * one, Ki=0 * one, position_share=one, feedforward=0.0,
-        saturation=np.full(1, np.inf), velocity_estimate="exact", computed_torque=False,
-    )  # fmt: skip
-    pushed = replace(model, offset=np.array([-force]))
-    done = simulate(pushed, loop, Reference(zero, zero + 0.1, zero), start=(zero[0], zero[0]), bound=one)
+    pushed, zero = replace(model, offset=np.array([-force])), np.zeros((TICKS, 1))
+    done = simulate(pushed, free(1, 1 / T), Reference(zero, zero + 0.1, zero), start=REST)
     assert (abs(done.dq[-1, 0]) > 2e-3) == moves
 
 
 def test_the_inertia_of_a_joint_is_the_largest_along_the_way():
     """SCARA, elbow straight and folded: ZZ1R + ZZ2 ± 2 L MX2 at the shoulder, ZZ2 at the elbow."""
-    dynamics = InverseModel(load_robot(REPLAY / "scara" / "robot.toml"))
-    base = base_parameters(dynamics)
-    model = direct_model(dynamics, base.standard_parameters(described_parameters(dynamics, base)))
+    *_, model = modelled(load_robot(REPLAY / "scara" / "robot.toml"))
     poses = np.array([[0.3, np.pi], [0.1, 0.0], [0.2, np.pi]])
     np.testing.assert_allclose(inertias(model.inertia(poses)), [3.45 + 0.061 + 2 * 0.123, 0.061], rtol=1e-12)
+
+
+def test_a_controller_described_in_part_names_what_is_missing():
+    text = axis("pid", "exact", np.inf).files["robot.toml"].decode()
+    robot = robot_from_files({"robot.toml": re.sub("(velocity|integral)_gain = .*", "", text).encode()}, "axis.toml")
+    with pytest.raises(IdentificationError, match="velocity_gain, integral_gain is missing: expected all of structure"):
+        recorded_loop(robot)

@@ -4,7 +4,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from conftest import FROM_PINOCCHIO, REPLAY, robot_named
-from urdfs import ARM, LIMIT, joint, urdf
+from urdfs import LIMIT, joint, robot_of_arm, urdf
 
 from acquisition.robot import Robot, load_robot, robot_from_files
 from identification.errors import IdentificationError
@@ -40,15 +40,8 @@ def test_regressor_gives_the_torques_of_newton_euler(name):
 
 def tilted_arm() -> Robot:
     """Two turning joints and a slide, none of whose axes is that of a frame, under gravity that is tilted too."""
-    joints = "".join(f'[[joint]]\nname = "{name}"\ntype = "{kind}"\n' for name, kind in zip(ARM, KINDS, strict=True))
-    motors = "".join(
-        f'[[motor]]\nname = "m_{name}"\neffort_unit = "{unit}"\n' for name, unit in zip(ARM, UNITS, strict=True)
-    )
-    head = 'name = "arm"\ngravity_m_s2 = [1.0, -2.0, -9.5]\nurdf = "arm.urdf"\n[controller]\nbandwidth_hz = 5\n'
     tilted = urdf(lift=joint("lift", "revolute", "column", "arm", LIMIT, axis="0.3 0.9 -0.2"))
-    return robot_from_files(
-        {"robot.toml": (head + joints + motors).encode(), "robot.urdf": tilted.encode()}, "arm.toml"
-    )
+    return robot_of_arm(tilted, "gravity_m_s2 = [1.0, -2.0, -9.5]\n")
 
 
 @pytest.mark.parametrize("robot", ["tx40", "emps", "arm"])

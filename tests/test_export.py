@@ -11,6 +11,7 @@ import msgspec
 import numpy as np
 import pinocchio as pin
 import pytest
+import urdfs
 from conftest import REPLAY, robot_named
 from fits_of_records import ls_of
 from random_arms import set_own
@@ -178,65 +179,15 @@ def test_frictionloss_is_dry_friction_where_it_is_saturated(tx40_model, tmp_path
     np.testing.assert_allclose(found, torque(tx40_model, chi, q, dq, ddq, without=["offset"]), atol=1e-9)
 
 
-USERS = """<?xml version="1.0" encoding="utf-8"?>
-<!-- made by a CAD program; do not edit -->
-<robot name="arm" xmlns:xacro="http://www.ros.org/wiki/xacro">
-  <!-- the base -->
-  <material name="grey"><color rgba="0.5 0.5 0.5 1"/></material>
-  <link name="base"><inertial><mass value="9"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>
-  <link name="one">
-    <visual><geometry><mesh filename="package://arm/one.stl" scale="1 1 1"/></geometry></visual>
-    <inertial><origin xyz="0.1 0 0"/><mass value="2"/>
-      <inertia ixx="0.01" ixy="0" ixz="0" iyy="0.02" iyz="0" izz="0.02"/></inertial> <!-- by hand -->
-  </link>
-  <link name="camera">
-    <inertial><origin xyz="0 0 0.02" rpy="0.1 0 0.2"/><mass value="0.3"/>
-      <inertia ixx="0.001" ixy="0" ixz="0" iyy="0.002" iyz="0" izz="0.002"/></inertial>
-  </link>
-  <link name="lens"><inertial><origin xyz="0 0.03 0.01"/><mass value="0.05"/>
-    <inertia ixx="0.0001" ixy="0" ixz="0" iyy="0.0002" iyz="0" izz="0.0002"/></inertial></link>
-  <link name="two"/>
-  <link name="finger">
-    <inertial><origin xyz="0 0 0.1"/><mass value="0.2"/>
-      <inertia ixx="0.001" ixy="0" ixz="0" iyy="0.001" iyz="0" izz="0.001"/></inertial>
-  </link>
-  <xacro:note text="a > b"/>
-  <joint name="a" type="continuous"><parent link="base"/><child link="one"/><axis xyz="0 0.6 0.8"/></joint>
-  <joint name="eye" type="fixed"><parent link="one"/><child link="camera"/><origin xyz="0.2 0 0.1" rpy="0 0.5 0"/></joint>
-  <joint name="mount" type="fixed"><parent link="camera"/><child link="lens"/><origin xyz="0 0.1 0" rpy="0.7 0 0.4"/></joint>
-  <joint name="b" type="prismatic">
-    <parent link="one"/><child link="two"/><origin xyz="0.4 0 0" rpy="0 0 0.3"/><axis xyz="1 0 0"/>
-    <limit lower="-0.3" upper="0.3" effort="10" velocity="1"/>
-    <dynamics damping="99" friction="98"/>
-  </joint>
-  <joint name="grip" type="revolute"><parent link="two"/><child link="finger"/><origin xyz="0 0.1 0"/><axis xyz="0 0 1"/>
-    <limit lower="0" upper="1" effort="1" velocity="1"/></joint>
-  <gazebo><plugin name="x" filename="libx.so"/></gazebo>
-</robot>
-<!-- the end -->
-"""
-USERS_TOML = """# my arm
-name = "arm"
-urdf = "arm.urdf"
-[[joint]]
-name = "a"
-type = "revolute"
-[[joint]]
-name = "b"
-type = "prismatic"
-[[motor]]
-name = "a"
-effort_unit = "N m"
-[[motor]]
-name = "b"
-effort_unit = "N"
-[controller]
-bandwidth_hz = 5
-"""
-
-
-def users_robot():
-    return robot_from_files({"robot.toml": USERS_TOML.encode(), "robot.urdf": USERS.encode()}, "arm.toml")
+USERS = urdfs.urdf(
+    turn=urdfs.joint("turn", "continuous", "base", "column", '<dynamics damping="9" friction="8"/>', "0 0.6 0.8"),
+    mount=urdfs.joint("mount", "fixed", "beam", "tool", origin="0.1 0.2 0"),
+    left="<link name='left'><!-- by hand --><visual><geometry><mesh filename='package://arm/l.stl'/></geometry></visual></link>",
+    extra="""<material name="grey"><color rgba="0.5 0.5 0.5 1"/></material> <!-- the hand -->
+<xacro:note xmlns:xacro="http://www.ros.org/wiki/xacro" text="a > b"/><gazebo><plugin name="x" filename="libx.so"/></gazebo>
+<!-- the end -->""",
+)
+USERS = USERS.replace("?>", ' encoding="utf-8"?>\n<!-- made by a CAD program; do not edit -->', 1)
 
 
 def without_values(text):
@@ -249,38 +200,30 @@ def without_values(text):
 
 @pytest.mark.parametrize("light", [False, True])
 def test_the_users_urdf_comes_back_with_other_values_and_nothing_else(light, tmp_path):
-    """Header, comments, prefixes, meshes, limits stay. A link too light for what is fixed to it takes the whole."""
-    model = InverseModel(users_robot())
+    """Header, comments, prefixes, meshes, limits stay, bodies have its names. A link too light for those fixed to it is all."""
+    model = InverseModel(urdfs.robot_of_arm(USERS, "# my arm\n"))
     chi = values_of(model)
-    if light:
-        chi[:10] *= 0.05
+    chi[26:36] *= 0.3 if light else 10  # of the beam
     texts, document = exported(model, chi, tmp_path)
     assert without_values(texts["urdf"]) == without_values(USERS)
     assert texts["urdf"].startswith('<?xml version="1.0" encoding="utf-8"?>\n<!-- made by')
-    q, dq, ddq = states(2)
-    found, loaded = in_pinocchio(texts["urdf"], ("a", "b"), q, dq, ddq)
+    q, dq, ddq = states(3)
+    found, loaded = in_pinocchio(texts["urdf"], urdfs.ARM, q, dq, ddq)
     np.testing.assert_allclose(found, torque(model, chi, q, dq, ddq, without=["terms"]), atol=1e-9)
     value = dict(zip(model.names, chi, strict=True))
-    np.testing.assert_allclose(loaded.damping, [value["Fv1"], value["Fv2"]])
-    assert loaded.lowerPositionLimit[-1] == -0.3
-    said = " ".join(line for section in document.sections for line in section.lines)
-    if light:
-        assert re.search(r'<link name="camera">\s*</link>', texts["urdf"])
-        assert "link one: minus the inertials of camera, lens (0.35 kg)" in said
-    else:
-        assert '<origin xyz="0 0 0.02" rpy="0.1 0 0.2"/><mass value="0.3"/>' in texts["urdf"]
-        assert "link one: camera, lens, fixed to it, keep" in said
-
-
-def test_the_users_urdf_names_the_bodies_of_the_mjcf(tmp_path):
-    model = InverseModel(users_robot())
-    chi = values_of(model)
-    texts, _ = exported(model, chi, tmp_path)
-    q, dq, ddq = states(2)
+    np.testing.assert_allclose(loaded.damping, [value["Fv1"], value["Fv2"], value["Fv3"]])
+    assert loaded.lowerPositionLimit[-1] == 0.1
     found, loaded = inverse_in_mujoco(texts["mjcf"], q, dq, ddq, friction=False)
     expected = torque(model, chi, q, dq, ddq, without=["coulomb", "offset"])
     np.testing.assert_allclose(found, expected, atol=1e-9)
-    assert [loaded.body(k).name for k in (1, 2)] == ["one", "two"]
+    assert [loaded.body(k).name for k in (1, 2, 3)] == ["column", "arm", "beam"]
+    said = " ".join(line for section in document.sections for line in section.lines)
+    if light:
+        assert '<link name="tool"/>' in texts["urdf"]
+        assert "link beam: minus the inertials of tool, right (0.4 kg)" in said
+    else:
+        assert '<mass value="0.3"/>' in texts["urdf"]
+        assert "link beam: tool, right, fixed to it, keep" in said
 
 
 def test_a_toml_has_the_values_and_all_other_lines(tx40_model, tmp_path):
@@ -328,7 +271,7 @@ def test_a_table_that_cannot_be_replaced_by_lines_is_refused():
 
 
 def test_a_toml_names_the_urdf_that_is_written_with_it(tmp_path):
-    model = InverseModel(users_robot())
+    model = InverseModel(urdfs.robot_of_arm(USERS, "# my arm\n"))
     chi = values_of(model)
     texts, _ = exported(model, chi, tmp_path)
     assert 'urdf = "out.urdf"' in texts["toml"]
@@ -471,12 +414,6 @@ def test_parameters_left_out_are_zero_with_their_own_deviation(fits, tmp_path):
     np.testing.assert_allclose(model_of_fit(few, "fit.json")[0].chi, expected, rtol=1e-6, atol=1e-9)
 
 
-def test_the_exported_description_simulates(fits, tmp_path):
-    assert main(["export", str(fits["consistent"]), "--toml", str(tmp_path / "robot.toml")]) == 0
-    done = main(["simulate", str(tmp_path / "robot.toml"), "-o", str(tmp_path / "log.mcap"), "--duration-s", "0.5"])
-    assert done == 0
-
-
 def changed(path, folder, change):
     content = json.loads(path.read_text())
     change(content)
@@ -529,17 +466,10 @@ def test_a_fit_not_to_be_used_is_exported_where_that_is_asked_for(fits, tmp_path
 
 def test_files_are_written_all_or_none(fits, tmp_path, capsys):
     (tmp_path / "folder.xml").mkdir()
-    command = [
-        "export",
-        str(fits["consistent"]),
-        "--toml",
-        str(tmp_path / "x.toml"),
-        "--mjcf",
-        str(tmp_path / "folder.xml"),
-    ]
+    command = ["export", str(fits["consistent"])]
+    assert main([*command, f"--toml={tmp_path / 'x.toml'}", f"--mjcf={tmp_path / 'folder.xml'}"]) == 1
     assert main(command) == 1
-    assert main(["export", str(fits["consistent"])]) == 1
-    assert main(["export", str(fits["consistent"]), "--toml", str(fits["consistent"])]) == 1
+    assert main([*command, "--toml", str(fits["consistent"])]) == 1
     assert capsys.readouterr().err.count("\n") == 3
     assert [p.name for p in tmp_path.iterdir()] == ["folder.xml"]
 
@@ -561,7 +491,7 @@ drive_gain_unit = "N m/A"
 """
 
 
-def in_amperes(content, motors=MOTORS, gains=GAINS):
+def in_amperes(content, motors, gains):
     """The fit's description with efforts in A by these [[motor]] tables, and identified gains."""
     text = content["description"]["robot.toml"]
     names = [motor["name"] for motor in tomllib.loads(text)["motor"]]
@@ -571,46 +501,30 @@ def in_amperes(content, motors=MOTORS, gains=GAINS):
     content["gains"] = [gain | {"motor": name} for gain, name in zip(gains, names, strict=True)]
 
 
-def test_a_toml_has_the_drive_gains_that_are_determined(fits, tmp_path, capsys):
-    path = changed(fits["consistent"], tmp_path, in_amperes)
-    assert main(["export", str(path), "--toml", str(tmp_path / "x.toml"), "--urdf", str(tmp_path / "x.urdf")]) == 0
-    text, was = (tmp_path / "x.toml").read_text(), json.loads(path.read_text())["description"]["robot.toml"]
-    motors = tomllib.loads(text)["motor"]
-    assert [(m["drive_gain"], m.get("drive_gain_half_width")) for m in motors] == [(0.61, 0.01), (0.3, None)]
-    assert {"drive_gain = 0.61  # catalogue", "drive_gain_half_width = 0.01"} <= set(text.splitlines()) - set(
-        was.splitlines()
-    )
-    assert "[[motor]]  # shoulder\n" in text
-    assert "\n\n# the elbow\n[[motor]]\n" in text
-    out = " ".join(capsys.readouterr().out.split())
-    assert "as described; not determined: 0.9 ± 0.4 N m/A" in out
-
-
-def test_a_gain_that_nobody_describes_is_written_with_its_interval(fits, tmp_path, capsys):
-    unknown = re.sub(r"(?m)^drive_gain = .*\ndrive_gain_unit = .*$", 'effort_unit = "A"', MOTORS)
-    undescribed = [gain | {"described": None} for gain in GAINS]
-    path = changed(fits["consistent"], tmp_path, lambda c: in_amperes(c, unknown, undescribed))
-    assert main(["export", str(path), "--toml", str(tmp_path / "x.toml")]) == 0
-    robot = load_robot(tmp_path / "x.toml")
-    assert [m.drive_gain for m in robot.motors] == [0.61, 0.9]
-    assert [m.drive_gain_half_width for m in robot.motors] == [0.01, 0.4]
-    assert "as identified, since none is described; not determined: 0.9 ± 0.4 N m/A" in " ".join(
-        capsys.readouterr().out.split()
-    )
+UNKNOWN = re.sub(r"(?m)^drive_gain = .*\ndrive_gain_unit = .*$", 'effort_unit = "A"', MOTORS)
 
 
 @pytest.mark.parametrize(
-    "motors", ["motor = [{{name = '{}', effort_unit = 'A'}}, {{name = '{}', effort_unit = 'A'}}]\n"]
+    ("motors", "gains", "expected", "said"),
+    [
+        (MOTORS, GAINS, [(0.61, 0.01), (0.3, None)], "as described; not determined: 0.9"),
+        (
+            UNKNOWN,
+            [gain | {"described": None} for gain in GAINS],
+            [(0.61, 0.01), (0.9, 0.4)],
+            "as identified, since none is described; not determined: 0.9",
+        ),
+    ],
 )
-def test_motors_that_cannot_be_replaced_by_lines_are_refused(motors, fits, tmp_path, capsys):
-    def inline(content):
-        in_amperes(content)
-        text = content["description"]["robot.toml"]
-        names = [motor["name"] for motor in tomllib.loads(text)["motor"]]
-        start, end = text.index("[[motor]]"), text.index("\n[controller]")
-        content["description"]["robot.toml"] = motors.format(*names) + text[:start] + text[end:]
-
-    path = changed(fits["consistent"], tmp_path, inline)
-    assert main(["export", str(path), "--toml", str(tmp_path / "x.toml")]) == 1
-    assert "[[motor]]" in capsys.readouterr().err
-    assert not (tmp_path / "x.toml").exists()
+def test_a_toml_has_the_drive_gains_that_are_determined_or_that_nobody_describes(
+    motors, gains, expected, said, fits, tmp_path, capsys
+):
+    path = changed(fits["consistent"], tmp_path, lambda content: in_amperes(content, motors, gains))
+    assert main(["export", str(path), f"--toml={tmp_path / 'x.toml'}", f"--urdf={tmp_path / 'x.urdf'}"]) == 0
+    robot = load_robot(tmp_path / "x.toml")
+    assert [(m.drive_gain, m.drive_gain_half_width) for m in robot.motors] == expected
+    text = (tmp_path / "x.toml").read_text()
+    assert ("drive_gain = 0.61  # catalogue\n" in text) == (motors == MOTORS)
+    assert "[[motor]]  # shoulder\n" in text
+    assert "\n\n# the elbow\n[[motor]]\n" in text
+    assert f"{said} ± 0.4 N m/A" in " ".join(capsys.readouterr().out.split())

@@ -1,26 +1,25 @@
 """Friction terms: their columns against formulas, what exact data give back, simulated motion against physics, the choice."""
 
 import dataclasses
-import json
 import re
+import tomllib
 
 import msgspec
 import numpy as np
 import pytest
 from conftest import REPLAY
 from fits_of_records import signals_of
-from loops import simulate
+from loops import free, simulate
 from stacked_recordings import system_of
 
 from acquisition.errors import AcquisitionError
 from acquisition.robot import fourier_reference, robot_from_files
 from identification.commands import main
 from identification.data import RecordingFile, Recordings, Work, signals_from_arrays
-from identification.design import friction_of_joints, select_friction, with_terms
-from identification.design.friction_report import with_friction
-from identification.design.selection import Trials
+from identification.design import select_friction, with_terms
+from identification.errors import IdentificationError
 from identification.estimation import System
-from identification.export import split_parameters
+from identification.export import replace_in_tables, split_parameters
 from identification.export.exported_model import random_states, representable, whole_regressor
 from identification.methods import Iteration, Prior, identify_iv, identify_ls, solve_with_load_friction, with_consistent
 from identification.methods.settled import independent_norm
@@ -36,9 +35,17 @@ from identification.regression import (
 )
 from identification.simulation import Reference, surrogate_loop
 from identification.study import Noise, closed_loop, random_reference, write_signals
+from identification.view.charts import friction_charts
 
 USUAL = ["viscous", "coulomb", "offset"]
 ALL = [*USUAL, "asymmetric", "root", "load", "stribeck"]
+
+
+def with_friction(text: str, terms) -> str:
+    """A description with a list of terms for each joint."""
+    others = dict.fromkeys(("viscous", "coulomb", "offset"))
+    joints = zip(tomllib.loads(text)["joint"], terms, strict=True)
+    return replace_in_tables(text, "joint", {joint["name"]: {"friction": own} | others for joint, own in joints}, "")
 
 
 def described(name: str, terms, more: str = ""):
@@ -58,11 +65,15 @@ def direct_of(model, base, beta):
     return direct_model(model, base.standard_parameters(beta))
 
 
-@pytest.fixture(scope="module")
-def arm():
+def whole_arm():
     """The TX40 with every term at every joint, and values for them."""
     more = "".join(f"Off{j} = 0.{j}\nFa{j} = 0.1\nFr{j} = 0.7\nFs{j} = 0.4\nmu{j} = 0.{j + 1}\n" for j in range(1, 7))
     return described("tx40", [ALL] * 6, f"{more}Frm6 = 0.5\nFsm6 = 0.3\n")
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return whole_arm()
 
 
 # --- the description
@@ -305,11 +316,10 @@ def push(robot, force: float, v0: float, seconds: float = 0.4, rate_hz: float = 
     """The robot of one axis under a constant force, from rest or the speed v0: t, q and dq."""
     model, base, beta = model_of(robot)
     direct = dataclasses.replace(direct_of(model, base, beta), offset=np.array([-force]))
-    free = dataclasses.replace(surrogate_loop(1.0, np.ones(1), rate_hz), Kp=np.zeros(1), Kd=np.zeros(1), gravity=False)
     zero = np.zeros((round(seconds * rate_hz), 1))
     scale = np.full_like(zero, 0.1)
     done = simulate(
-        direct, free, Reference(zero, scale, zero), start=(np.zeros(1), np.array([v0])), bound=np.full(1, 1e9)
+        direct, free(1, rate_hz), Reference(zero, scale, zero), start=(np.zeros(1), np.array([v0])), bound=1e9
     )
     return np.arange(len(zero)) / rate_hz, done.q[:, 0], done.dq[:, 0]
 
@@ -360,10 +370,9 @@ def test_friction_only_takes_energy(arm):
     values = dict(arm.parameters) | {name: 0.0 for name in arm.parameters if name.startswith(("Off", "Fa"))}
     model, base, beta = model_of(dataclasses.replace(arm, parameters=values, gravity=np.zeros(3)))
     direct = direct_of(model, base, beta)
-    free = dataclasses.replace(surrogate_loop(1.0, np.ones(6), 1000.0), Kp=np.zeros(6), Kd=np.zeros(6), gravity=False)
-    zero, scale = np.zeros((500, 6)), np.full((500, 6), 2.0)
+    loop, zero, scale = free(6, 1000.0), np.zeros((500, 6)), np.full((500, 6), 2.0)
     start = (np.array([0.3, -0.4, 0.5, 0.2, 0.6, 0.1]), np.array([2.0, 1.5, -2.0, 3.0, -2.0, 4.0]))
-    done = simulate(direct, free, Reference(zero, scale, zero), start=start, bound=np.full(6, 1e9), substeps=4)
+    done = simulate(direct, loop, Reference(zero, scale, zero), start=start, bound=1e9, substeps=4)
     energy = 0.5 * np.einsum("ti,tij,tj->t", done.dq, direct.inertia(done.q), done.dq)
     assert done.reason is None
     assert energy[0] > 2
@@ -378,7 +387,7 @@ def test_a_simulated_motion_obeys_the_inverse_model(arm):
     t = np.arange(0.0, 2.0, 1e-3)
     q, dq, ddq = fourier_reference(arm, period_s=2.0, seed=3).at(t)
     loop = surrogate_loop(10.0, np.array([1.5, 1.5, 0.4, 0.1, 0.1, 0.05]), 1000.0)
-    done = simulate(direct, loop, Reference(q, dq, ddq), start=(q[0], dq[0]), bound=np.ones(6), substeps=2)
+    done = simulate(direct, loop, Reference(q, dq, ddq), substeps=2)
     assert done.reason is None
     middle = 0.5 * (done.dq[1:] + done.dq[:-1])
     fast = (np.abs(middle @ direct.directions.T) > 0.1 * np.abs(middle @ direct.directions.T).max(axis=0)).all(axis=1)
@@ -418,30 +427,30 @@ def test_what_other_columns_leave_of_a_column_is_what_least_squares_leaves():
     np.testing.assert_allclose(list(found.values()), [expected[name] for name in names[1:]], rtol=1e-6, atol=1e-8)
 
 
-def test_root_friction_at_two_speeds_is_named_and_left_out():
-    """Three columns of two speeds: Coulomb and viscous friction say all, the root nothing more."""
-    problem, known = two_speeds(axis(["viscous", "coulomb", "root"], Fv=100.0, Fc=20.0, Fr=30.0), 1.0)
+@pytest.mark.parametrize(
+    ("term", "vertical", "motion", "left_out"),
+    [
+        ({"root": 30.0}, False, (1.0, (0.1, 0.2)), "Fr1"),  # of two speeds Coulomb and viscous friction say all
+        ({"root": 30.0}, False, (1.0, (0.05, 0.1, 0.2)), None),
+        ({"load": 0.2}, True, (0.1,), "mu1"),  # of a weight that hardly accelerates it is Coulomb friction
+        ({"load": 0.2}, True, (4.0,), None),
+    ],
+)
+def test_a_term_that_a_recording_cannot_tell_is_named_and_left_out(term, vertical, motion, left_out):
+    ((kind, value),) = term.items()
+    values = {"Fv": 100.0, "Fc": 20.0, {"root": "Fr", "load": "mu"}[kind]: value}
+    problem, known = two_speeds(axis(["viscous", "coulomb", kind], vertical=vertical, **values), *motion)
     settled, full = solve_with_load_friction(system_of(problem))
-    assert full.names in (("M1R", "Fv1", "Fc1"), ("M1", "Fv1", "Fc1"))
-    (told,) = settled.problem.settings.warnings[-1:]
-    assert told.startswith("root friction of joint axis left out: Fr1 cannot be distinguished from the others")
-    three, known = two_speeds(axis(["viscous", "coulomb", "root"], Fv=100.0, Fc=20.0, Fr=30.0), 1.0, (0.05, 0.1, 0.2))
-    settled, full = solve_with_load_friction(system_of(three))
-    np.testing.assert_allclose(full.beta, known, rtol=1e-8)
-
-
-@pytest.mark.parametrize(("a_m_s2", "left_out"), [(0.1, True), (4.0, False)])
-def test_load_friction_is_left_out_where_the_load_does_not_change(a_m_s2, left_out):
-    """A weight that hardly accelerates: its load friction is Coulomb friction."""
-    robot = axis(["viscous", "coulomb", "load"], vertical=True, Fv=100.0, Fc=20.0, mu=0.2)
-    problem, known = two_speeds(robot, a_m_s2)
-    settled, full = solve_with_load_friction(system_of(problem))
-    told = [
-        warning for warning in settled.problem.settings.warnings if "load friction of joint axis left out" in warning
-    ]
-    assert bool(told) == left_out
-    if not left_out:
+    told = [text for text in settled.problem.settings.warnings if "left out" in text]
+    if left_out is None:
+        assert told == []
         np.testing.assert_allclose(full.beta, known, rtol=1e-8)
+    else:
+        assert [name for name in full.names if name.startswith(("Fr", "mu"))] == []
+        (text,) = told
+        assert text.startswith(
+            f"{kind} friction of joint axis left out: {left_out} cannot be distinguished from the others"
+        )
 
 
 def test_friction_that_would_drive_a_joint_is_told_and_signs_of_its_terms_are_not():
@@ -498,45 +507,6 @@ def test_the_terms_that_a_robot_has_are_recommended(seed):
     assert list(choice.described.values()) == [("viscous", "coulomb", "root", "load"), ("viscous", "coulomb", "load")]
 
 
-def test_held_out_errors_are_those_of_fits_of_the_other_rows():
-    """By hand: least squares of the weighted rows outside a part, its error in the moving rows of the part."""
-    problem = make_problem(recorded(upright([["viscous", "coulomb"]] * 2), 1), WITHOUT_LAG)
-    plain = regression_of_recording(problem)
-    whole = system_of(problem, plain=plain)
-    trial = Trials(whole).of((NONE, NONE))
-    weights = identify_ls(problem.signals, WITHOUT_LAG).estimate.weights
-    T, n = plain.tau.shape
-    W, Y = plain.system.W.reshape(n, T, -1), plain.system.Y.reshape(n, T)
-    moving = np.abs(plain.speed) > 0.02 * np.abs(plain.speed).max(axis=0)
-    for k in range(5):
-        held = np.zeros(T, dtype=bool)
-        held[round(k * T / 5) : round((k + 1) * T / 5)] = True
-        count = (plain.fast & ~held[:, None]).T
-        A = np.concatenate([weights[j] * W[j][count[j]] for j in range(n)])
-        b = np.concatenate([weights[j] * Y[j][count[j]] for j in range(n)])
-        rho = (Y - W @ np.linalg.lstsq(A, b)[0]).T[moving & held[:, None]]
-        of = np.broadcast_to(weights, (T, n))[moving & held[:, None]]
-        assert trial.scores[k] == pytest.approx(((of * rho) ** 2).sum(), rel=1e-6)
-        error = 100 * np.linalg.norm(rho) / np.linalg.norm(plain.tau[moving & held[:, None]])
-        assert trial.held_out_percents[k] == pytest.approx(error, rel=1e-6)
-
-
-@pytest.mark.slow
-def test_iv_settles_on_a_robot_with_these_terms_and_holds_the_truth():
-    robot = described("scara", [["viscous", "coulomb", "root", "load"], ["viscous", "coulomb", "load"]],
-                      "Fr1 = 0.6\nmu1 = 0.3\nmu2 = 0.3\n")  # fmt: skip
-    _, base, known = model_of(robot)
-    q = random_reference(robot, duration_s=6.0, sample_rate_hz=1000.0, seed=7)
-    signals = closed_loop(robot, q, 1000.0, noise=Noise(encoder_step=1e-6, effort_percent=2.0), seed=7)
-    fit = identify_iv(signals, Overrides(), Iteration())
-    assert fit.status == "converged"
-    off = np.abs(fit.beta - known) / fit.intervals.half
-    assert (off < 1).sum() >= len(known) - 2
-    assert off.max() < 3
-    load = base.names.index("mu1")
-    assert fit.intervals.half[load] < 0.05
-
-
 # --- several recordings
 
 
@@ -551,17 +521,26 @@ def simulated(robot, *seeds: int):
 
 
 LINEAR = [["viscous", "coulomb", "offset", "asymmetric", "root"], ["viscous", "coulomb"]]
+LOADED = [["viscous", "coulomb", "root", "load"], ["viscous", "coulomb", "load"]]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("own", ["", 'own = ["Off"]'])
-@pytest.mark.parametrize("method", ["wls", "iv"])
-def test_terms_of_several_recordings_hold_the_truth(method, own):
-    """Root and |v| friction are shared; offsets may be of each recording. Friction is drawn and tested by recording."""
-    robot = described("scara", LINEAR, "Off1 = 0.3\nFr1 = 0.6\nFa1 = 0.2\n")
-    if own:
-        robot = dataclasses.replace(robot, identification=msgspec.structs.replace(robot.identification, own=("Off",)))
-    given = simulated(robot, 3, 4)
+@pytest.mark.parametrize(
+    ("method", "terms", "own", "seeds"),
+    [
+        ("wls", LINEAR, (), (3, 4)),
+        ("wls", LINEAR, ("Off",), (3, 4)),
+        ("iv", LINEAR, (), (3, 4)),
+        ("iv", LINEAR, ("Off",), (3, 4)),
+        ("iv", LOADED, (), (7,)),
+    ],
+)
+def test_terms_of_recordings_hold_the_truth(method, terms, own, seeds):
+    """Terms are shared; offsets may be of each recording. Friction is drawn and tested by recording."""
+    more = "Fr1 = 0.6\n" + ("Off1 = 0.3\nFa1 = 0.2\n" if terms == LINEAR else "mu1 = 0.3\nmu2 = 0.3\n")
+    robot = described("scara", terms, more)
+    robot = dataclasses.replace(robot, identification=msgspec.structs.replace(robot.identification, own=own))
+    given = simulated(robot, *seeds)
     fit = identify_ls(given, Overrides()) if method == "wls" else identify_iv(given, Overrides(), Iteration())
     assert fit.status in ("solved", "converged")
     _, base, known = model_of(robot)
@@ -571,11 +550,13 @@ def test_terms_of_several_recordings_hold_the_truth(method, own):
     assert (off < 1).sum() >= len(expected) - 2
     assert off.max() < 3
     assert fit.trust.line("physical").level == "ok", fit.trust.line("physical").text
-    for one in fit.recordings:
-        first = friction_of_joints(fit.on(one))[0].curves[0]
-        v, value = first.speed, dict(zip(fit.estimate.names, fit.estimate.beta, strict=True))
+    value = dict(zip(fit.estimate.names, fit.estimate.beta, strict=True))
+    half = dict(zip(fit.estimate.names, fit.intervals.half, strict=True))
+    assert half.get("mu1", 0.0) < 0.05
+    for one in fit.recordings if terms == LINEAR else ():
+        v, torque = friction_charts(fit.on(one))[0].curves[0].line
         expected = (value["Fv1"] * np.abs(v) + value["Fc1"] + value["Fr1"] * np.sqrt(np.abs(v))) * np.sign(v)
-        np.testing.assert_allclose(first.torque, expected + value["Fa1"] * np.abs(v), rtol=1e-6, atol=1e-9)
+        np.testing.assert_allclose(torque, expected + value["Fa1"] * np.abs(v), rtol=1e-6, atol=1e-9)
 
 
 def test_friction_of_its_own_is_judged_in_its_own_recording():
@@ -621,27 +602,42 @@ def test_terms_that_several_recordings_cannot_tell_are_left_out_of_all(method, t
 # --- the command
 
 
-def test_the_command_writes_the_terms_where_they_belong(tmp_path, capsys):
-    usual = ["viscous", "coulomb"]
-    robot = upright([[*usual, "root", "load"], [*usual, "load"]], "Fr1 = 0.8\nmu1 = 0.3\nmu2 = 0.3\n")
-    write_signals(tmp_path / "log.mcap", recorded(robot, 0), source="test")
-    text = "gravity_m_s2 = [0, -9.81, 0] # it hangs\n" + (REPLAY / "scara" / "robot.toml").read_text()
-    toml, result = tmp_path / "robot.toml", tmp_path / "out.json"
-    toml.write_text(
-        text.replace("rotor_inertia = false", "viscous = true\ncoulomb = true # both\nrotor_inertia = false", 1)
-    )
-    options = ["friction", str(tmp_path / "log.mcap"), "--robot", str(toml), "--torque-lag-s", "none"]
-    assert main([*options, "--json", str(result), "--write"]) == 0
-    stored = json.loads(result.read_text())
-    assert stored["recommended"] == {"shoulder": [*usual, "root", "load"], "elbow": [*usual, "load"]}
-    best = stored["sets"][0]
-    assert set(best) >= {"terms", "fitted_error_percent", "held_out_error_percent"}
-    assert 0.1 < best["fitted_error_percent"] < best["held_out_error_percent"] < 1
-    assert 'friction = ["viscous", "coulomb", "root", "load"] # shoulder' in capsys.readouterr().out
-    first, second = (f'friction = ["viscous", "coulomb", {rest}]\n' for rest in ('"root", "load"', '"load"'))
-    expected = text.replace("rotor_inertia = false", first + "rotor_inertia = false", 1)
-    expected = expected.replace('name = "elbow"\ntype = "revolute"\n', f'name = "elbow"\ntype = "revolute"\n{second}')
-    assert toml.read_text() == expected
+TABLES = """# of two joints
+[[joint]] # the first
+name = "a"
+speed = 3 # fast
+friction = [
+    "root", # a remark
+]
+  viscous = true
+[[ joint ]]
+name = "b"
+[controller]
+bandwidth_hz = 5
+"""
+
+
+@pytest.mark.parametrize(
+    ("values", "changed"),
+    [
+        ({"a": {"friction": ["load"]}}, {'[\n    "root", # a remark\n]': '["load"]'}),
+        ({"a": {"speed": 2.5, "viscous": None}}, {"speed = 3 #": "speed = 2.5 #", "  viscous": "#   viscous"}),
+        ({"a": {"offset": None}, "b": {"unit": "N m", "gain": 2}}, {'"b"\n': '"b"\ngain = 2\nunit = "N m"\n'}),
+        ({"a": {"friction": None}}, None),  # the lines after the first remain
+        ({"b": {"bandwidth_hz": 1.0}}, None),  # it is not of the joint
+        ({"c": {"speed": 1.0}}, None),
+    ],
+)
+def test_values_in_tables_of_a_description_are_replaced_line_by_line(values, changed):
+    if changed is None:
+        with pytest.raises(IdentificationError) as refused:
+            replace_in_tables(TABLES, "joint", values, "robot.toml")
+        assert (refused.value.place, refused.value.key) == ("robot.toml", "[[joint]]")
+    else:
+        expected = TABLES
+        for old, new in changed.items():
+            expected = expected.replace(old, new)
+        assert replace_in_tables(TABLES, "joint", values, "robot.toml") == expected
 
 
 def test_a_description_whose_lines_cannot_be_replaced_stays(tmp_path, capsys):
@@ -654,7 +650,7 @@ def test_a_description_whose_lines_cannot_be_replaced_stays(tmp_path, capsys):
     text = (REPLAY / "scara" / "robot.toml").read_text().replace("[[joint]]", "[['joint']]", 1)
     toml.write_text(text)
     assert main(["friction", str(tmp_path / "log.mcap"), "--robot", str(toml), "--write"]) == 1
-    assert "its lines of friction cannot be replaced" in capsys.readouterr().err
+    assert "robot.toml: [[joint]]: cannot be replaced line by line" in capsys.readouterr().err
     assert toml.read_text() == text
 
 

@@ -170,18 +170,7 @@ def test_commands_write_their_report(ending, tmp_path, capsys, monkeypatch):
         "friction": ["friction", "log.mcap"],
         "sensitivity": ["sensitivity", "log.mcap", "--position-noise", "1e-4"],
         "study": ["study", scara / "robot.toml", "--runs", "2", "--duration-s", "3", "--workers", "1"],
-        "excite": [
-            "excite",
-            scara / "robot.toml",
-            "-o",
-            "ref.csv",
-            "--harmonics",
-            "2",
-            "--periods",
-            "1",
-            "--period",
-            "3",
-        ],
+        "excite": ["excite", scara / "robot.toml", "-o", "ref.csv", "--harmonics=2", "--periods=1", "--period=3"],
     }
     for name, arguments in runs.items():
         status = main([*map(str, arguments), "--report", f"{name}.{ending}"])

@@ -292,113 +292,75 @@ def massless(name):
     return f'<link name="{name}"/>\n'
 
 
-BAD = {
-    "not XML": ("<robot", "arm.urdf: is not XML: "),
-    "a description": ('name = "x"', "arm.urdf: is not XML: "),
-    "another language": ("<sdf/>", "arm.urdf: its root = <sdf>: expected <robot>"),
-    "nothing": ('<robot name="x"/>', "arm.urdf: has no link: expected links"),
-    "xacro": (
+def turn(rest=LIMIT, kind="revolute", parent="base", name="turn", axis="0 0 1"):
+    """The URDF with another first joint."""
+    return urdf(turn=joint(name, kind, parent, "column", rest, axis))
+
+
+RING = link("x") + link("y") + joint("xy", "fixed", "x", "y") + joint("yx", "fixed", "y", "x")
+STIFF = f'<robot name="r">{PARTS["base"]}{PARTS["beam"]}{joint("j", "fixed", "base", "beam")}</robot>'
+UNKNOWN = urdf(turn='<joint name="turn" type="fixed"><child link="column"/></joint>')
+BAD = (
+    ("<robot", "is not XML: "),
+    ('name = "x"', "is not XML: "),
+    ("<sdf/>", "its root = <sdf>: expected <robot>"),
+    ('<robot name="x"/>', "has no link: expected links"),
+    (
         urdf(base='<xacro:macro xmlns:xacro="http://www.ros.org/wiki/xacro"/>'),
-        "arm.urdf: has xacro elements: expected a URDF: xacro FILE > robot.urdf",
+        "has xacro elements: expected a URDF: xacro FILE > robot.urdf",
     ),
-    "two roots": (urdf(extra=link("island")), "arm.urdf: 2 root links: base, island: expected one base link"),
-    "no root": (
+    (urdf(extra=link("island")), "2 root links: base, island: expected one base link"),
+    (
         urdf(extra=joint("back", "fixed", "tool", "base")),
-        "arm.urdf: no root link: its joints form a loop: expected one base link",
+        "no root link: its joints form a loop: expected one base link",
     ),
-    "a ring beside": (
-        urdf(
-            extra=link("x") + link("y") + joint("xy", "fixed", "x", "y") + joint("yx", "fixed", "y", "x"),
-        ),
-        "arm.urdf: links x, y are in a loop of joints: expected a tree",
-    ),
-    "two parents": (
+    (urdf(extra=RING), "links x, y are in a loop of joints: expected a tree"),
+    (
         urdf(extra=joint("again", "fixed", "base", "tool")),
-        "arm.urdf: joint 'again': child = 'tool': expected one parent joint per link; 'mount' is another",
+        "joint 'again': child = 'tool': expected one parent joint per link; 'mount' is another",
     ),
-    "a foreign link": (
-        urdf(turn=joint("turn", "revolute", "floor", "column", LIMIT)),
-        "arm.urdf: joint 'turn': parent = 'floor': expected one of the links base, column",
+    (turn(parent="floor"), "joint 'turn': parent = 'floor': expected one of the links base, column"),
+    (UNKNOWN, "joint 'turn': parent is missing: expected one of the links"),
+    (urdf(extra=link("base")), "link 9: name = 'base': expected a name not used before"),
+    (urdf(extra="<link/>"), "link 9: name is missing: expected a name"),
+    (turn(kind="ball"), "type = 'ball': expected one of revolute, continuous, prismatic, fixed, floating, planar"),
+    (
+        urdf(mid=joint("swing", "floating", "column", "arm"), lift=""),
+        "joint 'swing', between the base and joint 'finger': type = 'floating': expected fixed, revolute",
     ),
-    "no parent": (
-        urdf(turn='<joint name="turn" type="fixed"><child link="column"/></joint>'),
-        "arm.urdf: joint 'turn': parent is missing: expected one of the links",
-    ),
-    "twice": (urdf(extra=link("base")), "arm.urdf: link 9: name = 'base': expected a name not used before"),
-    "no name": (urdf(extra="<link/>"), "arm.urdf: link 9: name is missing: expected a name"),
-    "a ball": (
-        urdf(turn=joint("turn", "ball", "base", "column", LIMIT)),
-        "arm.urdf: joint 'turn': type = 'ball': expected one of revolute, continuous, prismatic, fixed, floating, planar",
-    ),
-    "floating": (
-        urdf(mid=joint("swing", "floating", "column", "arm"), lift="", more=""),
-        "arm.urdf: joint 'swing', between the base and joint 'finger': type = 'floating': expected fixed, revolute",
-    ),
-    "planar": (
+    (
         urdf(lift=joint("lift", "planar", "column", "arm")),
-        "arm.urdf: joint 'lift', between the base and joint 'finger': type = 'planar': expected fixed, revolute",
+        "joint 'lift', between the base and joint 'finger': type = 'planar': expected fixed, revolute",
     ),
-    "none moves": (
-        "".join(('<robot name="r">', PARTS["base"], PARTS["beam"], joint("j", "fixed", "base", "beam"), "</robot>")),
-        "arm.urdf: no joint moves: expected joints of the types revolute, continuous, prismatic",
-    ),
-    "two chains": (
+    (STIFF, "no joint moves: expected joints of the types revolute, continuous, prismatic"),
+    (
         urdf(thumb=joint("thumb", "prismatic", "tool", "right")),
-        "arm.urdf: 2 chains of 4 joints each, which end at finger, thumb: expected --joints",
+        "2 chains of 4 joints each, which end at finger, thumb: expected --joints",
     ),
-    "upside down": (
-        urdf(turn=joint("turn", "revolute", "base", "column", '<limit lower="1" upper="-1"/>')),
-        "arm.urdf: joint 'turn': limit lower = 1.0: expected less than upper = -1",
-    ),
-    "no number": (
-        urdf(turn=joint("turn", "revolute", "base", "column", '<limit lower="low" upper="-1"/>')),
-        "arm.urdf: joint 'turn': limit lower = 'low': expected a finite number",
-    ),
-    "a negative speed": (
-        urdf(turn=joint("turn", "revolute", "base", "column", '<limit velocity="-1"/>')),
-        "arm.urdf: joint 'turn': limit velocity = -1.0: expected a number from 0",
-    ),
-    "negative damping": (
-        urdf(turn=joint("turn", "revolute", "base", "column", '<dynamics damping="-0.1"/>')),
-        "arm.urdf: joint 'turn': dynamics damping = -0.1: expected a number from 0",
-    ),
-    "no axis": (
-        urdf(turn=joint("turn", "revolute", "base", "column", LIMIT, axis="0 0 0")),
-        "joint 'turn': axis = '0 0 0': expected a direction",
-    ),
-    "a name": (
-        urdf(turn=joint("a/b", "revolute", "base", "column", LIMIT)),
-        "arm.urdf: name of a joint = 'a/b': expected 1 to 64 letters",
-    ),
-    "no mass": (
+    (turn('<limit lower="1" upper="-1"/>'), "joint 'turn': limit lower = 1.0: expected less than upper = -1"),
+    (turn('<limit lower="low" upper="-1"/>'), "joint 'turn': limit lower = 'low': expected a finite number"),
+    (turn('<limit velocity="-1"/>'), "joint 'turn': limit velocity = -1.0: expected a number from 0"),
+    (turn('<dynamics damping="-0.1"/>'), "joint 'turn': dynamics damping = -0.1: expected a number from 0"),
+    (turn(axis="0 0 0"), "joint 'turn': axis = '0 0 0': expected a direction"),
+    (turn(name="a/b"), "name of a joint = 'a/b': expected 1 to 64 letters"),
+    (
         urdf(arm=massless("arm")),
-        "arm.urdf: joint 'lift': mass of link 'arm' and those fixed to it = 0.0: expected more than 0: an <inertial>",
+        "joint 'lift': mass of link 'arm' and those fixed to it = 0.0: expected more than 0: an <inertial>",
     ),
-    "a negative mass": (urdf(arm=link("arm", mass=-1)), "arm.urdf: link 'arm': mass = -1.0: expected a number from 0"),
-    "a negative mass of a locked link": (
-        urdf(right=link("right", mass=-1)),
-        "arm.urdf: link 'right': mass = -1.0: expected a number from 0",
-    ),
-    "a negative inertia": (
-        urdf(arm=link("arm", inertia=BOX.replace("0.03", "-0.03"))),
-        "arm.urdf: link 'arm': principal moments = -0.03",
-    ),
-    "a product above the moments": (
-        urdf(arm=link("arm", inertia=BOX.replace("0.001", "0.1"))),
-        "arm.urdf: link 'arm': principal moments = -0.07",
-    ),
-    "an inertia that is missing": (
-        urdf(arm=link("arm", inertia="")),
-        "arm.urdf: link 'arm': inertia ixx is missing: expected a finite number",
-    ),
-}
+    (urdf(arm=link("arm", mass=-1)), "link 'arm': mass = -1.0: expected a number from 0"),
+    (urdf(right=link("right", mass=-1)), "link 'right': mass = -1.0: expected a number from 0"),  # it is locked
+    (urdf(arm=link("arm", inertia=BOX.replace("0.03", "-0.03"))), "link 'arm': principal moments = -0.03"),
+    (urdf(arm=link("arm", inertia=BOX.replace("0.001", "0.1"))), "link 'arm': principal moments = -0.07"),
+    (urdf(arm=link("arm", inertia="")), "link 'arm': inertia ixx is missing: expected a finite number"),
+)
 
 
-@pytest.mark.parametrize("what", BAD)
-def test_a_bad_urdf_ends_in_one_line(here, capsys, what):
-    text, message = BAD[what]
+@pytest.mark.parametrize(("text", "message"), BAD, ids=[message for _, message in BAD])
+def test_a_bad_urdf_ends_in_one_line(here, capsys, text, message):
     (here / "arm.urdf").write_text(text)
-    assert message in refused(capsys, "init", "arm.urdf", "-o", "robot.toml")
+    said = refused(capsys, "init", "arm.urdf", "-o", "robot.toml")
+    assert said.startswith(("arm.urdf: ", "robot made up: URDF: "))
+    assert message in said
     assert not (here / "robot.toml").exists()
 
 

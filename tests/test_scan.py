@@ -411,19 +411,13 @@ def test_what_a_scan_writes_records_once_it_is_filled_in(scanned, tmp_path):
     assert session.recording.samples["position"][:, 0].max() > 0.03
 
 
-def test_track_refuses_what_is_not_filled_in(scanned, tmp_path, capsys):
+def test_track_refuses_what_is_not_filled_in(scanned, tmp_path, capsys, monkeypatch):
     (tmp_path / "robot.toml").write_text(described(scanned.read_text()))
     path = swing(2, seconds=2.0, amplitude=0.02)
     rows = [f"{0.002 * k},{q[0]},{q[1]}" for k, q in enumerate(path)]
     (tmp_path / "ref.csv").write_text("\n".join(["time_s,joint_1,joint_2", *rows]))
-    command = [
-        "record",
-        str(tmp_path / "robot.toml"),
-        "--track",
-        str(tmp_path / "ref.csv"),
-        "-o",
-        str(tmp_path / "log.mcap"),
-    ]
+    monkeypatch.chdir(tmp_path)
+    command = ["record", "robot.toml", "--track", "ref.csv", "-o", "log.mcap"]
     ear = Ear("scan_two")
     assert main([*command, "--yes"]) == 1
     assert "FILL IN: expected none in [bus]" in capsys.readouterr().err

@@ -1,5 +1,7 @@
 """URDFs made up for tests: a chain with a hand, written by hand, with something of everything a URDF may have."""
 
+from acquisition.robot import Robot, robot_from_files
+
 BOX = '<inertia ixx="0.02" ixy="0.001" ixz="0" iyy="0.03" iyz="-0.002" izz="0.04"/>'
 
 
@@ -53,3 +55,11 @@ def urdf(**parts):
 
 
 ARM = ("turn", "lift", "slide")  # without the fingers
+
+
+def robot_of_arm(text: str, head: str) -> Robot:
+    """The robot of these joints in a URDF; `head` begins its robot.toml."""
+    toml = f'{head}name = "arm"\nurdf = "arm.urdf"\n[controller]\nbandwidth_hz = 5\n'
+    for name, kind, unit in zip(ARM, ("revolute", "revolute", "prismatic"), ("N m", "N m", "N"), strict=True):
+        toml += f'[[joint]]\nname = "{name}"\ntype = "{kind}"\n[[motor]]\nname = "m_{name}"\neffort_unit = "{unit}"\n'
+    return robot_from_files({"robot.toml": toml.encode(), "robot.urdf": text.encode()}, "arm.toml")

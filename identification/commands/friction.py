@@ -42,7 +42,6 @@ def run(options: argparse.Namespace) -> None:
     try:
         if options.json:
             write_json(options.json, friction_file(choice))
-
         write_pictures(options, document, lambda view: [view.draw_friction(*choice.fits(), document)])
         if options.write:
             write_friction(options.robot, choice)

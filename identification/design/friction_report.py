@@ -1,45 +1,35 @@
-"""Report and JSON file of a choice of friction terms, and the lines of a description."""
+"""Report and JSON file of a choice of friction terms, and its lines in a description."""
 
-import re
-from collections.abc import Sequence
-from contextlib import suppress
+import json
 from pathlib import Path
 from typing import Any
 
-import msgspec
+from msgspec import UNSET, UnsetType
 
-from acquisition.errors import AcquisitionError
 from acquisition.files import atomic_write
-from acquisition.robot import FrictionTerm, Robot, robot_from_files
+from acquisition.robot import FrictionTerm, Robot
 
-from ..errors import IdentificationError
+from ..export import replace_in_tables
 from ..report import Document, Number, ResultFile, Section, Table, columns
-from .selection import CANDIDATES, TermChoice, Trial, at_all_joints, described_terms
+from .selection import CANDIDATES, TermChoice, TermSet, at_all_joints, described_terms
 
-_TABLE = re.compile(r"(?m)^(?=[ \t]*\[[ \t]*\[?[ \t]*[\w.\"'-]+[ \t]*\])")
-_JOINT = re.compile(r"[ \t]*\[\[[ \t]*joint[ \t]*\]\]")
-_LINES = re.compile(r"(?m)^[ \t]*(?:friction|viscous|coulomb|offset)[ \t]*=[^\[\n]*(?:\[[^\]]*\].*)?\n?")
-_SPEED = re.compile(r"(?m)^[ \t]*stribeck_speed_(?:deg|m)_s[ \t]*=")
-_TYPE = re.compile(r"(?s).*?\n[ \t]*type[ \t]*=[^\n]*\n|[^\n]*\n")  # up to it
-Lists = dict[str, tuple[FrictionTerm, ...]]  # by joint, as the list `friction` of a description
+SET_KEYS = ("added_terms", "fitted_error_percent", "held_out_error_percent", "held_out_percents", "score")
 
 
 class FrictionFile(ResultFile, frozen=True, kw_only=True):
     """The JSON file of `friction`: all sets, best first, and the recommended terms by joint.
 
-    Attributes:
-        recording, sha256: of the first; `recordings` has both of all if there are several.
-        held_out: names of the parts held out, in the order of `held_out_percents` of a set.
+    `recording` and `sha256` are those of the first of several `recordings`; `held_out` names the parts of `held_out_percents`.
     """
 
     recording: str
     sha256: str
-    recordings: list[dict[str, str]] | msgspec.UnsetType = msgspec.UNSET
+    recordings: list[dict[str, str]] | UnsetType
     robot: str
-    held_out: list[str]
+    held_out: tuple[str, ...]
     sets: list[dict[str, Any]]
-    recommended: Lists
-    left_out: list[str]
+    recommended: dict[str, tuple[FrictionTerm, ...]]
+    left_out: tuple[str, ...]
 
 
 def friction_file(choice: TermChoice) -> FrictionFile:
@@ -48,22 +38,15 @@ def friction_file(choice: TermChoice) -> FrictionFile:
     return FrictionFile(
         recording=each[0]["recording"],
         sha256=each[0]["sha256"],
-        recordings=each if len(each) > 1 else msgspec.UNSET,
+        recordings=each if len(each) > 1 else UNSET,
         robot=choice.robot.name,
-        held_out=list(choice.held_out),
+        held_out=choice.held_out,
         sets=[
-            {
-                "terms": described_terms(choice.robot, trial.terms),
-                "added_terms": trial.count,
-                "fitted_error_percent": trial.fitted_error_percent,
-                "held_out_error_percent": trial.held_out_error_percent,
-                "held_out_percents": trial.held_out_percents.tolist(),
-                "score": trial.score,
-            }
+            {"terms": described_terms(choice.robot, trial.terms)} | {key: getattr(trial, key) for key in SET_KEYS}
             for trial in choice.trials
         ],
         recommended=choice.described,
-        left_out=list(choice.left_out),
+        left_out=choice.left_out,
     )
 
 
@@ -76,8 +59,8 @@ def friction_document(choice: TermChoice) -> Document:
     heads = columns("added terms", numbers=("terms", "fitted %", "held out %", "score /\nusual")) + columns("")
     rows = tuple(
         (
-            set_text(choice.robot, trial),
-            Number(trial.count, "d"),
+            set_text(choice.robot, trial.terms),
+            Number(trial.added_terms, "d"),
             Number(trial.fitted_error_percent, ".2f"),
             Number(trial.held_out_error_percent, ".2f"),
             Number(trial.score / usual.score if usual.score > 0 else None, ".3f"),
@@ -86,64 +69,35 @@ def friction_document(choice: TermChoice) -> Document:
         for trial in choice.trials
     )
     names = [one.recording for one in choice.recordings if one.recording in choice.held_out]  # in the order given
-    held = f"held out: {', '.join(names) if len(choice.recordings) > 1 else 'fifths of the recording'}"
+    held = f"held out: {', '.join(names) or 'fifths of the recording'}"
     held += ", each predicted by the fit of the others; score: squared weighted residual"
-    sets = Section(
-        title="sets of friction terms",
-        table=Table(columns=heads, rows=rows),
-        lines=(held,),
-        warnings=choice.left_out,
-    )
-    lines = tuple(f"{friction_line(terms)} # {name}" for name, terms in choice.described.items())
+    lines = tuple(f"friction = {json.dumps(terms)} # {name}" for name, terms in choice.described.items())
+    table = Table(columns=heads, rows=rows)
+    sets = Section(title="sets of friction terms", table=table, lines=(held,), warnings=choice.left_out)
     recommended = Section(title="recommended, for robot.toml", lines=lines)
     return Document(title=f"{choice.robot.name}: {errors}", sections=(sets, recommended))
 
 
-def friction_line(terms: tuple[FrictionTerm, ...]) -> str:
-    """A joint's line in robot.toml."""
-    quoted = ", ".join(f'"{term}"' for term in terms)
-    return f"friction = [{quoted}]"
-
-
-def set_text(robot: Robot, trial: Trial) -> str:
+def set_text(robot: Robot, terms: TermSet) -> str:
     """A set in words, such as `root; load: joint_3`; without a joint's name, all joints have the term."""
     parts = []
     for term in CANDIDATES:
-        able, own = at_all_joints(robot, [term]), [term in more for more in trial.terms]
-        names = ", ".join(joint.name for joint, has in zip(robot.joints, own, strict=True) if has)
-        if names:
-            parts.append(term if own == list(map(bool, able)) else f"{term}: {names}")
+        having = [joint.name for joint, more in zip(robot.joints, terms, strict=True) if term in more]
+        if having:
+            everywhere = len(having) == sum(map(len, at_all_joints(robot, [term])))
+            parts.append(term if everywhere else f"{term}: {', '.join(having)}")
     return "; ".join(parts) or "none"
 
 
 def write_friction(path: Path, choice: TermChoice) -> None:
-    """Put the recommended terms into the description at `path`, which is that of the choice.
+    """Put the recommended terms into the description at `path`, which is that of the choice; lines without use become comments.
 
     Raises `IdentificationError`: where the layout prevents replacing lines; the file is not changed.
     """
-    files, found = choice.robot.files, None
-    written = with_friction(files["robot.toml"].decode(), tuple(choice.described.values()))
-    with suppress(AcquisitionError):
-        robot = robot_from_files({**files, "robot.toml": written.encode()}, str(path))
-        found = {joint.name: joint.friction for joint in robot.joints}
-    if found != choice.described:
-        problem = "its lines of friction cannot be replaced"
-        expected = "a table of its own for each joint, a key a line; copy the printed lines"
-        raise IdentificationError(problem, place=str(path), key="[[joint]]", value=None, expected=expected)
+    values = dict[str, dict[str, Any]]()
+    for joint, terms in zip(choice.robot.joints, choice.described.values(), strict=True):
+        unused = ["viscous", "coulomb", "offset", *([] if "stribeck" in terms else [joint.key("stribeck_speed")])]
+        values[joint.name] = {"friction": list(terms)} | dict.fromkeys(unused)
+    written = replace_in_tables(choice.robot.files["robot.toml"].decode(), "joint", values, str(path))
     with atomic_write(path) as partial:
         partial.write_text(written, encoding="utf-8")
-
-
-def with_friction(text: str, terms: Sequence[tuple[FrictionTerm, ...]]) -> str:
-    """A description's text with these terms, joint by joint; the speed of removed Stribeck friction becomes a comment."""
-    tables, left = _TABLE.split(text), list(terms)
-    return "".join(_joint_table(x, left.pop(0)) if left and _JOINT.match(x) else x for x in tables)
-
-
-def _joint_table(text: str, terms: tuple[FrictionTerm, ...]) -> str:
-    """The lines of a joint; the list replaces its first line of friction, or follows its type."""
-    if "stribeck" not in terms:
-        text = _SPEED.sub(r"# \g<0>", text)
-    found = _LINES.search(text) or _TYPE.match(text)
-    at = len(text) if found is None else found.start() if found.re is _LINES else found.end()
-    return f"{text[:at]}{friction_line(terms)}\n{_LINES.sub('', text[at:])}"

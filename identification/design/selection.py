@@ -1,21 +1,16 @@
 """Choice of friction terms by cross-validation: over parts of a recording, or over recordings.
 
-1. Every combination of the tried terms, the same at all joints, is fitted to all rows, and each part, a fifth of one recording
-   or one of several, is predicted by the fit of the others. The score of a part is the sum of squared residuals of its moving
-   rows, each divided by its joint's s_j of the fit with the usual terms.
-2. In the fit of each set the terms whose interval contains 0 go, joint by joint; what is left is a set, too. The level of the
-   intervals is such that one in fifty recordings of a robot without such terms shows any.
-3. Recommended is the smallest set whose intervals all exclude 0, and whose score is within one standard error (of the paired
-   difference over the parts) of the best such set.
+Of the sets without terms whose interval contains 0, the smallest that predicts parts nearly as well as the best, as
+identification/method.md says. The score of a part is the sum of squared residuals of its moving rows, each divided by its
+joint's s_j of the fit with the usual terms.
 """
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, pairwise
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from acquisition.robot import FrictionTerm, Robot, low_speed_by_method
 
@@ -36,34 +31,28 @@ CANDIDATES: tuple[FrictionTerm, ...] = ("asymmetric", "root", "load", "stribeck"
 TermSet = tuple[frozenset[FrictionTerm], ...]  # by joint, the terms added to the usual ones
 
 
-def described_terms(robot: Robot, terms: TermSet) -> dict[str, tuple[FrictionTerm, ...]]:
-    """By joint, the terms of a set as a description lists them: the usual ones as described, and those added.
+def with_terms(robot: Robot, terms: TermSet) -> Robot:
+    """The robot with the terms of a set beside the usual ones that are described.
 
     Separate friction for each direction contains an offset: it is replaced by common friction and an offset.
     """
-    return {
-        joint.name: (
-            *(term for term in BASELINE if joint.one_sided or term in joint.terms),
-            *(term for term in CANDIDATES if term in more),
-        )
-        for joint, more in zip(robot.joints, terms, strict=True)
-    }
-
-
-def with_terms(robot: Robot, terms: TermSet) -> Robot:
-    """The robot with these friction terms instead of the described ones."""
-    lists = described_terms(robot, terms)
-    joints = (
-        msgspec.structs.replace(joint, friction=lists[joint.name], viscous=None, coulomb=None, offset=None)
-        for joint in robot.joints
-    )
+    joints = []
+    for joint, more in zip(robot.joints, terms, strict=True):
+        usual = [term for term in BASELINE if joint.one_sided or term in joint.terms]
+        friction = (*usual, *(term for term in CANDIDATES if term in more))
+        joints.append(msgspec.structs.replace(joint, friction=friction, viscous=None, coulomb=None, offset=None))
     return replace(robot, joints=tuple(joints))
+
+
+def described_terms(robot: Robot, terms: TermSet) -> dict[str, tuple[FrictionTerm, ...]]:
+    """By joint, the terms of a set and the usual ones, as a description lists them under `friction`."""
+    return {joint.name: joint.terms for joint in with_terms(robot, terms).joints}
 
 
 def at_all_joints(robot: Robot, kinds: Collection[FrictionTerm]) -> TermSet:
     """These terms at all joints that can have them: Stribeck friction only if its speed is stated."""
-    none = frozenset[FrictionTerm]({"stribeck"})
-    return tuple(frozenset(kinds) - (none if j.si("stribeck_speed") is None else frozenset()) for j in robot.joints)
+    given = (joint.si("stribeck_speed") is not None for joint in robot.joints)
+    return tuple(frozenset(kind for kind in kinds if kind != "stribeck" or has) for has in given)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -71,20 +60,20 @@ class Trial:
     """The result of a set of terms on recordings.
 
     Attributes:
-        fitted_error_percent: relative torque error of moving rows, fitted to all rows.
+        significant_terms: the terms that have a parameter whose interval excludes 0.
+        fitted_error_percent: relative torque error of moving rows, fitted to all rows; None without torque.
         held_out_percents: (k,) the same of each part, predicted by the fit of the others; NaN if no joint moves.
         scores: (k,) of the parts.
-        significant_terms: the terms that have a parameter whose interval excludes 0.
     """
 
     terms: TermSet
-    fitted_error_percent: float
+    significant_terms: TermSet
+    fitted_error_percent: float | None
     held_out_percents: Array
     scores: Array
-    significant_terms: TermSet
 
     @property
-    def count(self) -> int:
+    def added_terms(self) -> int:
         """Number of terms added to the usual ones."""
         return sum(map(len, self.terms))
 
@@ -150,13 +139,10 @@ def select_friction(
     given = replace(given, low_speed_percent=low_speed_by_method(low))  # least squares in the rows of instruments
     whole = stack_of(_with_terms(recordings, at_all_joints(robot, CANDIDATES)), given, say)
     trials = Trials(correct_known_lags(whole))
-    able = [term for term in CANDIDATES if any(at_all_joints(robot, [term]))]
-    for kinds in (chosen for size in range(len(able) + 1) for chosen in combinations(able, size)):
+    for kinds in (chosen for size in range(len(CANDIDATES) + 1) for chosen in combinations(CANDIDATES, size)):
         say(f"set {len(trials.done) + 1}: {', '.join(kinds)}")
         trials.of(trials.of(at_all_joints(robot, kinds)).significant_terms)
-    recommended = smallest_near_best(
-        [trial for trial in trials.done.values() if trial.significant_terms == trial.terms]
-    )
+    recommended = smallest_near_best([one for one in trials.done.values() if one.significant_terms == one.terms])
     left_out = [text for (j, term), text in trials.left_out.items() if term not in recommended.terms[j]]
     return TermChoice(
         recordings=recordings,
@@ -171,13 +157,10 @@ def select_friction(
 
 def smallest_near_best(trials: Sequence[Trial]) -> Trial:
     """The smallest set within one standard error of the best."""
-    trials = sorted(trials, key=lambda trial: trial.score)
-
-    def near(trial: Trial) -> bool:
-        more = trial.scores - trials[0].scores
-        return bool(more.mean() <= more.std(ddof=1) / np.sqrt(len(more)))
-
-    return min(filter(near, trials), key=lambda trial: trial.count)
+    best = min(trials, key=lambda trial: trial.score)
+    more = [(trial, trial.scores - best.scores) for trial in trials]
+    near = [trial for trial, x in more if x.mean() <= x.std(ddof=1) / np.sqrt(len(x))]
+    return min(near, key=lambda trial: (trial.added_terms, trial.score))
 
 
 def _with_terms(recordings: Sequence[Signals], terms: TermSet) -> Recordings:
@@ -189,27 +172,26 @@ class Trials:
 
     Attributes:
         whole: their system with all tried terms; `added`: joint and term of the base parameters of these, by name.
-        parts: (T,) the part of each instant, fifths of a single recording or each of several; `names`: of the parts.
+        parts: instants that are held out, fifths of a single recording or each of several; `names`: of the parts.
         weights: (n,) 1/s_j of the fit with the usual terms.
         unpredicted: messages about the parts whose parameters the others do not determine, by name.
         done: the trials; `left_out`: joints and terms that some of them leave out, each with the reason.
     """
 
     def __init__(self, whole: StackedSystem) -> None:
-        robot, base, self.whole = whole.problem.signals.robot, whole.problem.base, whole
-        signals, edges = [one.problem.signals for one in whole.observations], np.cumsum(whole.regression.parts)
-        self.names, self._own = [one.recording for one in signals], [one.own for one in whole.parameters.of]
+        robot, model, base = whole.problem.signals.robot, whole.problem.model, whole.problem.base
+        self.whole, self.parts, self._own = whole, whole.parts, [one.own for one in whole.parameters.of]
+        self.names = [one.problem.signals.recording for one in whole.observations]
         if whole.regression.reduced:
             expected = "a part of it, or a larger decimation"
             raise IdentificationError("too long", place=", ".join(self.names), expected=expected)
-        if len(signals) == 1:
+        if len(self.names) == 1:
+            edges = np.linspace(0, len(whole.regression.tau), FIFTHS + 1).round().astype(int)
+            self.parts = tuple(slice(first, last) for first, last in pairwise(edges))
             self.names, self._own = [f"fifth {k + 1}" for k in range(FIFTHS)], [set()] * FIFTHS
-            edges = np.linspace(0, edges[-1], FIFTHS + 1)[1:].round()
-        self.parts = np.searchsorted(edges, np.arange(edges[-1]), side="right")
-        sources = zip(base.names, (whole.problem.model.sources[c] for c in base.columns), strict=True)
-        self.added: dict[str, tuple[int, FrictionTerm]] = {
-            name: (int("".join(filter(str.isdigit, name))) - 1, term)  # Frm6 is of joint 6
-            for name, source in sources
+        self.added = {
+            name: (source.joint, term)
+            for name, source in zip(base.names, (model.sources[c] for c in base.columns), strict=True)
             for term in CANDIDATES
             if isinstance(source, JointTerm) and source.kind == term
         }
@@ -222,10 +204,8 @@ class Trials:
             if lost
         }
         if (left := len(self.names) - len(self.unpredicted)) < MIN_PARTS:
-            expected = (
-                f"at least {MIN_PARTS}: recordings that each move all joints, or one that does so in all its fifths"
-            )
             text = "; ".join(self.unpredicted.values())
+            expected = f"at least {MIN_PARTS}: recordings, or fifths of one, that each move all joints"
             raise IdentificationError(text, key="parts held out", value=left, expected=expected)
 
     def of(self, terms: TermSet) -> Trial:
@@ -236,34 +216,31 @@ class Trials:
         rows, found = settled.regression, intervals_of(settled.regression.system, estimate)
         moving = are_moving(rows.speed)
 
-        def errors(beta: Array, among: NDArray[np.bool_]) -> tuple[float, float]:  # score, and error in percent
-            rho = rows.tau - rows.predicted(beta)
-            percent = relative_error_percent(rows.tau[among], rho[among])
-            return float(np.sum((rho * self.weights)[among] ** 2)), float("nan") if percent is None else percent
+        def errors(beta: Array, part: slice) -> tuple[float, float | None]:  # score, and error in percent
+            among, rho = moving[part], (rows.tau - rows.predicted(beta))[part]
+            score = float(np.sum((rho * self.weights)[among] ** 2))
+            return score, relative_error_percent(rows.tau[part][among], rho[among])
 
-        predictions = enumerate(zip(self.names, self._predictions(settled), strict=True))
-        held = [
-            errors(beta, moving & (self.parts == k)[:, None])
-            for k, (name, (beta, _)) in predictions
-            if name not in self.unpredicted
-        ]
+        predictions = zip(self.names, self.parts, self._predictions(settled), strict=True)
+        held = [errors(beta, part) for name, part, (beta, _) in predictions if name not in self.unpredicted]
+        scores, percents = np.array(held, dtype=float).T
         least = t_quantile(1 - FALSE_TERM_RATE / 2 / max(1, len(self.added)), found.freedom) * found.sigma
         # The interval of load friction must lie above 0: no friction decreases with load.
         values = zip(estimate.names, estimate.beta, least, strict=True)
         beyond = [name for name, x, limit in values if (x if name.startswith("mu") else abs(x)) > limit]
-
-        def terms_of(names: Collection[str]) -> TermSet:
-            added = [self.added[name] for name in names if name in self.added]
-            return tuple(frozenset(term for i, term in added if i == j) for j in range(len(terms)))
-
         trial = Trial(
-            terms=terms_of(estimate.names),
-            significant_terms=terms_of(beyond),
-            fitted_error_percent=errors(estimate.beta, moving)[1],
-            held_out_percents=np.array([percent for _, percent in held]),
-            scores=np.array([score for score, _ in held]),
+            terms=self._terms(estimate.names),
+            significant_terms=self._terms(beyond),
+            fitted_error_percent=errors(estimate.beta, slice(None))[1],
+            held_out_percents=percents,
+            scores=scores,
         )
         return self.done.setdefault(trial.terms, trial)
+
+    def _terms(self, names: Sequence[str]) -> TermSet:
+        """The tried terms that have these parameters."""
+        added = [self.added[name] for name in names if name in self.added]
+        return tuple(frozenset(term for i, term in added if i == j) for j in range(len(self.weights)))
 
     def _fit(self, terms: TermSet) -> tuple[StackedSystem, Estimate]:
         others = {name: "" for name, (j, term) in self.added.items() if term not in terms[j]}
@@ -273,8 +250,8 @@ class Trials:
 
     def _predictions(self, settled: StackedSystem) -> list[tuple[Array, list[str]]]:
         """By part the parameters (b,) by the others, and the names of those that they do not determine."""
-        rows, names = np.column_stack(settled.regression.system.weighted(self.weights)), settled.regression.system.names
-        by_joint = rows.reshape(len(self.weights), -1, rows.shape[1])
-        each = [r_factor(by_joint[:, self.parts == k].reshape(-1, rows.shape[1])) for k in range(len(self.names))]
-        found = predictions_by_others([np.c_[R[:, :-1], R] for R in each], names, self._own)
-        return [(np.zeros(len(names)) if beta is None else beta, lost) for beta, lost in found]
+        system = settled.regression.system
+        rows = np.column_stack(system.weighted(self.weights)).reshape(len(self.weights), -1, len(system.names) + 1)
+        each = [r_factor(rows[:, part].reshape(-1, rows.shape[2])) for part in self.parts]
+        found = predictions_by_others([np.c_[R[:, :-1], R] for R in each], system.names, self._own)
+        return [(np.zeros(len(system.names)) if beta is None else beta, lost) for beta, lost in found]

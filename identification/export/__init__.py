@@ -6,3 +6,4 @@ from .exported_model import split_parameters
 from .exporting import export_model, write_models
 from .formats import make_urdf
 from .stored_model import distrust, export_fit, model_of_fit
+from .tables import replace_in_tables

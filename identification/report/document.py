@@ -121,6 +121,6 @@ class ResultFile(msgspec.Struct, frozen=True, kw_only=True):
 
 def write_json(path: Path, content: ResultFile) -> None:
     """Write a result as a JSON file, whole or not at all; a number that is not finite is null."""
-    plain = json.loads(msgspec.json.encode(content, enc_hook=lambda number: number.item()))  # numpy scalars to Python's
+    plain = json.loads(msgspec.json.encode(content, enc_hook=lambda numbers: numbers.tolist()))  # numpy's to Python's
     with atomic_write(path) as partial:
         partial.write_text(json.dumps(plain, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")

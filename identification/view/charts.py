@@ -4,8 +4,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..design import Excitation, JointFriction
-from ..methods import Gains
+from ..design import Excitation
+from ..methods import Fit, Gains
+from ..model import friction_alone
+from ..regression import base_name, rigid_torque_at_rows
 from ..report import Level, ParameterSet, differences
 from ..study import Run, VariedFit
 from ..trust import Trust
@@ -16,7 +18,8 @@ from .panels import Column, Curve, Graph, Mark, Rows, Shape
 MAX_ROWS, MAX_COLUMNS = 30, 4  # of a chart
 MAX_SIGMAS_SHOWN = 6.0  # larger differences are drawn at the edge of their chart
 MAX_TRUSTED_SIGMAS = 3.0  # limit of a difference
-LOADS = (SKY, ORANGE, VERMILLION)  # low, medium and high load
+LOADS = {10.0: SKY, 50.0: ORANGE, 90.0: VERMILLION}  # percentiles of the load that curves of friction are drawn at
+SPEEDS = np.linspace(0.02, 1.0, 80)  # of these curves in each direction, relative to the peak
 MAX_DOTS = 400  # of a friction chart
 STUDY_ROWS = 5  # that the runs of a study by one method are spread over
 LEVEL_COLORS: dict[Level, Color] = {"do not use": VERMILLION, "caution": ORANGE, "ok": SKY}
@@ -116,26 +119,48 @@ def gains_chart(gains: Gains) -> Rows:
     return Rows(path=("gains",), title=title, names=names, columns=[column], legend=legend)
 
 
-def friction_chart(friction: JointFriction, of: str = "") -> Graph:
-    """Friction of a joint over its speed: rows as dots, the identified curve with its interval; a color per load."""
-    every, levels = slice(None, None, max(1, len(friction.speed) // MAX_DOTS)), [c.load for c in friction.curves]
-    points, load = np.stack([friction.speed[every], friction.torque[every]], axis=1), friction.load[every]
-    one = len(levels) == 1
-    nearest = np.zeros(len(load), dtype=int) if one else np.abs(load[:, None] - levels).argmin(axis=1)
-    curves = list[Curve]()
-    for k, curve in enumerate(friction.curves):
-        color, name = (PREDICTED, "identified") if one else (LOADS[k], f"load {curve.load:.3g} {friction.unit}")
-        for side in (curve.speed < 0, curve.speed > 0):
-            for offset, text in ((0.0, name), (-1.0, "95 % interval"), (1.0, "95 % interval")):
-                line = curve.speed[side], (curve.torque + offset * curve.half)[side]
-                key, width = f"{k}{len(curves):02}", 1.0 if offset else 2.5
-                curves.append(Curve(key=key, name=text, color=color, line=line, width=width, dashed=bool(offset)))
-    return Graph(
-        path=("friction", friction.joint, *([of] if of else [])),
-        title=f"friction {friction.joint}{of and f', {of}'} [{friction.unit}] over speed [{friction.speed_unit}]",
-        curves=tuple(curves),
-        dots=[(points[nearest == k], GREY if one else LOADS[k]) for k in range(len(levels))],
-    )
+def friction_charts(fit: Fit, of: str = "") -> list[Graph]:
+    """Friction of each joint over its speed: rows as dots, the identified curve with its 95 % interval; a color per load.
+
+    Dots are the measured torque minus all other predicted torque, the offset too, in the rows of all recordings; in the first
+    rows of a long one. If recordings have parameters of their own, dots use each recording's and curves their means.
+    """
+    problem, estimate, charts, found = fit.problem, fit.estimate, list[Graph](), []
+    model, robot = problem.model, problem.signals.robot
+    columns = problem.base.columns[[fit.base.names.index(base_name(name)) for name in estimate.names]]
+    applies = np.array([[n in one.parameters.names for n in estimate.names] for one in fit.recordings], dtype=float)
+    for one, own in zip(fit.recordings, applies, strict=True):
+        dq, rigid = rigid_torque_at_rows(one.problem, one.parameters.values(estimate))
+        residual = (fit.tau - fit.tau_predicted)[one.rows][: len(dq)]
+        found.append((dq, np.abs(rigid), residual, np.tile(own, (len(dq), 1))))
+    moved, loads, residuals, own = (np.concatenate(x) for x in zip(*found, strict=True))
+    for j, (joint, unit) in enumerate(zip(robot.joints, robot.effort_units, strict=True)):
+        peak = np.abs(moved[:, j]).max(initial=0.0)
+        rows = np.flatnonzero(np.abs(moved[:, j]) > 0.02 * peak)
+        at, looks = [0.0], [(PREDICTED, GREY, "identified")]
+        if "load" in joint.terms and len(rows):
+            at = np.percentile(loads[rows, j], list(LOADS)).tolist()
+            looks = [(color, color, f"load {x:.3g} {unit}") for x, color in zip(at, LOADS.values(), strict=True)]
+        rows = rows[:: max(1, len(rows) // MAX_DOTS)]
+        v, load, curves, dots = moved[rows, j], loads[rows, j], list[Curve](), []
+        torque = (friction_alone(model, columns, j, v, load) * own[rows]) @ estimate.beta + residuals[rows, j]
+        nearest = np.abs(load[:, None] - at).argmin(axis=1)
+        for k, (color, of_dots, name) in enumerate(looks):
+            dots.append((np.stack([v, torque], axis=1)[nearest == k], of_dots))
+            for fastest in (-peak, peak) if peak > 0 else ():
+                speed = fastest * SPEEDS
+                G = friction_alone(model, columns, j, speed, np.full(len(speed), at[k])) * applies.mean(axis=0)
+                half = fit.intervals.reach * np.sqrt(
+                    np.maximum(np.sum((G @ fit.intervals.covariance) * G, axis=1), 0.0)
+                )
+                for side, text in ((0, name), (-1, "95 % interval"), (1, "95 % interval")):
+                    line, key = (speed, G @ estimate.beta + side * half), f"{k}{len(curves):02}"
+                    width = 1.0 if side else 2.5
+                    curves.append(Curve(key=key, name=text, color=color, line=line, width=width, dashed=bool(side)))
+        title = f"friction {joint.name}{of and f', {of}'} [{unit}] over speed [{joint.position_unit}/s]"
+        path = ("friction", joint.name, *([of] if of else []))
+        charts.append(Graph(path=path, title=title, curves=tuple(curves), dots=dots))
+    return charts
 
 
 def interval_charts(excitation: Excitation) -> list[Rows]:

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from ..arrays import Array
 from ..data import Signals
-from ..design import Excitation, friction_of_joints
+from ..design import Excitation
 from ..errors import IdentificationError
 from ..methods import (
     Fit,
@@ -155,7 +155,7 @@ def _signal_pages(signals: Signals, settings: Settings | None, fit: Fit | None) 
 
 def _friction_page(fits: Mapping[str, Fit]) -> Page:
     """Friction of each joint over its speed, for one fit or several fits side by side."""
-    of_fits = [[charts.friction_chart(one, name) for one in friction_of_joints(fit)] for name, fit in fits.items()]
+    of_fits = [charts.friction_charts(fit, name) for name, fit in fits.items()]
     of_joints = {of_joint[0].path[1]: of_joint for of_joint in zip(*of_fits, strict=True)}
     groups: Mapping[str, Sequence[Panel]] = of_joints if len(fits) > 1 else {"friction": of_fits[0]}
     return Page(name="friction", groups=groups)
