@@ -1,5 +1,6 @@
 """Robots, recordings and the real data that tests share."""
 
+import os
 from pathlib import Path
 
 import hypothesis
@@ -24,6 +25,12 @@ PROGRAMS = {"acquisition": ACQUIRE, "identification": IDENTIFY}
 # Of m, mx, my, mz, xx, xy, yy, xz, yz, zz, in the order XX, XY, XZ, YY, YZ, ZZ, MX, MY, MZ, M.
 FROM_PINOCCHIO = [4, 5, 7, 6, 8, 9, 1, 2, 3, 0]
 DATA = ROOT.parent / "shared" / "data"
+
+
+@pytest.fixture(autouse=True)
+def own_priority(monkeypatch: pytest.MonkeyPatch) -> None:
+    """`view --follow` in this process would leave every later test behind all other processes."""
+    monkeypatch.setattr(os, "nice", lambda by: 0)
 
 
 def robot_named(name: str) -> Robot:
