@@ -55,8 +55,8 @@ list_of_names = _values("names", _value("name", str, bool))
 class Overrides:
     """Settings of a fit, some of them options, that replace the rules; None keeps the rule, or the key of robot.toml.
 
-    `cutoff_hz` 0 means no filter; `low_speed_percent` as one number is for least squares and iv; `torque_lag_s` "none" means no
-    correction.
+    `cutoff_hz` 0 means no filter; `low_speed_percent` as one number is for least squares and iv, and `method` takes its own, by
+    the recording if it is None; `ramp_rows` as of `Settings`; `torque_lag_s` "none" means no correction.
     """
 
     cutoff_hz: Annotated[
@@ -67,6 +67,8 @@ class Overrides:
     span: Span | None = None
     edges: "Edges | None" = None
     low_speed_percent: "float | LowSpeed | None" = None
+    method: Literal["ols", "wls", "iv"] | None = None
+    ramp_rows: float | None = None
     torque_lag_s: Annotated[
         float | Literal["none"] | None,
         option(

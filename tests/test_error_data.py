@@ -61,7 +61,7 @@ def test_of_a_guard_that_guards_nothing(tmp_path: Path, key, most, prismatic):
 @pytest.mark.parametrize(
     ("change", "key", "value"),
     [
-        ({"low_speed_percent": 99.0}, "decimated rows", 7),
+        ({"low_speed_percent": 99.0}, "decimated rows", 4),
         ({"q": [1.0, 0.0]}, "parameters not excited", ["Fv2", "Fc2"]),
         ({"q": [100.0, 1.0]}, "", None),  # beyond the limits of position
     ],

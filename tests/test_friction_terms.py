@@ -216,7 +216,7 @@ class Exact:
     """A motion known exactly, where that of a recording is filtered."""
 
     def __init__(self, motion: Motion) -> None:
-        self.motion = motion
+        self.motion, self.weights = motion, {}
 
     def between(self, start, stop, cutoff_hz):
         m = self.motion

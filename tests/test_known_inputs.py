@@ -21,7 +21,7 @@ from identification.data import Recordings, Signals, load_signals
 from identification.errors import IdentificationError
 from identification.methods import Fit, Iteration, fit_file, identify_iv, identify_ls, validate_all
 from identification.model import InverseModel, described_parameters
-from identification.regression import Overrides, make_problem, torque_rate
+from identification.regression import Overrides, make_problem, torque_rate, weights_at
 from identification.study import write_signals
 from identification.trust.columns import SPRING, MissingTerm
 
@@ -247,8 +247,9 @@ def test_rates_of_torques_are_those_of_the_drives():
     with_spring, plain = make_problem(signals, Overrides()), make_problem(without("known_torque"), Overrides())
     beta, settings = fitted(signals, "ls").beta, with_spring.settings
     spring = 1e3 * np.gradient(signals.known_torque, axis=0)[settings.start : settings.stop]
-    apart = torque_rate(plain, beta) - torque_rate(with_spring, beta)
-    assert apart[5:-5] == pytest.approx(settings.decimator.filtered(spring.T).T[5:-5], abs=1e-6 * np.abs(spring).max())
+    w = weights_at(with_spring, np.arange(settings.start, settings.stop) / signals.sample_rate_hz)
+    apart = (torque_rate(plain, beta) - torque_rate(with_spring, beta))[:, 5:-5]
+    assert apart == pytest.approx(settings.decimator.filtered(w * spring.T)[:, 5:-5], abs=1e-6 * np.abs(spring).max())
 
 
 def test_a_spring_has_to_take_more_than_other_terms():

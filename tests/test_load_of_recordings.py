@@ -26,6 +26,7 @@ from identification.regression import (
     row_states,
     system,
     torque_of_recording,
+    weights_at,
 )
 from identification.study import Noise, closed_loop, random_reference, write_signals
 
@@ -77,27 +78,28 @@ def series_of(problem):
 def about(problem, beta):
     """W (n, rows, b) and Y (n, rows) of a recording about beta, by the formulas."""
     s, base, (series, m) = problem.settings, problem.base, series_of(problem)
-    W = np.stack([s.decimator.filtered(series[:, j].T).T for j in range(series.shape[1])])
-    Y = s.decimator.filtered(m.tau.T)
+    w = weights_at(problem, m.t_s)
+    W = np.stack([s.decimator.filtered(w[j] * series[:, j].T).T for j in range(series.shape[1])])
+    Y = s.decimator.filtered(w * m.tau.T)
     for j in range(len(W)):
         mu = base.names.index(f"mu{j + 1}")
         rigid, sign = series[:, j, base.links] @ beta[base.links], np.sign(m.dq[:, j])
         moved = beta[mu] * s.decimator.kept(np.sign(rigid) * sign)[:, None] * W[j][:, base.links]
         Y[j] = Y[j] + moved @ beta[base.links]
         W[j][:, base.links] += moved
-        W[j][:, mu] = s.decimator.filtered((np.abs(rigid) * sign)[None])[0]
+        W[j][:, mu] = s.decimator.filtered((w[j] * np.abs(rigid) * sign)[None])[0]
     return W, Y
 
 
-def weighted_least_squares(W, Y, joint):
-    """Estimate and deviations: rows over the residual of each joint's own least squares."""
+def weighted_least_squares(W, Y, joint, count):
+    """Estimate and deviations: rows over the residual of each joint's own least squares; `count` (2,) rows by their weights."""
     s = np.ones(2)
     for j in range(2):
         own, rows = W[joint == j], Y[joint == j]
         own = own[:, own.any(axis=0)]
         own = own / np.linalg.norm(own, axis=0)
         b, _, rank, _ = np.linalg.lstsq(own, rows, rcond=1e-9)
-        s[j] = np.sqrt(np.sum((rows - own @ b) ** 2) / (len(rows) - rank))
+        s[j] = np.sqrt(np.sum((rows - own @ b) ** 2) / (count[j] - rank))
     A, b = W / s[joint][:, None], Y / s[joint]
     beta = np.linalg.lstsq(A, b)[0]
     variance = np.sum((b - A @ beta) ** 2) / (len(b) - A.shape[1])
@@ -108,8 +110,10 @@ def weighted_least_squares(W, Y, joint):
 def test_least_squares_of_recordings_is_that_of_their_rows_stacked():
     """Pass by pass by hand, from the fit without load friction on, until no parameter moves by half its deviation."""
     _, given = scara()
-    problems = [make_problem(signals, Overrides()) for signals in given.sources]
-    fast = [regression_of_recording(problem).fast.T for problem in problems]  # (n, rows)
+    ramps = Overrides(ramp_rows=fit_of("wls").settings.ramp_rows)
+    problems = [make_problem(signals, ramps) for signals in given.sources]
+    share = [regression_of_recording(problem).share.T for problem in problems]  # (n, rows)
+    fast, count = [one > 0 for one in share], np.sum([(one**2).sum(axis=1) for one in share], axis=0)
     joint = np.concatenate([np.nonzero(rows)[0] for rows in fast])
 
     def rows(beta):
@@ -120,10 +124,10 @@ def test_least_squares_of_recordings_is_that_of_their_rows_stacked():
     linear = np.array([not name.startswith("mu") for name in names])
     W, Y = rows(np.zeros(len(names)))
     beta, passes, moved = np.zeros(len(names)), 0, np.inf
-    beta[linear], _ = weighted_least_squares(W[:, linear], Y, joint)
+    beta[linear], _ = weighted_least_squares(W[:, linear], Y, joint, count)
     while moved > 0.5:
         W, Y = rows(beta)
-        after, sigma = weighted_least_squares(W, Y, joint)
+        after, sigma = weighted_least_squares(W, Y, joint, count)
         beta, moved, passes = after, np.abs((after - beta) / sigma).max(), passes + 1
     assert passes > 1
     assert off(fit_of("wls"), beta).max() < 1e-9
@@ -257,9 +261,9 @@ def test_held_out_is_predicted_by_the_fit_of_the_others():
     fit = identify_ls(scara()[1], Overrides())
     for k, one in enumerate(fit.recordings):
         others = identify_ls(Recordings(sources=(*sources[:k], *sources[k + 1 :])), Overrides())
-        problem = make_problem(sources[k], Overrides())
+        problem = make_problem(sources[k], Overrides(ramp_rows=fit.settings.ramp_rows))
         tau, predicted, _ = torque_of_recording(problem, others.beta)
-        fast = regression_of_recording(problem).fast
+        fast = regression_of_recording(problem).counts
         error = 100 * np.linalg.norm((tau - predicted)[fast]) / np.linalg.norm(tau[fast])
         assert one.held_out.error_percent == pytest.approx(error, rel=0.02)
         own = 100 * np.linalg.norm((tau - torque_of_recording(problem, fit.beta)[1])[fast]) / np.linalg.norm(tau[fast])

@@ -51,9 +51,9 @@ def test_tx40_agrees_with_the_earlier_identification(tx40):
     signals = signals_of(tx40)
     fit, default = identify_ls(signals, Overrides(low_speed_percent=0.0)), ls_of(tx40)
     whole, fast = fit.errors[-1], default.errors[-1]
-    # Nothing fits these rows better than a fit that has them all: leaving the slow ones out costs next to nothing.
-    assert fast.moving_relative_error_percent < 1.01 * whole.moving_relative_error_percent
-    assert fast.relative_error_percent == pytest.approx(6.02, abs=0.05)
+    # Nothing fits these rows better than a fit that has them all: samples that stand without a weight cost little.
+    assert fast.moving_relative_error_percent < 1.04 * whole.moving_relative_error_percent
+    assert fast.relative_error_percent == pytest.approx(6.28, abs=0.05)
     value = dict(zip(fit.estimate.names, fit.estimate.beta, strict=True))
     sigma = dict(zip(fit.estimate.names, fit.estimate.sigma, strict=True))
     assert len(value) == 60

@@ -26,7 +26,13 @@ from identification.methods import (
     with_consistent,
 )
 from identification.model import InverseModel, base_parameters, described_parameters
-from identification.regression import Overrides, make_problem, own_parameters, regression_of_recording
+from identification.regression import (
+    Overrides,
+    make_problem,
+    own_parameters,
+    regression_of_recording,
+    torque_of_recording,
+)
 from identification.report import ParameterSet, differences, read_fit, write_json
 from identification.study import Noise, closed_loop, random_reference, write_signals
 
@@ -66,7 +72,9 @@ def off(fit, beta) -> float:
 
 def test_least_squares_of_recordings_is_that_of_their_rows_stacked():
     fit = fitted()
-    systems = [regression_of_recording(make_problem(recorded(k), Overrides())).system for k in (1, 2, 3)]
+    ramps = Overrides(ramp_rows=fit.settings.ramp_rows)
+    problems = [make_problem(recorded(k), ramps) for k in (1, 2, 3)]
+    systems = [regression_of_recording(problem).system for problem in problems]
     W, Y, joint = (
         np.concatenate([getattr(s, name)[s.used > 0] for s in systems]) for name in ("W", "Y", "joint_of_row")
     )
@@ -75,14 +83,17 @@ def test_least_squares_of_recordings_is_that_of_their_rows_stacked():
         own, rows = W[joint == j], Y[joint == j]
         own = own[:, own.any(axis=0)]
         b, _, rank, _ = np.linalg.lstsq(own, rows)
-        s[j] = np.sqrt(np.sum((rows - own @ b) ** 2) / (len(rows) - rank))
+        s[j] = np.sqrt(np.sum((rows - own @ b) ** 2) / (sum(one.rows[j] for one in systems) - rank))
     beta = np.linalg.lstsq(W / s[joint][:, None], Y / s[joint])[0]
     assert off(fit, beta) < 1e-9
-    # The errors of each are those of its own rows.
-    for one, system in zip(fit.recordings, systems, strict=True):
-        rho = system.Y - system.W @ fit.estimate.beta
+    # The errors of each are those of its own torque, without weights.
+    for one, problem in zip(fit.recordings, problems, strict=True):
+        s = problem.settings
+        motion = problem.motion.between(s.start, s.stop, s.cutoff_hz)
+        full = problem.model.regressor(motion.q, motion.dq, motion.ddq)[..., problem.base.columns] @ fit.estimate.beta
+        tau, rho = (s.decimator.filtered(x.T) for x in (motion.tau, motion.tau - full))
         assert one.errors[-1].relative_error_percent == pytest.approx(
-            100 * np.linalg.norm(rho) / np.linalg.norm(system.Y), rel=1e-9
+            100 * np.linalg.norm(rho) / np.linalg.norm(tau), rel=1e-9
         )
 
 
@@ -117,11 +128,10 @@ def test_the_truth_is_inside_and_the_verdict_is_trust(method):
 def test_held_out_is_predicted_by_the_fit_of_the_others(method):
     fit = fitted(method)
     others = identify_ls(several(recorded(1), recorded(2)), Overrides())
-    last, problem = fit.recordings[2], make_problem(recorded(3), Overrides())
-    system = regression_of_recording(problem).system
-    used = system.used > 0
-    rho = (system.Y - system.W @ others.estimate.beta)[used]
-    error = 100 * np.linalg.norm(rho) / np.linalg.norm(system.Y[used])
+    last, problem = fit.recordings[2], make_problem(recorded(3), Overrides(ramp_rows=fit.settings.ramp_rows))
+    counts = regression_of_recording(problem).counts
+    tau, predicted, _ = torque_of_recording(problem, others.estimate.beta)
+    error = 100 * np.linalg.norm((tau - predicted)[counts]) / np.linalg.norm(tau[counts])
     # Weights and, of iv, rows and instruments are those of the fit of all.
     assert last.held_out.error_percent == pytest.approx(error, rel=2e-3 if method == "wls" else 0.2)
     assert last.held_out.trained_percent < last.held_out.error_percent
@@ -135,7 +145,7 @@ def test_a_recording_that_the_others_do_not_predict_is_doubted():
     line = fit.trust.line("held-out blocks")
     assert line.level == "caution"
     assert line.value > 1.5 * np.mean([figure.expected for figure in line.figures])
-    assert "the fit does not generalise: record more" in line.text
+    assert "the fit does not generalise (2 times where joints move): record more" in line.text
     assert "take the parameters of --consistent" in line.text
 
 
@@ -491,7 +501,8 @@ def test_own_parameters_by_hand():
     """F of the sums of squares of two systems, one with a column of the offset for each recording, one with a single one."""
     recordings = with_offsets(("Off",))
     fit = identify_ls(several(*recordings), Overrides())
-    systems = [regression_of_recording(make_problem(one, Overrides())).system for one in recordings]
+    given = Overrides(ramp_rows=fit.settings.ramp_rows)
+    systems = [regression_of_recording(make_problem(one, given)).system for one in recordings]
     weights, rows, parameters, left = fit.estimate.weights, 0, 0, {}
     for own in (True, False):
         blocks = []
@@ -501,7 +512,7 @@ def test_own_parameters_by_hand():
             apart[:, k * is_own.sum() : (k + 1) * is_own.sum()] = s.W[:, is_own]
             blocks.append((np.c_[s.W[:, ~is_own], apart, s.Y] * weights[s.joint_of_row][:, None])[s.used > 0])
         A = np.concatenate(blocks)
-        rows, b = len(A), A.shape[1] - 1
+        rows, b = sum(s.rows.sum() for s in systems), A.shape[1] - 1
         left[own] = np.sum((A[:, -1] - A[:, :-1] @ np.linalg.lstsq(A[:, :-1], A[:, -1])[0]) ** 2)
         parameters = max(b, parameters)
     F = (left[False] - left[True]) / 4 / (left[True] / (rows - parameters))

@@ -1,4 +1,4 @@
-"""Defaults that are right: ends, rows at low speed, surrogates at low rates, wrong signs, the best pass, settings kept."""
+"""Defaults that are right: ends, samples at low speed, surrogates at low rates, wrong signs, the best pass, settings kept."""
 
 import dataclasses
 import json
@@ -14,11 +14,9 @@ from acquisition.robot import LowSpeed, Robot, robot_from_files
 from identification.commands import main
 from identification.data import Signals, load_signals
 from identification.errors import IdentificationError
-from identification.estimation import weighted_least_squares
 from identification.methods import Fit, Iteration, identify_iv, identify_ls
 from identification.model import InverseModel, described_parameters
-from identification.regression import FilteredMotion, Overrides, make_problem, moving_rows_of, regression_of_recording
-from identification.regression.rows import measured_sliding_speed
+from identification.regression import Overrides
 from identification.study import Noise, closed_loop, random_reference
 
 SCARA = REPLAY / "scara" / "session.mcap"
@@ -58,71 +56,16 @@ def test_a_description_asks_for_matlabs_edges():
     np.testing.assert_array_equal(fits[1].beta, by_option.beta)
 
 
-def test_a_row_is_slow_where_a_direction_that_acts_on_its_joint_is():
-    directions = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
-    q_dot = np.array([[10.0, 10.0], [0.3, 10.0], [10.0, 0.3], [10.0, -10.0]])
-    fast = moving_rows_of(q_dot @ directions.T, np.zeros(3), directions, None)
-    # The third direction acts on both joints: at +10 and -10 it stands.
-    assert fast.tolist() == [[True, True], [False, True], [True, False], [False, False]]
-    assert moving_rows_of(q_dot @ directions.T, np.zeros(3), directions, 0.0).all()
-    # 4 deviations of a noise of 0.1 are 0.4; a stated share takes no notice of it.
-    noisy = moving_rows_of(np.array([[10.0], [0.41], [0.39]]), np.array([0.1]), np.eye(1), None)
-    assert noisy[:, 0].tolist() == [True, True, False]
-    assert moving_rows_of(np.array([[10.0], [0.41], [0.39]]), np.array([0.1]), np.eye(1), 4.0)[:, 0].tolist() == [
-        True,
-        True,
-        False,
-    ]
-
-
-def test_least_squares_goes_by_the_lowest_filtered_speed_near_a_row():
-    """Of a joint that follows a known speed, within half a period of the cut-off; without a low-pass there is noise."""
-    signals = load_signals(SCARA)
-    raw, problem = make_problem(signals, Overrides(cutoff_hz=0)), make_problem(signals, Overrides())
-    settings = problem.settings
-    assert (measured_sliding_speed(raw, np.eye(2))[1] > 0).all()
-    assert not measured_sliding_speed(problem, np.eye(2))[1].any()
-    fs, cutoff_hz = signals.sample_rate_hz, settings.cutoff_hz
-    t = signals.t_s
-    q = np.stack([np.sin(2 * np.pi * t), 0.5 * np.sin(np.pi * t)], axis=1)  # far below the cut-off
-    known = dataclasses.replace(signals, q=q)
-    found, _ = measured_sliding_speed(
-        dataclasses.replace(problem, signals=known, motion=FilteredMotion(known)), np.eye(2)
-    )
-    rows = np.arange(settings.stop - 1, settings.start - 1, -settings.decimation)[::-1]
-    half = round(0.5 * fs / cutoff_hz)
-    assert half == 20
-    speed = np.abs(np.stack([2 * np.pi * np.cos(2 * np.pi * t), 0.5 * np.pi * np.cos(np.pi * t)], axis=1))
-    near = [speed[max(settings.start, k - half) : min(settings.stop, k + half + 1)].min(axis=0) for k in rows]
-    np.testing.assert_allclose(found, near, atol=0.01)
-    assert np.abs(found - speed[rows]).max() > 0.3  # the lowest near the row is not that at its instant
-
-
 @pytest.mark.slow
-def test_both_methods_leave_slow_rows_out_and_settings_say_how_many():
+def test_samples_that_stand_weigh_nothing_in_both_methods_and_settings_say_so():
     signals = load_signals(TX40)
     ls, iv = identify_ls(signals, Overrides()), identify_iv(signals, Overrides(), Iteration())
     whole = identify_ls(signals, Overrides(low_speed_percent=0.0))
     rows = ls.errors[-1].moving_rows + ls.errors[-1].standing_rows
     assert whole.estimate.rows == rows
-    assert ls.estimate.rows == pytest.approx(iv.estimate.rows, rel=0.06)
     assert ls.estimate.rows < 0.9 * rows
-    # Least squares on the rows that instrumental variables use: of the simulated speed.
-    m, plan, D = iv.replica.motion, ls.settings, InverseModel(signals.robot).coulomb_directions
-    step_s = m.t_s[1] - m.t_s[0]
-    steps, half = round(plan.decimation / step_s / signals.sample_rate_hz), round(0.5 / step_s / plan.cutoff_hz)
-    speed = np.abs(m.dq @ D.T)
-    slip = [
-        speed[max(0, k - half) : k + half + 1].min(axis=0) for k in range((len(speed) - 1) % steps, len(speed), steps)
-    ]
-    fast = moving_rows_of(np.array(slip), np.zeros(len(D)), D, None)
-    used = fast.T.reshape(-1).astype(float)
-    assert used.sum() == pytest.approx(iv.estimate.rows, rel=5e-3)  # these are the rows of an earlier pass
-    on_its_rows = weighted_least_squares(regression_of_recording(ls.problem).system.with_rows(used))
-    beside = dataclasses.replace(ls, estimate=on_its_rows)
-    assert off_percent(ls, signals) < 1.5 * off_percent(beside, signals)
-    # 3.0 % with all rows, 0.26 % without; instrumental variables 0.16 %.
-    assert off_percent(ls, signals) < 0.15 * off_percent(whole, signals)
+    # 3.0 % with all samples.
+    assert off_percent(ls, signals) < 0.1 * off_percent(whole, signals)
     assert off_percent(ls, signals) < 2.0 * off_percent(iv, signals)
     only_iv = identify_ls(signals, Overrides(low_speed_percent=LowSpeed(ls=0.0, iv=10.0)))
     np.testing.assert_array_equal(only_iv.beta, whole.beta)

@@ -201,7 +201,7 @@ class Controller(TomlTable, frozen=True):
 
 
 class LowSpeed(TomlTable, frozen=True):
-    """Percentage of the peak speed below which rows are left out of least squares and of iv; None: the default."""
+    """Percentage of the peak speed below which samples weigh nothing in least squares and in iv; None: the default."""
 
     ls: Annotated[Share | None, note("of least squares, % of the joint's peak speed (default: 4)")] = None
     iv: Annotated[Share | None, note("of instrumental variables, % of the joint's peak speed (default: 4)")] = None
@@ -218,7 +218,7 @@ class Identification(TomlTable, frozen=True):
     edges: Annotated[Edges, note('edge rule of decimation; "matlab" as MATLAB has it')] = "smooth"
     low_speed_percent: Annotated[
         Share | LowSpeed | None,
-        note("leave out slower rows, % of the joint's peak speed; by method or one for all (default: 4)"),
+        note("slower samples weigh nothing, % of the joint's peak speed; by method or one for all (default: 4)"),
     ] = None
     torque_lag_s: Annotated[
         Lag | Literal["none"] | None,

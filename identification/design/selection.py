@@ -18,7 +18,15 @@ from ..arrays import Array
 from ..data import Recordings, Signals
 from ..errors import IdentificationError
 from ..estimation import Estimate, are_moving, intervals_of, one_thread, r_factor, relative_error_percent, t_quantile
-from ..methods import Fit, StackedSystem, correct_known_lags, identify_ls, solve_with_load_friction, stack_of
+from ..methods import (
+    Fit,
+    StackedSystem,
+    correct_known_lags,
+    identify_ls,
+    solve_with_load_friction,
+    stack_of,
+    with_best_ramps,
+)
 from ..model import JointTerm
 from ..regression import Overrides
 from ..trust import predictions_by_others
@@ -136,9 +144,10 @@ def select_friction(
     recordings = tuple(source if isinstance(source, Signals) else source.load() for source in sources)
     robot, given = recordings[0].robot, overrides or Overrides()
     low = robot.identification.low_speed.iv if given.low_speed_percent is None else given.low_speed_percent
-    given = replace(given, low_speed_percent=low_speed_by_method(low))  # least squares in the rows of instruments
+    given = replace(given, low_speed_percent=low_speed_by_method(low))  # least squares with the weights of instruments
     whole = stack_of(_with_terms(recordings, at_all_joints(robot, CANDIDATES)), given, say)
-    trials = Trials(correct_known_lags(whole))
+    whole = with_best_ramps(correct_known_lags(whole), instruments=False)
+    trials = Trials(whole)
     for kinds in (chosen for size in range(len(CANDIDATES) + 1) for chosen in combinations(CANDIDATES, size)):
         say(f"set {len(trials.done) + 1}: {', '.join(kinds)}")
         trials.of(trials.of(at_all_joints(robot, kinds)).significant_terms)
@@ -146,7 +155,7 @@ def select_friction(
     left_out = [text for (j, term), text in trials.left_out.items() if term not in recommended.terms[j]]
     return TermChoice(
         recordings=recordings,
-        overrides=given,
+        overrides=whole.overrides,
         held_out=tuple(name for name in trials.names if name not in trials.unpredicted),
         trials=tuple(sorted(trials.done.values(), key=lambda trial: trial.score)),
         usual=trials.of(at_all_joints(robot, ())),
@@ -214,15 +223,22 @@ class Trials:
             return self.done[terms]
         settled, estimate = self._fit(terms)
         rows, found = settled.regression, intervals_of(settled.regression.system, estimate)
-        moving = are_moving(rows.speed)
+        moving, betas = are_moving(rows.speed), [beta for beta, _ in self._predictions(settled)]
 
-        def errors(beta: Array, part: slice) -> tuple[float, float | None]:  # score, and error in percent
-            among, rho = moving[part], (rows.tau - rows.predicted(beta))[part]
-            score = float(np.sum((rho * self.weights)[among] ** 2))
-            return score, relative_error_percent(rows.tau[part][among], rho[among])
+        by_others = settled.predicted(
+            *(replace(estimate, names=rows.system.names, beta=beta) for beta in betas),
+            by_recording=len(settled.observations) > 1,
+        )
 
-        predictions = zip(self.names, self.parts, self._predictions(settled), strict=True)
-        held = [errors(beta, part) for name, part, (beta, _) in predictions if name not in self.unpredicted]
+        def percent(predicted: Array, part: slice) -> float | None:
+            among, tau = moving[part], rows.tau[part]
+            return relative_error_percent(tau[among], (tau - predicted[part])[among])
+
+        held = [
+            (np.sum(rows.residual(beta, self.weights)[part] ** 2), percent(by_others, part))
+            for name, part, beta in zip(self.names, self.parts, betas, strict=True)
+            if name not in self.unpredicted
+        ]
         scores, percents = np.array(held, dtype=float).T
         least = t_quantile(1 - FALSE_TERM_RATE / 2 / max(1, len(self.added)), found.freedom) * found.sigma
         # The interval of load friction must lie above 0: no friction decreases with load.
@@ -231,7 +247,7 @@ class Trials:
         trial = Trial(
             terms=self._terms(estimate.names),
             significant_terms=self._terms(beyond),
-            fitted_error_percent=errors(estimate.beta, slice(None))[1],
+            fitted_error_percent=percent(settled.predicted(estimate), slice(None)),
             held_out_percents=percents,
             scores=scores,
         )

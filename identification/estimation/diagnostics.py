@@ -79,7 +79,7 @@ class InstrumentTests:
     first_stage_F: float
 
 
-def instrument_tests(Q: Array, W: Array, rows: int) -> InstrumentTests:
+def instrument_tests(Q: Array, W: Array, rows: float) -> InstrumentTests:
     """Tests of instruments that the orthonormal columns Q (r, b) span; W (r, b) is weighted and has `rows` used rows."""
     b = W.shape[1]
     Qw = orthonormal(W / np.linalg.norm(W, axis=0))
@@ -147,7 +147,7 @@ def independent_share(correlation: float) -> float:
     return (1.0 - c) / (1.0 + c)
 
 
-def f_tests(F: float, dropped: int, rows: int, b: int, correlation: float) -> tuple[float, float, float, float]:
+def f_tests(F: float, dropped: int, rows: float, b: int, correlation: float) -> tuple[float, float, float, float]:
     """F and its p-value for `dropped` of b parameters, and both corrected for the residual's correlation."""
     share = independent_share(correlation)
     return F, f_tail(F, dropped, rows - b), F * share, f_tail(F * share, dropped, max(1.0, rows * share - b))

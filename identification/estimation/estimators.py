@@ -44,7 +44,7 @@ class Estimate:
         weights: (n,) 1/s_j of the rows of joint j; ones without weighting.
         residual_norm: |Y - W beta| of the weighted rows.
         condition_number: of W in the used rows; `condition_number_scaled`: of the weighted W with columns of norm one.
-        rows: r, the number of decimated samples over all joints.
+        rows: r, the number of decimated samples over all joints, the sum of the squares of their weights.
         Q, bread: beta - beta_true = bread Qᵀ rho with weighted rho (r,): Q (r, b) orthonormal columns that span W, or Z.
     """
 
@@ -55,7 +55,7 @@ class Estimate:
     residual_norm: float
     condition_number: float
     condition_number_scaled: float
-    rows: int
+    rows: float
     Q: Array
     bread: Array
 
@@ -200,9 +200,9 @@ def instrumental_variables(system: System, Z: Array, weights: Array) -> Estimate
 
 def _estimated(system: System, weights: Array, Z: Array | None = None) -> Estimate:
     """Least squares, or with instruments Z (r, b), not weighted, instrumental variables."""
-    r, b = int(system.rows.sum()), len(system.names)
+    r, b = float(system.rows.sum()), len(system.names)
     if r <= b:
-        raise IdentificationError(key="decimated rows", value=r, expected=f"more than the {b} parameters")
+        raise IdentificationError(key="decimated rows", value=round(r), expected=f"more than the {b} parameters")
     W, Y = system.weighted(weights)
     spanning = W if Z is None else Z * (weights[system.joint_of_row] * system.used)[:, None]
     singular = refuse_rank_deficiency(spanning, system.names)
@@ -237,7 +237,7 @@ def _solve(Q: Array, W: Array, Y: Array) -> tuple[Array, Array, float, float]:
     return beta, bread, float(np.linalg.norm(Y - W @ beta)), float(np.linalg.cond(A))
 
 
-def _covariance(bread: Array, residual_norm: float, rows: int) -> Array:
+def _covariance(bread: Array, residual_norm: float, rows: float) -> Array:
     """C (b, b) = s² bread breadᵀ; of `rows` samples."""
     return np.asarray(residual_norm**2 / (rows - 1) * (bread @ bread.T))
 

@@ -48,8 +48,8 @@ class System:
         Y: (r,) torques.
         joint_of_row: (r,) joint index of each row, ascending.
         names: (b,) parameters.
-        used: (r,) 1 for used rows, 0 for others.
-        rows: (n,) used samples per joint; more than rows of W where these are QR factors.
+        share: (r,) weight of each row, at most 1, with which W and Y are multiplied; 0 for rows that do not count.
+        rows: (n,) samples per joint, the sum of the squares of their weights; more than rows of W where these are QR factors.
         spans: by recording how its rows follow in time, the same for each joint; empty where they do not.
     """
 
@@ -57,25 +57,31 @@ class System:
     Y: Array
     joint_of_row: NDArray[np.intp]
     names: tuple[str, ...]
-    used: Array
-    rows: NDArray[np.intp]
+    share: Array
+    rows: Array
     spans: tuple[Spans, ...] = ()
 
     def __post_init__(self) -> None:
         r, b = self.W.shape
-        if {self.Y.shape, self.joint_of_row.shape, self.used.shape} != {(r,)} or len(self.names) != b:
+        if {self.Y.shape, self.joint_of_row.shape, self.share.shape} != {(r,)} or len(self.names) != b:
             raise ValueError(f"shapes do not agree: W {self.W.shape}, Y {self.Y.shape}, {len(self.names)} parameters")
 
     @classmethod
     def whole(cls, W: Array, Y: Array, joint_of_row: NDArray[np.intp], names: tuple[str, ...]) -> "System":
         """A system all of whose rows are samples that count."""
-        rows = np.bincount(joint_of_row)
-        return cls(W=W, Y=Y, joint_of_row=joint_of_row, names=names, used=np.ones(len(Y)), rows=rows)
+        rows = np.bincount(joint_of_row).astype(float)
+        return cls(W=W, Y=Y, joint_of_row=joint_of_row, names=names, share=np.ones(len(Y)), rows=rows)
+
+    @property
+    def used(self) -> Array:
+        """(r,) 1 for rows that count, else 0."""
+        return (self.share > 0).astype(float)
 
     def with_rows(self, used: Array) -> "System":
-        """The same system with other `used` rows (r,), 1 and 0."""
-        counts = np.bincount(self.joint_of_row, weights=used, minlength=len(self.rows))
-        return replace(self, used=used, rows=counts.astype(np.intp))
+        """The same system with fewer rows: of those that count the `used` ones (r,), 1 and 0."""
+        share = self.share * used
+        rows: Array = np.bincount(self.joint_of_row, weights=share**2, minlength=len(self.rows)).astype(float)
+        return replace(self, share=share, rows=rows)
 
     def with_columns(self, columns: NDArray[np.intp]) -> "System":
         """The same system for some of its parameters."""
@@ -104,16 +110,16 @@ class SpanFactors:
 
     def __init__(self, instants: int, n: int, columns: int, spans: int = SPANS) -> None:
         """Of `instants` of n joints, without any rows yet."""
-        self._instants, self._rows = instants, np.zeros(n, dtype=np.intp)
+        self._instants, self._rows = instants, np.zeros(n)
         self._R = [[np.empty((0, columns))] * n for _ in range(min(spans, instants))]
 
-    def add(self, first: int, columns: Array, counts: NDArray[np.bool_]) -> None:
-        """Add the instants from `first` on: columns (n, columns, T), and `counts` (T, n), the rows used."""
-        span = np.arange(first, first + len(counts)) * len(self._R) // self._instants
+    def add(self, first: int, columns: Array, share: Array) -> None:
+        """Add the instants from `first` on: columns (n, columns, T), and `share` (T, n), 0 for rows that do not count."""
+        span = np.arange(first, first + len(share)) * len(self._R) // self._instants
         for k in np.unique(span):
             for j, own in enumerate(columns):
-                self._R[k][j] = _factor(np.concatenate([self._R[k][j], own[:, (span == k) & counts[:, j]].T]))
-        self._rows += counts.sum(axis=0)
+                self._R[k][j] = _factor(np.concatenate([self._R[k][j], own[:, (span == k) & (share[:, j] > 0)].T]))
+        self._rows += (share**2).sum(axis=0)
 
     def system(self, names: tuple[str, ...]) -> tuple[System, Array | None]:
         """W and Y as a system, and Z in the same rows; None for rows [W Y]. Spans with fewer rows end with zeros."""
@@ -132,7 +138,7 @@ class SpanFactors:
             Y=Y.reshape(-1),
             joint_of_row=np.repeat(np.arange(n), K * m),
             names=names,
-            used=np.ones(n * K * m),
+            share=np.ones(n * K * m),
             rows=self._rows.copy(),
             spans=(Spans(instants=self._instants, count=K, rows=m),),
         )
@@ -154,7 +160,7 @@ def stacked(systems: Sequence[System]) -> System:
         W=by_joint("W"),
         Y=by_joint("Y"),
         joint_of_row=np.sort(np.concatenate([s.joint_of_row for s in systems])),
-        used=by_joint("used"),
+        share=by_joint("share"),
         rows=np.sum([s.rows for s in systems], axis=0),
         spans=tuple(spans for s in systems for spans in s.spans),
     )
@@ -163,10 +169,10 @@ def stacked(systems: Sequence[System]) -> System:
 def condensed(system: System) -> System:
     """Per joint the QR factor of the used rows of [W Y]: at most b + 1 rows with the same least squares."""
     rows = np.c_[system.W, system.Y]
-    R = [_factor(rows[(system.joint_of_row == j) & (system.used > 0)]) for j in range(len(system.rows))]
+    R = [_factor(rows[(system.joint_of_row == j) & (system.share > 0)]) for j in range(len(system.rows))]
     stack, joints = np.concatenate(R), np.repeat(np.arange(len(R)), [len(x) for x in R])
     W, Y = np.ascontiguousarray(stack[:, :-1]), np.ascontiguousarray(stack[:, -1])
-    return replace(system, W=W, Y=Y, joint_of_row=joints, used=np.ones(len(stack)), spans=())
+    return replace(system, W=W, Y=Y, joint_of_row=joints, share=np.ones(len(stack)), spans=())
 
 
 def _factor(rows: Array) -> Array:

@@ -28,6 +28,12 @@ from .parameters import (
     with_stored_gains,
 )
 from .recording_report import Validated, recording_document, validation_document
-from .settled import leave_out_collinear_terms, load_passes, most_collinear, solve_with_load_friction
+from .settled import (
+    leave_out_collinear_terms,
+    load_passes,
+    most_collinear,
+    solve_with_load_friction,
+    with_best_ramps,
+)
 from .system import StackedSystem, stack_of
 from .timing import correct_known_lags

@@ -15,10 +15,10 @@ from ..estimation import (
     intervals_of,
     torque_errors,
 )
-from ..regression import base_name
+from ..regression import ROWS, Problem, base_name, sample_weights
 from ..report import DirectModelError, FTest, Method, Status
 from ..simulation import Replica, join_reasons, max_or_none
-from ..trust import FitData, Lag, TrustLine, held_out_recordings, trust_in
+from ..trust import FitData, Lag, TrustLine, held_out_parts, trust_in
 from .fit import Fit, FittedRecording, InstrumentEvidence, LeastSquares, Pass, essential_names
 from .gains import add_scale_variance, results_of
 from .observation import position_noise_line
@@ -40,7 +40,6 @@ def evidence_of_ls(observed: StackedSystem, method: Method, ls: LeastSquares, la
         fixed_point=True,
         estimate=ls.estimate,
         predicted=ls.tau_predicted,
-        used=observed.regression.fast.T.reshape(-1).astype(float),
         intervals=ls.intervals,
         least_squares=ls.full,
         lags=lags,
@@ -58,12 +57,11 @@ def fit_of(observed: StackedSystem, evidence: FitData, solved: LeastSquares, rep
     """The fit of an estimate and its assessment; `replicas` are the robot simulated in each recording, if it was."""
     rows, predicted = observed.regression, solved.tau_predicted
     names = tuple(joint.name for joint in observed.problem.signals.robot.joints)
-    trust, held_out = trust_in(evidence), held_out_recordings(evidence)
+    evidence = replace(evidence, held_out=held_out_parts(evidence, observed.predicted))
     filtered, of_model = observed, predicted
     # errors of the model, without the noise that passes the cut-off of the fit
     if (behind := observed.behind_rule()) is not None:
-        filtered = behind.at(solved.estimate.values_of(rows.system.names))
-        of_model = filtered.predicted(solved.estimate)
+        filtered, of_model = behind, behind.predicted(solved.estimate)
     measured = filtered.regression
     fitted = [
         FittedRecording(
@@ -71,13 +69,11 @@ def fit_of(observed: StackedSystem, evidence: FitData, solved: LeastSquares, rep
             parameters=observed.parameters.of[k].settled(solved.estimate),
             rows=part,
             errors=torque_errors(measured.tau[own], of_model[own], measured.speed[own], names),
-            held_out=held,
+            held_out=evidence.held_out[k] if len(observed.observations) > 1 and not evidence.gains else None,
             replica=replicas[k] if replicas else None,
             states=one.states,
         )
-        for k, (one, part, own, held) in enumerate(
-            zip(observed.observations, observed.parts, filtered.parts, held_out, strict=True)
-        )
+        for k, (one, part, own) in enumerate(zip(observed.observations, observed.parts, filtered.parts, strict=True))
     ]
     fit = Fit(
         recordings=tuple(fitted[k] for k in observed.order),
@@ -93,7 +89,7 @@ def fit_of(observed: StackedSystem, evidence: FitData, solved: LeastSquares, rep
         errors=torque_errors(measured.tau, of_model, measured.speed, names),
         lags=evidence.lags,
         warnings=_warnings(observed),
-        trust=trust,
+        trust=trust_in(evidence),
         own=own_test(observed.with_motors(()), solved.full),
     )
     return fit if observed.parameters.plain else replace(fit, **results_of(observed, evidence))
@@ -111,7 +107,7 @@ def own_test(observed: StackedSystem, full: Estimate) -> FTest | None:
     merge = np.array([[float(base_name(name) == one) for one in shared] for name in parameters.names])
     scaled = [A / np.linalg.norm(A, axis=0) for A in (W, W @ merge)]
     norm, left = (float(np.linalg.norm(Y - A @ np.linalg.lstsq(A, Y)[0])) for A in scaled)
-    rho = (rows.tau - observed.predicted(full)) * full.weights * rows.fast
+    rho = rows.residual(full.values_of(rows.system.names), full.weights)
     extra, freedom = len(parameters.names) - len(shared), full.rows - len(parameters.names)
     F = (left**2 - norm**2) / extra / (norm**2 / freedom) if norm > 0 else float("inf")
     F, p, F_effective, p_effective = f_tests(F, extra, full.rows, len(parameters.names), autocorrelation(rho) or 0.0)
@@ -122,11 +118,24 @@ def own_test(observed: StackedSystem, full: Estimate) -> FTest | None:
 def _warnings(observed: StackedSystem) -> tuple[str, ...]:
     """Warnings of the settings and the recordings; several recordings may share one."""
     problems = [observed.observations[k].problem for k in observed.order]
-    of_settings = [[*p.settings.warnings, *gain_warnings(p.signals)] for p in problems]
+    of_settings = [[*p.settings.warnings, *_short_moves(p), *gain_warnings(p.signals)] for p in problems]
     if len(problems) == 1:
         return (*of_settings[0], *recording_warnings(problems[0].signals))
     named = [f"{p.signals.recording}: {text}" for p in problems for text in recording_warnings(p.signals)]
     return (*dict.fromkeys(text for texts in of_settings for text in texts), *named)
+
+
+def _short_moves(problem: Problem) -> list[str]:
+    """Joints whose weights have shorter ramps than those of the settings."""
+    if not len(problem.signals.q):
+        return []
+    robot, asked = problem.signals.robot, problem.settings.ramp_rows
+    return [
+        f"joint {joint.name}: its moves are short for a bandwidth of {robot.bandwidth_hz:.3g} Hz: "
+        + ("no weights, but rows in which it moves" if ramp == ROWS else f"ramps of {ramp:g} rows")
+        for joint, ramp in zip(robot.joints, sample_weights(problem).ramps, strict=True)
+        if ramp < asked
+    ]
 
 
 def assess_iv(
@@ -138,7 +147,7 @@ def assess_iv(
     start: str,
 ) -> Fit:
     """The fit of the pass that is returned; the robot simulated with its estimate validates the direct model."""
-    observed, z, estimate, replicas = observed.about(best.z), best.z, best.estimate, best.replicas
+    observed, estimate, replicas = observed.about(best.z), best.estimate, best.replicas
     evidence = _evidence_along(observed, best, ls)
     tests = _tests(evidence.observed.system, estimate)
     status, reason = _status(passes, best, [one.problem.signals.recording for one in observed.observations], tests)
@@ -157,8 +166,8 @@ def assess_iv(
         tests=tests,
         contrast=float(contrast.max()),
         contrast_at=estimate.names[int(contrast.argmax())],
-        rows_used_percent=float(100 * z.used.mean()),
-        saturated_percent=_largest([one.saturated_percent for one in replicas]),
+        rows_used_percent=float(100 * observed.regression.counts.mean()),
+        saturated_percent=_largest([max(one.saturated.values(), default=None) for one in replicas]),
         direct=_direct_errors(replicas),
     )
     evidence = replace(
@@ -179,7 +188,7 @@ def _evidence_along(observed: StackedSystem, best: Pass, ls: LeastSquares) -> Fi
     observed, z, estimate = observed.about(best.z), best.z, best.estimate
     system = observed.along(z)
     within = add_lag_variance(estimate, intervals_of(system, estimate), observed.lags)
-    within = add_scale_variance(observed, estimate, within, z.used)
+    within = add_scale_variance(observed, estimate, within)
     return FitData(
         recordings=observed.simulated(best.replicas),
         observed=replace(observed.regression, system=system),
@@ -187,7 +196,6 @@ def _evidence_along(observed: StackedSystem, best: Pass, ls: LeastSquares) -> Fi
         fixed_point=True,
         estimate=estimate,
         predicted=observed.predicted(estimate),
-        used=z.used,
         intervals=within,
         least_squares=ls.full,
         Z=z.Z,
@@ -277,9 +285,10 @@ def _iv_warnings(replicas: tuple[Replica, ...], tests: InstrumentTests) -> tuple
             "least squares gives no positive inertias: the gain update uses those that suit the described gains at "
             f"{unknown[0]:g} Hz"
         )
-    saturated = _largest([one.saturated_percent for one in replicas])
-    if saturated is not None and saturated > MAX_SATURATED_PERCENT:
-        warnings.append(f"a drive is saturated in {saturated:.1f} % of the samples")
+    for one in replicas:
+        at_limit = (f"{name} in {x:.1f} %" for name, x in one.saturated.items() if x > MAX_SATURATED_PERCENT)
+        if found := ", ".join(at_limit):
+            warnings.append(f"drives at their limit: {found} of the samples")
     if tests.first_stage_F < MIN_FIRST_STAGE_F:
         warnings.append(f"weak instruments: first-stage F = {tests.first_stage_F:.2g}, below {MIN_FIRST_STAGE_F:g}")
     return tuple(warnings)

@@ -76,7 +76,7 @@ def fit_file(fit: Fit) -> FitFile:
         trust=[TrustLineFile(test=one.test, level=one.level, value=one.value, text=one.text) for one in lines],
         condition_number=e.condition_number,
         condition_number_scaled=e.condition_number_scaled,
-        rows=e.rows,
+        rows=round(e.rows),
         parameters=[
             msgspec.structs.replace(parameter, sigma_percent=float(percent))
             for parameter, percent in zip(fitted_parameters(fit).parameters.values(), e.sigma_percent, strict=True)
@@ -155,6 +155,7 @@ def _on_recording(
         "decimation": settings.decimation,
         "edges": settings.edges,
         "low_speed_percent": msgspec.structs.asdict(settings.low_speed),
+        "ramp_rows": settings.ramp_rows,
         "torque_lag_s": settings.torque_lag_s,
         "span": settings.span,
         "span_rule": settings.span_rule,

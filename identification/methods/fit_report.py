@@ -7,7 +7,7 @@ import numpy as np
 from ..data import Signals
 from ..estimation import relative_error_percent
 from ..model import LINK
-from ..regression import base_name
+from ..regression import ROWS, base_name
 from ..report import NO_FIXED_POINT, Document, Number, Row, Section, Table, columns, value_form
 from .fit import Fit, InstrumentEvidence
 from .recording_report import error_line, errors_section, headline, recording_lines, recordings_section, settings_lines
@@ -241,14 +241,18 @@ def _percent(error: float | None) -> str:
 
 
 def _rows_line(fit: Fit) -> str:
-    """The number of rows used, and which were left out."""
+    """The number of rows by their weights, and what weighs nothing."""
     whole = fit.errors[-1]
-    percent = fit.settings.low_speed.iv if fit.iv else fit.settings.low_speed.ls
+    percent = fit.settings.low_speed_percent
     slow = (
         "4 % of the peak speed, or 4 deviations of its noise" if percent is None else f"{percent:g} % of the peak speed"
     )
-    line = f"{fit.estimate.rows} of {whole.moving_rows + whole.standing_rows} rows"
-    return line if percent == 0 else f"{line}, those below {slow} left out"
+    line = f"{fit.estimate.rows:.0f} of {whole.moving_rows + whole.standing_rows} rows"
+    if percent == 0:
+        return line
+    if fit.settings.ramp_rows == ROWS:
+        return f"{line}, those below {slow} left out"
+    return f"{line}; samples below {slow} weigh nothing, ramps of {fit.settings.ramp_rows:g} rows"
 
 
 def _iv_sections(iv: InstrumentEvidence) -> list[Section]:

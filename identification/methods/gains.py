@@ -7,7 +7,6 @@ biased towards kappa = 0; Ê is computed from the base parameters of the pass be
 W and L needs no simulation; it starts the passes with the simulated robot, whose X and Z have the same columns.
 """
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,11 +15,11 @@ from numpy.typing import NDArray
 from ..arrays import Array
 from ..errors import IdentificationError
 from ..estimation import Estimate, Intervals, System, instrumental_variables, intervals_from, weighted_least_squares
-from ..regression import base_places, predicted_drive_torques
+from ..regression import base_places, predicted_drives
 from ..trust import FitData
 from .gain_results import EstimatedPayload, Gains
 from .settled import leave_out_collinear_terms
-from .system import StackedSystem, drive_torques
+from .system import StackedSystem, drives_of
 
 MAX_PASSES = 60
 MAX_CHANGE = 1e-9  # of a gain, in the last pass
@@ -38,9 +37,8 @@ def measured_instruments(observed: StackedSystem, x: Array) -> Array:
     n, of = observed.regression.tau.shape[1], observed.parameters
     blocks = list[Array]()
     for k, one in enumerate(observed.observations):
-        W = one.regression.system.W
-        drives = predicted_drive_torques(one.problem, W, of.base(x, k))
-        blocks.append(of.columns(W, k, drives).reshape(n, -1, len(of.names)))
+        drives = predicted_drives(one.problem, of.base(x, k))
+        blocks.append(of.columns(one.regression.system.W, k, drives).reshape(n, -1, len(of.names)))
     return np.concatenate(blocks, axis=1).reshape(-1, len(of.names))
 
 
@@ -87,7 +85,7 @@ def refuse_without_scale(observed: StackedSystem, columns: NDArray[np.intp]) -> 
     Y, size = system.Y * system.used, np.linalg.norm(W, axis=0)
     A = W / np.where(size > 0, size, 1.0)
     left = np.linalg.norm(Y - A @ np.linalg.lstsq(A, Y, rcond=1e-10)[0])
-    typical = np.linalg.norm((observed.regression.tau.T.reshape(-1)) * system.used)
+    typical = np.linalg.norm(observed.regression.tau * observed.regression.share)
     if left > MIN_KNOWN_SHARE * max(float(np.linalg.norm(Y)), 1e-9 * float(typical)):
         return
     payloads = {one.payload.payload for one in of.of if one.payload is not None}
@@ -116,15 +114,15 @@ def extended(observed: StackedSystem, x: Array, C: Array | None) -> tuple[Array,
     return np.r_[x, np.ones(m)], wide
 
 
-def add_scale_variance(observed: StackedSystem, estimate: Estimate, found: Intervals, used: Array) -> Intervals:
-    """Intervals that include how well stated masses and stated drive gains are known; `used` (r,) rows."""
+def add_scale_variance(observed: StackedSystem, estimate: Estimate, found: Intervals) -> Intervals:
+    """Intervals that include how well stated masses and stated drive gains are known."""
     of, rows, parts = observed.parameters, observed.regression, observed.observations
     robot = observed.problem.signals.robot
-    drives, moved = drive_torques(parts), list[list[Array]]()  # torques, by recording, of each half-width
-    for m, motor in enumerate(robot.motors):
-        if motor.drive_gain_half_width and m not in of.motors:
-            share = motor.drive_gain_half_width / robot.gain[m]
-            moved.append([share * replace(of, motors=(m,)).torques_of_motors(tau) for tau in drives])
+    stated = [m for m, motor in enumerate(robot.motors) if motor.drive_gain_half_width and m not in of.motors]
+    drives, moved = drives_of(parts) if stated else [], list[list[Array]]()  # torques, by recording, of each half-width
+    for m in stated:
+        share = (robot.motors[m].drive_gain_half_width or 0.0) / robot.gain[m]
+        moved.append([share * each[..., m].reshape(-1) for each in drives])
     for carried in dict.fromkeys(one.payload for one in of.of if one.payload is not None):
         if carried.payload.mass_half_width_kg and carried.payload.mass_kg:
             known = carried.payload.mass_half_width_kg / carried.payload.mass_kg * carried.known
@@ -136,7 +134,7 @@ def add_scale_variance(observed: StackedSystem, estimate: Estimate, found: Inter
             )
     if not moved or rows.reduced:
         return found
-    weight = estimate.weights[rows.system.joint_of_row] * used
+    weight = estimate.weights[rows.system.joint_of_row] * rows.system.used
     each = [
         np.concatenate([x.reshape(rows.tau.shape[1], -1) for x in one], axis=1).reshape(-1) * weight for one in moved
     ]
@@ -158,8 +156,8 @@ def smallest_cragg_donald(system: System, Z: Array, weights: Array, gains: slice
     Q = np.linalg.qr(known)[0]
     explained = Q.T @ E
     left = E - Q @ explained
-    m, freedom = E.shape[1], int(system.rows.sum()) - Z.shape[1]
-    root = np.linalg.cholesky(left.T @ left / max(1, freedom) + 1e-300 * np.eye(m))
+    m, freedom = E.shape[1], float(system.rows.sum()) - Z.shape[1]
+    root = np.linalg.cholesky(left.T @ left / max(1.0, freedom) + 1e-300 * np.eye(m))
     half = np.linalg.solve(root, explained.T)
     return float(np.linalg.eigvalsh(half @ half.T)[0] / m)
 
@@ -180,7 +178,7 @@ def results_of(observed: StackedSystem, evidence: FitData) -> dict[str, Any]:
         )
     if motors:
         at, robot = [estimate.names.index(name) for name in of.names[of.gains]], observed.problem.signals.robot
-        system = observed.regression.system.with_rows(evidence.used)
+        system = observed.regression.system
         assert evidence.Z is not None
         gains = Gains(
             motors=tuple(motor.name for motor in motors),

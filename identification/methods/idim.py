@@ -22,6 +22,7 @@ from ..estimation import (
     intervals_of,
     one_thread,
     torque_errors,
+    weighted_least_squares,
 )
 from ..regression import Overrides, base_places, make_problem, torque_of_recording
 from ..report import FitFile, Method, TorqueError
@@ -46,12 +47,11 @@ from .iteration import (
     inertia_prior,
     is_coarse,
     next_values,
-    rows_of_last,
     start_values,
 )
 from .parameters import payload_beta, stored_beta
 from .recording_report import Validated
-from .settled import solve_with_load_friction
+from .settled import solve_with_load_friction, with_best_ramps
 from .system import StackedSystem, stack_of
 from .timing import add_lag_variance, correct_known_lags, correct_lags, lags_of_all, lags_of_ls
 
@@ -94,11 +94,18 @@ def identify(
         gives no estimate, or an `iteration` is given to least squares.
     """
     # (2): tau = IDM(q, dq, ddq) beta; (5), (6): Y(tau) = W(q, dq, ddq) beta + rho
-    observed = correct_known_lags(stack_of(signals, overrides, say))
+    asked = replace(overrides, method="iv" if overrides.gains else method)
+    observed = stack_of(signals, asked, say)
     chosen, reason = (method, "asked for") if method is not None else _default_method(observed)
+    settings = [one.problem.settings for one in observed.observations]
+    low = settings[0].low_speed.iv if "iv" in (asked.method, chosen) else settings[0].low_speed.ls
+    if any(one.low_speed_percent != low for one in settings):  # not every recording has its reference
+        observed = stack_of(signals, replace(asked, method=chosen), say)
+    observed = correct_known_lags(observed)
     if observed.overrides.gains and chosen != "iv" and method is not None:
         text = "least squares is biased towards drive gains of 0"
         raise IdentificationError(text, key="method", value=chosen, expected="iv with --gains")
+    observed = with_best_ramps(observed, instruments=chosen == "iv" or bool(overrides.gains))
     if chosen == "iv" or observed.overrides.gains:
         try:
             fit = _by_instruments(observed, iteration or Iteration(), essential=essential, say=say)
@@ -157,13 +164,16 @@ def _by_least_squares(observed: StackedSystem, method: Literal["ols", "wls"], *,
     if observed.regression.reduced:  # tests that need rows use the beginning
         span, full = solve_with_load_friction(observed.on_span(), method)
         of_span = solve_least_squares(span, full, essential=essential)
+        if essential:  # those of the whole recording, whose lags move them
+            places = np.array([span.parameters.names.index(name) for name in ls.estimate.names])
+            same = weighted_least_squares(span.regression.system.with_columns(places))
+            of_span = replace(of_span, estimate=same, intervals=intervals_of(span.regression.system, same))
         beginning = evidence_of_ls(span, method, of_span, lags_of_ls(span, of_span.estimate))
     lags = (
         lags_of_ls(observed, ls.estimate) if beginning is None else lags_of_all(observed, ls.estimate, beginning.lags)
     )
     found = add_lag_variance(ls.estimate, ls.intervals, lags)
-    used = observed.regression.fast.T.reshape(-1).astype(float)
-    ls = replace(ls, intervals=add_scale_variance(observed, ls.estimate, found, used))
+    ls = replace(ls, intervals=add_scale_variance(observed, ls.estimate, found))
     noise = position_noise_of(observed, method, ls)  # once: it looks at the beginning of a long recording anyway
     evidence = replace(evidence_of_ls(observed, method, ls, lags), beginning=beginning, position_noise=noise)
     return fit_of(observed, evidence, ls)
@@ -207,7 +217,7 @@ def _by_instruments(observed: StackedSystem, iteration: Iteration, *, essential:
         number, coarse = len(passes) + 1, is_coarse(observed.problem, iteration.start, passes, most)
         say(f"pass {number}: simulating the robot")
         # Z = IDM(q_sim, dq_sim, ddq_sim)
-        z = lab.instruments(beta, C, rows=rows_of_last(passes), coarse=coarse)
+        z = lab.instruments(beta, C, coarse=coarse)
         about = observed.about(z)
         W_and_Y = about.along(z)
         try:
@@ -244,11 +254,11 @@ def _by_measured_motion(observed: StackedSystem, first: Estimate, *, settled: bo
     rows, Z = observed.regression, measured_instruments(observed, x)
     estimate = instrumental_variables(rows.system, Z, joint_weights_of(observed, x))
     fixed, full = solve_with_load_friction(observed.with_motors(()))
-    ls, used = solve_least_squares(fixed, full, essential=essential), rows.system.used
+    ls = solve_least_squares(fixed, full, essential=essential)
     predicted, lags = observed.predicted(estimate), lags_of_ls(observed, estimate)
     without = "with these" if _default_method(observed)[0] == "iv" else "without a recorded reference"
     found = add_lag_variance(estimate, intervals_of(rows.system, estimate), lags)
-    found = add_scale_variance(observed, estimate, found, used)
+    found = add_scale_variance(observed, estimate, found)
     evidence = FitData(
         recordings=observed.observations,
         observed=rows,
@@ -256,7 +266,6 @@ def _by_measured_motion(observed: StackedSystem, first: Estimate, *, settled: bo
         fixed_point=settled,
         estimate=estimate,
         predicted=predicted,
-        used=used,
         intervals=found,
         least_squares=ls.full,
         Z=Z,
@@ -271,7 +280,7 @@ def _by_measured_motion(observed: StackedSystem, first: Estimate, *, settled: bo
 def solve_least_squares(observed: StackedSystem, full: Estimate, *, essential: bool) -> LeastSquares:
     """Least squares from the estimate `full` of all parameters: its reduction, intervals and torque."""
     rows, predicted = observed.regression, observed.predicted(full)
-    rho = (rows.tau - predicted) * full.weights * rows.fast
+    rho = (rows.tau - predicted) * full.weights * rows.counts
     reduction = essential_parameters(rows.system, full, correlation=autocorrelation(rho) or 0.0)
     estimate = full
     if essential:

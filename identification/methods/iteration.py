@@ -1,10 +1,9 @@
-"""Iteration of the instrumental variable method: start, next values to simulate, rows used, end."""
+"""Iteration of the instrumental variable method: start, next values to simulate, end."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..errors import IdentificationError
@@ -17,7 +16,6 @@ from .fit import LeastSquares, Pass
 from .settled import solve_with_load_friction
 from .system import StackedSystem
 
-FREE_PASSES = 3  # choose their own rows; later passes keep them, otherwise rows near the threshold toggle
 MAX_FULL_STEPS = 4  # passes; later ones simulate the mean of the last two values, which damps oscillation
 
 
@@ -63,11 +61,6 @@ def is_coarse(problem: Problem, start: str, passes: Sequence[Pass], most: int) -
     return len(passes) < min(early, most - 1)
 
 
-def rows_of_last(passes: Sequence[Pass]) -> tuple[NDArray[np.bool_], ...] | None:
-    """By recording the rows (rows, n) to use in the next pass; None: selected by the simulated speeds."""
-    return passes[-1].z.moving_rows if len(passes) >= FREE_PASSES else None
-
-
 @np.errstate(over="ignore", invalid="ignore")  # a start may be anything
 def assess_pass(
     z: Instruments,
@@ -79,7 +72,7 @@ def assess_pass(
 ) -> Pass:
     """The pass that gave `estimate`, its changes, and whether it settled.
 
-    `system` has all parameters and the rows of this pass; `covariances` are those of the values simulated and the estimate.
+    `system` has all parameters; `covariances` are those of the values simulated and the estimate.
     """
     # Compared with the values asked for, not with the consistent ones simulated instead. Parameters near zero never settle
     # in percent: half a deviation is enough.
@@ -111,7 +104,7 @@ def failed(passes: list[Pass], z: Instruments, recordings: Sequence[str], error:
 
     Raises `IdentificationError` if there is none.
     """
-    text = f"pass {len(passes) + 1}, {100 * z.used.mean():.0f} % of the rows fast enough: {error}"
+    text = f"pass {len(passes) + 1}: {error}"
     text += f"; {z.reason}" if z.reason else ""
     if not passes:
         raise IdentificationError(f"no instruments: {text}", place=", ".join(recordings)) from error
@@ -121,13 +114,13 @@ def failed(passes: list[Pass], z: Instruments, recordings: Sequence[str], error:
 def conclude(lab: ClosedLoops, passes: Sequence[Pass], solve: Callable[[Instruments], Estimate]) -> Pass:
     """The last pass if it settled; otherwise the one with the lowest tracking error at its worst joint.
 
-    It has its rows and replicas, simulated with its estimate or the nearest consistent parameters.
+    It has its instruments and replicas, simulated with its estimate or the nearest consistent parameters.
     """
     best, names = passes[-1], lab.parameters.names
     if not best.is_last or best.failure is not None:
         best = _best_pass(lab, passes)
     if best.number < len(passes):
-        z = lab.instruments(best.z.beta, best.asked, rows=best.z.moving_rows, coarse=best.coarse)
+        z = lab.instruments(best.z.beta, best.asked, coarse=best.coarse)
         best = replace(best, z=z, estimate=solve(z))
     return (
         best if best.replicas else replace(best, replicas=lab.replicas(best.estimate.values_of(names), best.covariance))

@@ -1,17 +1,17 @@
 """Per-recording system, and the worker tasks that build it."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..data import ON_GRID, RecordingFile, Signals, position_steps
+from ..data import ON_GRID, RecordingFile, Recordings, Signals, position_steps
 from ..errors import IdentificationError
 from ..estimation import Estimate, one_thread, ordinary_least_squares, weighted_least_squares
 from ..model import SHAPES, poses_of
 from ..regression import (
+    ALL_REDUCED,
     HELD,
     FilteredMotion,
     Overrides,
@@ -21,9 +21,9 @@ from ..regression import (
     base_name,
     make_problem,
     make_settings,
-    measured_fast_rows,
     regression_of_recording,
     row_states,
+    sample_weights,
 )
 from ..report import Method
 from ..trust import RecordingData, TrustLine, replay_line
@@ -73,6 +73,32 @@ def observation_of(problem: Problem, share: int, say: Say = lambda text: None) -
     )
 
 
+def observe_all(given: Recordings, overrides: Sequence[Overrides], share: int) -> list[RecordingData]:
+    """`observe` of each of `given`, with its overrides."""
+    tasks = zip(given.sources, overrides, [share] * len(given.sources), strict=True)
+    return list(given.work.run(observe, list(tasks)))
+
+
+def with_common_rate(given: Recordings, found: list[RecordingData], overrides: Overrides) -> list[RecordingData]:
+    """The same with common cut-off and rate of rows, all reduced or none; only those that change are built again."""
+    settings = [one.problem.settings for one in found]
+    rates = [one.problem.signals.sample_rate_hz for one in found]
+    cutoff_hz = min((s.cutoff_hz for s in settings if s.cutoff_hz is not None), default=None)
+    row_hz = min(fs / s.decimation for fs, s in zip(rates, settings, strict=True))
+    share = ALL_REDUCED if any(one.regression.reduced for one in found) else len(found)
+    again = []
+    for k, (fs, s) in enumerate(zip(rates, settings, strict=True)):
+        decimation = max(1, round(fs / row_hz))
+        reduced = found[k].regression.reduced or share != ALL_REDUCED
+        if (s.cutoff_hz, s.decimation) != (cutoff_hz, decimation) or not reduced:
+            again.append((k, replace(overrides, cutoff_hz=cutoff_hz or 0.0, decimation=decimation)))
+    if again:
+        some = replace(given, sources=tuple(given.sources[k] for k, _ in again))
+        for (k, _), one in zip(again, observe_all(some, [o for _, o in again], share), strict=True):
+            found[k] = one
+    return found
+
+
 @one_thread
 def regression_at(problem: Problem, overrides: Overrides, share: int) -> tuple[Settings, Regression]:
     """Settings, W and Y of a recording with other overrides."""
@@ -96,10 +122,10 @@ def position_noise_line(problem: Problem, method: Method, ls: LeastSquares, *, a
     assert settings.cutoff_hz is not None
     stop = min(settings.stop, settings.start + round(SPAN_S * fs))
     problem = replace(problem, settings=replace(settings, stop=stop))
-    noise, (fast, _) = _noise_like(problem), measured_fast_rows(problem)  # the rows stay the same
+    noise = _noise_like(problem)
     try:
-        plain = ls.estimate if alone and stop == settings.stop else _least_squares(problem, method, ls, fast)
-        both = [_least_squares(_with_noise(problem, way * noise), method, ls, fast) for way in (1, -1)]
+        plain = ls.estimate if alone and stop == settings.stop else _least_squares(problem, method, ls)
+        both = [_least_squares(_with_noise(problem, way * noise), method, ls) for way in (1, -1)]
     except IdentificationError as error:
         return TrustLine(NAME, "cannot tell", f"{error}: {ADVICE}")
     names = [name for name in ls.essential.estimate.names if name in plain.names and name in ls.estimate.names]
@@ -157,15 +183,19 @@ def _noise_like(problem: Problem) -> Array:
 
 
 def _with_noise(problem: Problem, noise: Array) -> Problem:
+    """With the weights of samples as they are."""
+    sample_weights(problem)
     q = np.array(problem.signals.q)
     q[: len(noise)] += noise
     signals = replace(problem.signals, q=q)
-    return replace(problem, signals=signals, motion=FilteredMotion(signals))
+    motion = FilteredMotion(signals)
+    motion.weights = problem.motion.weights
+    return replace(problem, signals=signals, motion=motion)
 
 
-def _least_squares(problem: Problem, method: Method, ls: LeastSquares, fast: NDArray[np.bool_]) -> Estimate:
+def _least_squares(problem: Problem, method: Method, ls: LeastSquares) -> Estimate:
     """Least squares of the recording with the parameters of `ls`, without load friction."""
-    system = regression_of_recording(problem, share=HELD).system.with_rows(fast.T.reshape(-1).astype(float))
+    system = regression_of_recording(problem, share=HELD).system
     asked = set(map(base_name, ls.estimate.names))
     columns = np.array([k for k, name in enumerate(system.names) if name in asked and system.W[:, k].any()])
     solve = ordinary_least_squares if method == "ols" else weighted_least_squares

@@ -3,22 +3,38 @@
 A term whose column is nearly a sum of others is left out, with a message. Load friction depends on the link torque of the
 previous pass (`regression.load`): passes end when every parameter changes by less than half a deviation. The load friction
 of a joint that does not converge is left out, with a message.
+
+The ramps of the weights of samples are chosen once for a fit, by the half-widths of its method: long ones keep noise above the
+low-pass out of the rows, short ones leave more of short moves. Least squares has its own half-widths; those of instrumental
+variables come from instruments along the reference, which need no simulation.
 """
 
 from collections.abc import Callable, Collection
+from contextlib import suppress
 from typing import Literal
 
 import numpy as np
 
 from ..arrays import Array
-from ..estimation import Estimate, System, condensed, ordinary_least_squares, weighted_least_squares
+from ..errors import IdentificationError
+from ..estimation import (
+    Estimate,
+    System,
+    condensed,
+    instrumental_variables,
+    intervals_of,
+    one_thread,
+    ordinary_least_squares,
+    weighted_least_squares,
+)
 from ..model import SHAPES, JointTerm
-from ..regression import LoadFriction, Problem, Regression
+from ..regression import RAMPS, ROWS, LoadFriction, Problem, Regression, sample_weights
 from .system import StackedSystem
 
-MIN_INDEPENDENT_NORM = 0.02  # share of the norm of an identifiable column that is independent of the others
+MIN_INDEPENDENT_NORM = 0.01  # share of the norm of an identifiable column that is independent of the others
 MAX_PASSES = 10
 MIN_CHANGE = 1e-10  # of the largest value: smaller changes are rounding, also where exact data have no deviation
+LONG, SHORT, *OTHERS = RAMPS
 
 
 def solve_with_load_friction(
@@ -114,3 +130,53 @@ def independent_norm(system: System, names: Collection[str]) -> dict[str, float]
     shares = dict.fromkeys(names, 0.0)
     of_seen = (name for name, s in zip(system.names, seen, strict=True) if s)
     return shares | {name: float(share) for name, share in zip(of_seen, left, strict=True) if name in shares}
+
+
+@one_thread
+def with_best_ramps(observed: StackedSystem, *, instruments: bool) -> StackedSystem:
+    """The recordings with the ramps that give smaller half-widths, in the median of the parameters.
+
+    No weights, but rows in which joints move, are tried where moves are short; abrupt weights where no ramps determine the
+    parameters. Unchanged where no sample stands, or the ramps are stated.
+    """
+    stand = (observed.regression.share[observed.regression.counts] < 1).any()
+    if not stand or observed.overrides.ramp_rows is not None:
+        return observed
+    span = observed.on_span()
+    tried = {ramp: span.with_ramps(ramp) for ramp in (LONG, SHORT)}
+    if any(min(sample_weights(one.problem.with_samples()).ramps) < LONG for one in tried[LONG].observations):
+        tried[ROWS] = span.with_ramps(ROWS)
+    found: dict[float, dict[str, float]] = {}
+    for by_instruments in (instruments, False):  # a joint that the reference holds has no instruments along it
+        if len(found) < len(tried):
+            each = {ramp: _half_widths(one, instruments=by_instruments) for ramp, one in tried.items()}
+            found = {ramp: half for ramp, half in each.items() if half}
+    best = next(iter(found), None)
+    for ramp, half in found.items():
+        if (
+            best is not None
+            and np.median([half[name] / found[best][name] for name in half.keys() & found[best].keys()]) < 1
+        ):
+            best = ramp
+    if best is None:
+        able = (ramp for ramp in OTHERS if _half_widths(span.with_ramps(ramp), instruments=False))
+        best = next(able, LONG)
+    return tried[best] if span is observed and best in tried else observed.with_ramps(best)
+
+
+def _half_widths(observed: StackedSystem, *, instruments: bool) -> dict[str, float]:
+    """Half-widths by parameter, without load friction; {} where parameters are undetermined."""
+    with suppress(IdentificationError):
+        observed = leave_out_collinear_terms(observed)
+        system, columns = (
+            observed.regression.system,
+            np.setdiff1d(np.arange(len(observed.parameters.names)), observed.load_places()),
+        )
+        estimate = weighted_least_squares(system.with_columns(columns))
+        if instruments:
+            beta = estimate.values_of(system.names)
+            Z = observed.lab(beta, gain_update=False).along_reference(beta).Z
+            estimate = instrumental_variables(system.with_columns(columns), Z[:, columns], estimate.weights)
+        half = intervals_of(system.with_columns(columns), estimate).half
+        return {name: float(x) for name, x in zip(estimate.names, half, strict=True) if x > 0}
+    return {}

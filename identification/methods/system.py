@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ..arrays import Array
 from ..data import RecordingFile, Recordings, Signals, check_one_robot
 from ..errors import IdentificationError
-from ..estimation import Estimate, System, spans_of
+from ..estimation import Estimate, System, one_thread, spans_of
 from ..regression import (
     ALL_REDUCED,
     HELD,
@@ -19,21 +19,21 @@ from ..regression import (
     OwnParameters,
     Problem,
     Regression,
-    known_torque_rows,
     load_columns,
     load_friction,
     make_problem,
     own_parameters,
+    recorded_drives,
     reduced_regression,
-    refuse_slow_joints,
-    regained,
-    retimed,
+    refuse_standing_joints,
+    regression_of_recording,
     rule_cutoff_hz,
     torque_of_recording,
+    with_torque,
 )
 from ..simulation import ClosedLoops, Instruments, Replica, Simulation
 from ..trust import Lag, RecordingData
-from .observation import SPAN_S, Say, observation_of, observe, regression_at
+from .observation import SPAN_S, Say, observation_of, observe_all, regression_at, with_common_rate
 
 SPAN_NUMBERS = 3_000_000  # of its W
 SPANS_OF_IV = 80  # of a long recording: the factors of [Z W Y] of six joints take 60 MB, those of 120 spans 84 MB
@@ -95,7 +95,6 @@ class StackedSystem:
                 Simulation(
                     problem=problem,
                     prior=self.parameters.base(prior, k),
-                    slip_noise=one.regression.slip_noise,
                     spans=SPANS_OF_IV if one.regression.reduced else 0,
                     gain_update=gain_update,
                 )
@@ -134,9 +133,7 @@ class StackedSystem:
         return replace(
             self,
             observations=tuple(replace(one, regression=regression) for one, regression in whole),
-            regression=self.parameters.stacked(
-                each, drive_torques(self.observations) if self.parameters.motors else []
-            ),
+            regression=self.parameters.stacked(each, drives_of(self.observations) if self.parameters.motors else []),
             beta=beta.copy() if load is self.load else None,
         )
 
@@ -154,8 +151,8 @@ class StackedSystem:
         return replace(system, left_out=self.left_out)
 
     def along(self, z: Instruments) -> System:
-        """W and Y with the rows of a pass, about its parameters; QR factors for long recordings."""
-        return self.at(z.beta).regression.system.with_rows(z.used) if z.system is None else z.system
+        """W and Y about the parameters of a pass; QR factors for long recordings."""
+        return self.at(z.beta).regression.system if z.system is None else z.system
 
     def about(self, z: Instruments) -> "StackedSystem":
         """The same about the parameters of a pass; for long recordings unchanged, `z` has the factors."""
@@ -183,6 +180,22 @@ class StackedSystem:
             ]
         )
 
+    def with_ramps(self, ramp_rows: float) -> "StackedSystem":
+        """The same recordings with other ramps of the weights of samples."""
+        if all(one.problem.settings.ramp_rows == ramp_rows for one in self.observations):
+            return self
+        share, problems = ALL_REDUCED if self.regression.reduced else HELD, self.problems()
+        problems = [replace(one, settings=replace(one.settings, ramp_rows=ramp_rows)) for one in problems]
+        each = self.recordings.work.run(_regression_of, [(problem, share) for problem in problems])
+        found = zip(self.observations, problems, each, strict=True)
+        overrides = replace(self.overrides, ramp_rows=ramp_rows)
+        return replace(self, overrides=overrides)._of(
+            [
+                replace(one, problem=replace(one.problem, settings=problem.settings), regression=regression)
+                for one, problem, regression in found
+            ]
+        )
+
     def behind_rule(self) -> "StackedSystem | None":
         """The same recordings with the rule's low-pass; None if all have it or a lower one, or a recording is too short."""
         if all(one.problem.settings.filtered for one in self.observations):
@@ -203,8 +216,8 @@ class StackedSystem:
         """The same recordings with drive gains times `factors` (n,)."""
         found = list[RecordingData]()
         for one in self._plain():
-            regression = regained(one.problem, one.regression, factors)
-            found.append(replace(one, problem=one.problem.with_gains(factors), regression=regression))
+            problem = one.problem.with_gains(factors)
+            found.append(replace(one, problem=problem, regression=with_torque(problem, one.regression)))
         return replace(self._of(found), lags=self.lags)
 
     def _plain(self) -> list[RecordingData]:
@@ -227,26 +240,32 @@ class StackedSystem:
         """The same with the torque of each recording corrected by another lag, s."""
         if all(one.problem.settings.torque_lag_s == lag for one, lag in zip(self.observations, lags_s, strict=True)):
             return self
-        run, tasks = self.recordings.work.run, list(zip(self.problems(), self.plain, lags_s, strict=True))
-        found = zip(self.observations, lags_s, run(retimed, tasks), strict=True)
+        problems = [problem.corrected(lag_s) for problem, lag_s in zip(self.problems(), lags_s, strict=True)]
+        each = self.recordings.work.run(with_torque, list(zip(problems, self.plain, strict=True)))
+        found = zip(self.observations, lags_s, each, strict=True)
         return self._of(
             [replace(one, problem=one.problem.corrected(lag_s), regression=plain) for one, lag_s, plain in found]
         )
 
-    def predicted(self, estimate: Estimate) -> Array:
-        """Decimated torque (rows, n) that an estimate predicts."""
-        if self.regression.reduced:
-            of = self.parameters.of
-            tasks = [(problem, own.values(estimate)) for problem, own in zip(self.problems(), of, strict=True)]
-            return np.concatenate(
-                [predicted for _, predicted, _ in self.recordings.work.run(torque_of_recording, tasks)]
-            )
-        return self.regression.predicted(estimate.values_of(self.parameters.names))
+    def predicted(self, *estimates: Estimate, by_recording: bool = False) -> Array:
+        """Decimated torque (rows, n) that an estimate predicts; each of several in as many equal spans of each recording, or
+        one recording each.
+        """
+        tasks = [
+            (problem, *(own.values(one) for one in (estimates[k : k + 1] if by_recording else estimates)))
+            for k, (problem, own) in enumerate(zip(self.problems(), self.parameters.of, strict=True))
+        ]
+        return np.concatenate([predicted for _, predicted, _ in self.recordings.work.run(torque_of_recording, tasks)])
 
 
-def drive_torques(observations: Sequence[RecordingData]) -> list[Array]:
-    """By recording the torques (rows, n) of the drives at the joints, by the gains of its problem, decimated."""
-    return [one.regression.tau - known_torque_rows(one.problem) for one in observations]
+def drives_of(observations: Sequence[RecordingData]) -> list[Array]:
+    """By recording the torques (n, rows, m) at the joints of each motor, by the gains of its problem, weighted."""
+    return [recorded_drives(one.problem) for one in observations]
+
+
+@one_thread
+def _regression_of(problem: Problem, share: int) -> Regression:
+    return regression_of_recording(problem.with_samples(), share=share)
 
 
 def stack_recordings(
@@ -266,7 +285,7 @@ def stack_recordings(
         order=order,
         plain=each,
         parameters=parameters,
-        regression=parameters.stacked(each, drive_torques(observations) if motors else []),
+        regression=parameters.stacked(each, drives_of(observations) if motors else []),
         load=load_friction(problems[0].model, problems[0].base),
     )
 
@@ -286,9 +305,9 @@ def stack_of(given: Signals | Recordings, overrides: Overrides, say: Say) -> Sta
         one = observation_of(make_problem(signals, overrides), 1, say)
         return stack_recordings(Recordings(sources=(signals,)), overrides, (one,), (0,))
     say(f"reading {len(given.sources)} recordings")
-    found = _observe(given, [overrides] * len(given.sources), len(given.sources))
+    found = observe_all(given, [overrides] * len(given.sources), len(given.sources))
     check_one_robot([one.problem.signals for one in found])
-    found = _with_common_rate(given, found, overrides)
+    found = with_common_rate(given, found, overrides)
     by_digest = sorted(
         range(len(found)), key=lambda k: (found[k].problem.signals.sha256, found[k].problem.signals.recording)
     )
@@ -300,30 +319,6 @@ def stack_of(given: Signals | Recordings, overrides: Overrides, say: Say) -> Sta
         tuple(by_digest.index(k) for k in range(len(found))),
     )
     joints = tuple(joint.name for joint in found[0].problem.signals.robot.joints)
-    refuse_slow_joints(observed.regression.fast, joints, ", ".join(one.problem.signals.recording for one in found))
+    places = ", ".join(one.problem.signals.recording for one in found)
+    refuse_standing_joints(observed.regression.share, joints, places, observed.problem.signals.robot.bandwidth_hz)
     return observed
-
-
-def _observe(given: Recordings, overrides: Sequence[Overrides], share: int) -> list[RecordingData]:
-    tasks = zip(given.sources, overrides, [share] * len(given.sources), strict=True)
-    return list(given.work.run(observe, list(tasks)))
-
-
-def _with_common_rate(given: Recordings, found: list[RecordingData], overrides: Overrides) -> list[RecordingData]:
-    """The same with common cut-off and rate of rows, all reduced or none; only those that change are built again."""
-    settings = [one.problem.settings for one in found]
-    rates = [one.problem.signals.sample_rate_hz for one in found]
-    cutoff_hz = min((s.cutoff_hz for s in settings if s.cutoff_hz is not None), default=None)
-    row_hz = min(fs / s.decimation for fs, s in zip(rates, settings, strict=True))
-    share = ALL_REDUCED if any(one.regression.reduced for one in found) else len(found)
-    again = []
-    for k, (fs, s) in enumerate(zip(rates, settings, strict=True)):
-        decimation = max(1, round(fs / row_hz))
-        reduced = found[k].regression.reduced or share != ALL_REDUCED
-        if (s.cutoff_hz, s.decimation) != (cutoff_hz, decimation) or not reduced:
-            again.append((k, replace(overrides, cutoff_hz=cutoff_hz or 0.0, decimation=decimation)))
-    if again:
-        some = replace(given, sources=tuple(given.sources[k] for k, _ in again))
-        for (k, _), one in zip(again, _observe(some, [o for _, o in again], share), strict=True):
-            found[k] = one
-    return found

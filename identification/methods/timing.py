@@ -71,7 +71,7 @@ def correct_lags(
     change = [abs(lag.value_s - at) / max(lag.sd_s, 1e-12) for lag, at in zip(lags, now, strict=True)]
     if any((deviations * lag.moved > MIN_MOVE).any() for deviations, lag in zip(change, lags, strict=True)):
         observed = _with_lags(observed, [lag.value_s for lag in lags])
-        z = lab_of(observed).instruments(best.z.beta, best.asked, rows=best.z.moving_rows)
+        z = lab_of(observed).instruments(best.z.beta, best.asked)
         best = replace(best, z=z, estimate=solve(z, observed.along(z)))
     return replace(observed, lags=lags), best, (replace(span, lags=lags), own)
 
@@ -97,7 +97,7 @@ def _estimate_lags(observed: StackedSystem, best: Pass, solve: Solve) -> tuple[S
             break
     lags = [combined_lag(prior, data) for prior, data in zip(known, found, strict=True)]
     observed = observed.about(z)
-    moves = lag_moves(observed.regression, z.used, lag_columns(observed.observations, groups, estimate), estimate)
+    moves = lag_moves(observed.regression, lag_columns(observed.observations, groups, estimate), estimate)
     return replace(observed, lags=_named(observed, lags, moves)), replace(best, estimate=estimate)
 
 
@@ -114,8 +114,7 @@ def lags_of_ls(observed: StackedSystem, estimate: Estimate) -> tuple[Lag, ...]:
     """The known lags and the moves of least squares by them; least squares cannot estimate lags."""
     lags = [combined_lag(known, None) for known in known_lags(observed)]
     columns = lag_columns(observed.observations, lag_groups(observed), estimate)
-    used = observed.regression.fast.T.reshape(-1).astype(float)
-    return _named(observed, lags, lag_moves(observed.regression, used, columns, estimate))
+    return _named(observed, lags, lag_moves(observed.regression, columns, estimate))
 
 
 def lags_of_all(observed: StackedSystem, estimate: Estimate, of_beginning: tuple[Lag, ...]) -> tuple[Lag, ...]:

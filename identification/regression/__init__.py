@@ -1,4 +1,4 @@
-"""From signals to W and Y: settings, filters, regressor, selection of rows, load friction."""
+"""From signals to W and Y: settings, filters, regressor, weights of samples, load friction."""
 
 from .bandwidth import with_bandwidth
 from .filtering import Decimation, forward_backward_3db_hz
@@ -17,18 +17,17 @@ from .payload import payload_of
 from .problem import Problem, RowBlock, make_problem, row_blocks
 from .rows import (
     RowStates,
+    fast_rows,
     friction_states,
-    lowest_nearby,
-    measured_fast_rows,
-    moving_rows_of,
     recorded_power,
-    refuse_slow_joints,
     rigid_torque_at_rows,
     row_states,
 )
 from .settings import (
     CUTOFF_PER_BANDWIDTH,
     NOTHING,
+    RAMPS,
+    ROWS,
     KnownLag,
     Overrides,
     Settings,
@@ -44,15 +43,16 @@ from .system import (
     ALL_REDUCED,
     HELD,
     Regression,
+    columns_of_drives,
     decimated_regressor,
-    known_torque_rows,
-    predicted_drive_torques,
+    predicted_drives,
     predicted_torque,
+    recorded_drives,
     reduced_regression,
-    regained,
     regression_of_recording,
-    retimed,
     rows_of_block,
     torque_of_recording,
     torque_rate,
+    with_torque,
 )
+from .weights import refuse_standing_joints, sample_weights, weighted, weights_at

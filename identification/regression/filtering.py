@@ -5,6 +5,7 @@ The low-pass treats the ends as MATLAB's `filtfilt`; decimation keeps the last s
 the ends; MATLAB's own edge rule, used for published digits, is an option.
 """
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -51,6 +52,11 @@ class Decimation:
 
     factor: int = 1
     smooth_ends: bool = True
+
+    @property
+    def gain(self) -> float:
+        """|H|² at frequency 0, slightly below 1: the filters are of even order."""
+        return math.prod(_chebyshev(r).dc ** 2 for r in decimation_passes(self.factor))
 
     def rows(self, samples: int) -> int:
         """Number of rows that so many samples give."""

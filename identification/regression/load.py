@@ -21,6 +21,7 @@ from ..estimation import one_thread
 from ..model import BaseParameters, InverseModel, JointTerm
 from .filtering import Decimation
 from .problem import Problem, motion_blocks
+from .weights import weights_at
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -31,6 +32,7 @@ class RigidBodyColumns:
     entries: NDArray[np.intp]
     series: Array  # (E, N)
     dq: Array  # (N, n)
+    weights: Array  # (n, N) of the samples
     inside: slice  # the decimated rows of the block
 
 
@@ -47,14 +49,16 @@ class LoadFriction:
         own = np.isin(self.places, list(places))
         return replace(self, joints=self.joints[own], places=self.places[own]) if own.any() else None
 
-    def series_of_links(self, entries: NDArray[np.intp], series: Array, dq: Array, inside: slice) -> RigidBodyColumns:
+    def series_of_links(
+        self, entries: NDArray[np.intp], series: Array, dq: Array, weights: Array, inside: slice
+    ) -> RigidBodyColumns:
         """Link columns, for these joints, of the regressor of a block with entries (E, 2) and their series (E, N)."""
         own = self.links[entries[:, 1]] & np.isin(entries[:, 0], self.joints)
         if own.mean() > 0.5:  # copying most of it is slower than keeping all
-            return RigidBodyColumns(
-                entries=np.where(own[:, None], entries, (-1, 0)), series=series, dq=dq, inside=inside
-            )
-        return RigidBodyColumns(entries=entries[own], series=series[own], dq=dq, inside=inside)
+            entries = np.where(own[:, None], entries, (-1, 0))
+        else:
+            entries, series = entries[own], series[own]
+        return RigidBodyColumns(entries=entries, series=series, dq=dq, weights=weights, inside=inside)
 
     def torque_of_links(self, entries: NDArray[np.intp], series: Array, beta: Array) -> Array:
         """tau_rigid (k, N) of these joints, from the series (E, N) of the regressor's entries (E, 2) and beta (b,)."""
@@ -68,11 +72,11 @@ class LoadFriction:
         return rigid
 
     def columns(self, block: RigidBodyColumns, beta: Array, decimation: Decimation) -> Array:
-        """abs(tau_rigid) sign(dq) about beta (b,), decimated, and s at the rows of the block: (2, k, rows)."""
+        """abs(tau_rigid) sign(dq) about beta (b,), weighted and decimated, and s at the rows of the block: (2, k, rows)."""
         rigid, sign = self.torque_of_links(block.entries, block.series, beta), np.sign(block.dq[:, self.joints].T)
         # s is only a derivative: without the filter it does not move the solution.
         s = decimation.kept((np.sign(rigid) * sign).T).T
-        return np.stack([decimation.filtered(np.abs(rigid) * sign), s])[..., block.inside]
+        return np.stack([decimation.filtered(block.weights[self.joints] * np.abs(rigid) * sign), s])[..., block.inside]
 
     def linearise(self, W: Array, Y: Array | None, columns: Array, beta: Array) -> None:
         """Linearise W (n, b, rows), whose load columns are zero, and Y (n, rows) about beta (b,), in place."""
@@ -112,4 +116,4 @@ def _link_blocks(problem: Problem, load: LoadFriction) -> Iterator[RigidBodyColu
     entries[:, 1] = links[entries[:, 1]]
     for motion, inside, _ in motion_blocks(problem):
         series = model.series(motion.q, motion.dq, motion.ddq, base.columns[links])
-        yield load.series_of_links(entries, series, motion.dq, inside)
+        yield load.series_of_links(entries, series, motion.dq, weights_at(problem, motion.t_s), inside)

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -33,6 +34,10 @@ class Motion:
                 raise ValueError(f"shapes do not agree: {array.shape}, {self.q.shape}, {self.t_s.shape}")
             array.flags.writeable = False
 
+    def part(self, at: slice) -> "Motion":
+        """The samples `at` of it."""
+        return Motion(t_s=self.t_s[at], q=self.q[at], dq=self.dq[at], ddq=self.ddq[at], tau=self.tau[at])
+
 
 class FilteredMotion:
     """Motion of a recording at any cut-off; each cut-off is filtered once, unless the recording is long."""
@@ -40,11 +45,12 @@ class FilteredMotion:
     def __init__(self, signals: Signals) -> None:
         self._signals = signals
         self._filtered: dict[float, Array] = {}
+        self.weights: dict[tuple[Any, ...], Any] = {}  # of samples, by settings: `weights.sample_weights`
 
     def with_torque_of(self, signals: Signals) -> "FilteredMotion":
-        """The same position, with its filtered versions, and the torque of other signals."""
+        """The same position, with its filtered versions and weights, and the torque of other signals."""
         other = FilteredMotion(signals)
-        other._filtered = self._filtered
+        other._filtered, other.weights = self._filtered, self.weights
         return other
 
     def between(self, start: int, stop: int, cutoff_hz: float | None) -> Motion:

@@ -1,10 +1,4 @@
-"""Selection of the rows of a recording, and some rows to evaluate link torque and friction power at.
-
-Rows at low speed are left out of least squares and instrumental variables by the same rule: the model does not describe stick
-and slip, nor the sign of a noisy speed. Least squares uses the measured speed behind the low-pass; instrumental variables use
-the simulated one, which is exogenous. The minimum speed within ± half a cut-off period is used, because the low-pass smears
-reversals.
-"""
+"""Some rows of a recording to evaluate link torque and friction power at, and rows in which joints are fast."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,86 +7,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..errors import IdentificationError
 from ..model import direct_model, friction_power, shaped_states
-from .motion import BLOCK_SAMPLES
 from .problem import Problem, motion_blocks
 
-LOW_SPEED_PERCENT = 4.0  # of the peak: slower joints stick and slip, which sign(dq) does not describe
-LOW_SPEED_DEVIATIONS = 4.0  # of the noise of the speed: slower rows are left out
 STATES = 300  # rows of a recording to evaluate friction at
 
 
-def moving_rows_of(
-    sliding_speed: Array, noise: Array, directions: Array, percent: float | None, peak: Array | None = None
-) -> NDArray[np.bool_]:
-    """Rows (rows, n) of each joint to use, by the `sliding_speed` (rows, c) of the directions (c, n) of Coulomb friction.
+def fast_rows(speed: Array, directions: Array, percent: float) -> NDArray[np.bool_]:
+    """Rows (rows, n) in which each joint is fast, by the joint speeds (rows, n).
 
-    A row is slow if a direction that acts on its joint is slower than `percent` of the peak of that direction. None: 4 % of
-    the peak, or 4 deviations of the `noise` (c,) of the regressor's speed if that is more. `peak` (c,): default is that of
-    the rows.
+    A row is slow if a direction (c, n) of Coulomb friction that acts on its joint is slower than `percent` of its peak.
     """
-    peak = np.abs(sliding_speed).max(axis=0, initial=0.0) if peak is None else peak
-    if percent is None:
-        threshold = np.maximum(0.01 * LOW_SPEED_PERCENT * peak, LOW_SPEED_DEVIATIONS * noise)
-    else:
-        threshold = 0.01 * percent * peak
-    slow = np.abs(sliding_speed) < threshold
-    return np.asarray(slow.astype(float) @ (directions != 0) == 0)
-
-
-def measured_sliding_speed(problem: Problem, directions: Array) -> tuple[Array, Array]:
-    """Lowest speeds (rows, c) of the directions (c, n) of Coulomb friction, and noise (n,) of the regressor's joint speeds.
-
-    Speeds have the low-pass of the fit, or of the rule if the fit has none or a higher one: the noise is the difference, zero
-    with the rule's filter. The low-pass smears a speed by half a period of its cut-off, so a joint that sticks for a moment
-    seems to creep: the lowest speed within that time is used.
-    """
-    signals, settings = problem.signals, problem.settings
-    fs, start, stop = signals.sample_rate_hz, settings.start, settings.stop
-    cutoff_hz = problem.slip_cutoff_hz
-    blur = round(0.5 * fs / cutoff_hz)
-    at = start + settings.decimator.instants(stop - start)
-    lowest = np.empty((len(at), len(directions)))
-    total, squares = np.zeros((2, directions.shape[1]))
-    for a in range(start, stop, BLOCK_SAMPLES):
-        b = min(stop, a + BLOCK_SAMPLES)
-        low, high = max(start, a - blur), min(stop, b + blur)
-        wide = problem.motion.between(low, high, cutoff_hz).dq
-        here = (at >= a) & (at < b)
-        lowest[here] = lowest_nearby(np.abs(wide @ directions.T), at[here] - low, blur)
-        if not settings.filtered:
-            off = problem.motion.between(a, b, settings.cutoff_hz).dq - wide[a - low : b - low]
-            total += off.sum(axis=0)
-            squares += (off**2).sum(axis=0)
-    N = stop - start
-    return lowest, np.sqrt(np.maximum(squares / N - (total / N) ** 2, 0.0))
-
-
-def lowest_nearby(speed: Array, at: NDArray[np.intp], reach: int) -> Array:
-    """The lowest of each speed (N, c) within `reach` samples of the samples `at` (K,): (K, c)."""
-    windows = np.stack([at - reach, at + reach + 1], axis=1).clip(0, len(speed))
-    return np.asarray(np.minimum.reduceat(np.concatenate([speed, speed[-1:]]), windows.ravel())[::2])
-
-
-def measured_fast_rows(problem: Problem) -> tuple[NDArray[np.bool_], Array]:
-    """Rows (rows, n) to use in least squares, by the measured speed; noise (c,) of the speeds of the directions."""
-    directions = problem.model.coulomb_directions
-    speed, noise = measured_sliding_speed(problem, directions)
-    slip_noise = noise @ np.abs(directions.T)
-    fast = moving_rows_of(speed, slip_noise, directions, problem.settings.low_speed.ls)
-    return fast, slip_noise
-
-
-def refuse_slow_joints(fast: NDArray[np.bool_], joints: tuple[str, ...], place: str) -> None:
-    """Refuse recordings, named by `place`, in which a joint has no rows (rows, n) to use."""
-    for j, name in enumerate(joints):
-        if not fast[:, j].any():
-            raise IdentificationError(
-                f"joint {name} is never faster than the noise of its speed",
-                place=place,
-                expected="a lower --cutoff-hz, or low_speed_percent of [identification]",
-            )
+    sliding = np.abs(speed @ directions.T)
+    slow = sliding < 0.01 * percent * sliding.max(axis=0, initial=0.0)
+    return np.asarray(~(slow @ (directions != 0)))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

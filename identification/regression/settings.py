@@ -30,6 +30,8 @@ DECIMATED_PER_BANDWIDTH = 2.0  # w_fp >= 2 w_dyn
 CUT_PERIODS = 5.0  # border of 5 periods of the cut-off: 50 samples at 1 kHz and 100 Hz
 STANDSTILL_SPEED = 0.01  # of the peak speed of the fastest joint: a joint that never exceeds it shows only noise
 MAX_CUTOFF_SHARE = 0.4  # of the sample rate, of the rule's cut-off
+ROWS = -1.0  # in place of L: no weights, but the rows in which the joint moves
+RAMPS = (2.0, 0.5, 0.0, ROWS)  # L in rows; short moves need short ramps
 LAG_REACH = 3.0  # deviations that the lag may differ from the known one
 NOTHING, UNKNOWN_LAG_S = "nothing", 0.002  # deviation of an unknown lag
 
@@ -66,7 +68,8 @@ class Settings:
         decimation: samples per decimated row, n_d.
         filtered: whether the low-pass is that of the rule, or a lower one.
         edges: how the decimation treats the two ends (`filtering.decimate`).
-        low_speed: slower rows are left out, by method (`moving_rows_of`).
+        low_speed: slower samples weigh nothing, by method; `low_speed_percent`: of the method of this fit (`weights`).
+        ramp_rows: L of the weights, in rows.
         torque_lag_s: lag of the recorded torque in s, positive if late, that is corrected; 0 for none.
         known_lag: the lag as known without a fit, by user and recording.
         span: the samples `start` to `stop` in words; `span_rule`: the setting.
@@ -81,6 +84,8 @@ class Settings:
     filtered: bool
     edges: Edges
     low_speed: LowSpeed
+    low_speed_percent: float | None
+    ramp_rows: float
     torque_lag_s: float
     known_lag: KnownLag
     span: str
@@ -178,6 +183,8 @@ def make_settings(signals: Signals, overrides: Overrides, motion: FilteredMotion
     start, stop = max(start, math.ceil(-early)), min(stop, N - math.ceil(late))  # others may have no torque
     filtered = cutoff_hz is not None and cutoff_hz <= highest_hz * (1 + 1e-9)
     given = overrides.low_speed_percent
+    low_speed = low_speed_by_method(stored.low_speed if given is None else given)
+    by_instruments = signals.q_ref is not None if overrides.method is None else overrides.method == "iv"
     if stop - start < 30 * decimation:
         raise IdentificationError(
             place=signals.recording,
@@ -192,7 +199,9 @@ def make_settings(signals: Signals, overrides: Overrides, motion: FilteredMotion
         stop=stop,
         filtered=filtered,
         edges=overrides.edges or stored.edges,
-        low_speed=low_speed_by_method(stored.low_speed if given is None else given),
+        low_speed=low_speed,
+        low_speed_percent=low_speed.iv if by_instruments else low_speed.ls,
+        ramp_rows=RAMPS[0] if overrides.ramp_rows is None else overrides.ramp_rows,
         torque_lag_s=lag.value_s,
         known_lag=lag,
         span=span,

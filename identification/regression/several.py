@@ -69,14 +69,12 @@ class OwnParameters:
         of: by recording.
         names: of all recordings, those of an own parameter in sequence; then payloads, then gains.
         motors: whose gains are parameters.
-        R: motor matrix.
         plain: whether the parameters are the base parameters.
     """
 
     of: tuple[RecordingParameters, ...]
     names: tuple[str, ...]
     motors: tuple[int, ...]
-    R: Array
     plain: bool
 
     @property
@@ -117,7 +115,7 @@ class OwnParameters:
     def columns(self, X: Array, k: int, drives: Array | None = None) -> Array:
         """X (r, b) of recording k in the columns of all parameters; zero in those of other recordings.
 
-        `drives` (rows, n), torques of the drives, give the columns of the gains.
+        `drives` (n, rows, m), torques at the joints of all motors, give the columns of the gains.
         """
         if self.plain:
             return X
@@ -126,13 +124,8 @@ class OwnParameters:
         if carried is not None and carried.names:
             wide[:, self.places(k, carried.names)] = X @ carried.columns
         if drives is not None and self.motors:
-            wide[:, self.gains] = -self.torques_of_motors(drives)
+            wide[:, self.gains] = -drives[..., self.motors].reshape(len(X), -1)
         return wide
-
-    def torques_of_motors(self, drives: Array) -> Array:
-        """E (n rows, m): torques at the joints of each motor of `motors`, of the torques (rows, n) of all drives."""
-        of_motors = np.linalg.solve(self.R.T, drives.T)
-        return np.stack([np.outer(self.R[m], of_motors[m]).reshape(-1) for m in self.motors], axis=1)
 
     def repeated(self, beta: Array) -> Array:
         """Values of all parameters from base parameters beta (b,), the same for every recording; gains as described."""
@@ -158,7 +151,7 @@ class OwnParameters:
         if carried is not None:
             Y = Y - W @ carried.known
         if drives is not None and self.motors:
-            Y = Y - self.torques_of_motors(drives).sum(axis=1)
+            Y = Y - drives[..., self.motors].sum(axis=2).reshape(-1)
         return replace(one, system=replace(one.system, W=self.columns(W, k, drives), Y=Y, names=self.names))
 
 
@@ -181,7 +174,6 @@ def own_parameters(problems: Sequence[Problem], motors: tuple[int, ...] = ()) ->
         of=tuple(RecordingParameters(names=n, payload=one) for n, one in zip(of, carried, strict=True)),
         names=whole,
         motors=motors,
-        R=robot.R,
         plain=whole == of[0] and not any(carried),
     )
 
@@ -223,9 +215,8 @@ def _stacked(regressions: Sequence[Regression]) -> Regression:
         return regressions[0]
     return Regression(
         system=stacked([part.system for part in regressions]),
-        fast=np.concatenate([part.fast for part in regressions]),
+        share=np.concatenate([part.share for part in regressions]),
         tau=np.concatenate([part.tau for part in regressions]),
         speed=np.concatenate([part.speed for part in regressions]),
-        slip_noise=np.max([part.slip_noise for part in regressions], axis=0),
         reduced=regressions[0].reduced,
     )

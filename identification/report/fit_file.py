@@ -177,6 +177,7 @@ class OnRecording(ResultFile, frozen=True, kw_only=True):
     decimation: Annotated[int, msgspec.Meta(ge=1)] | None = None
     edges: Literal["smooth", "matlab"] | None = None
     low_speed_percent: dict[Literal["ls", "iv"], float | None] | None = None
+    ramp_rows: float | None = None
     torque_lag_s: float | None = None
     span: str = ""
     span_rule: Literal["motion", "all"] | None = None

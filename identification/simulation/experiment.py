@@ -65,7 +65,6 @@ class Experiment:
         self,
         problem: Problem,
         beta_ls: Array,
-        slip_noise: Array,
         *,
         gain_update: bool = True,
         rate_per_bandwidth: float = RATE_PER_BANDWIDTH,
@@ -73,15 +72,14 @@ class Experiment:
     ) -> None:
         """The recorded gains are assumed to suit the inertias of `beta_ls`; with `gain_update` they follow each estimate's.
 
-        `slip_noise` (c,) is the speed noise along the directions of Coulomb friction. A period of the bandwidth has at least
-        `rate_per_bandwidth` simulated steps and instrument samples. A long recording has `spans` of QR factors in place
-        of rows, and no whole motion of it is stored.
+        A period of the bandwidth has at least `rate_per_bandwidth` simulated steps and instrument samples. A long recording has
+        `spans` of QR factors in place of rows, and no whole motion of it is stored.
 
         Raises `IdentificationError` for an incomplete controller or a reference of another recording.
         """
         signals, robot = problem.signals, problem.signals.robot
         self.payload: Array | float = 0.0
-        self.problem, self.slip_noise, self.gain_update, self.spans = problem, slip_noise, gain_update, spans
+        self.problem, self.gain_update, self.spans = problem, gain_update, spans
         self.directions, self.bandwidth_hz = problem.model.coulomb_directions, robot.bandwidth_hz
         self.reference_kind: Literal["recorded", "surrogate"] = "surrogate" if signals.q_ref is None else "recorded"
         self._cutoff_hz = rule_cutoff_hz(signals)
@@ -236,7 +234,7 @@ def _scales(travel: Array, joints: Sequence[Joint]) -> tuple[Array, NDArray[np.b
 
 
 def _refuse_foreign_reference(problem: Problem) -> None:
-    """A reference far from the measured position: a saturated drive, another recording, or other units."""
+    """Refuse a reference far from the measured position: of another recording, or in other units."""
     signals, used = problem.signals, slice(problem.settings.start, problem.settings.stop)
     if signals.q_ref is None:
         return
@@ -253,27 +251,25 @@ def _refuse_foreign_reference(problem: Problem) -> None:
     for joint, scale, error in zip(joints, _scales(spreads, joints)[0], errors, strict=True):
         if error <= MAX_DEVIATION * scale:
             continue
-        what = f"{error:.3g} {joint.position_unit} rms from the measured position"
-        saturated = saturated_percent(problem)
-        if saturated is not None and saturated > MIN_SATURATED_PERCENT:
-            what += f": a drive is saturated in {saturated:.0f} % of the samples"
-            expected = "a slower motion, within the drives' limits"
-        else:
-            what += f", with a travel of {scale:.3g}"
-            expected = "the reference of this recording"
+        if max(saturated_percents(problem).values(), default=0.0) > MIN_SATURATED_PERCENT:
+            return  # a drive at its limit does not follow
+        what = f"{error:.3g} {joint.position_unit} rms from the measured position, with a travel of {scale:.3g}"
         place = f"{signals.recording}: reference of joint {joint.name}"
-        raise IdentificationError(what, place=place, expected=expected)
+        raise IdentificationError(what, place=place, expected="the reference of this recording")
 
 
-def saturated_percent(problem: Problem) -> float | None:
-    """Percentage of recorded samples at the drives' limit; None if no limit is stated."""
-    signals, settings = problem.signals, problem.settings
-    limits = np.array([np.inf if m.saturation is None else m.saturation for m in signals.robot.motors])
-    if not np.isfinite(limits).any():
-        return None
-    saturated = 0
+def saturated_percents(problem: Problem) -> dict[str, float]:
+    """Percentage of the recorded samples at each motor's limit, by motor and limit; empty if none is stated."""
+    signals, settings, robot = problem.signals, problem.settings, problem.signals.robot
+    limits = {m: motor.saturation for m, motor in enumerate(robot.motors) if motor.saturation is not None}
+    count = dict.fromkeys(limits, 0)
     for a in range(settings.start, settings.stop, BLOCK_SAMPLES):
-        effort = signals.robot.motor_effort(signals.effort[a : min(settings.stop, a + BLOCK_SAMPLES)])
-        saturated += int((np.abs(effort) >= 0.995 * limits).any(axis=1).sum())
+        effort = robot.motor_effort(signals.effort[a : min(settings.stop, a + BLOCK_SAMPLES)])
+        for m, limit in limits.items():
+            count[m] += int((np.abs(effort[:, m]) >= 0.995 * limit).sum())
         release_pages(signals.effort)
-    return 100.0 * saturated / (settings.stop - settings.start)
+    N = settings.stop - settings.start
+    return {
+        f"{robot.motors[m].name} ({limits[m]:.4g} {robot.motors[m].recorded_unit})": 100.0 * k / N
+        for m, k in count.items()
+    }

@@ -2,11 +2,9 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..data import Work
@@ -15,11 +13,11 @@ from ..model import why_not_positive
 from ..regression import (
     OwnParameters,
     Problem,
+    columns_of_drives,
     decimated_regressor,
-    lowest_nearby,
-    moving_rows_of,
-    predicted_drive_torques,
+    predicted_torque,
     rows_of_block,
+    sample_weights,
 )
 from .experiment import EARLY_RATE_PER_BANDWIDTH, RATE_PER_BANDWIDTH, Experiment
 from .motion import (
@@ -46,7 +44,7 @@ class Instruments:
         beta: (b,) the requested parameters; the nearest consistent ones are simulated.
         Z: (r, b) instruments, rows as those of W; of a long recording as those of `system`.
         system: of a long recording W and Y about beta, as QR factors of the used rows [Z W Y] by span; else None.
-        moving_rows: by recording, which rows (rows, n) are used.
+        drives: (n, rows, m) torques at the joints of each motor that beta predicts; None where no gains are identified.
         kind, reason: as in `methods.Pass`.
         gains: factors on the controllers' gains, n for each recording.
         tracking_percent: error of the simulated position, None if nothing was simulated.
@@ -56,29 +54,19 @@ class Instruments:
     beta: Array
     Z: Array
     system: System | None = None
-    moving_rows: tuple[NDArray[np.bool_], ...]
     kind: InstrumentKind
     reason: str | None
     gains: Array
     tracking_percent: float | None
     load_unknown: bool
-
-    @cached_property
-    def used(self) -> Array:
-        """1 for used rows (r,), else 0; joint by joint, recording by recording."""
-        return np.concatenate(self.moving_rows).T.reshape(-1).astype(float)
+    drives: Array | None = None
 
     def without_rows(self) -> "Instruments":
-        """The same without arrays of a recording's length, except `moving_rows`."""
-        return replace(self, Z=self.Z[:0].copy(), system=None)
+        """The same without arrays of a recording's length."""
+        return replace(self, Z=self.Z[:0].copy(), system=None, drives=None)
 
 
-def simulate_instruments(
-    e: Experiment,
-    beta: Array,
-    covariance: Array | None,
-    rows: NDArray[np.bool_] | None = None,
-) -> Instruments:
+def simulate_instruments(e: Experiment, beta: Array, covariance: Array | None) -> Instruments:
     """Instruments along the closed loop simulated with the physically consistent parameters nearest to `beta` (b,).
 
     The nearest parameters follow the estimate smoothly. The estimate itself moves a light wrist wildly long before its inertia
@@ -89,52 +77,63 @@ def simulate_instruments(
     ----------
     e : the recorded experiment.
     beta, covariance : of the estimate, (b,) and (b, b); without a covariance beta itself is simulated.
-    rows : (rows, n) used rows of a previous pass; None for those at which the simulated robot is fast enough.
     """
     near = beta if covariance is None else nearest(e, beta, covariance)
     model, gains, reason = with_gains_for(e, near)
     kind: InstrumentKind = "simulated"
     tracking_percent = None
     try:
-        found, tracking_percent = _along(e, simulated_blocks(e, model, gains, reason), near, beta, rows)
+        found, tracking_percent = _along(e, simulated_blocks(e, model, gains, reason), near, beta)
         if covariance is not None and (reason := why_not_positive(e.model(beta).inertia(e.poses))) is not None:
             kind = "consistent"
     except NotSimulatedError as why:
         kind, reason = "reference", str(why)
-        found, _ = _along(e, reference_blocks(e), near, beta, rows)
-    Z, moving_rows, system = found
+        found, _ = _along(e, reference_blocks(e), near, beta)
+    Z, drives, system = found
     return Instruments(
         beta=beta,
         Z=Z,
         system=system,
-        moving_rows=(moving_rows,),
         kind=kind,
         reason=reason,
         gains=gains,
         tracking_percent=tracking_percent,
         load_unknown=covariance is None,
+        drives=drives,
+    )
+
+
+def reference_instruments(e: Experiment, beta: Array) -> Instruments:
+    """Instruments along the reference, without a simulation, about beta (b,)."""
+    (Z, drives, system), _ = _along(e, reference_blocks(e), beta, beta)
+    gains = np.ones(len(e.held))
+    return Instruments(
+        beta=beta,
+        Z=Z,
+        system=system,
+        kind="reference",
+        reason=None,
+        gains=gains,
+        tracking_percent=None,
+        load_unknown=True,
+        drives=drives,
     )
 
 
 def stack_instruments(
-    each: Sequence[Instruments],
-    beta: Array,
-    parameters: OwnParameters,
-    names: Sequence[str],
-    drives: Sequence[Array | None],
+    each: Sequence[Instruments], beta: Array, parameters: OwnParameters, names: Sequence[str]
 ) -> Instruments:
-    """Instruments of several recordings, in the columns of all parameters beta (b,); `drives` as of `columns`."""
+    """Instruments of several recordings, in the columns of all parameters beta (b,)."""
     if len(each) == 1 and parameters.plain:
         return replace(each[0], beta=beta)
-    n = each[0].moving_rows[0].shape[1]
-    of_all = [parameters.columns(one.Z, k, tau) for k, (one, tau) in enumerate(zip(each, drives, strict=True))]
+    n = len(each[0].gains)
+    of_all = [parameters.columns(one.Z, k, one.drives) for k, one in enumerate(each)]
     wide = [Z.reshape(n, -1, len(beta)) for Z in of_all]
     systems = [one.system for one in each if one.system is not None]
     return Instruments(
         beta=beta,
         Z=np.concatenate(wide, axis=1).reshape(-1, len(beta)),
         system=stacked(systems) if systems else None,
-        moving_rows=tuple(rows for one in each for rows in one.moving_rows),
         kind=min((one.kind for one in each), key=WORST_FIRST.index),
         reason=join_reasons([one.reason for one in each], names),
         gains=np.concatenate([one.gains for one in each]),
@@ -157,60 +156,43 @@ def join_reasons(reasons: Sequence[str | None], names: Sequence[str]) -> str | N
 
 
 def _along(
-    e: Experiment,
-    blocks: MotionBlocks,
-    near: Array,
-    beta: Array,
-    rows: NDArray[np.bool_] | None,
-) -> tuple[tuple[Array, NDArray[np.bool_], System | None], float]:
-    """Z about `near` along a motion, the used rows, a long recording's system; and the tracking error."""
+    e: Experiment, blocks: MotionBlocks, near: Array, beta: Array
+) -> tuple[tuple[Array, Array | None, System | None], float]:
+    """Z about `near` along a motion, the drives' torques by beta, a long recording's system; and the tracking error."""
     problem, base = e.problem, e.problem.base
-    directions, percent = e.directions, problem.settings.low_speed.iv
-    n, rows_of_all = problem.signals.robot.n, e.blocks[0].rows
-    factors = SpanFactors(rows_of_all, n, 2 * base.b + 1, e.spans) if e.spans else None
-    error, parts, slip, moving = TrackingError(e), list[Array](), list[Array](), list[NDArray[np.bool_]]()
+    n, rows = problem.signals.robot.n, e.blocks[0].rows
+    share = sample_weights(problem).of_rows
+    factors = SpanFactors(rows, n, 2 * base.b + 1, e.spans) if e.spans else None
+    error, parts, drives = TrackingError(e), list[Array](), list[Array]()
     for at, motion in blocks:
         error.add(at, motion)
-        own = decimated_regressor(motion, problem.model, base, e.decimation, beta=near)[..., at.inside]
-        speeds = _slip(e, motion.dq @ directions.T)[at.inside]
-        if factors is None:
-            parts.append(own)
-            slip.append(speeds)
+        own = decimated_regressor(problem, motion, e.decimation, beta=near)[..., at.inside]
+        if factors is not None:
+            W, Y = rows_of_block(problem, at, beta)
+            factors.add(at.first, np.concatenate([own, W, Y[:, None]], axis=1), share[at.first : at.last])
             continue
-        # The peak of the whole recording is known from its reference.
-        if rows is None:
-            counts = moving_rows_of(speeds, e.slip_noise, directions, percent, peak=e.fastest)
-        else:
-            counts = rows[at.first : at.last]
-        W, Y = rows_of_block(problem, at, beta)
-        factors.add(at.first, np.concatenate([own, W, Y[:, None]], axis=1), counts)
-        moving.append(counts)
+        parts.append(own)
+        if problem.gains is not None:
+            torque = predicted_torque(motion, problem.model, base, beta)
+            drives.append(columns_of_drives(problem, motion.t_s, torque, e.decimation)[:, at.inside])
     if factors is not None:
-        system, of_system = factors.system(base.names)
-        assert of_system is not None
-        return (of_system, np.concatenate(moving), system), error.percent
+        system, Z = factors.system(base.names)
+        assert Z is not None
+        return (Z, None, system), error.percent
     Z = np.ascontiguousarray(np.concatenate(parts, axis=-1).transpose(0, 2, 1)).reshape(-1, base.b)
-    counts = moving_rows_of(np.concatenate(slip), e.slip_noise, directions, percent) if rows is None else rows
-    return (Z, counts, None), error.percent
-
-
-def _slip(e: Experiment, u: Array) -> Array:
-    """Minimum speeds (rows, c) within ± half a cut-off period, because the low-pass smears reversals in W."""
-    reach = round(0.5 / (e.spacing_s * e.problem.slip_cutoff_hz))
-    return lowest_nearby(np.abs(u), e.decimation.instants(len(u)), reach)
+    return (Z, np.concatenate(drives, axis=1) if drives else None, None), error.percent
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Simulation:
     """The closed loop of a recording, with gains set for the inertias of `prior` (b,).
 
-    `payload` (b,) is the part of the simulated parameters that a payload adds, which stays as it is;
-    `slip_noise` (c,) is the speed noise along the directions of Coulomb friction; `spans` as of `Experiment`.
+    `payload` (b,) is the part of the simulated parameters that a payload adds, which stays as it is; `spans` as of
+    `Experiment`.
     """
 
     problem: Problem
     prior: Array
-    slip_noise: Array
     spans: int
     gain_update: bool = True
     payload: Array | float = 0.0
@@ -222,7 +204,6 @@ class Simulation:
             self._experiments[rate_per_bandwidth] = Experiment(
                 self.problem.with_samples(),
                 self.prior,
-                self.slip_noise,
                 rate_per_bandwidth=rate_per_bandwidth,
                 gain_update=self.gain_update,
                 spans=self.spans,
@@ -233,15 +214,14 @@ class Simulation:
         return {**self.__dict__, "_experiments": {}}  # each process prepares its own
 
     @one_thread
-    def instruments(
-        self,
-        beta: Array,
-        covariance: Array | None,
-        rows: NDArray[np.bool_] | None,
-        rate_per_bandwidth: float,
-    ) -> Instruments:
+    def instruments(self, beta: Array, covariance: Array | None, rate_per_bandwidth: float) -> Instruments:
         """See `simulate_instruments`."""
-        return simulate_instruments(self.at(rate_per_bandwidth), beta, covariance, rows)
+        return simulate_instruments(self.at(rate_per_bandwidth), beta, covariance)
+
+    @one_thread
+    def along_reference(self, beta: Array) -> Instruments:
+        """See `reference_instruments`."""
+        return reference_instruments(self.at(EARLY_RATE_PER_BANDWIDTH), beta)
 
     @one_thread
     def replica(self, beta: Array, covariance: Array | None) -> Replica:
@@ -261,29 +241,18 @@ class ClosedLoops:
     parameters: OwnParameters
     work: Work
 
-    def instruments(
-        self,
-        beta: Array,
-        covariance: Array | None,
-        *,
-        rows: Sequence[NDArray[np.bool_]] | None = None,
-        coarse: bool = False,
-    ) -> Instruments:
-        """Instruments of all recordings for beta (b,) and its covariance, as `simulate_instruments`.
-
-        `rows` as `Instruments.moving_rows`.
-        """
+    def instruments(self, beta: Array, covariance: Array | None, *, coarse: bool = False) -> Instruments:
+        """Instruments of all recordings for beta (b,) and its covariance, as `simulate_instruments`."""
         rate = EARLY_RATE_PER_BANDWIDTH if coarse else RATE_PER_BANDWIDTH
-        each_rows: Sequence[NDArray[np.bool_] | None] = rows or [None] * len(self.simulations)
-        tasks = [(*own, r, rate) for own, r in zip(self._own(beta, covariance), each_rows, strict=True)]
-        each = tuple(self.work.run(Simulation.instruments, tasks))
-        drives: list[Array | None] = [None] * len(each)
-        if self.parameters.motors:
-            drives = [
-                predicted_drive_torques(s.problem.with_samples(), one.Z, one.beta)
-                for s, one in zip(self.simulations, each, strict=True)
-            ]
-        return stack_instruments(each, beta, self.parameters, self.names, drives)
+        each = tuple(self.work.run(Simulation.instruments, [(*own, rate) for own in self._own(beta, covariance)]))
+        return stack_instruments(each, beta, self.parameters, self.names)
+
+    def along_reference(self, beta: Array) -> Instruments:
+        """Instruments of all recordings along their references, coarsely, about beta (b,)."""
+        tasks = [(one, x) for one, x, _ in self._own(beta, None)]
+        return stack_instruments(
+            tuple(self.work.run(Simulation.along_reference, tasks)), beta, self.parameters, self.names
+        )
 
     def replicas(self, beta: Array, covariance: Array | None) -> tuple[Replica, ...]:
         """The robot simulated with beta (b,) in each recording, as `simulate_replica`."""

@@ -15,7 +15,7 @@ from ..regression import Decimation, Motion, RowBlock
 from ..report import DirectModelError
 from .closed_loop import ClosedLoop
 from .control_law import surrogate_loop
-from .experiment import Experiment, saturated_percent
+from .experiment import Experiment, saturated_percents
 
 MotionBlocks = Iterator[tuple[RowBlock, Motion]]  # motions at the instrument samples of each block of rows
 
@@ -35,7 +35,7 @@ class Replica:
         tracking_percent: |q_sim - q| in percent of |q - mean|, all joints that move; `direct` by joint, empty if nothing
             could be simulated.
         reference_kind, J_known, bandwidth_hz: as in `Experiment`; `described`: the description has the control law.
-        saturated_percent: of recorded samples at the drives' limit, None if no limit is stated.
+        saturated: percentage of recorded samples at each motor's limit, by motor and limit; empty if none is stated.
     """
 
     motion: Motion | None
@@ -48,7 +48,7 @@ class Replica:
     described: bool
     J_known: bool
     bandwidth_hz: float
-    saturated_percent: float | None
+    saturated: dict[str, float]
 
 
 def with_gains_for(e: Experiment, beta: Array) -> tuple[DirectModel, Array, str | None]:
@@ -165,7 +165,7 @@ def simulate_replica(e: Experiment, beta: Array, covariance: Array | None = None
         described=e.loop is not None,
         J_known=e.J_known,
         bandwidth_hz=e.bandwidth_hz,
-        saturated_percent=saturated_percent(e.problem),
+        saturated=saturated_percents(e.problem),
     )
 
 

@@ -3,10 +3,10 @@
 With z = c - Q (QᵀW)⁻ᵀ Wᵀc, a column c made orthogonal to W by the instruments' span Q, its coefficient is g = zᵀrho / zᵀc.
 Its deviation is that of the scores z rho' / zᵀc by equal-weighted cosines, where rho' is the residual with the column, divided
 by the share that estimate and column leave of white noise: a slow column removes much of the low frequencies. With instruments,
-c is the column of the simulated motion, so that position noise does not bias g.
+c is the column of the simulated motion, so that position noise does not bias g. Columns have the weights of W.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,8 +15,8 @@ from acquisition.robot import Joint
 
 from ..arrays import Array
 from ..estimation import deviations_of_sums
-from ..model import DirectModel, JointTerm, direct_model
-from ..regression import Decimation, Motion, known_torque_rows
+from ..model import JointTerm, direct_model
+from ..regression import Decimation, Motion, predicted_drives, weighted, weights_at
 from ..report import Method
 from .fit_data import FitData, RecordingData
 from .lag import simulated_rates
@@ -30,7 +30,7 @@ STRIBECK, ASYMMETRIC, OFFSET, SPRING = "Stribeck friction", "asymmetric friction
 ROOT, LOAD, TILT, LAG, DRIFT = "root friction", "load friction", "tilt of gravity", "lag", "drift"
 SELECT_TERMS = "run `robot-identify friction`"
 MAX_TIE_PERCENT = 2.0  # of the residual's square: kinds within this are indistinguishable
-MIN_INDEPENDENT_NORM = 0.02  # share of a column's norm outside the span of W, for a usable coefficient
+MIN_INDEPENDENT_NORM = 0.01  # share of a column's norm outside the span of W, for a usable coefficient
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -39,7 +39,7 @@ class MissingTerm:
 
     Attributes:
         kind, where: the term, and its joint or axis.
-        torque: (T, n) per unit of its coefficient.
+        torque: (T, n) per unit of its coefficient, weighted and decimated.
         unit, advice: unit of the coefficient; what to do.
         value, t: its coefficient, also in deviations.
         taken_percent: share of the residual's square that it explains; `together_percent`: all columns of its kind.
@@ -157,42 +157,62 @@ def _columns(evidence: FitData) -> Iterator[MissingTerm]:
     chi, joints, n, efforts = np.zeros(idm.p), robot.joints, len(robot.joints), robot.effort_units
     chi[problem.base.columns] = evidence.recordings[0].parameters.values(evidence.estimate)
     links = direct_model(idm, np.where(idm.of_links, chi, 0.0))
-    time = np.concatenate([np.linspace(0.0, 1.0, rows) for rows in evidence.observed.parts])
-    speed, slow, position, root, load = (np.concatenate(x) for x in zip(*_series(evidence, links), strict=True))
+    motions = [motion_of(part, evidence.method) for part in evidence.recordings]
+    moved = [motion for motion, _ in motions]
+    w = [weights_at(part.problem, x.t_s) for part, x in zip(evidence.recordings, moved, strict=True)]
+    v_s = STRIBECK_SPEED_RATIO * np.maximum(np.max([np.abs(x.dq).max(axis=0) for x in moved], axis=0), 1e-300)
+    load = [np.abs(links.torque(x.q, x.dq, x.ddq)) for x in moved]
     value = {s.name: chi[c] for c, s in enumerate(idm.sources) if isinstance(s, JointTerm)}
 
-    def of_joint(j: int, kind: str, torque: Array, unit: str, advice: str) -> MissingTerm:
-        where, torque = f"of joint {joints[j].name}", np.outer(torque, np.eye(n)[j])
+    def decimated(series: Sequence[Array], acts: Array) -> Array:
+        """(T, n) of a torque (N,) along each motion, at joints with the factors `acts` (n,)."""
+        found, each = np.zeros((len(evidence.observed.tau), n)), list(zip(motions, w, series, strict=True))
+        for j in np.flatnonzero(acts):
+            found[:, j] = np.concatenate([d.filtered(acts[j] * own[j] * x) for (_, d), own, x in each])
+        return found
+
+    def of_joint(j: int, kind: str, series: Sequence[Array], unit: str, advice: str) -> MissingTerm:
+        where, torque = f"of joint {joints[j].name}", decimated(series, np.eye(n)[j])
         return MissingTerm(kind=kind, where=where, torque=torque, unit=unit, advice=advice)
 
     for j, joint in enumerate(joints):
-        terms, effort = joint.terms, efforts[j]
+        terms, effort, speed = joint.terms, efforts[j], [x.dq[:, j] for x in moved]
         if {"viscous", "coulomb"} & set(terms) and not joint.one_sided and "asymmetric" not in terms:
             advice = _to_describe(joint, "asymmetric", 'friction = "asymmetric", which includes an offset')
-            resisting = value.get(f"Fc{j + 1}", 0.0) + value.get(f"Fv{j + 1}", 0.0) * speed[:, j]
-            yield of_joint(j, ASYMMETRIC, 0.01 * resisting, "% of it", advice)
+            Fc, Fv = (0.01 * value.get(f"{name}{j + 1}", 0.0) for name in ("Fc", "Fv"))
+            yield of_joint(j, ASYMMETRIC, [Fc + Fv * np.abs(v) for v in speed], "% of it", advice)
         if "offset" not in terms:
-            yield of_joint(j, OFFSET, np.ones_like(time), effort, _to_describe(joint, "offset", "offset = true"))
-        yield of_joint(j, DRIFT, time, f"{effort} over the recording", "warm the robot up, or record a shorter motion")
+            advice = _to_describe(joint, "offset", "offset = true")
+            yield of_joint(j, OFFSET, [np.ones_like(v) for v in speed], effort, advice)
+        advice, time = "warm the robot up, or record a shorter motion", [np.linspace(0.0, 1.0, len(v)) for v in speed]
+        yield of_joint(j, DRIFT, time, f"{effort} over the recording", advice)
         advice = "record its torque (of a spring, a hose or a weight) as known_torque"
-        yield of_joint(j, SPRING, position[:, j], f"{effort}/{joint.position_unit}", advice)
+        yield of_joint(j, SPRING, [x.q[:, j] for x in moved], f"{effort}/{joint.position_unit}", advice)
         if "stribeck" not in terms:
-            advice = "leave out slow rows by a larger low_speed_percent of [identification]"
-            yield of_joint(j, STRIBECK, slow[:, j], effort, advice)
+            advice = "leave out slow samples by a larger low_speed_percent of [identification]"
+            slow = [np.sign(v) * np.exp(-((v / v_s[j]) ** 2)) for v in speed]
+            yield of_joint(j, STRIBECK, slow, effort, advice)
+        if "load" not in joint.terms:
+            yield of_joint(
+                j, LOAD, [rigid[:, j] * np.sign(v) for rigid, v in zip(load, speed, strict=True)], "", SELECT_TERMS
+            )
     # Torque per rad of rotation of gravity about an axis of the base, by the estimated links.
     for axis, about in zip(np.eye(3), "xyz", strict=True):
         if (turned := np.cross(axis, np.array(robot.gravity))).any():
-            torque, advice = links.gravity(position, along=turned), "level the base, or set gravity_m_s2"
-            yield MissingTerm(kind=TILT, where=f"about {about}", torque=torque, unit="rad", advice=advice)
-    for along, column in zip(idm.coulomb_directions, root.T, strict=True):
+            each = zip(evidence.recordings, motions, strict=True)
+            torques = [weighted(one.problem, x.t_s, links.gravity(x.q, along=turned), d).T for one, (x, d) in each]
+            advice = "level the base, or set gravity_m_s2"
+            yield MissingTerm(
+                kind=TILT, where=f"about {about}", torque=np.concatenate(torques), unit="rad", advice=advice
+            )
+    for along in idm.coulomb_directions:
         j = int(np.flatnonzero(along)[-1])
         if "root" not in joints[j].terms:
             where = f"of{' the motor of' if np.count_nonzero(along) > 1 else ''} joint {joints[j].name}"
             unit = f"{efforts[j]} ({joints[j].position_unit}/s)^-½"
-            yield MissingTerm(kind=ROOT, where=where, torque=np.outer(column, along), unit=unit, advice=SELECT_TERMS)
-    yield from (
-        of_joint(j, LOAD, load[:, j], "", SELECT_TERMS) for j, joint in enumerate(joints) if "load" not in joint.terms
-    )
+            sliding = [x.dq @ along for x in moved]
+            torque = decimated([np.sign(v) * np.sqrt(np.abs(v)) for v in sliding], along)
+            yield MissingTerm(kind=ROOT, where=where, torque=torque, unit=unit, advice=SELECT_TERMS)
     if (
         n > 1
         and evidence.method == "iv"
@@ -201,29 +221,17 @@ def _columns(evidence: FitData) -> Iterator[MissingTerm]:
         # in fast rows: near reversals, friction that rises smoothly looks like a lag
         late = np.concatenate([(-1e-3 * rate * fast).T for rate, fast in map(simulated_rates, evidence.recordings)])
         advice = "check how its effort is filtered and stamped"
-        yield from (of_joint(j, LAG, late[:, j], "ms", advice) for j in range(n))
+        for j in range(n):
+            where = f"of joint {joints[j].name}"
+            yield MissingTerm(kind=LAG, where=where, torque=late * np.eye(n)[j], unit="ms", advice=advice)
     if n > 1 and robot.gain_known and not evidence.gains:
         # The predicted torque of a drive: the coefficient is its gain relative to the others, less 1.
-        drives = evidence.observed.predicted(evidence.estimate.values_of(evidence.observed.system.names))
-        drives = drives - np.concatenate([known_torque_rows(part.problem) for part in evidence.recordings])
+        each_drives = [predicted_drives(x.problem, x.parameters.values(evidence.estimate)) for x in evidence.recordings]
+        drives = np.concatenate([x.sum(axis=2).T for x in each_drives])
         advice = "check its drive_gain and ratio against those of the other joints"
-        yield from (of_joint(j, "relative gain", 0.01 * drives[:, j], "%", advice) for j in range(n))
-
-
-def _series(evidence: FitData, links: DirectModel) -> Iterator[tuple[Array, ...]]:
-    """For each recording, decimated (rows, n): |dq|, the Stribeck term, positions, the root of speed along each direction of
-    Coulomb friction, and load friction.
-    """
-    motions = [motion_of(part, evidence.method) for part in evidence.recordings]
-    directions = evidence.problem.model.coulomb_directions
-    fastest = np.max([np.abs(motion.dq).max(axis=0) for motion, _ in motions], axis=0)
-    for motion, decimation in motions:
-        slow = np.sign(motion.dq) * np.exp(-((motion.dq / (STRIBECK_SPEED_RATIO * np.maximum(fastest, 1e-300))) ** 2))
-        sliding_speed = motion.dq @ directions.T
-        root = np.sign(sliding_speed) * np.sqrt(np.abs(sliding_speed))
-        load = np.abs(links.torque(motion.q, motion.dq, motion.ddq)) * np.sign(motion.dq)
-        rounded = [decimation.filtered(x.T).T for x in (np.abs(motion.dq), slow, root, load)]
-        yield rounded[0], rounded[1], decimation.kept(motion.q), *rounded[2:]
+        for j in range(n):
+            where, torque = f"of joint {joints[j].name}", 0.01 * drives * np.eye(n)[j]
+            yield MissingTerm(kind="relative gain", where=where, torque=torque, unit="%", advice=advice)
 
 
 def _to_describe(joint: Joint, term: str, otherwise: str) -> str:

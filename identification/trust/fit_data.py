@@ -23,7 +23,7 @@ from ..regression import (
     base_places,
 )
 from ..report import Method
-from .lines import TrustLine
+from .lines import HeldOut, TrustLine
 
 Span = slice | NDArray[np.intp]  # of time: instants of the recordings in sequence
 
@@ -104,18 +104,18 @@ class FitData:
 
     Attributes:
         recordings: in the order of the rows.
-        observed: W and Y of all decimated rows about the estimate, with its used rows; QR factors for long recordings.
+        observed: W and Y of all decimated rows about the estimate; QR factors for long recordings.
         fixed_point: whether the method ended in a fixed point; always true of least squares.
         unconfirmed: status and reason, where no simulation confirms the fixed point.
         estimate: of the base parameters, or of the essential ones only.
-        predicted: (rows, n) predicted torque.
-        used: (n rows,) samples used, joint by joint, 1 and 0.
+        predicted: (rows, n) predicted torque, not weighted.
         least_squares: weighted least squares of all base parameters on the same recordings.
         Z: (r, b) instruments of all base parameters in the rows of W, None after least squares.
         position_noise: whether position noise biases least squares; None for instrumental variables.
         beginning: where rows are reduced, the same data of the beginning of the first recording, with rows.
         lags: one per group of recordings of equal timing.
         essential: names of the parameters that the recordings determine well.
+        held_out: blocks of time, or recordings, predicted by the fit of the others; empty where that is not made.
     """
 
     recordings: tuple[RecordingData, ...]
@@ -124,7 +124,6 @@ class FitData:
     fixed_point: bool
     estimate: Estimate
     predicted: Array
-    used: Array
     intervals: Intervals
     least_squares: Estimate
     Z: Array | None = None
@@ -134,6 +133,7 @@ class FitData:
     beginning: "FitData | None" = None
     lags: tuple[Lag, ...] = ()
     essential: tuple[str, ...] = ()
+    held_out: tuple[HeldOut, ...] = ()
 
     @property
     def problem(self) -> Problem:
@@ -176,8 +176,6 @@ class FitData:
         """Sums over the rows of a span of time of all recordings."""
         estimate, n = self.estimate, self.observed.tau.shape[1]
         part, rows = self.aligned(part)
-        counts = part_of(self.used, n, part).reshape(n, -1).T
-        rho, tau = (x[part] * counts for x in (self.observed.tau - self.predicted, self.observed.tau))
         weighted = (estimate.Q, self.rows.W, self.rows.Y, self.rows.rho, self.rows.weight)
         Q, W, Y, left, weight = (part_of(x, n, rows) for x in weighted)
         per_weight = np.divide(1.0, weight, out=np.zeros_like(weight), where=weight > 0)
@@ -188,9 +186,8 @@ class FitData:
             QY=Q.T @ Y,
             WW=plain.T @ plain,
             W_rho=plain.T @ (left * per_weight),
-            rho_rho=float(np.sum(rho**2)),
-            tau_tau=float(np.sum(tau**2)),
-            rows=int(counts.sum()),
+            rho_rho=float(np.sum((left * per_weight) ** 2)),
+            rows=float(np.sum(self.observed.share[part] ** 2)),
         )
 
     def scores(self, part: Span, beta: Array, bread: Array, basis: Array) -> list[Scores]:
@@ -227,7 +224,7 @@ class FitData:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WeightedRows:
-    """Weighted rows of the system, zero where unused: W (r, b), Y, rho and `weight` (r,)."""
+    """Rows of the system times 1/s_j, zero where they do not count: W (r, b), Y, rho and `weight` (r,)."""
 
     W: Array
     Y: Array
@@ -241,8 +238,8 @@ class PartSums:
 
     Attributes:
         QQ, QW: (b, b) Q'Q and Q'W, `QY`: (b,) Q'Y, of the orthonormal columns Q and the weighted rows of the estimate.
-        WW: (b, b) W'W, `W_rho`: (b,) W'rho, and `rho_rho`, `tau_tau` in the unit of the torque; rho is the residual.
-        rows: number of used rows.
+        WW: (b, b) W'W, `W_rho`: (b,) W'rho, and `rho_rho` in the unit of the torque; rho is the residual.
+        rows: number of rows, the sum of the squares of their weights.
     """
 
     QQ: Array
@@ -251,8 +248,7 @@ class PartSums:
     WW: Array
     W_rho: Array
     rho_rho: float
-    tau_tau: float
-    rows: int
+    rows: float
 
     def error(self, difference: Array) -> float:
         """|Y - W beta|² in the unit of the torque, where beta differs from the estimate by `difference` (b,)."""

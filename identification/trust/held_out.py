@@ -5,97 +5,114 @@ A block adds A_k = Q_kᵀW_k and Q_kᵀY_k to A = QᵀW and QᵀY, so that the e
 parameters undetermined, so they are factored again.
 """
 
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..estimation import r_factor, spans_of, undetermined_parameters
-from .fit_data import FitData, part_of
-from .lines import Figure, TrustLine
+from ..estimation import r_factor, relative_error_percent, spans_of, undetermined_parameters
+from .fit_data import FitData, Span, part_of
+from .lines import Figure, HeldOut, TrustLine
 
 BLOCKS = 5
 MAX_HELD_OUT_RATIO_NOT_POSITIVE = 3.0  # the same, where M is not positive
-MAX_HELD_OUT_RATIO = 1.5  # of held-out over training error
+MAX_HELD_OUT_RATIO = 1.5  # of held-out over training error, in weighted rows
+
+Predict = Callable[..., Array]  # decimated torque (rows, n) by estimates, in as many equal spans of each recording
 
 
-@dataclass(frozen=True, kw_only=True)
-class HeldOut:
-    """A recording predicted by the fit of the others, in the used rows.
+def held_out_parts(evidence: FitData, predict: Predict) -> tuple[HeldOut, ...]:
+    """Five blocks of time of one recording, or each of several, predicted by the fit of the others.
 
-    Attributes:
-        error_percent: its torque error, in percent of its torque; None where the others do not determine the parameters.
-        trained_percent: the same for the fit of all recordings.
-        undetermined: names of the parameters that the others do not determine.
-        torque: norm of its torque.
+    With drive gains the blocks are of each recording, as none tells them alone. Empty where too few rows are outside a block.
+    Errors in percent are of the torque; where the model does not hold, joints stand: those of weighted rows leave that out.
     """
+    if len(evidence.recordings) > 1 and not evidence.gains:
+        return _recordings(evidence, predict)
+    spans, estimate = evidence.spans(BLOCKS), evidence.estimate
+    sums = [evidence.sums(part) for part in spans]
+    if sum(one.rows for one in sums) - max(one.rows for one in sums) <= len(estimate.beta):
+        return ()
+    A, c = sum(one.QW for one in sums), sum(one.QY for one in sums)
+    d = np.linalg.norm(A, axis=0)
+    betas = [np.linalg.lstsq((A - one.QW) / d, c - one.QY, rcond=1e-12)[0] / d for one in sums]
+    by_others = predict(*(replace(estimate, beta=beta) for beta in betas))
+    return tuple(
+        _held_out(
+            evidence,
+            f"block {k}",
+            part,
+            by_others,
+            held=one.error(beta - estimate.beta) ** 0.5,
+            trained=one.rho_rho**0.5,
+        )
+        for k, (part, one, beta) in enumerate(zip(spans, sums, betas, strict=True), 1)
+    )
 
-    error_percent: float | None
-    trained_percent: float | None
-    undetermined: tuple[str, ...]
-    torque: float
+
+def _recordings(evidence: FitData, predict: Predict) -> tuple[HeldOut, ...]:
+    """Each of several recordings; its own parameters are fitted to it, as the others do not contain them."""
+    names, weights, estimate = evidence.estimate.names, evidence.estimate.weights, evidence.estimate
+    parts = spans_of(evidence.observed.parts)
+    rows = [_rows_of(evidence, k) for k in range(len(parts))]
+    weighted = [np.c_[Z, W, Y] * weights[joint][:, None] for Z, W, Y, joint in rows]
+    by_others = predictions_by_others(weighted, names, [one.parameters.own for one in evidence.recordings])
+    betas, found = [estimate.beta if beta is None else beta for beta, _ in by_others], list[HeldOut]()
+    predicted = predict(*(replace(estimate, beta=beta) for beta in betas), by_recording=True)
+    for k, (part, (_, W, Y, _), (beta, lost)) in enumerate(zip(parts, rows, by_others, strict=True)):
+        held, trained = (float(np.linalg.norm(Y - W @ x)) for x in (betas[k], estimate.beta))
+        name, shown = evidence.recordings[k].problem.signals.recording, None if beta is None else predicted
+        found.append(_held_out(evidence, name, part, shown, held=held, trained=trained, undetermined=tuple(lost)))
+    return tuple(found)
+
+
+def _held_out(evidence: FitData, name: str, part: Span, predicted: Array | None, **known: Any) -> HeldOut:
+    """With the torque errors of a span of time, whose torque `predicted` (rows, n) the others predict."""
+    tau, counts = evidence.observed.tau[part], evidence.observed.counts[part]
+    percents = [
+        None if x is None else relative_error_percent(tau[counts], (tau - x[part])[counts])
+        for x in (predicted, evidence.predicted)
+    ]
+    torque = float(np.linalg.norm(tau[counts]))
+    return HeldOut(name=name, error_percent=percents[0], trained_percent=percents[1], torque=torque, **known)
 
 
 def held_out_test(evidence: FitData) -> TrustLine:
     """Held-out and training error, in percent, of five blocks of time or of several recordings."""
-    name = "held-out blocks"
-    if len(evidence.recordings) > 1 and not evidence.gains:
-        return _recordings_line(evidence, held_out_recordings(evidence))
-    estimate, sums = evidence.estimate, [evidence.sums(part) for part in evidence.spans(BLOCKS)]
-    outside, b = sum(one.rows for one in sums) - max(one.rows for one in sums), len(estimate.beta)
-    if outside <= b:
-        text = f"not made: {outside} rows outside a block for {b} parameters; record longer"
-        return TrustLine(name, "not made", text)
-    A, c = sum(one.QW for one in sums), sum(one.QY for one in sums)
-    d, squares, figures = np.linalg.norm(A, axis=0), np.zeros(3), []
-    for number, one in enumerate(sums, 1):
-        beta = np.linalg.lstsq((A - one.QW) / d, c - one.QY, rcond=1e-12)[0] / d
-        own = np.array([one.error(beta - estimate.beta), one.rho_rho, one.tau_tau])
-        squares += own
-        if one.tau_tau > 0:
-            held, trained = (float(x) for x in 100 * np.sqrt(own[:2] / one.tau_tau))
-            figures.append(Figure(name=f"block {number}", value=held, expected=trained))
-    if not squares[2] > 0:
-        return TrustLine(name, "not made", "not made: no torque")
-    error, training = (100 * float(np.sqrt(x / squares[2])) for x in squares[:2])
-    text = f"error {error:.3g} % held out, {training:.3g} % trained"
-    return _line(evidence, text, (error, training), "record longer", figures)
-
-
-def held_out_recordings(evidence: FitData) -> tuple[HeldOut | None, ...]:
-    """Each of several recordings predicted by the fit of the others; None for a single one.
-
-    None also with drive gains, which no recording tells alone.
-
-    Its own parameters are fitted to the recording itself, as the others do not contain them.
-    """
-    if len(evidence.recordings) == 1 or evidence.gains:
-        return (None,) * len(evidence.recordings)
-    names, weights = evidence.estimate.names, evidence.estimate.weights
-    n, parts = evidence.observed.tau.shape[1], spans_of(evidence.observed.parts)
-    rows = [_rows_of(evidence, k) for k in range(len(parts))]
-    weighted = [np.c_[Z, W, Y] * weights[joint][:, None] for Z, W, Y, joint in rows]
-    by_others = predictions_by_others(weighted, names, [one.parameters.own for one in evidence.recordings])
-    found = []
-    for k, ((_, W, Y, _), (beta, undetermined)) in enumerate(zip(rows, by_others, strict=True)):
-        # Y is another torque, where W is linearised
-        counts = part_of(evidence.used, n, parts[k]).reshape(n, -1).T
-        torque = float(np.linalg.norm(evidence.observed.tau[parts[k]] * counts))
-        trained = float(np.linalg.norm(Y - W @ evidence.estimate.beta))
-        error_percent = None
-        if beta is not None and torque > 0:
-            error_percent = 100 * float(np.linalg.norm(Y - W @ beta)) / torque
-        found.append(
-            HeldOut(
-                error_percent=error_percent,
-                trained_percent=100 * trained / torque if torque > 0 else None,
-                undetermined=tuple(undetermined),
-                torque=torque,
-            )
-        )
-    return tuple(found)
+    name, found = "held-out blocks", evidence.held_out
+    several = len(evidence.recordings) > 1 and not evidence.gains
+    if not found:
+        b = len(evidence.estimate.beta)
+        return TrustLine(name, "not made", f"not made: too few rows outside a block for {b} parameters; record longer")
+    made = [one for one in found if one.error_percent is not None and one.trained_percent is not None]
+    without = [
+        f"{one.name} cannot be predicted by the others: "
+        + (f"{', '.join(one.undetermined[:8])} undetermined" if one.undetermined else "it has no torque")
+        for one in found
+        if one not in made and several
+    ]
+    if not made:
+        return TrustLine(name, "cannot tell" if several else "not made", "; ".join(without) or "not made: no torque")
+    of_tau = np.array([[x.error_percent, x.trained_percent, 1.0] for x in made]) * np.array([[x.torque] for x in made])
+    squares, of_weighted = (of_tau**2).sum(axis=0), np.array([[x.held, x.trained] for x in made])
+    held, trained = (of_weighted**2).sum(axis=0)
+    error, training = (float(np.sqrt(x / squares[2])) for x in squares[:2])
+    text = "; ".join([f"error {error:.3g} %{' of recordings' * several} held out, {training:.3g} % trained", *without])
+    figures = tuple(Figure(name=x.name, value=x.error_percent or 0.0, expected=x.trained_percent or 0.0) for x in made)
+    ratio = float(np.sqrt(held / trained)) if trained > 0 else 1.0
+    if ratio <= MAX_HELD_OUT_RATIO:
+        return TrustLine(name, "ok", text, error, figures=figures, unit="%")
+    text += (
+        f": the fit does not generalise ({ratio:.2g} times where joints move): record {'more' if several else 'longer'}"
+    )
+    text += ", with more varied motion, or fit with --essential"
+    if evidence.problem.signals.robot.gain_known:
+        text += ", or take the parameters of --consistent, which generalise better"
+    line = TrustLine(name, "caution", text, error, "does not generalise", figures=figures, unit="%")
+    return replace(line, fails_held_out=ratio > MAX_HELD_OUT_RATIO_NOT_POSITIVE)
 
 
 def predictions_by_others(
@@ -120,7 +137,7 @@ def predictions_by_others(
 
 
 def _rows_of(evidence: FitData, k: int) -> tuple[Array, Array, Array, NDArray[np.intp]]:
-    """Z, W (r, b), Y (r,) and joints (r,) of recording k, of the estimated parameters; zero in unused rows."""
+    """Z, W (r, b), Y (r,) and joints (r,) of recording k, of the estimated parameters; zero in rows that do not count."""
     observed, n = evidence.observed, evidence.observed.tau.shape[1]
     indices = np.array([observed.system.names.index(name) for name in evidence.estimate.names])
     system = observed.system
@@ -144,35 +161,3 @@ def _solve(R: Array, names: tuple[str, ...]) -> tuple[Array | None, list[str]]:
     if undetermined:
         return None, undetermined
     return np.linalg.solve(A / d, Q.T @ Y) / d, []
-
-
-def _recordings_line(evidence: FitData, found: tuple[HeldOut | None, ...]) -> TrustLine:
-    """The line of several recordings, with those that the others cannot predict."""
-    squares, figures, without = np.zeros(3), [], []
-    for part, one in zip(evidence.recordings, found, strict=True):
-        assert one is not None
-        name, held, trained = part.problem.signals.recording, one.error_percent, one.trained_percent
-        if held is None or trained is None:
-            why = f"{', '.join(one.undetermined[:8])} undetermined" if one.undetermined else "it has no torque"
-            without.append(f"{name} cannot be predicted by the others: {why}")
-            continue
-        squares += (one.torque * np.array([held, trained, 1.0])) ** 2
-        figures.append(Figure(name=name, value=held, expected=trained))
-    if not figures:
-        return TrustLine("held-out blocks", "cannot tell", "; ".join(without))
-    error, training = (float(np.sqrt(x / squares[2])) for x in squares[:2])
-    text = "; ".join([f"error {error:.3g} % of recordings held out, {training:.3g} % trained", *without])
-    return _line(evidence, text, (error, training), "record more", figures)
-
-
-def _line(evidence: FitData, text: str, errors: tuple[float, float], cure: str, figures: list[Figure]) -> TrustLine:
-    """The line of errors in percent, held out and trained."""
-    shown, limit = tuple(figures), MAX_HELD_OUT_RATIO * errors[1]
-    if errors[0] <= limit:
-        return TrustLine("held-out blocks", "ok", text, errors[0], figures=shown, unit="%", limit=limit)
-    text += f": the fit does not generalise: {cure}, with more varied motion, or fit with --essential"
-    if evidence.problem.signals.robot.gain_known:
-        text += ", or take the parameters of --consistent, which generalise better"
-    far, finding = errors[0] > MAX_HELD_OUT_RATIO_NOT_POSITIVE * errors[1], "does not generalise"
-    line = TrustLine("held-out blocks", "caution", text, errors[0], finding, figures=shown, unit="%", limit=limit)
-    return replace(line, fails_held_out=far)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ..arrays import Array
 from ..errors import IdentificationError
 from ..estimation import Estimate, System, instrumental_variables, intervals, whitened
-from ..regression import KnownLag, Regression, differentiate, moving_rows_of, torque_rate
+from ..regression import KnownLag, Regression, differentiate, fast_rows, torque_rate, weighted
 from ..report import Level
 from .fit_data import FitData, Lag, RecordingData
 from .lines import Figure, TrustLine
@@ -33,7 +33,7 @@ Groups = Sequence[Sequence[int]]  # indices of recordings whose torques have one
 
 def lag_columns(parts: Sequence[RecordingData], groups: Groups, estimate: Estimate) -> Array:
     """-d/dt(W beta) (r, K): torque per second of lag of each group of recordings, in the rows of the system."""
-    rates = [torque_rate(part.problem, part.parameters.values(estimate)).T for part in parts]
+    rates = [torque_rate(part.problem, part.parameters.values(estimate)) for part in parts]
     return _by_group(rates, groups)
 
 
@@ -70,15 +70,14 @@ def _by_group(rates: Sequence[Array], groups: Groups) -> Array:
 
 
 def simulated_rates(part: RecordingData) -> tuple[Array, NDArray[np.bool_]]:
-    """d/dt of the simulated torque of a recording, per second, and which rows are fast, (n, rows) each."""
+    """d/dt of the simulated torque of a recording, per second, weighted; and which rows are fast; (n, rows) each."""
     problem, simulated, decimation = part.problem, part.simulated, part.decimation
     assert simulated is not None
     assert decimation is not None
-    rate = decimation.filtered(differentiate(simulated.tau, 1 / (simulated.t_s[1] - simulated.t_s[0])).T)
-    directions = problem.model.coulomb_directions
-    percent = max(MIN_SPEED_PERCENT, problem.settings.low_speed.iv or 0.0)
-    sliding_speed = decimation.kept(simulated.dq) @ directions.T
-    return rate, _well_before_slow(moving_rows_of(sliding_speed, part.regression.slip_noise, directions, percent).T)
+    rate = differentiate(simulated.tau, 1 / (simulated.t_s[1] - simulated.t_s[0]))
+    percent = max(MIN_SPEED_PERCENT, problem.settings.low_speed_percent or 0.0)
+    fast = fast_rows(decimation.kept(simulated.dq), problem.model.coulomb_directions, percent)
+    return weighted(problem, simulated.t_s, rate, decimation), _well_before_slow(fast.T)
 
 
 def _well_before_slow(fast: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -103,9 +102,9 @@ def combined_lag(prior: KnownLag, found: tuple[float, float, float] | None) -> L
     return Lag(value_s=value_s, sd_s=sd_s, reach=reach, source=source, prior=prior, found=found)
 
 
-def lag_moves(observed: Regression, used: Array, columns: Array, estimate: Estimate) -> Array:
-    """d beta / d lag (b, K) per s: bread QᵀC of the weighted columns C in the `used` rows (r,)."""
-    weight = estimate.weights[observed.system.joint_of_row] * used
+def lag_moves(observed: Regression, columns: Array, estimate: Estimate) -> Array:
+    """d beta / d lag (b, K) per s: bread QᵀC of the columns C."""
+    weight = estimate.weights[observed.system.joint_of_row] * observed.system.used
     return np.asarray(estimate.bread @ (estimate.Q.T @ (columns * weight[:, None])))
 
 

@@ -177,9 +177,12 @@ def _gravity_findings(evidence: FitData) -> list[Finding]:
     if np.abs(at_rest).max() <= MIN_ARM_M * np.linalg.norm(problem.signals.robot.gravity):
         return []
     rows, system = evidence.rows, evidence.observed.system
-    weights = dict(zip(problem.base.names, at_rest.transpose(2, 1, 0), strict=True))
-    weighs = [i for i, name in enumerate(system.names) if name in weights and weights[name].any()]
-    G = np.array([weights[system.names[i]].ravel() for i in weighs]).reshape(len(weighs), -1).T
+    # Gravity changes slowly: with the weights of the rows it is nearly that of the weighted samples.
+    gravity = dict(
+        zip(problem.base.names, (evidence.observed.share[..., None] * at_rest).transpose(2, 1, 0), strict=True)
+    )
+    weighs = [i for i, name in enumerate(system.names) if name in gravity and gravity[name].any()]
+    G = np.array([gravity[system.names[i]].ravel() for i in weighs]).reshape(len(weighs), -1).T
     # The small R factor has the same column products as the rows.
     R = r_factor(np.c_[np.c_[system.W, G] * rows.weight[:, None], rows.Y])
     W, left = R[:, : len(system.names)].copy(), list[float]()

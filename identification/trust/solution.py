@@ -104,7 +104,7 @@ def essential_test(evidence: FitData) -> TrustLine:
 def ends_test(evidence: FitData) -> TrustLine:
     """Outliers of moving rows, beyond 6 robust deviations of their joint, especially at the ends."""
     rho = (evidence.observed.tau - evidence.predicted).T
-    n, used = len(rho), (evidence.used.reshape(rho.shape) > 0) & are_moving(evidence.observed.speed).T
+    n, used = len(rho), (evidence.observed.counts & are_moving(evidence.observed.speed)).T
     scale = np.array([1.4826 * np.median(np.abs(rho[j, used[j]])) if used[j].any() else np.inf for j in range(n)])
     size = np.where(used, np.abs(rho) / np.where(scale > 0, scale, np.inf)[:, None], 0.0)
     at_end = np.zeros(size.shape[1], dtype=bool)
@@ -199,11 +199,11 @@ def _solve_whitened(evidence: FitData) -> Estimate | str:
     assert evidence.Z is not None
     names = evidence.estimate.names
     indices = np.array([evidence.observed.system.names.index(name) for name in names])
-    system = evidence.observed.system.with_columns(indices).with_rows(evidence.used)
+    system = evidence.observed.system.with_columns(indices)
     order = min(MAX_ORDER, len(evidence.observed.tau) // 20)
     system, Z = whitened(system, evidence.Z[:, indices], evidence.rows.rho, order, evidence.observed.parts)
     if system.used.sum() <= 4 * len(names):
-        return f"not made: {int(system.used.sum())} consecutive fast rows for {len(names)} parameters; record longer"
+        return f"not made: {int(system.used.sum())} consecutive rows for {len(names)} parameters; record longer"
     try:
         return instrumental_variables(system, Z, evidence.estimate.weights)
     except IdentificationError as error:

@@ -1,0 +1,159 @@
+"""Weights of samples: those at which a joint stands weigh nothing.
+
+While a joint stands its friction is anything between -Fc and Fc, which no model says, and the decimation filter F carries it
+into the rows around. So torque and regressor of joint j are multiplied by the same weight w_j(t) before both are decimated,
+
+    Y_j := F[w_j Y_j],    W_j := F[w_j W_j],    Z_j := F[w_j Z_j];
+
+Y = W beta at every sample with w > 0 gives F[w Y] = F[w W] beta, whatever the friction was where w = 0. w is 0 where a joint
+stands, 1/2 L samples away and 1 from 2 L samples on: an abrupt edge would fold noise above the low-pass into the band. Moves
+that are shorter than the filter leave nothing: such a joint has no weights, but only the rows at whose instants it moves.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..arrays import Array
+from ..errors import IdentificationError
+from .filtering import Decimation
+from .motion import BLOCK_SAMPLES
+from .problem import Problem, row_blocks
+from .settings import RAMPS, ROWS
+
+LOW_SPEED_PERCENT = 4.0  # of the peak: slower joints stick and slip, which sign(dq) does not describe
+LOW_SPEED_DEVIATIONS = 4.0  # of the noise of the speed
+MIN_SHARE = 0.1  # weight of a row that counts
+MIN_ROWS_LEFT = 1 / 3  # of the rows in which a joint moves, by their weights; with fewer it gets the next shorter ramp
+
+
+class SampleWeights:
+    """The weights of a recording.
+
+    Attributes:
+        moves: (N, n) which joints move at its samples.
+        ramps: (n,) L in rows, or `ROWS`, by joint: shorter than asked where a joint's moves are short.
+        of_rows: (rows, n) weights of the decimated rows, 0 for those that do not count.
+    """
+
+    def __init__(self, problem: Problem, moves: NDArray[np.bool_]) -> None:
+        settings, n = problem.settings, moves.shape[1]
+        self.moves, self.ramps = moves, (settings.ramp_rows,) * n
+        at = settings.start + settings.decimator.instants(settings.stop - settings.start)
+        moving = moves[at]
+        self._set_rows(problem, moving)
+        for shorter in (ramp for ramp in RAMPS if ramp < settings.ramp_rows):
+            few = (self.of_rows**2).sum(axis=0) < MIN_ROWS_LEFT * moving.sum(axis=0)
+            if not few.any():
+                break
+            self.ramps = tuple(shorter if x else ramp for x, ramp in zip(few, self.ramps, strict=True))
+            self._set_rows(problem, moving)
+
+    def _set_rows(self, problem: Problem, moving: NDArray[np.bool_]) -> None:
+        """1 - F[1 - w] is 1 to rounding where all samples weigh 1; F itself has a gain below 1 at frequency 0."""
+        settings, parts = problem.settings, list[Array]()
+        decimation, N = settings.decimator, settings.stop - settings.start
+        self._reach = [round(ramp * settings.decimation) for ramp in self.ramps]  # negative for `ROWS`
+        for at in row_blocks(problem):
+            samples = at.samples(N, settings.decimation)
+            off = 1 - self.between(settings.start + samples.start, settings.start + samples.stop)
+            parts.append(1 - decimation.filtered(off)[:, at.inside] / decimation.gain)
+        share = np.concatenate(parts, axis=1).T
+        share = np.where(np.array(self.ramps) == ROWS, moving, share)
+        self.of_rows = np.where(share > MIN_SHARE, share, 0.0)
+
+    def between(self, start: int, stop: int) -> Array:
+        """w (n, stop - start) of the samples `start` to `stop`."""
+        far = 2 * max(0, *self._reach)
+        low, high = max(0, start - far), min(len(self.moves), stop + far)
+        near, inside = self.moves[low:high], slice(start - low, stop - low)
+        return np.stack([_ramped(near[:, j], reach)[inside] for j, reach in enumerate(self._reach)])
+
+
+def sample_weights(problem: Problem) -> SampleWeights:
+    """The weights of a recording, made once for its settings."""
+    s, made = problem.settings, problem.motion.weights
+    span = (s.start, s.stop, s.decimation, s.cutoff_hz, s.low_speed_percent)
+    key = (*span, s.ramp_rows)
+    if key not in made:
+        moves = next((made[other].moves for other in made if other[:-1] == span), None)
+        made[key] = SampleWeights(problem, _moves(problem) if moves is None else moves)
+    found: SampleWeights = made[key]
+    return found
+
+
+def weights_at(problem: Problem, t_s: Array) -> Array:
+    """w (n, K) at equidistant samples of the recording, at `t_s` (K,)."""
+    at = np.rint(t_s[[0, 1, -1]] * problem.signals.sample_rate_hz).astype(int)
+    return sample_weights(problem).between(int(at[0]), int(at[2]) + 1)[:, :: int(at[1] - at[0])]
+
+
+def weighted(problem: Problem, t_s: Array, x: Array, decimation: Decimation) -> Array:
+    """F[w x] (n, rows) of series x (K, n), by joint, at samples of the recording at `t_s` (K,)."""
+    return decimation.filtered(weights_at(problem, t_s) * x.T)
+
+
+def refuse_standing_joints(share: Array, joints: tuple[str, ...], place: str, bandwidth_hz: float) -> None:
+    """Refuse recordings, named by `place`, in which no row of a joint counts; `share` (rows, n) weights of the rows."""
+    for j, name in enumerate(joints):
+        if not share[:, j].any():
+            raise IdentificationError(
+                f"joint {name} never moves for longer than a period of the filters between two stops, or is never faster than "
+                "the noise of its speed",
+                place=place,
+                expected=f"longer moves, a bandwidth_hz above {bandwidth_hz:.3g}, or low_speed_percent of [identification]",
+            )
+
+
+def _moves(problem: Problem) -> NDArray[np.bool_]:
+    """Which joints (N, n) move: no Coulomb direction that acts on a joint is slow within half a period of the cut-off.
+
+    Slow: below 4 % of the peak in the span, or 4 deviations of the noise of the regressor's speed if that is more. Speeds have
+    the low-pass of the fit, or of the rule if the fit has none or a higher one; the noise is the difference. The low-pass
+    smears a speed by half a period of its cut-off, so a joint that sticks for a moment seems to creep.
+    """
+    settings, percent, N = problem.settings, problem.settings.low_speed_percent, len(problem.signals.q)
+    directions, cutoff_hz = problem.model.coulomb_directions, problem.slip_cutoff_hz
+    if percent == 0:
+        return np.broadcast_to(True, (N, directions.shape[1]))
+    speed, noise = np.empty((N, len(directions)), dtype=np.float32), np.zeros((2, directions.shape[1]))
+    for a in range(0, N, BLOCK_SAMPLES):
+        b = min(N, a + BLOCK_SAMPLES)
+        dq = problem.motion.between(a, b, cutoff_hz).dq
+        speed[a:b] = dq @ directions.T
+        low, high = max(a, settings.start), min(b, settings.stop)
+        if not settings.filtered and low < high:
+            off = problem.motion.between(low, high, settings.cutoff_hz).dq - dq[low - a : high - a]
+            noise += off.sum(axis=0), (off**2).sum(axis=0)
+    threshold = 0.01 * (LOW_SPEED_PERCENT if percent is None else percent)
+    threshold = threshold * np.abs(speed[settings.start : settings.stop]).max(axis=0, initial=0.0)
+    if percent is None:
+        mean, square = noise / (settings.stop - settings.start)
+        threshold = np.maximum(
+            threshold, LOW_SPEED_DEVIATIONS * np.sqrt(np.maximum(square - mean**2, 0)) @ np.abs(directions.T)
+        )
+    slow = np.abs(speed) < threshold
+    slow[1:] |= speed[1:] * speed[:-1] < 0  # a reversal between two samples
+    stands = slow @ (directions != 0)
+    blur = round(0.5 * problem.signals.sample_rate_hz / cutoff_hz)
+    return ~np.stack([_nearby(own, blur) for own in stands.T], axis=1)
+
+
+def _nearby(x: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
+    """Whether any of x (N,) is true within `reach` samples."""
+    before = np.cumsum(np.pad(x, (reach + 1, reach)))
+    return np.asarray(before[2 * reach + 1 :] > before[: -2 * reach - 1])
+
+
+def _ramped(moves: NDArray[np.bool_], L: int) -> Array:
+    """w (N,) of a joint: Hann ramps of 2 L samples inside its moves, zero where it stands. Beyond the ends nothing changes.
+
+    Ones for a negative L.
+    """
+    if L < 0:
+        return np.ones(len(moves))
+    if L == 0 or moves.all():
+        return moves.astype(float)
+    inner = ~_nearby(~moves, L)
+    window = np.hanning(2 * L + 3)[1:-1]
+    w = np.convolve(np.pad(inner, L, mode="edge").astype(float), window / window.sum(), mode="valid")
+    return np.where(moves, np.minimum(w, 1.0), 0.0)
