@@ -36,7 +36,9 @@ def test_a_session_over_the_kernels_can(tmp_path: Path) -> None:
     (tmp_path / "robot.toml").write_text(text)
     job = tmp_path / "job.sh"
     job.write_text(JOB.format(root=ROOT, python=sys.executable, folder=tmp_path))
-    subprocess.run(["sh", str(UML), str(job)], capture_output=True, timeout=300, check=False)
+    done = subprocess.run(["sh", str(UML), str(job)], capture_output=True, timeout=300, check=False)
+    if done.returncode == 99 and not (tmp_path / "check.txt").exists():
+        pytest.skip("User-Mode Linux does not start on this processor: no kernel vcan")
     assert re.search(r"ok  description +agrees", (tmp_path / "check.txt").read_text())
     shown = (tmp_path / "scan.txt").read_text()
     assert re.search(r"ok  state +1, 2  6041 0x250 switch on disabled, 6064 0\n", shown), shown

@@ -13,10 +13,11 @@ from identification.model import InverseModel
 @pytest.mark.parametrize(
     ("options", "filters", "solutions"),
     [
-        ([], 1, 1),
-        # The span of motion, the slow rows and the controller's inertias go by the rule's low-pass, least squares with it.
-        (["--cutoff-hz", "none"], 1, 2),
-        (["--cutoff-hz", "40"], 2, 2),
+        # Two solutions choose the ramps of the weights.
+        ([], 1, 3),
+        # The span of motion, the weights and the controller's inertias go by the rule's low-pass, least squares with it.
+        (["--cutoff-hz", "none"], 1, 4),
+        (["--cutoff-hz", "40"], 2, 4),
     ],
 )
 def test_a_fit_with_all_its_files(tmp_path, monkeypatch, options, filters, solutions):
