@@ -2,16 +2,19 @@
 
 import dataclasses
 
+import msgspec
 import numpy as np
 import pytest
 from conftest import REPLAY
 
 from acquisition.robot import LowSpeed
-from identification.data import load_signals
+from identification.data import RecordingFile, Recordings, Work, load_signals
 from identification.errors import IdentificationError
 from identification.estimation import weighted_least_squares
 from identification.methods import identify, identify_ls
+from identification.model import InverseModel, described_parameters
 from identification.regression import (
+    ROWS,
     FilteredMotion,
     Overrides,
     make_problem,
@@ -20,6 +23,7 @@ from identification.regression import (
     weights_at,
 )
 from identification.regression.weights import SampleWeights
+from identification.study import Noise, closed_loop, write_signals
 
 SCARA = load_signals(REPLAY / "scara" / "session.mcap")
 
@@ -156,6 +160,51 @@ def test_short_moves_get_short_ramps_and_a_joint_that_never_moves_long_enough_is
     with pytest.raises(IdentificationError) as caught:
         regression_of_recording(problem)
     assert "joint elbow never moves for longer than a period of the filters between two stops" in str(caught.value)
+
+
+def test_joints_whose_moves_are_too_short_have_no_weights_but_the_rows_in_which_they_move():
+    """The elbow of two reverses too often for any ramp: torque and regressor of its rows as they are, and it is said."""
+    t = SCARA.t_s
+    problem = scara(q=np.stack([np.sin(2 * np.pi * 0.5 * t), 0.05 * np.sin(2 * np.pi * 10 * t)], axis=1))
+    weights, plain, s = sample_weights(problem), regression_of_recording(problem), problem.settings
+    assert weights.ramps == (2.0, ROWS)
+    at = s.start + s.decimator.instants(s.stop - s.start)
+    np.testing.assert_array_equal(plain.share[:, 1], weights.moves[at, 1])
+    assert 0 < plain.share[:, 1].sum() < len(at)
+    np.testing.assert_allclose(plain.system.Y.reshape(2, -1)[1], plain.tau[:, 1], atol=1e-12)
+    assert (weights.between(s.start, s.stop)[1] == 1).all()
+
+
+def short_moves(seed: int):
+    """The SCARA, whose joints move one after the other for less than half a second, as a recording of 12 s."""
+    robot, rng = SCARA.robot, np.random.default_rng(seed)
+    rate_hz, q, now = 1000.0, [], np.zeros(2)
+    for k in range(18):
+        after, s = now.copy(), np.linspace(0, 1, 400)[:, None]
+        after[k % 2] = rng.uniform(-0.6, 0.6)
+        q += [now + (10 * s**3 - 15 * s**4 + 6 * s**5) * (after - now), np.repeat(after[None], 260, axis=0)]
+        now = after
+    controller = msgspec.structs.replace(robot.controller, bandwidth_hz=2.5)  # half of what it is
+    slow = dataclasses.replace(robot, controller=controller)
+    signals = closed_loop(robot, np.concatenate(q), rate_hz, noise=Noise(effort_percent=2.0), seed=seed)
+    return dataclasses.replace(signals, robot=slow, recording=f"s{seed}.mcap", sha256=f"{seed:064x}")
+
+
+@pytest.mark.slow
+def test_recordings_of_short_moves_are_fitted_and_the_same_by_two_workers(tmp_path):
+    """Ramps are chosen for both together; of a joint with shorter ones the warnings name joint and bandwidth."""
+    for seed in (1, 2):
+        write_signals(tmp_path / f"s{seed}.mcap", short_moves(seed), source="test")
+    sources = tuple(RecordingFile(path=str(tmp_path / f"s{seed}.mcap")) for seed in (1, 2))
+    fits = [identify_ls(Recordings(sources=sources, work=Work(workers=k)), Overrides()) for k in (1, 2)]
+    np.testing.assert_array_equal(fits[0].estimate.beta, fits[1].estimate.beta)
+    assert fits[0].settings.ramp_rows == fits[1].settings.ramp_rows
+    shorter = any(
+        min(sample_weights(one.problem.with_samples()).ramps) < fits[0].settings.ramp_rows for one in fits[0].recordings
+    )
+    assert shorter == any("its moves are short for a bandwidth of 2.5 Hz" in text for text in fits[0].warnings)
+    true = described_parameters(InverseModel(SCARA.robot), fits[0].base)
+    assert (np.abs(fits[0].beta - true) < 2.0 * fits[0].intervals.half).all()
 
 
 @pytest.mark.parametrize("method", ["wls", "iv"])

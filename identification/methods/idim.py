@@ -22,7 +22,6 @@ from ..estimation import (
     intervals_of,
     one_thread,
     torque_errors,
-    weighted_least_squares,
 )
 from ..regression import Overrides, base_places, make_problem, torque_of_recording
 from ..report import FitFile, Method, TorqueError
@@ -49,6 +48,7 @@ from .iteration import (
     next_values,
     start_values,
 )
+from .observation import solver_of
 from .parameters import payload_beta, stored_beta
 from .recording_report import Validated
 from .settled import solve_with_load_friction, with_best_ramps
@@ -165,12 +165,14 @@ def _by_least_squares(observed: StackedSystem, method: Literal["ols", "wls"], *,
         span, full = solve_with_load_friction(observed.on_span(), method)
         of_span = solve_least_squares(span, full, essential=essential)
         if essential:  # those of the whole recording, whose lags move them
-            places = np.array([span.parameters.names.index(name) for name in ls.estimate.names])
-            same = weighted_least_squares(span.regression.system.with_columns(places))
+            places = np.flatnonzero(np.isin(span.parameters.names, ls.estimate.names))
+            same = solver_of(method)(span.regression.system.with_columns(places))
             of_span = replace(of_span, estimate=same, intervals=intervals_of(span.regression.system, same))
         beginning = evidence_of_ls(span, method, of_span, lags_of_ls(span, of_span.estimate))
     lags = (
-        lags_of_ls(observed, ls.estimate) if beginning is None else lags_of_all(observed, ls.estimate, beginning.lags)
+        lags_of_ls(observed, ls.estimate)
+        if beginning is None
+        else lags_of_all(observed, ls.estimate, beginning.lags, beginning.estimate)
     )
     found = add_lag_variance(ls.estimate, ls.intervals, lags)
     ls = replace(ls, intervals=add_scale_variance(observed, ls.estimate, found))

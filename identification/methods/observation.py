@@ -8,7 +8,7 @@ import numpy as np
 from ..arrays import Array
 from ..data import ON_GRID, RecordingFile, Recordings, Signals, position_steps
 from ..errors import IdentificationError
-from ..estimation import Estimate, one_thread, ordinary_least_squares, weighted_least_squares
+from ..estimation import Estimate, System, one_thread, ordinary_least_squares, weighted_least_squares
 from ..model import SHAPES, poses_of
 from ..regression import (
     ALL_REDUCED,
@@ -198,5 +198,9 @@ def _least_squares(problem: Problem, method: Method, ls: LeastSquares) -> Estima
     system = regression_of_recording(problem, share=HELD).system
     asked = set(map(base_name, ls.estimate.names))
     columns = np.array([k for k, name in enumerate(system.names) if name in asked and system.W[:, k].any()])
-    solve = ordinary_least_squares if method == "ols" else weighted_least_squares
-    return solve(system.with_columns(columns))
+    return solver_of(method)(system.with_columns(columns))
+
+
+def solver_of(method: Method) -> Callable[[System], Estimate]:
+    """Least squares by the method, with rows weighted by joint unless it is `ols`."""
+    return ordinary_least_squares if method == "ols" else weighted_least_squares

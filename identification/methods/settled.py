@@ -24,11 +24,11 @@ from ..estimation import (
     instrumental_variables,
     intervals_of,
     one_thread,
-    ordinary_least_squares,
     weighted_least_squares,
 )
 from ..model import SHAPES, JointTerm
 from ..regression import RAMPS, ROWS, LoadFriction, Problem, Regression, sample_weights
+from .observation import solver_of
 from .system import StackedSystem
 
 MIN_INDEPENDENT_NORM = 0.01  # share of the norm of an identifiable column that is independent of the others
@@ -44,7 +44,7 @@ def solve_with_load_friction(
 
     Raises `IdentificationError` as the estimators.
     """
-    solve = weighted_least_squares if method == "wls" else ordinary_least_squares
+    solve = solver_of(method)
     observed = leave_out_collinear_terms(observed)
     while observed.load:
         names, places = observed.parameters.names, observed.load_places()

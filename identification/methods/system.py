@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ..arrays import Array
 from ..data import RecordingFile, Recordings, Signals, check_one_robot
 from ..errors import IdentificationError
-from ..estimation import Estimate, System, one_thread, spans_of
+from ..estimation import Estimate, System, spans_of
 from ..regression import (
     ALL_REDUCED,
     HELD,
@@ -24,9 +24,8 @@ from ..regression import (
     make_problem,
     own_parameters,
     recorded_drives,
-    reduced_regression,
     refuse_standing_joints,
-    regression_of_recording,
+    regression_again,
     rule_cutoff_hz,
     torque_of_recording,
     with_torque,
@@ -122,7 +121,8 @@ class StackedSystem:
         run, problems = self.recordings.work.run, self.problems()
         of_each = [self.parameters.base(beta, k) for k in range(len(problems))]
         if self.regression.reduced:
-            each = list(run(reduced_regression, list(zip(problems, of_each, strict=True))))
+            again = [(problem, ALL_REDUCED, own) for problem, own in zip(problems, of_each, strict=True)]
+            each = list(run(regression_again, again))
         else:
             tasks = [
                 (problem, one.links, load, own) for problem, one, own in zip(problems, self.plain, of_each, strict=True)
@@ -186,7 +186,7 @@ class StackedSystem:
             return self
         share, problems = ALL_REDUCED if self.regression.reduced else HELD, self.problems()
         problems = [replace(one, settings=replace(one.settings, ramp_rows=ramp_rows)) for one in problems]
-        each = self.recordings.work.run(_regression_of, [(problem, share) for problem in problems])
+        each = self.recordings.work.run(regression_again, [(problem, share) for problem in problems])
         found = zip(self.observations, problems, each, strict=True)
         overrides = replace(self.overrides, ramp_rows=ramp_rows)
         return replace(self, overrides=overrides)._of(
@@ -261,11 +261,6 @@ class StackedSystem:
 def drives_of(observations: Sequence[RecordingData]) -> list[Array]:
     """By recording the torques (n, rows, m) at the joints of each motor, by the gains of its problem, weighted."""
     return [recorded_drives(one.problem) for one in observations]
-
-
-@one_thread
-def _regression_of(problem: Problem, share: int) -> Regression:
-    return regression_of_recording(problem.with_samples(), share=share)
 
 
 def stack_recordings(

@@ -66,7 +66,7 @@ def correct_lags(
     z = lab.instruments(beta, best.covariance)
     own = replace(best, z=z, estimate=solve(z, span.along(z)), replicas=lab.replicas(beta, best.covariance))
     span, own = _estimate_lags(span, own, solve)
-    lags = lags_of_all(observed, best.estimate, span.lags)
+    lags = lags_of_all(observed, best.estimate, span.lags, own.estimate)
     now = [observed.observations[group[0]].problem.settings.torque_lag_s for group in lag_groups(observed)]
     change = [abs(lag.value_s - at) / max(lag.sd_s, 1e-12) for lag, at in zip(lags, now, strict=True)]
     if any((deviations * lag.moved > MIN_MOVE).any() for deviations, lag in zip(change, lags, strict=True)):
@@ -117,17 +117,20 @@ def lags_of_ls(observed: StackedSystem, estimate: Estimate) -> tuple[Lag, ...]:
     return _named(observed, lags, lag_moves(observed.regression, columns, estimate))
 
 
-def lags_of_all(observed: StackedSystem, estimate: Estimate, of_beginning: tuple[Lag, ...]) -> tuple[Lag, ...]:
+def lags_of_all(
+    observed: StackedSystem, estimate: Estimate, of_beginning: tuple[Lag, ...], beginning: Estimate
+) -> tuple[Lag, ...]:
     """Lags of all groups of long recordings: estimated from the beginning for the first, known values for the others.
 
-    The moves of the parameters are those of the beginning.
+    The moves of the parameters are those of the `beginning`, zero for a friction term that it leaves out.
     """
     (first,), found = of_beginning, []
+    by_name = dict(zip(beginning.names, first.moved / max(first.sd_s, 1e-12), strict=True))
+    moves = np.array([by_name.get(name, 0.0) for name in estimate.names])
     for group, known in zip(lag_groups(observed), known_lags(observed), strict=True):
         lag = first if 0 in group else combined_lag(known, None)
-        moved = first.moved / max(first.sd_s, 1e-12) * lag.sd_s
         names = tuple(observed.observations[k].problem.signals.recording for k in group)
-        found.append(replace(lag, moved=moved[: len(estimate.names)], recordings=names))
+        found.append(replace(lag, moved=moves * lag.sd_s, recordings=names))
     return tuple(found)
 
 

@@ -48,7 +48,7 @@ from .system import (
     predicted_drives,
     predicted_torque,
     recorded_drives,
-    reduced_regression,
+    regression_again,
     regression_of_recording,
     rows_of_block,
     torque_of_recording,

@@ -1,6 +1,5 @@
 """The input of a fit: a recording, the settings, the model of the robot and its base parameters."""
 
-import math
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -189,8 +188,8 @@ def _samples(first: int, last: int, rows: int, N: int, factor: int) -> slice:
 def row_blocks(problem: Problem) -> list[RowBlock]:
     """The rows of the span used, in blocks; the borders depend only on the recording."""
     settings = problem.settings
-    n_d, blur = settings.decimation, 0.5 * problem.signals.sample_rate_hz / problem.slip_cutoff_hz
-    margin = -(-max(decimation_reach(n_d), math.ceil(blur)) // n_d)  # in decimated rows
+    n_d = settings.decimation
+    margin = -(-decimation_reach(n_d) // n_d)  # in decimated rows
     rows = -(-(settings.stop - settings.start) // n_d)
     size = max(4 * margin, _SERIES_BLOCK // (problem.series * n_d), 1)
     found: list[RowBlock] = []

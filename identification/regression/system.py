@@ -135,9 +135,9 @@ def regression_of_recording(
 
 
 @one_thread
-def reduced_regression(problem: Problem, beta: Array) -> Regression:
-    """W and Y of a recording about beta (b,), as QR factors."""
-    return regression_of_recording(problem.with_samples(), share=ALL_REDUCED, beta=beta)
+def regression_again(problem: Problem, share: int, beta: Array | None = None) -> Regression:
+    """W and Y of a recording, about beta (b,) if there is one, as a task; `share` as of `regression_of_recording`."""
+    return regression_of_recording(problem.with_samples(), share=share, beta=beta)
 
 
 def rows_of_block(problem: Problem, block: RowBlock, beta: Array | None = None) -> tuple[Array, Array]:
