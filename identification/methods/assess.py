@@ -126,7 +126,7 @@ def _warnings(observed: StackedSystem) -> tuple[str, ...]:
 
 
 def _short_moves(problem: Problem) -> list[str]:
-    """Joints whose weights have shorter ramps than those of the settings."""
+    """Joints whose weights have shorter ramps than those of the settings, or none."""
     if not len(problem.signals.q):
         return []
     robot, asked = problem.signals.robot, problem.settings.ramp_rows
@@ -134,7 +134,7 @@ def _short_moves(problem: Problem) -> list[str]:
         f"joint {joint.name}: its moves are short for a bandwidth of {robot.bandwidth_hz:.3g} Hz: "
         + ("no weights, but rows in which it moves" if ramp == ROWS else f"ramps of {ramp:g} rows")
         for joint, ramp in zip(robot.joints, sample_weights(problem).ramps, strict=True)
-        if ramp < asked
+        if ramp < asked or ramp == ROWS
     ]
 
 

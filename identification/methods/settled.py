@@ -151,12 +151,9 @@ def with_best_ramps(observed: StackedSystem, *, instruments: bool) -> StackedSys
         if len(found) < len(tried):
             each = {ramp: _half_widths(one, instruments=by_instruments) for ramp, one in tried.items()}
             found = {ramp: half for ramp, half in each.items() if half}
-    best = next(iter(found), None)
+    best = None
     for ramp, half in found.items():
-        if (
-            best is not None
-            and np.median([half[name] / found[best][name] for name in half.keys() & found[best].keys()]) < 1
-        ):
+        if best is None or np.median([half[x] / found[best][x] for x in half.keys() & found[best].keys()]) < 1:
             best = ramp
     if best is None:
         able = (ramp for ramp in OTHERS if _half_widths(span.with_ramps(ramp), instruments=False))
