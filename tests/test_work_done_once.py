@@ -3,6 +3,7 @@
 import pytest
 from conftest import REPLAY
 
+import identification.methods.observation as observation
 import identification.methods.settled as settled
 import identification.regression.motion as motion
 from identification.commands import main
@@ -32,7 +33,8 @@ def test_a_fit_with_all_its_files(tmp_path, monkeypatch, options, filters, solut
 
     monkeypatch.setattr(InverseModel, "__init__", counted("model", InverseModel.__init__))
     monkeypatch.setattr(motion, "lowpass", counted("filter", motion.lowpass))
-    monkeypatch.setattr(settled, "weighted_least_squares", counted("least squares", settled.weighted_least_squares))
+    for room in (settled, observation):  # that chooses the ramps, and that names the solver
+        monkeypatch.setattr(room, "weighted_least_squares", counted("least squares", room.weighted_least_squares))
     files = ["--json", str(tmp_path / "fit.json"), "--rrd", str(tmp_path / "fit.rrd")]
     recording = REPLAY / "scara" / "session.mcap"
     assert main(["fit", str(recording), "--method", "iv", *files, *options]) == 0
