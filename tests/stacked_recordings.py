@@ -1,18 +1,16 @@
-"""The system of recordings that are at hand, as a fit makes it of its recordings."""
-
-from dataclasses import replace
+"""The equations of recordings that are at hand, as a fit makes them of its recordings."""
 
 from identification.data import Recordings
-from identification.methods import StackedSystem
+from identification.methods import Equations
+from identification.methods.equations import equations_of
 from identification.methods.observation import observation_of
-from identification.methods.system import stack_recordings
-from identification.regression import Overrides, Problem, Regression
+from identification.regression import Overrides, Problem, Rows
 
 
-def system_of(*problems: Problem, plain: Regression | None = None) -> StackedSystem:
-    """Of the problems of recordings; `plain` is the regression of a lone one where it is made already."""
-    observations = [observation_of(problem, 1) for problem in problems]
+def system_of(*problems: Problem, plain: Rows | None = None) -> Equations:
+    """Of the problems of recordings; `plain` are the rows of a lone one where they are made already."""
+    observations = [observation_of(problem, None) for problem in problems]
     if plain is not None:
-        observations = [replace(observations[0], regression=plain)]
+        observations = [(problems[0], plain, observations[0][2])]
     sources = tuple(problem.signals for problem in problems)
-    return stack_recordings(Recordings(sources=sources), Overrides(), observations, tuple(range(len(problems))))
+    return equations_of(Recordings(sources=sources), Overrides(), observations, tuple(range(len(problems))))

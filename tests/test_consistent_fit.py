@@ -27,7 +27,7 @@ from identification.estimation import (
 )
 from identification.methods import Prior, fit_document, fit_file, identify_ls, urdf_prior, with_consistent
 from identification.model import InverseModel, base_parameters, expected_links, physical_parameters
-from identification.regression import Overrides, regression_of_recording
+from identification.regression import Overrides, rows_of_recording
 from identification.report import FitFile, LeftOut, read_fit
 
 
@@ -120,7 +120,7 @@ def held_out_error(fit, observed, trained, physical) -> tuple[float, float]:
 
 @pytest.fixture(scope="module")
 def observed(consistent):
-    return regression_of_recording(consistent.problem)
+    return rows_of_recording(consistent.problem)
 
 
 @pytest.mark.slow

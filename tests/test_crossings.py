@@ -1,5 +1,6 @@
-"""Two recordings with every optional column x load friction, own parameters, drive gains x serially and by two workers."""
+"""Recordings with every optional column x load friction, own parameters, drive gains x two workers, long ones."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -15,6 +16,7 @@ from identification import validate
 from identification.data import RecordingFile, Recordings, Signals, Work
 from identification.methods import Fit, identify
 from identification.regression import Overrides
+from identification.regression.problem import row_blocks
 from identification.study import Noise, closed_loop, random_reference, write_signals
 
 RATE_HZ = 500.0
@@ -25,6 +27,12 @@ SIMULATED = ("reference", "all")  # by instruments
 CONCERNS = ("load", "own", "gains")
 CARRIED = Payload(1.0, CENTRE["scara"])
 KNOWN = np.array([1.0, 0.05])  # N m, known torques
+LONG_S = 10.0  # two blocks of rows
+STATED = {
+    "decimation": 5,
+    "ramp_rows": 0.5,
+    "torque_lag_s": 0.0,
+}  # else long recordings take theirs from their beginnings
 
 
 @cache
@@ -42,17 +50,17 @@ def arm(concerns: frozenset[str]) -> Robot:
 
 
 @cache
-def simulated(concerns: frozenset[str], seed: int, payload: Payload | None) -> Signals:
+def simulated(concerns: frozenset[str], seed: int, payload: Payload | None, duration_s: float = 4.0) -> Signals:
     robot = arm(concerns)
-    q = random_reference(robot, duration_s=4.0, sample_rate_hz=RATE_HZ, seed=seed)
+    q = random_reference(robot, duration_s=duration_s, sample_rate_hz=RATE_HZ, seed=seed)
     return closed_loop(
         robot, q, RATE_HZ, noise=Noise(encoder_step=1e-6, effort_percent=2.0), seed=seed, payload=payload
     )
 
 
-def recorded(concerns: frozenset[str], columns: frozenset[str], seed: int) -> Signals:
+def recorded(concerns: frozenset[str], columns: frozenset[str], seed: int, duration_s: float = 4.0) -> Signals:
     """A recording with these columns; the second one carries the payload."""
-    signals = simulated(concerns, seed, CARRIED if "payload" in columns and seed == 2 else None)
+    signals = simulated(concerns, seed, CARRIED if "payload" in columns and seed == 2 else None, duration_s)
     t_s = signals.t_s[:, None]
     given = {}
     if "velocity" in columns:
@@ -67,9 +75,27 @@ def recorded(concerns: frozenset[str], columns: frozenset[str], seed: int) -> Si
     return described_with(signals, WRONG, None) if "gains" in concerns else signals
 
 
-def fitted(paths: list[Path], concerns: frozenset[str], work: Work) -> Fit:
-    overrides = Overrides(gains=("motor_2",) if "gains" in concerns else None)
+def written(folder: Path, concerns: frozenset[str], columns: frozenset[str], duration_s: float = 4.0) -> list[Path]:
+    paths = [folder / f"r{seed}.mcap" for seed in (1, 2)]
+    for seed, path in enumerate(paths, 1):
+        write_signals(path, recorded(concerns, columns, seed, duration_s), source="test")
+    return paths
+
+
+def fitted(paths: list[Path], concerns: frozenset[str], work: Work, **settings: float) -> Fit:
+    overrides = Overrides(gains=("motor_2",) if "gains" in concerns else None, **settings)
     return identify(Recordings(sources=tuple(map(RecordingFile.at, paths)), work=work), overrides)
+
+
+def as_long(fit: Callable[[], Fit]) -> Fit:
+    """`fit` where rows are QR factors of spans, come block by block, and no more than a beginning of the recordings is held."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("identification.regression.equations._MAX_NUMBERS", 100)
+        patch.setattr("identification.regression.problem._SERIES_BLOCK", 20_000)
+        patch.setattr("identification.methods.equations.SPAN_S", 5.0)
+        found = fit()
+        assert all(len(row_blocks(one.problem)) > 1 for one in found.recordings)
+    return found
 
 
 def bits(fit: Fit) -> list[bytes]:
@@ -91,9 +117,7 @@ def off(fit: Fit) -> np.ndarray:
 def test_two_recordings_are_fitted_with_what_they_have(concerns, columns, tmp_path):
     concerns = frozenset({"all": CONCERNS, "plain": ()}.get(concerns, (concerns,)))
     columns = frozenset(COLUMNS if columns == "all" else (columns,))
-    paths = [tmp_path / f"r{seed}.mcap" for seed in (1, 2)]
-    for seed, path in enumerate(paths, 1):
-        write_signals(path, recorded(concerns, columns, seed), source="test")
+    paths = written(tmp_path, concerns, columns)
     fit = fitted(paths, concerns, Work())
     assert bits(fitted(paths, concerns, Work(2))) == bits(fit)
     assert fit.status == ("converged" if "reference" in columns else "solved")
@@ -108,3 +132,44 @@ def test_two_recordings_are_fitted_with_what_they_have(concerns, columns, tmp_pa
         again = validate(fit, path)
         assert again.relative_error_percent == pytest.approx(one.errors[-1].relative_error_percent, rel=tolerance)
         assert again.warnings == []
+
+
+@pytest.mark.parametrize(
+    ("concerns", "columns", "workers"),
+    [
+        ("gains", "reference payload", 1),
+        ("own", "payload", 1),
+        pytest.param("load gains", "reference payload", 2, marks=pytest.mark.slow),
+    ],
+)
+def test_long_recordings_are_fitted_as_held_ones(concerns, columns, workers, tmp_path):
+    concerns, columns = frozenset(concerns.split()), frozenset(columns.split())
+    paths = written(tmp_path, concerns, columns, LONG_S)
+    held = fitted(paths, concerns, Work(), **STATED)
+    fit = as_long(lambda: fitted(paths, concerns, Work(workers), **STATED))
+    assert (fit.estimate.names, fit.status, fit.distrust) == (held.estimate.names, held.status, held.distrust)
+    assert (np.abs(fit.estimate.beta - held.estimate.beta) < 0.1 * held.intervals.half).all()
+    np.testing.assert_allclose(fit.intervals.half, held.intervals.half, rtol=0.1)
+    assert (off(fit) < 1.5).all()
+    if fit.gains:
+        assert abs(fit.gains.values[0] - TRUE[1]) < 2 * fit.gains.half[0] < 0.1
+        wanted = held.trust.line("prewhitened").value
+        assert fit.trust.line("prewhitened").value == pytest.approx(wanted, rel=0.1), "the gains count in its filter"
+
+
+@pytest.mark.parametrize("method", ["wls", "iv"])
+@pytest.mark.parametrize("drift", [0.0, 0.05])
+def test_all_of_a_long_recording_is_tested(method, drift):
+    """A torque that drifts from the middle on, by a share of its rms: nothing of it is in the beginning."""
+    signals = recorded(frozenset(), frozenset({"reference"}), 1, LONG_S)
+    ramp = np.maximum(0.0, 2 * signals.t_s / signals.t_s[-1] - 1)[:, None] * [1.0, 0.0]
+    signals = replace(signals, effort=signals.effort + drift * np.sqrt(np.mean(signals.effort**2, axis=0)) * ramp)
+
+    def run() -> Fit:
+        return identify(signals, Overrides(**STATED), method=method)
+
+    held, fit = run(), as_long(run)
+    for name in ("added columns", "prewhitened") if method == "iv" else ("added columns",):
+        one, other = (x.trust.line(name) for x in (fit, held))
+        assert (one.level, one.finding, one.value) == (other.level, other.finding, pytest.approx(other.value, rel=0.02))
+    assert fit.trust.line("added columns").finding == ("drift of joint shoulder" if drift else "")

@@ -36,7 +36,7 @@ from identification.model import (
     torque_of_links,
     torque_without_sliding,
 )
-from identification.regression import Overrides, load_friction, make_problem, regression_of_recording
+from identification.regression import Overrides, load_friction, make_problem, rows_of_recording
 from identification.study import Noise, closed_loop, write_signals
 from identification.view import draw_excitation, write_rrd
 from identification.view.charts import interval_charts
@@ -397,7 +397,7 @@ def test_earlier_recordings_add_what_their_least_squares_know_of_all_but_load_fr
     assert len(base.names) == len(every.names) - 2 * (name == "loaded")
     M = earlier_information(base, noise, knowledge.recordings[:1])
     assert earlier_information(base, noise, knowledge.recordings) == pytest.approx(2 * M)
-    system = regression_of_recording(replace(make_problem(signals, Overrides()), base=base)).system
+    system = rows_of_recording(replace(make_problem(signals, Overrides()), base=base)).system
     rows = system.W[system.used > 0] / noise[system.joint_of_row[system.used > 0], None]
     assert pytest.approx(rows.T @ rows) == M
     with pytest.raises(IdentificationError, match=r"robot = .SCARA.: expected a recording of the described robot"):

@@ -17,10 +17,9 @@ from identification.estimation import (
     weighted_least_squares,
 )
 from identification.model import InverseModel, base_parameters, described_parameters
-from identification.regression import Overrides, make_problem, regression_of_recording, row_blocks
+from identification.regression import Overrides, make_problem, row_blocks, rows_of_recording
 from identification.simulation.experiment import Experiment
 from identification.simulation.instruments import simulate_instruments
-from identification.simulation.motion import simulate_replica
 
 
 @pytest.mark.slow
@@ -42,7 +41,7 @@ def test_the_simulated_motion_is_that_of_the_robot_without_noise(name):
     np.testing.assert_allclose(followed.q, reference.q[0, at], atol=1e-12)
     inner = slice(1, -1)  # differences are one-sided at the ends
     np.testing.assert_allclose(followed.dq[inner], reference.dq[0, at[inner]], atol=1e-3 * np.abs(reference.dq).max())
-    found = simulate_replica(e, true)
+    (found,) = simulate_instruments(e, true, true, None).replicas
     assert found.motion is not None
     grid = np.rint(found.motion.t_s * 1000).astype(int)
     for one, other, slope in (
@@ -65,31 +64,31 @@ def test_blocks_of_a_long_recording_give_what_its_rows_give(monkeypatch, without
     if without_reference:
         signals = replace(signals, q_ref=None)
     problem = make_problem(signals, Overrides(decimation=5))
-    whole = regression_of_recording(problem)
+    whole = rows_of_recording(problem)
     full = weighted_least_squares(whole.system)
     spread = 4 * full.covariance
     e = Experiment(problem, full.beta)
-    one, moved = simulate_instruments(e, full.beta, spread), simulate_replica(e, full.beta)
+    one = simulate_instruments(e, full.beta, full.beta, spread)
     wanted = instrumental_variables(whole.system, one.Z, full.weights)
     rho = wanted.weights[whole.system.joint_of_row] * (whole.system.Y - whole.system.W @ wanted.beta)
     monkeypatch.setattr("identification.regression.problem._SERIES_BLOCK", 1)
     assert len(row_blocks(problem)) == 3
     e = Experiment(problem, full.beta)
-    short, moved_short = simulate_instruments(e, full.beta, spread), simulate_replica(e, full.beta)
+    short = simulate_instruments(e, full.beta, full.beta, spread)
     np.testing.assert_allclose(short.Z, one.Z, atol=1e-9 * np.abs(one.Z).max())
-    errors = ([joint.torque_error_percent for joint in x.direct] for x in (moved_short, moved))
+    errors = ([joint.torque_error_percent for joint in x.replicas[0].direct] for x in (short, one))
     assert next(errors) == pytest.approx(next(errors), rel=1e-6)
-    np.testing.assert_allclose(moved_short.motion.q, moved.motion.q, atol=1e-9)
+    np.testing.assert_allclose(short.replicas[0].motion.q, one.replicas[0].motion.q, atol=1e-9)
     e = Experiment(problem, full.beta, spans=SPANS)
-    long = simulate_instruments(e, full.beta, spread)
-    assert len(long.Z) < len(one.Z)
-    found = instrumental_variables(long.system, long.Z, full.weights)
+    long = simulate_instruments(e, full.beta, full.beta, spread)
+    assert len(long.rows[0].Z) < len(one.Z)
+    found = instrumental_variables(long.rows[0].system, long.rows[0].Z, full.weights)
     assert np.abs((found.beta - wanted.beta) / wanted.sigma).max() < 1e-6
     np.testing.assert_allclose(found.covariance, wanted.covariance, rtol=1e-6, atol=1e-9 * wanted.covariance.max())
     assert (found.rows, found.residual_norm) == pytest.approx((wanted.rows, wanted.residual_norm), rel=1e-9)
     assert long.tracking_percent == pytest.approx(one.tracking_percent, rel=1e-6)
     # Intervals, of spans that count as instants.
-    of_spans = intervals_of(long.system, found)
+    of_spans = intervals_of(long.rows[0].system, found)
     of_rows = intervals(wanted, rho * whole.system.used, whole.system.joint_of_row[-1] + 1)
     np.testing.assert_allclose(of_spans.sigma, of_rows.sigma, rtol=0.15)
     assert of_spans.freedom == of_rows.freedom
@@ -104,14 +103,12 @@ def test_a_pass_whose_inertia_matrix_is_not_positive():
     e = Experiment(problem, true)
     wrong = np.where(np.array(problem.base.names) == "ZZ2", -0.002, true)
     spread = np.diag(np.where(wrong == true, 0.01 * np.abs(true) + 1e-4, 0.05) ** 2)
-    consistent = simulate_instruments(e, wrong, spread)
+    consistent = simulate_instruments(e, wrong, wrong, spread)
     assert (consistent.kind, consistent.tracking_percent < 5) == ("consistent", True)
     assert "inertia matrix is not positive" in consistent.reason
-    np.testing.assert_array_equal(consistent.beta, wrong)
-    plain = simulate_instruments(e, wrong, None)
+    np.testing.assert_array_equal(consistent.x, wrong)
+    plain = simulate_instruments(e, wrong, wrong, None)
     assert (plain.kind, plain.tracking_percent) == ("reference", None)
-    right = simulate_instruments(e, true, spread)
+    right = simulate_instruments(e, true, true, spread)
     assert (right.kind, right.reason) == ("simulated", None)
-    robot = simulate_replica(e, wrong, spread)
-    assert robot.motion is not None
-    assert "inertia matrix is not positive" in robot.reason
+    assert [one.replicas[0].motion is None for one in (consistent, plain, right)] == [False, True, False]

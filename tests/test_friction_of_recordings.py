@@ -18,7 +18,7 @@ from identification.design import select_friction, with_terms
 from identification.design.selection import Trial, smallest_near_best
 from identification.errors import IdentificationError
 from identification.methods import identify_ls
-from identification.regression import make_problem, regression_of_recording, torque_of_recording, weights_at
+from identification.regression import make_problem, rows_of_recording, torque_of_recording, weights_at
 from identification.study import write_signals
 from identification.view import charts
 
@@ -66,7 +66,7 @@ def test_parts_are_held_out_one_by_one(count, own):
     assert choice.recommended.terms == (ROOT | LOAD, LOAD)
     w = identify_ls(recordings, choice.overrides).estimate.weights[:, None]
     problems = [make_problem(signals, choice.overrides) for signals in recordings.sources]
-    plain = [regression_of_recording(problem) for problem in problems]
+    plain = [rows_of_recording(problem) for problem in problems]
     tau, speed, fast = (np.concatenate([getattr(one, name) for one in plain]).T for name in ("tau", "speed", "counts"))
     W = np.concatenate([weighted_regressor(problem) for problem in problems], axis=1)
     Y = np.concatenate([one.system.Y.reshape(len(w), -1, 1) for one in plain], axis=1)

@@ -18,11 +18,11 @@ from identification.data import Recordings
 from identification.errors import IdentificationError
 from identification.estimation import one_thread, weighted_least_squares
 from identification.methods import fit_file, identify, identify_ls, validate_all
+from identification.methods.equations import equations_of, read_equations
 from identification.methods.gains import solve_with_gains
-from identification.methods.system import stack_of, stack_recordings
 from identification.model import InverseModel, described_parameters, payload_parameters
 from identification.model.physical import link_columns
-from identification.regression import Overrides, predicted_torque, regression_of_recording
+from identification.regression import Overrides, predicted_torque, rows_of_recording
 from identification.simulation import Simulation
 
 WHITE = GainCase(robot="scara", what="", duration_s=4.0, white=5.0)
@@ -45,8 +45,8 @@ def with_reference(*signals):
 def exact(observed, case):
     """The same recordings with the torques of the true parameters along the filtered motion, by the described gains."""
     found = []
-    for one in observed.observations:
-        problem, robot, signals = one.problem, one.problem.signals.robot, one.problem.signals
+    for problem, replayed in zip(observed.problems, observed.replays, strict=True):
+        robot, signals = problem.signals.robot, problem.signals
         beta, payload = described_parameters(problem.model, problem.base), signals.payload
         if payload is not None:
             whole = problem.base.K[:, link_columns(problem.model)[-1]]
@@ -56,15 +56,15 @@ def exact(observed, case):
         effort = (np.linalg.solve(robot.R.T, torque.T).T * robot.gain / case.gains) @ robot.R
         signals = replace(signals, effort=effort)
         problem = replace(problem, signals=signals, recorded=signals, motion=problem.motion.with_torque_of(signals))
-        found.append(replace(one, problem=problem, regression=regression_of_recording(problem)))
-    return stack_recordings(observed.recordings, observed.overrides, found, observed.order)
+        found.append((problem, rows_of_recording(problem), replayed))
+    return equations_of(observed.recordings, observed.overrides, found, observed.order)
 
 
 @pytest.mark.parametrize("robot", ["scara", "axis", "tx40"])
 @pytest.mark.parametrize("catalogue", [True, False])
 def test_rows_made_by_the_model_give_gains_and_parameters_exactly(robot, catalogue, monkeypatch):
     case = GainCase(robot=robot, what="", duration_s=4.0, catalogue=catalogue)
-    monkeypatch.setattr(idim, "stack_of", lambda *given: exact(stack_of(*given), case))
+    monkeypatch.setattr(idim, "read_equations", lambda *given: exact(read_equations(*given), case))
     fit = fit_with_gains(*planned_pair(case))
     np.testing.assert_allclose(fit.gains.values, case.gains, rtol=1e-6)
     true = truth_of(fit)
@@ -75,12 +75,12 @@ def test_least_squares_takes_noise_of_the_current_for_a_small_gain_and_instrumen
     """Fails with Z = X: the coupled wrist, 10 % white noise."""
     case = GainCase(robot="tx40", what="", white=10.0)
     pair = Recordings(sources=planned_pair(case))
-    observed, estimate, settled = one_thread(solve_with_gains)(stack_of(pair, ALL, print))
+    equations, x, settled = one_thread(solve_with_gains)(read_equations(pair, ALL, print))
     assert settled
-    system, gains = observed.regression.system, observed.parameters.gains
+    system, gains = equations.about().system, equations.unknowns.gains
     described = case.described / case.gains
     assert (weighted_least_squares(system).beta[gains] * described < 0.92).all()
-    assert (np.abs(estimate.beta[gains] * described - 1) < 0.02).all()
+    assert (np.abs(x[gains] * described - 1) < 0.02).all()
 
 
 def test_a_known_gain_tells_the_scale_without_a_payload():
@@ -358,15 +358,8 @@ def test_no_robot_is_simulated_with_negative_gains(pair, monkeypatch):
 
 
 def test_gains_cost_one_simulation_more_than_known_ones_at_most(pair, monkeypatch):
-    asked = []
-    for name in ("instruments", "replica"):
-        whole = getattr(Simulation, name)
-
-        def counted(self, *given, whole=whole, name=name):
-            asked.append(name)
-            return whole(self, *given)
-
-        monkeypatch.setattr(Simulation, name, counted)
+    asked, whole = [], Simulation.instruments
+    monkeypatch.setattr(Simulation, "instruments", lambda *given: (asked.append(given), whole(*given))[1])
     known = fitted(*with_reference(*(with_gains(one, WHITE.gains, None) for one in pair)))
     of_known, asked[:] = len(asked), []
     fit = fit_with_gains(*with_reference(*pair))
@@ -422,10 +415,11 @@ def test_what_the_last_link_does_not_tell_apart_is_regrouped(robot, payload, nam
     if robot != "spatial":
         free, loaded = (with_gains(one, case.gains, None) for one in (free, loaded))
     fit = fitted(free, replace(loaded, payload=payload))
-    assert fit.recordings[0].parameters.payload is None
+    assert fit.recordings[0].arm.payload is None
     (found,) = fit.payloads
-    carried = stack_of(Recordings(sources=(free, replace(loaded, payload=payload))), Overrides(), print).parameters
-    assert [name.partition(":")[0] for name in carried.names[fit.base.b :]] == list(names)
+    sources = free, replace(loaded, payload=payload)
+    carried = read_equations(Recordings(sources=sources), Overrides(), print).names[fit.base.b :]
+    assert [name.partition(":")[0] for name in carried] == list(names)
     true = payload_parameters(InverseModel(free.robot), loaded.payload)
     told = ~found.from_prior
     assert told.sum() >= len(names) - 2
@@ -462,11 +456,25 @@ def test_a_payload_is_weighed_with_an_exported_description(folder, tmp_path, cap
     assert abs(mass["value"] - 1.4) <= mass["half_width"] < 0.1
 
 
-def test_recordings_too_long_for_their_own_rows_are_refused_with_gains(pair, monkeypatch):
-    monkeypatch.setattr("identification.regression.system._MAX_NUMBERS", 100)
-    with pytest.raises(IdentificationError, match="the recordings are too long for parameters of their own") as refused:
-        fit_with_gains(*pair)
-    assert "\n" not in str(refused.value)
+def test_gains_of_long_recordings_are_those_of_held_rows(pair, monkeypatch):
+    pair = with_reference(*pair)
+    held = fit_with_gains(*pair)
+    monkeypatch.setattr("identification.regression.equations._MAX_NUMBERS", 100)
+    fit = fit_with_gains(*pair)
+    assert (np.abs(fit.gains.values - held.gains.values) < 0.3 * held.gains.half).all()
+    assert (np.abs(fit.beta - held.beta) < 0.3 * held.intervals.half).all()
+
+
+@pytest.mark.parametrize("negative", [False, True])
+def test_gains_of_long_recordings_are_not_those_of_their_beginnings(pair, negative, monkeypatch):
+    """By the measured motion, with rows that are held, only the beginnings would be fitted."""
+    free, loaded = with_reference(*pair) if negative else pair
+    if negative:
+        free, loaded = replace(free, payload=loaded.payload), replace(loaded, payload=None)
+    monkeypatch.setattr("identification.regression.equations._MAX_NUMBERS", 100)
+    with pytest.raises(IdentificationError, match="too long to identify gains without a simulated robot") as caught:
+        fit_with_gains(free, loaded)
+    assert "a larger decimation or shorter recordings" in str(caught.value)
 
 
 @pytest.mark.slow

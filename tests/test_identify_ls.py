@@ -7,7 +7,7 @@ import pytest
 from conftest import REPLAY, described_chi, robot_named
 from fits_of_records import ls_of
 
-import identification.regression.system as regression_module
+import identification.regression.equations as regression_module
 from acquisition.robot import fourier_reference
 from identification.data import Signals, load_signals
 from identification.errors import IdentificationError
@@ -20,7 +20,7 @@ from identification.regression import (
     decimation_rule,
     make_problem,
     make_settings,
-    regression_of_recording,
+    rows_of_recording,
 )
 from identification.study import Noise, closed_loop, random_reference, write_signals
 
@@ -177,10 +177,10 @@ def synthetic_signals(name: str = "scara", seconds: float = 30.0) -> Signals:
 def test_blocks_give_what_one_pass_gives(monkeypatch):
     signals = synthetic_signals()
     problem = make_problem(signals, Overrides(decimation=5))
-    whole = regression_of_recording(problem)
+    whole = rows_of_recording(problem)
     monkeypatch.setattr("identification.regression.problem._SERIES_BLOCK", 1)
     assert len(list(regression_module.motion_blocks(problem))) > 3
-    parts = regression_of_recording(problem)
+    parts = rows_of_recording(problem)
     for part, full in ((parts.system.W, whole.system.W), (parts.system.Y, whole.system.Y)):
         np.testing.assert_allclose(part, full, atol=1e-9 * np.abs(full).max())
     np.testing.assert_allclose(parts.speed, whole.speed, atol=1e-9 * np.abs(whole.speed).max())

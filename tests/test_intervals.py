@@ -11,7 +11,7 @@ from independent_simulator import Imperfections
 from scipy import stats
 from scipy.signal import lfilter
 
-import identification.regression.system as regression_module
+import identification.regression.equations as regression_module
 from identification.data import load_signals
 from identification.estimation import (
     SPANS,
@@ -104,11 +104,11 @@ def test_a_slow_column_has_the_deviation_of_its_coefficient(parts):
     Q = np.linalg.qr(W)[0]
     drift = joint[:, 0] * time
     z = drift - Q @ (Q.T @ drift)
-    rho = (np.eye(n * T) - Q @ Q.T - np.outer(z, z) / (z @ z)).reshape(n, T, n * T)
-    columns = np.repeat(z[:, None], n * T, axis=1).reshape(rho.shape)
-    found = deviations_of_sums(columns, rho, Q, parts)
+    rho = np.eye(n * T) - Q @ Q.T - np.outer(z, z) / (z @ z)
+    columns = np.repeat(z[:, None], n * T, axis=1)
+    found = deviations_of_sums(columns, rho, Q, n, [Spans(instants=part, count=part) for part in parts])
     assert found @ found == pytest.approx(z @ z, rel=1e-9)
-    scores, edges = (columns * rho).sum(axis=0), np.cumsum([0, *parts])
+    scores, edges = (columns * rho).reshape(n, T, -1).sum(axis=0), np.cumsum([0, *parts])
     apart = [deviations(scores[a:b], cosines(b - a)) ** 2 for a, b in pairwise(edges)]
     assert np.sum(apart) < 0.8 * (z @ z)
 
@@ -221,10 +221,11 @@ def test_spans_of_one_instant_have_the_intervals_of_the_rows():
         one = System.whole(W.transpose(0, 2, 1).reshape(n * T, b), Y.ravel(), np.repeat([0, 1], T), tuple("abcd"))
         one = one.with_rows(counts.T.ravel().astype(float))
         rows.append(dataclasses.replace(one, spans=(Spans(instants=T, count=T),)))
-        factors = SpanFactors(T, n, b + 1)
+        factors = SpanFactors(T, n)
         for a, z in ((0, 13), (13, 30), (30, 31), (31, T)):
             factors.add(a, np.concatenate([W, Y[:, None]], axis=1)[..., a:z], counts[a:z])
-        spans.append(factors.system(tuple("abcd"))[0])
+        found, followed = factors.rows()
+        spans.append(System(W=found[:, :b], Y=found[:, b], names=tuple("abcd"), **followed))
     of_rows, of_spans = stacked(rows), stacked(spans)
     assert of_spans.spans == 2 * (Spans(instants=T, count=T, rows=1),)
     for columns in (np.arange(4), np.array([1, 3])):
@@ -268,15 +269,15 @@ def test_spans_are_equal_and_have_the_products_of_their_rows():
     columns, counts = rng.normal(size=(n, 7, T)), rng.uniform(size=(T, n)) > 0.2
     columns[1, [0, 1, 3, 4]] = 0.0
     counts[30:50, 0] = False  # a span may have fewer rows than columns
-    factors = SpanFactors(T, n, 7)
+    factors = SpanFactors(T, n)
     for a, z in ((0, 13), (13, 500), (500, 501), (501, T)):
         factors.add(a, columns[..., a:z], counts[a:z])
-    system, Z = factors.system(tuple("abc"))
-    (spans,) = system.spans
+    found, followed = factors.rows()
+    (spans,) = followed["spans"]
     assert (spans.instants, spans.count, spans.rows) == (T, SPANS, 7)
     assert set(np.diff(spans.edges)) == {8, 9}
-    np.testing.assert_array_equal(system.rows, counts.sum(axis=0))
-    found = np.c_[Z, system.W, system.Y].reshape(n, SPANS, 7, 7)
+    np.testing.assert_array_equal(followed["rows"], counts.sum(axis=0))
+    found = found.reshape(n, SPANS, 7, 7)
     for k, (a, z) in enumerate(pairwise(spans.edges)):
         for j in range(n):
             rows = columns[j, :, a:z][:, counts[a:z, j]]

@@ -21,9 +21,10 @@ from identification.data import Recordings, Signals, load_signals
 from identification.errors import IdentificationError
 from identification.methods import Fit, Iteration, fit_file, identify_iv, identify_ls, validate_all
 from identification.model import InverseModel, described_parameters
-from identification.regression import Overrides, make_problem, torque_rate, weights_at
+from identification.regression import Overrides, make_problem, weights_at
 from identification.study import write_signals
-from identification.trust.columns import SPRING, MissingTerm
+from identification.trust.candidates import SPRING, Candidates, MissingTerm
+from identification.trust.fit_data import measured_motion
 
 STIFFNESS, AT_REST = 900.0, 0.03  # N/m, and where the spring gives nothing, m
 PULSE_V, EVERY, WIDTH = 2.0, 700, 60  # and samples
@@ -248,14 +249,19 @@ def test_rates_of_torques_are_those_of_the_drives():
     beta, settings = fitted(signals, "ls").beta, with_spring.settings
     spring = 1e3 * np.gradient(signals.known_torque, axis=0)[settings.start : settings.stop]
     w = weights_at(with_spring, np.arange(settings.start, settings.stop) / signals.sample_rate_hz)
-    apart = (torque_rate(plain, beta) - torque_rate(with_spring, beta))[:, 5:-5]
+    rates = []
+    for problem in (plain, with_spring):
+        peak = np.ones(problem.signals.robot.n)
+        terms = Candidates(problem=problem, beta=beta, peak=peak, sliding=peak, simulated=False, gains=False)
+        rates.append(terms.columns(problem, *measured_motion(problem))[:, -1, 5:-5])
+    apart = rates[0] - rates[1]
     assert apart == pytest.approx(settings.decimator.filtered(w * spring.T)[:, 5:-5], abs=1e-6 * np.abs(spring).max())
 
 
 def test_a_spring_has_to_take_more_than_other_terms():
     def found(kind, taken_percent):
         numbers = {"value": 1.0, "t": 6.0, "taken_percent": taken_percent, "together_percent": 5.0, "moves": 0.0}
-        column = {"where": "", "torque": np.zeros((0, 1)), "unit": "", "advice": ""}
+        column = {"where": "", "unit": "", "advice": ""}
         return MissingTerm(kind=kind, **column, **numbers).found
 
     assert found("offset", 5.0)

@@ -13,7 +13,7 @@ from looked_at import looked_at
 
 from identification.data import Recordings, Signals, load_signals
 from identification.estimation import System, whitened
-from identification.methods import Fit, identify, identify_ls, stack_of
+from identification.methods import Fit, identify, identify_ls, read_equations
 from identification.methods.timing import known_lags
 from identification.regression import Overrides, make_problem, sampled_at
 from identification.simulation import recorded_loop
@@ -190,10 +190,10 @@ def test_what_is_known_of_a_lag(timing, rate_hz, stated, option, expected):
 @pytest.mark.slow
 def test_a_replay_tells_the_lag_of_a_command():
     signals = recorded("emps", lag=3, noise=2e-5)
-    (group,) = known_lags(stack_of(signals, Overrides(), lambda text: None))
+    (group,) = known_lags(read_equations(signals, Overrides(), lambda text: None))
     assert 1e3 * group.value_s == pytest.approx(2.5, abs=0.1)
     assert group.sd_s == pytest.approx(0.5e-3, rel=0.1)
-    stamped = known_lags(stack_of(replace(signals, effort_timing="command"), Overrides(), lambda text: None))[0]
+    stamped = known_lags(read_equations(replace(signals, effort_timing="command"), Overrides(), lambda text: None))[0]
     assert 1 / stamped.sd_s**2 == pytest.approx(1 / group.sd_s**2 + 1 / 0.25e-3**2)
 
 

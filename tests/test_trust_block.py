@@ -26,10 +26,11 @@ from identification.data import Signals
 from identification.estimation import SPANS, System, instrumental_variables, intervals
 from identification.estimation.diagnostics import autoregression
 from identification.methods import Fit, identify, identify_ls
-from identification.methods.system import SPANS_OF_IV
+from identification.methods.equations import SPANS_OF_IV
 from identification.regression import Overrides, torque_of_recording, weighted
 from identification.trust import LEVELS, FitData, Trust, TrustLine, trust_in
-from identification.trust.columns import missing_terms, motion_of
+from identification.trust.columns import missing_terms
+from identification.trust.fit_data import measured_motion
 from identification.trust.solution import (
     TESTS,
     _combine_failures,
@@ -246,10 +247,13 @@ def test_a_column_is_solved_with_the_others(method):
     system, n = evidence.observed.system, 2
     W, Y = system.weighted(fit.estimate.weights)
     (lack,) = (x for x in missing_terms(evidence) if (x.kind, x.where) == ("drift", "of joint shoulder"))
-    (part,) = evidence.recordings
-    motion, decimation = motion_of(part, method)
+    motion, decimation = measured_motion(evidence.problem)
+    if method == "iv":
+        motion, decimation = evidence.replicas[0].motion, evidence.replicas[0].decimation
     drift = np.linspace(0, 1, len(motion.q))[:, None] * [1.0, 0.0]
-    column = weighted(part.problem, motion.t_s, drift, decimation).reshape(-1) * fit.estimate.weights[0] * system.used
+    column = (
+        weighted(evidence.problem, motion.t_s, drift, decimation).reshape(-1) * fit.estimate.weights[0] * system.used
+    )
     Z = evidence.Z if method == "iv" else system.W
     Z = np.c_[Z * (fit.estimate.weights[system.joint_of_row] * system.used)[:, None], column]
     wider = np.c_[W, column]
@@ -303,17 +307,16 @@ def test_a_relative_gain_is_named():
 
 def block_errors(evidence: FitData, blocks: int) -> tuple[float, float]:
     """Held-out and training error in percent, each block predicted by least squares of the rows of the others."""
-    W, Y, counts = evidence.rows.W, evidence.rows.Y, evidence.observed.counts
+    W, Y, counts = evidence.W, evidence.Y, evidence.observed.counts
     T, n = counts.shape
     time = np.tile(np.arange(T), n)
-    Z = W if evidence.Z is None else evidence.Z * evidence.rows.weight[:, None]
+    Z = W if evidence.Z is None else evidence.Z * evidence.weight[:, None]
     betas = []
     for a, b in pairwise(np.linspace(0, T, blocks + 1).round()):
         inside = (time >= a) & (time < b)
         betas.append(np.linalg.solve(Z[~inside].T @ W[~inside], Z[~inside].T @ Y[~inside]))
-    (part,) = evidence.recordings
-    tau, held, _ = torque_of_recording(part.problem, *betas)
-    trained = torque_of_recording(part.problem, evidence.estimate.beta)[1]
+    tau, held, _ = torque_of_recording(evidence.problem, *betas)
+    trained = torque_of_recording(evidence.problem, evidence.estimate.beta)[1]
     return tuple(100 * np.linalg.norm((tau - x)[counts]) / np.linalg.norm(tau[counts]) for x in (held, trained))
 
 
@@ -357,11 +360,11 @@ def test_halves_differ_where_the_torque_changes_its_scale():
     assert ls_of(REPLAY / "tx40" / "session.mcap").trust.line("halves").level == "ok"  # of 60 parameters
     # The statistic from the two halves' own least squares: correlations of the formula, deviations of the cosines by the
     # share of white noise that they find in the residuals, I - W(W'W)⁻¹W' of it.
-    rows, n, b = evidence.rows, 2, len(fit.estimate.names)
-    T = len(rows.Y) // n
+    n, b = 2, len(fit.estimate.names)
+    T = len(evidence.Y) // n
     betas, total = [], np.zeros((b, b))
     for half in (slice(0, round(T / 2)), slice(round(T / 2), T)):
-        W, Y = (x.reshape(n, T, -1)[:, half] for x in (rows.W, rows.Y))
+        W, Y = (x.reshape(n, T, -1)[:, half] for x in (evidence.W, evidence.Y))
         W, Y = W.reshape(-1, b), Y.reshape(-1)
         inverse = np.linalg.inv(W.T @ W)
         beta = inverse @ W.T @ Y
@@ -461,7 +464,7 @@ def test_prewhitened_rows_are_those_of_the_filter():
     for j in range(n):
         rows = slice(j * T, (j + 1) * T)
         used = system.used[rows]
-        taps = np.r_[1.0, -autoregression(evidence.rows.rho[rows] * used, order)]
+        taps = np.r_[1.0, -autoregression(evidence.rho[rows] * used, order)]
         counts = lfilter(np.ones(order + 1), [1.0], used) == order + 1
         stack = np.c_[system.W, evidence.Z, system.Y][rows]
         parts.append((lfilter(taps, [1.0], stack, axis=0) * weight[rows, None])[counts])
@@ -484,8 +487,9 @@ def test_a_long_recording_is_tested_as_its_rows_are(method):
     assert [x.name for x in told.figures] == [x.name for x in wanted.figures]
     for one, other in zip(told.figures, wanted.figures, strict=True):
         assert one.value == pytest.approx(other.value, rel=0.05 if method == "iv" else 0.01)
-    whole = slice(0, len(evidence.observed.tau))
-    assert of_blocks.sums(whole).rho_rho == pytest.approx(evidence.sums(whole).rho_rho, rel=2 * rows)
+    whole = (slice(0, len(evidence.observed.tau)),)
+    found, expected = (x.error(whole, x.estimate.beta) for x in (of_blocks, evidence))
+    assert found == pytest.approx(expected, rel=rows)
     told, wanted = (x.trust.line("halves") for x in (long, fit))
     assert (told.level, told.value) == ("ok", pytest.approx(wanted.value, rel=0.2))
     told, wanted = (x.trust.line("ends") for x in (long, fit))
@@ -499,22 +503,22 @@ def test_sums_over_spans_are_those_of_their_rows():
     (_, evidence), (fit, long) = examined("wls", "scara"), examined_as_long("wls")
     T, n, b = len(evidence.observed.tau), 2, len(fit.estimate.names)
     for part in (slice(0, round(T / 5)), slice(round(T / 5), round(2 * T / 5)), slice(round(T / 2), T)):
-        covered, _ = long.aligned(part)
-        assert max(abs(covered.start - part.start), abs(covered.stop - part.stop)) <= 1
-        assert evidence.aligned(part) == (part, part)
+        covered, _ = long.aligned((part,))
+        assert max(abs(covered[0] - part.start), abs(covered[-1] + 1 - part.stop)) <= 1
+        assert all((x == np.arange(part.start, part.stop)).all() for x in evidence.aligned((part,)))
         inside = np.zeros((n, T), dtype=bool)
         inside[:, covered] = True
-        W, Y = evidence.rows.W[inside.ravel()], evidence.rows.Y[inside.ravel()]
-        sums, bread = long.sums(part), long.estimate.bread
-        np.testing.assert_allclose(np.linalg.solve(sums.QW, sums.QY), np.linalg.lstsq(W, Y)[0], rtol=1e-7)
-        np.testing.assert_allclose(bread @ sums.QQ @ bread.T, bread @ bread.T @ (W.T @ W) @ bread @ bread.T, rtol=1e-7)
-        weight = evidence.rows.weight[inside.ravel()]
-        assert sums.rows == pytest.approx(np.sum(evidence.observed.share.T[inside] ** 2), rel=1e-9)
+        W, Y = evidence.W[inside.ravel()], evidence.Y[inside.ravel()]
+        (Q, W_k, Y_k, count), bread = long.part((part,)), long.estimate.bread
+        np.testing.assert_allclose(np.linalg.solve(Q.T @ W_k, Q.T @ Y_k), np.linalg.lstsq(W, Y)[0], rtol=1e-7)
+        np.testing.assert_allclose(bread @ Q.T @ Q @ bread.T, bread @ bread.T @ (W.T @ W) @ bread @ bread.T, rtol=1e-7)
+        weight = evidence.weight[inside.ravel()]
+        assert count == pytest.approx(np.sum(evidence.observed.share.T[inside] ** 2), rel=1e-9)
         per = np.where(weight > 0, 1 / np.where(weight > 0, weight, 1.0), 0.0)
-        off = 0.01 * np.random.default_rng(3).normal(size=b) * np.abs(fit.estimate.beta)
-        error = np.sum(((Y - W @ (fit.estimate.beta + off)) * per) ** 2)
-        assert sums.error(off) == pytest.approx(error, rel=1e-7)
-        assert evidence.sums(covered).error(off) == pytest.approx(error, rel=1e-7)
+        beta = fit.estimate.beta * (1 + 0.01 * np.random.default_rng(3).normal(size=b))
+        error = np.linalg.norm((Y - W @ beta) * per)
+        assert long.error((part,), beta) == pytest.approx(error, rel=1e-7)
+        assert evidence.error((slice(covered[0], covered[-1] + 1),), beta) == pytest.approx(error, rel=1e-7)
 
 
 @pytest.mark.slow
@@ -548,12 +552,14 @@ def test_a_half_without_motion_of_a_joint_determines_nothing_of_it(long):
 
 
 @pytest.mark.parametrize("method", ["iv", "wls"])
-def test_what_needs_rows_looks_at_the_beginning_of_a_long_recording(method):
-    (fit, _), (long, evidence) = examined(method, "scara"), examined_as_long(method)
-    assert evidence.beginning is not None
-    assert not evidence.beginning.observed.reduced
-    told, wanted = (x.trust.line("added columns") for x in (long, fit))
-    assert (told.level, told.value) == (wanted.level, pytest.approx(wanted.value, rel=0.3))
+def test_a_long_recording_has_every_test(method):
+    (fit, _), (long, _) = examined(method, "scara"), examined_as_long(method)
+    assert [x.test for x in long.trust.lines if x.level == "not made"] == [
+        x.test for x in fit.trust.lines if x.level == "not made"
+    ]
+    for test in ("added columns", "prewhitened")[: 1 + (method == "iv")]:
+        told, wanted = (x.trust.line(test) for x in (long, fit))
+        assert (told.level, told.value) == (wanted.level, pytest.approx(wanted.value, rel=0.05))
     lag, other = long.lags[0], fit.lags[0]
     assert lag.value_s == pytest.approx(other.value_s, abs=2e-5)
     np.testing.assert_allclose(lag.moved, other.moved, rtol=0.2, atol=0.5 * fit.intervals.half.max())

@@ -26,8 +26,11 @@ def verdict(tracking, errors, tests=GOOD):
     direct = [
         DirectModelError(name=f"j{j}", position_error_percent=e, torque_error_percent=1.0) for j, e in enumerate(errors)
     ]
-    replica = SimpleNamespace(reason=None, tracking_percent=tracking, direct=direct)
-    return _status((settled,), dataclasses.replace(settled, replicas=(replica,)), ["log.mcap"], tests)
+    replica = SimpleNamespace(tracking_percent=tracking, direct=direct)
+    none = SimpleNamespace(
+        problems=(), unknowns=SimpleNamespace(arms=()), tasks=list
+    )  # whether M is positive is asked of each recording
+    return _status(none, (settled,), dataclasses.replace(settled, replicas=(replica,)), tests)
 
 
 def test_every_joint_has_to_track():

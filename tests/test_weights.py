@@ -17,7 +17,7 @@ from identification.regression import (
     FilteredMotion,
     Overrides,
     make_problem,
-    regression_of_recording,
+    rows_of_recording,
     sample_weights,
     weights_at,
 )
@@ -94,7 +94,7 @@ def test_torque_of_samples_that_stand_does_not_count():
     wild = SCARA.effort + np.where(w == 0, 100 * rng.standard_normal(w.shape), 0.0)
     other = dataclasses.replace(problem, signals=dataclasses.replace(problem.signals, effort=wild))
     other = dataclasses.replace(other, motion=problem.motion.with_torque_of(other.signals))
-    plain, found = regression_of_recording(problem), regression_of_recording(other)
+    plain, found = rows_of_recording(problem), rows_of_recording(other)
     assert np.abs(plain.tau - found.tau).max() > 1.0
     np.testing.assert_allclose(found.system.Y, plain.system.Y, atol=1e-9)
     beta = [weighted_least_squares(one.system).beta for one in (plain, found)]
@@ -105,7 +105,7 @@ def test_torque_of_samples_that_stand_does_not_count():
 def test_rows_and_columns_have_the_same_weights():
     """Y = F[w tau] and W beta = F[w W beta] by hand, and the weight of a row F[w] over the filter's gain."""
     problem = scara()
-    s, plain = problem.settings, regression_of_recording(problem)
+    s, plain = problem.settings, rows_of_recording(problem)
     motion = problem.motion.between(s.start, s.stop, s.cutoff_hz)
     w, F = weights_at(problem, motion.t_s), s.decimator.filtered
     np.testing.assert_allclose(plain.system.Y, F(w * motion.tau.T).reshape(-1), atol=1e-9)
@@ -122,7 +122,7 @@ def test_rows_and_columns_have_the_same_weights():
 def test_a_threshold_of_zero_is_the_method_without_weights():
     """Decimated torque and regressor as they are: the digits that are published. The number is that of the method."""
     problem = make_problem(SCARA, Overrides(low_speed_percent=0.0, torque_lag_s="none"))
-    plain, s = regression_of_recording(problem), problem.settings
+    plain, s = rows_of_recording(problem), problem.settings
     assert (plain.share == 1.0).all()
     np.testing.assert_allclose(plain.system.Y, plain.tau.T.reshape(-1), atol=1e-12)
     assert plain.system.rows.tolist() == [len(plain.tau)] * 2
@@ -157,7 +157,7 @@ def test_short_moves_get_short_ramps_and_a_joint_that_never_moves_long_enough_is
     assert ramps[1] < 2.0
     problem = scara(q=np.stack([quick[:, 0], 0.05 * np.sin(2 * np.pi * 24.9 * t)], axis=1))
     with pytest.raises(IdentificationError) as caught:
-        regression_of_recording(problem)
+        rows_of_recording(problem)
     assert "joint elbow never moves for longer than a period of the filters between two stops" in str(caught.value)
 
 
@@ -165,7 +165,7 @@ def test_joints_whose_moves_are_too_short_have_no_weights_but_the_rows_in_which_
     """The elbow of two reverses too often for any ramp: torque and regressor of its rows as they are, and it is said."""
     t = SCARA.t_s
     problem = scara(q=np.stack([np.sin(2 * np.pi * 0.5 * t), 0.05 * np.sin(2 * np.pi * 10 * t)], axis=1))
-    weights, plain, s = sample_weights(problem), regression_of_recording(problem), problem.settings
+    weights, plain, s = sample_weights(problem), rows_of_recording(problem), problem.settings
     assert weights.ramps == (2.0, ROWS)
     at = s.start + s.decimator.instants(s.stop - s.start)
     np.testing.assert_array_equal(plain.share[:, 1], weights.moves[at, 1])

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-MAX_BYTES_IN_MEMORY = 2**27  # of one array: an hour of six joints has some five, which do not fit in 1 GB
+MAX_BYTES_IN_MEMORY = 2**26  # of one array: an hour of six joints at 500 Hz has some five, which do not fit in 1 GB
 _BLOCK_ROWS = 100_000
 
 

@@ -33,7 +33,7 @@ from ..model import (
     load_parameters,
     regressor_gradient,
 )
-from ..regression import Overrides, decimation_rule, make_problem, regression_of_recording
+from ..regression import Overrides, decimation_rule, make_problem, rows_of_recording
 from ..report import read_fit
 from .limits import Motion
 
@@ -172,7 +172,7 @@ def earlier_information(base: BaseParameters, noise: Array, recordings: Sequence
         if known != (base.names, base.units, base.expressions):
             expected = "a recording of the described robot, with the same base parameters"
             raise IdentificationError(place=signals.recording, key="robot", value=signals.robot.name, expected=expected)
-        W, _ = regression_of_recording(replace(problem, base=own)).system.weighted(1 / noise)
+        W, _ = rows_of_recording(replace(problem, base=own)).system.weighted(1 / noise)
         M += W.T @ W
     return M
 

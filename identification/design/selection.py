@@ -17,18 +17,27 @@ from acquisition.robot import FrictionTerm, Robot, low_speed_by_method
 from ..arrays import Array
 from ..data import Recordings, Signals
 from ..errors import IdentificationError
-from ..estimation import Estimate, are_moving, intervals_of, one_thread, r_factor, relative_error_percent, t_quantile
+from ..estimation import (
+    Estimate,
+    are_moving,
+    intervals_of,
+    one_thread,
+    r_factor,
+    relative_error_percent,
+    spans_of,
+    t_quantile,
+)
 from ..methods import (
+    Equations,
     Fit,
-    StackedSystem,
     correct_known_lags,
     identify_ls,
-    solve_with_load_friction,
-    stack_of,
+    least_squares,
+    read_equations,
     with_best_ramps,
 )
 from ..model import JointTerm
-from ..regression import Overrides
+from ..regression import Overrides, Rows
 from ..trust import predictions_by_others
 
 FIFTHS = 5  # parts of a single recording
@@ -145,7 +154,7 @@ def select_friction(
     robot, given = recordings[0].robot, overrides or Overrides()
     low = robot.identification.low_speed.iv if given.low_speed_percent is None else given.low_speed_percent
     given = replace(given, low_speed_percent=low_speed_by_method(low))  # least squares with the weights of instruments
-    whole = stack_of(_with_terms(recordings, at_all_joints(robot, CANDIDATES)), given, say)
+    whole = read_equations(_with_terms(recordings, at_all_joints(robot, CANDIDATES)), given, say)
     whole = with_best_ramps(correct_known_lags(whole), instruments=False)
     trials = Trials(whole)
     for kinds in (chosen for size in range(len(CANDIDATES) + 1) for chosen in combinations(CANDIDATES, size)):
@@ -187,15 +196,16 @@ class Trials:
         done: the trials; `left_out`: joints and terms that some of them leave out, each with the reason.
     """
 
-    def __init__(self, whole: StackedSystem) -> None:
+    def __init__(self, whole: Equations) -> None:
         robot, model, base = whole.problem.signals.robot, whole.problem.model, whole.problem.base
-        self.whole, self.parts, self._own = whole, whole.parts, [one.own for one in whole.parameters.of]
-        self.names = [one.problem.signals.recording for one in whole.observations]
-        if whole.regression.reduced:
+        parts = spans_of(whole.about().parts)
+        self.whole, self.parts, self._own = whole, tuple(parts), [arm.own for arm in whole.unknowns.arms]
+        self.names = [problem.signals.recording for problem in whole.problems]
+        if whole.reduced:
             expected = "a part of it, or a larger decimation"
             raise IdentificationError("too long", place=", ".join(self.names), expected=expected)
         if len(self.names) == 1:
-            edges = np.linspace(0, len(whole.regression.tau), FIFTHS + 1).round().astype(int)
+            edges = np.linspace(0, len(whole.about().tau), FIFTHS + 1).round().astype(int)
             self.parts = tuple(slice(first, last) for first, last in pairwise(edges))
             self.names, self._own = [f"fifth {k + 1}" for k in range(FIFTHS)], [set()] * FIFTHS
         self.added = {
@@ -206,10 +216,11 @@ class Trials:
         }
         self.done, self.left_out = dict[TermSet, Trial](), dict[tuple[int, FrictionTerm], str]()
         self.weights = self._fit(at_all_joints(robot, ()))[1].weights
-        every, _ = self._fit(at_all_joints(robot, CANDIDATES))
+        every, estimate = self._fit(at_all_joints(robot, CANDIDATES))
+        last = every.about(estimate.values_of(every.names))
         self.unpredicted = {
             name: f"{name} cannot be predicted by the others: {', '.join(lost[:8])} undetermined"
-            for name, (_, lost) in zip(self.names, self._predictions(every), strict=True)
+            for name, (_, lost) in zip(self.names, self._predictions(last), strict=True)
             if lost
         }
         if (left := len(self.names) - len(self.unpredicted)) < MIN_PARTS:
@@ -222,12 +233,13 @@ class Trials:
         if terms in self.done:
             return self.done[terms]
         settled, estimate = self._fit(terms)
-        rows, found = settled.regression, intervals_of(settled.regression.system, estimate)
-        moving, betas = are_moving(rows.speed), [beta for beta, _ in self._predictions(settled)]
+        rows = settled.about(estimate.values_of(settled.names))
+        found = intervals_of(rows.system, estimate)
+        moving, betas = are_moving(rows.speed), [beta for beta, _ in self._predictions(rows)]
 
         by_others = settled.predicted(
             *(replace(estimate, names=rows.system.names, beta=beta) for beta in betas),
-            by_recording=len(settled.observations) > 1,
+            by_recording=len(settled.problems) > 1,
         )
 
         def percent(predicted: Array, part: slice) -> float | None:
@@ -258,15 +270,15 @@ class Trials:
         added = [self.added[name] for name in names if name in self.added]
         return tuple(frozenset(term for i, term in added if i == j) for j in range(len(self.weights)))
 
-    def _fit(self, terms: TermSet) -> tuple[StackedSystem, Estimate]:
+    def _fit(self, terms: TermSet) -> tuple[Equations, Estimate]:
         others = {name: "" for name, (j, term) in self.added.items() if term not in terms[j]}
-        settled, estimate = solve_with_load_friction(self.whole.without(others) if others else self.whole)
+        settled, estimate = least_squares(self.whole.without(others) if others else self.whole)
         self.left_out |= {self.added[name]: text for name, text in settled.left_out.items() if text}
         return settled, estimate
 
-    def _predictions(self, settled: StackedSystem) -> list[tuple[Array, list[str]]]:
+    def _predictions(self, settled: Rows) -> list[tuple[Array, list[str]]]:
         """By part the parameters (b,) by the others, and the names of those that they do not determine."""
-        system = settled.regression.system
+        system = settled.system
         rows = np.column_stack(system.weighted(self.weights)).reshape(len(self.weights), -1, len(system.names) + 1)
         each = [r_factor(rows[:, part].reshape(-1, rows.shape[2])) for part in self.parts]
         found = predictions_by_others([np.c_[R[:, :-1], R] for R in each], system.names, self._own)

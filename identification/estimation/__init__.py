@@ -23,6 +23,7 @@ from .diagnostics import (
     InstrumentTests,
     are_moving,
     autocorrelation,
+    autoregression,
     chi_squared_quantile,
     f_tail,
     f_tests,
@@ -31,6 +32,7 @@ from .diagnostics import (
     t_quantile,
     torque_errors,
     whitened,
+    whitening_order,
 )
 from .estimators import (
     Estimate,
@@ -41,4 +43,16 @@ from .estimators import (
     ordinary_least_squares,
     weighted_least_squares,
 )
-from .system import SPANS, SpanFactors, Spans, System, condensed, r_factor, spans_of, stacked, undetermined_parameters
+from .system import (
+    SPANS,
+    SpanFactors,
+    Spans,
+    System,
+    WhitenedFactors,
+    condensed,
+    r_factor,
+    spans_of,
+    stacked,
+    stacked_columns,
+    undetermined_parameters,
+)

@@ -120,25 +120,24 @@ def intervals_from(estimate: Estimate, sigma: Array, freedom: int) -> Intervals:
     )
 
 
-def deviations_of_sums(z: Array, rho: Array, Q: Array, parts: Sequence[int]) -> Array:
-    """Standard deviations (k,) of the sums z'e of k columns z (n, T, k), of recordings with `parts` instants.
+def deviations_of_sums(z: Array, rho: Array, Q: Array, n: int, spans: Sequence[Spans]) -> Array:
+    """Standard deviations (k,) of the sums z'e of k columns z (r, k), of recordings with these spans of rows of n joints.
 
-    rho (n, T, k) is the residual of e with each column and an estimate of orthonormal Q (n T, b). The deviations are corrected
-    for what the two remove, as in `estimate_deviations`.
+    rho (r, k) is the residual of e with each column and an estimate of orthonormal Q (r, b). The deviations are corrected for
+    what the two remove, as in `estimate_deviations`.
     """
-    n, T, k = z.shape
-    flat = z.reshape(-1, k)
-    own = flat - Q @ (Q.T @ flat)  # the direction that a column adds to Q
-    own = (own / np.maximum(np.linalg.norm(own, axis=0), 1e-300)).reshape(z.shape)
-    scores, directions, each = (z * rho).sum(axis=0), Q.reshape(n, T, -1), []
-    for part in spans_of(parts):
-        B = cosines(part.stop - part.start)
-        blocks = np.array_split(np.arange(part.start, part.stop), min(part.stop - part.start, TIME_BLOCKS))
-        squares = np.stack([(z[:, block] ** 2).sum(axis=(0, 1)) for block in blocks])
-        along_Q = [np.tensordot(z[:, block], directions[:, block], axes=((0, 1), (0, 1))) for block in blocks]
-        along_own = [(z[:, block] * own[:, block]).sum(axis=(0, 1))[:, None] for block in blocks]
-        along = np.concatenate([np.stack(along_Q), np.stack(along_own)], axis=2)
-        each.append(deviations(scores[part], B) / np.sqrt(_share(squares, along, B)))
+    own = z - Q @ (Q.T @ z)  # the direction that a column adds to Q
+    own, each = own / np.maximum(np.linalg.norm(own, axis=0), 1e-300), []
+    by_instant = [x.reshape(n, -1, x.shape[1]).transpose(1, 0, 2) for x in (z * rho, z, Q, own)]
+    for part, of in zip(spans_of([one.count * one.rows for one in spans]), spans, strict=True):
+        scores, *others = (x[part].reshape(of.count, of.rows * n, -1) for x in by_instant)
+        squares, along, B = list[Array](), list[Array](), cosines(of.instants)
+        for block in np.array_split(np.arange(of.count), min(of.count, TIME_BLOCKS)):
+            z_k, Q_k, own_k = (x[block].reshape(-1, x.shape[2]) for x in others)
+            squares.append((z_k**2).sum(axis=0))
+            along.append(np.c_[z_k.T @ Q_k, (z_k * own_k).sum(axis=0)])
+        share = _share(np.stack(squares), np.stack(along), B)
+        each.append(deviations(scores.sum(axis=1), B) / np.sqrt(share))
     return np.asarray(np.hypot.reduce(each))
 
 

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -102,47 +103,74 @@ def spans_of(parts: Sequence[int]) -> list[slice]:
 
 
 class SpanFactors:
-    """R factors of the used rows [Z W Y], or [W Y], of each joint in each span of a long recording.
+    """R factors of the used rows, such as [Z W Y], of each joint in each span of a long recording.
 
     A factor has the same column products AᵀB as its rows, hence the same least squares and instrumental variables, and avoids
     the loss of digits of squared sums.
     """
 
-    def __init__(self, instants: int, n: int, columns: int, spans: int = SPANS) -> None:
+    def __init__(self, instants: int, n: int, spans: int = SPANS) -> None:
         """Of `instants` of n joints, without any rows yet."""
         self._instants, self._rows = instants, np.zeros(n)
-        self._R = [[np.empty((0, columns))] * n for _ in range(min(spans, instants))]
+        self._R: list[list[Array | None]] = [[None] * n for _ in range(min(spans, instants))]
 
     def add(self, first: int, columns: Array, share: Array) -> None:
         """Add the instants from `first` on: columns (n, columns, T), and `share` (T, n), 0 for rows that do not count."""
         span = np.arange(first, first + len(share)) * len(self._R) // self._instants
         for k in np.unique(span):
             for j, own in enumerate(columns):
-                self._R[k][j] = _factor(np.concatenate([self._R[k][j], own[:, (span == k) & (share[:, j] > 0)].T]))
+                before, more = self._R[k][j], own[:, (span == k) & (share[:, j] > 0)].T
+                self._R[k][j] = _factor(more if before is None else np.concatenate([before, more]))
         self._rows += (share**2).sum(axis=0)
 
-    def system(self, names: tuple[str, ...]) -> tuple[System, Array | None]:
-        """W and Y as a system, and Z in the same rows; None for rows [W Y]. Spans with fewer rows end with zeros."""
-        n, K, b = len(self._rows), len(self._R), len(names)
-        m = max(len(R) for of_span in self._R for R in of_span)
-        Z, W, Y = np.zeros((n, K, m, b)), np.zeros((n, K, m, b)), np.zeros((n, K, m))
-        instruments = self._R[0][0].shape[1] > b + 1
-        for k, of_span in enumerate(self._R):
-            for j, R in enumerate(of_span):
-                r = len(R)
-                W[j, k, :r], Y[j, k, :r] = R[:, -b - 1 : -1], R[:, -1]
-                if instruments:
-                    Z[j, k, :r] = R[:, :b]
-        system = System(
-            W=W.reshape(-1, b),
-            Y=Y.reshape(-1),
-            joint_of_row=np.repeat(np.arange(n), K * m),
-            names=names,
-            share=np.ones(n * K * m),
-            rows=self._rows.copy(),
-            spans=(Spans(instants=self._instants, count=K, rows=m),),
-        )
-        return system, Z.reshape(-1, b) if instruments else None
+    def rows(self) -> tuple[Array, dict[str, Any]]:
+        """The rows (r, columns) of all joints and spans, and how they follow: the further attributes of a `System`. Once only.
+
+        Spans with fewer rows end with zeros.
+        """
+        each = [[R for R in of_span if R is not None] for of_span in self._R]
+        n, K, m = len(self._rows), len(each), max(len(R) for of_span in each for R in of_span)
+        found = np.zeros((n, K, m, each[0][0].shape[1]))
+        self._R.clear()  # as large as the rows
+        for k in range(K):
+            for j, R in enumerate(each[k]):
+                found[j, k, : len(R)] = R
+            each[k].clear()
+        return found.reshape(n * K * m, -1), {
+            "joint_of_row": np.repeat(np.arange(n), K * m),
+            "share": np.ones(n * K * m),
+            "rows": self._rows.copy(),
+            "spans": (Spans(instants=self._instants, count=K, rows=m),),
+        }
+
+
+class WhitenedFactors:
+    """`factors` of rows filtered along time, joint by joint, by `filters` (n, order + 1): those that count with all before."""
+
+    def __init__(self, factors: SpanFactors, filters: Array) -> None:
+        self.factors, self._filters = factors, filters
+        self._columns, self._share = np.zeros((len(filters), 0, 0)), np.zeros((0, len(filters)))
+
+    def add(self, first: int, columns: Array, share: Array) -> None:
+        """Add instants as to `SpanFactors`, in sequence."""
+        order, rows = self._filters.shape[1] - 1, columns.shape[2]
+        if first == 0:
+            self._columns, self._share = np.zeros((*columns.shape[:2], order)), np.zeros((order, len(columns)))
+        columns, share = np.concatenate([self._columns, columns], axis=2), np.concatenate([self._share, share])
+        filtered, counts = np.zeros((*columns.shape[:2], rows)), share[order:].copy()
+        for k in range(order + 1):
+            filtered += self._filters[:, k, None, None] * columns[..., order - k : order - k + rows]
+            counts *= share[order - k : order - k + rows] > 0
+        self.factors.add(first, filtered, counts)
+        self._columns, self._share = columns[..., rows:].copy(), share[rows:].copy()
+
+
+def stacked_columns(each: Sequence[Array], n: int) -> Array:
+    """Columns (r, k) of several recordings, whose rows (r_i, k) are by joint of n, stacked joint by joint."""
+    if len(each) == 1:
+        return each[0]
+    blocks = [x.reshape(n, len(x) // n, x.shape[1]) for x in each]
+    return np.concatenate(blocks, axis=1).reshape(sum(map(len, each)), each[0].shape[1])
 
 
 def stacked(systems: Sequence[System]) -> System:

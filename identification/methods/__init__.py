@@ -3,18 +3,19 @@
 The path of a fit, stage by stage::
 
     Signals, Settings, Problem   a recording, the settings, the robot's model
-    RecordingData, StackedSystem W and Y of one recording, and of all recordings, about given parameters
+    Rows, Unknowns, Equations    W and Y of one recording; x of all recordings, and their equations about x
     Instruments, Pass            Z of the simulated robot, and the estimate of one pass
     FitData, Trust               inputs and results of the trust tests
     Fit                          the result; `report.FitFile` is its JSON file
 """
 
 from .consistent import Known, Prior, consistent_set, read_prior, refuse_unknown_gain, urdf_prior, with_consistent
+from .equations import Equations, read_equations
 from .fit import Fit, FittedRecording, Pass
 from .fit_files import fit_file, validation_file
 from .fit_report import PARAMETERS, fit_document
 from .gain_results import Gains
-from .idim import identify, identify_iv, identify_ls, validate_all
+from .idim import identify, identify_iv, identify_ls
 from .iteration import Iteration, regular_start
 from .parameters import (
     consistent_fit,
@@ -25,15 +26,9 @@ from .parameters import (
     stored_robot,
     stored_settings,
     true_parameters,
+    validate_all,
     with_stored_gains,
 )
 from .recording_report import Validated, recording_document, validation_document
-from .settled import (
-    leave_out_collinear_terms,
-    load_passes,
-    most_collinear,
-    solve_with_load_friction,
-    with_best_ramps,
-)
-from .system import StackedSystem, stack_of
+from .settled import least_squares, with_best_ramps
 from .timing import correct_known_lags

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..arrays import Array
 from ..estimation import (
     Estimate,
     InstrumentTests,
@@ -12,112 +13,152 @@ from ..estimation import (
     autocorrelation,
     f_tests,
     instrument_tests,
-    intervals_of,
+    spans_of,
     torque_errors,
 )
-from ..regression import ROWS, Problem, base_name, sample_weights
+from ..model import direct_model, poses_of, why_not_positive
+from ..regression import ROWS, Problem, Rows, base_name, sample_weights
 from ..report import DirectModelError, FTest, Method, Status
-from ..simulation import Replica, join_reasons, max_or_none
-from ..trust import FitData, Lag, TrustLine, held_out_parts, trust_in
+from ..simulation import Replica, join_reasons, max_or_none, saturated_percents
+from ..trust import Candidates, FitData, TrustLine, further_columns, held_out_parts, trust_in
+from .equations import Equations
 from .fit import Fit, FittedRecording, InstrumentEvidence, LeastSquares, Pass, essential_names
-from .gains import add_scale_variance, results_of
+from .gains import held_and_counted, results_of
 from .observation import position_noise_line
 from .recording_report import gain_warnings, recording_warnings
-from .system import StackedSystem
-from .timing import add_lag_variance
+from .timing import lags_of
 
 MAX_TRACKING_PERCENT = 20.0  # a larger error of the simulated position does not confirm the estimate
 MAX_SATURATED_PERCENT = 1.0  # of the samples: above, a warning
 MIN_FIRST_STAGE_F = 10.0
 
 
-def evidence_of_ls(observed: StackedSystem, method: Method, ls: LeastSquares, lags: tuple[Lag, ...]) -> FitData:
-    """Inputs of the trust tests of least squares, which has no instruments and cannot find the lags of the torques."""
+def evidence_of(
+    equations: Equations,
+    method: Method,
+    solved: LeastSquares,
+    rows: Rows,
+    *,
+    each: Sequence[Rows] = (),
+    replicas: tuple[Replica, ...] = (),
+) -> FitData:
+    """Inputs of the trust tests of an estimate from its rows; `each` are those of single recordings that are long."""
+    estimate = solved.estimate
+    # Long rows have the columns of before their simulation.
+    candidates = candidates_of(equations, estimate.values_of(equations.names), None if each and replicas else replicas)
+    if not rows.C.size:
+        rows = replace(rows, C=further_columns(equations.problems, candidates, replicas))
+    lags = lags_of(equations, rows, estimate)
+    within = held_and_counted(equations, estimate, equations.rows_with(each), rows.system, lags)
     return FitData(
-        recordings=observed.observations,
-        observed=observed.regression,
+        problems=tuple(equations.with_sources()),
+        arms=equations.unknowns.arms,
+        replays=tuple(line for line, _ in equations.replays),
+        observed=rows,
         method=method,
         fixed_point=True,
-        estimate=ls.estimate,
-        predicted=ls.tau_predicted,
-        intervals=ls.intervals,
-        least_squares=ls.full,
+        estimate=estimate,
+        predicted=solved.tau_predicted,
+        intervals=within,
+        least_squares=solved.full,
+        candidates=candidates,
+        replicas=replicas,
         lags=lags,
-        essential=essential_names(ls.essential, ls.estimate, ls.intervals),
+        essential=essential_names(solved.essential, estimate, within),
     )
 
 
-def position_noise_of(observed: StackedSystem, method: Method, ls: LeastSquares) -> TrustLine:
+def candidates_of(equations: Equations, x: Array, replicas: Sequence[Replica] | None = ()) -> tuple[Candidates, ...]:
+    """By recording the terms that are not in the model, about x; replicas are None before a simulation of long recordings."""
+    if replicas is None:
+        simulated = all(problem.signals.q_ref is not None for problem in equations.problems)
+    else:
+        simulated = bool(replicas) and all(one.motion and one.reference_kind == "recorded" for one in replicas)
+    speed = np.concatenate([rows.speed for rows in equations.rows])
+    sliding = np.abs(speed @ equations.problem.model.coulomb_directions.T)
+    return tuple(
+        Candidates(
+            problem=problem.without_samples(),
+            beta=equations.unknowns.beta(x, k),
+            peak=np.abs(speed).max(axis=0),
+            sliding=sliding.max(axis=0),
+            simulated=simulated,
+            gains=bool(equations.unknowns.motors),
+        )
+        for k, problem in enumerate(equations.problems)
+    )
+
+
+def position_noise_of(equations: Equations, method: Method, ls: LeastSquares) -> TrustLine:
     """Bias of least squares by the position noise of the first recording, of its beginning if it is long."""
-    first, alone = observed.problems()[0].with_samples(), observed.parameters.plain and not observed.load
+    first, alone = equations.tasks()[0].with_samples(), equations.unknowns.plain and not equations.load
     return position_noise_line(first, method, ls, alone=alone)
 
 
-def fit_of(observed: StackedSystem, evidence: FitData, solved: LeastSquares, replicas: Sequence[Replica] = ()) -> Fit:
+def fit_of(equations: Equations, evidence: FitData, solved: LeastSquares, replicas: Sequence[Replica] = ()) -> Fit:
     """The fit of an estimate and its assessment; `replicas` are the robot simulated in each recording, if it was."""
-    rows, predicted = observed.regression, solved.tau_predicted
-    names = tuple(joint.name for joint in observed.problem.signals.robot.joints)
-    evidence = replace(evidence, held_out=held_out_parts(evidence, observed.predicted))
-    filtered, of_model = observed, predicted
+    rows, predicted = evidence.observed, solved.tau_predicted
+    names = tuple(joint.name for joint in equations.problem.signals.robot.joints)
+    evidence = replace(evidence, held_out=held_out_parts(evidence, equations.predicted))
+    filtered, of_model = equations, predicted
     # errors of the model, without the noise that passes the cut-off of the fit
-    if (behind := observed.behind_rule()) is not None:
+    if (behind := equations.behind_rule()) is not None:
         filtered, of_model = behind, behind.predicted(solved.estimate)
-    measured = filtered.regression
+    measured = filtered.about()
     fitted = [
         FittedRecording(
-            problem=one.problem,
-            parameters=observed.parameters.of[k].settled(solved.estimate),
+            problem=problem,
+            arm=equations.unknowns.arms[k].settled(solved.estimate),
             rows=part,
             errors=torque_errors(measured.tau[own], of_model[own], measured.speed[own], names),
-            held_out=evidence.held_out[k] if len(observed.observations) > 1 and not evidence.gains else None,
+            held_out=evidence.held_out[k] if len(equations.problems) > 1 and not evidence.gains else None,
             replica=replicas[k] if replicas else None,
-            states=one.states,
         )
-        for k, (one, part, own) in enumerate(zip(observed.observations, observed.parts, filtered.parts, strict=True))
+        for k, (problem, part, own) in enumerate(
+            zip(equations.problems, spans_of(rows.parts), spans_of(measured.parts), strict=True)
+        )
     ]
     fit = Fit(
-        recordings=tuple(fitted[k] for k in observed.order),
+        recordings=tuple(fitted[k] for k in equations.order),
         method=evidence.method,
         status="solved",
         estimate=solved.estimate,
         intervals=solved.intervals,
         least_squares=solved.of_base(),
-        t_s=np.concatenate([one.t_s for one in observed.observations]),
+        t_s=np.concatenate([problem.row_times_s() for problem in equations.tasks()]),
         tau=rows.tau,
         tau_predicted=predicted,
         speed=rows.speed,
         errors=torque_errors(measured.tau, of_model, measured.speed, names),
-        lags=evidence.lags,
-        warnings=_warnings(observed),
+        warnings=_warnings(equations),
         trust=trust_in(evidence),
-        own=own_test(observed.with_motors(()), solved.full),
+        data=evidence,
+        own=own_test(equations.with_motors(()), solved.full),
     )
-    return fit if observed.parameters.plain else replace(fit, **results_of(observed, evidence))
+    return fit if equations.unknowns.plain else replace(fit, **results_of(equations, evidence))
 
 
-def own_test(observed: StackedSystem, full: Estimate) -> FTest | None:
+def own_test(equations: Equations, full: Estimate) -> FTest | None:
     """F test, by least squares, of the recordings' own parameters against shared ones; None if there are none."""
-    parameters = observed.parameters
-    if not parameters.any:
+    names, own = equations.names, equations.unknowns.own
+    if not own:
         return None
-    observed = observed.at(full.values_of(parameters.names))  # after `with_motors` columns of load friction are zero
-    rows = observed.regression
+    rows = equations.about(full.values_of(names))
     W, Y = rows.system.weighted(full.weights)
-    shared = list(dict.fromkeys(map(base_name, parameters.names)))
-    merge = np.array([[float(base_name(name) == one) for one in shared] for name in parameters.names])
+    shared = list(dict.fromkeys(map(base_name, names)))
+    merge = np.array([[float(base_name(name) == one) for one in shared] for name in names])
     scaled = [A / np.linalg.norm(A, axis=0) for A in (W, W @ merge)]
     norm, left = (float(np.linalg.norm(Y - A @ np.linalg.lstsq(A, Y)[0])) for A in scaled)
-    rho = rows.residual(full.values_of(rows.system.names), full.weights)
-    extra, freedom = len(parameters.names) - len(shared), full.rows - len(parameters.names)
+    rho = (rows.tau - equations.predicted(full)) * full.weights * rows.counts
+    extra, freedom = len(names) - len(shared), full.rows - len(names)
     F = (left**2 - norm**2) / extra / (norm**2 / freedom) if norm > 0 else float("inf")
-    F, p, F_effective, p_effective = f_tests(F, extra, full.rows, len(parameters.names), autocorrelation(rho) or 0.0)
-    names = tuple(name for name in parameters.names if "@" in name)
-    return FTest(names=names, F=F, p_value=p, F_effective=F_effective, p_effective=p_effective)
+    F, p, F_effective, p_effective = f_tests(F, extra, full.rows, len(names), autocorrelation(rho) or 0.0)
+    return FTest(names=own, F=F, p_value=p, F_effective=F_effective, p_effective=p_effective)
 
 
-def _warnings(observed: StackedSystem) -> tuple[str, ...]:
+def _warnings(equations: Equations) -> tuple[str, ...]:
     """Warnings of the settings and the recordings; several recordings may share one."""
-    problems = [observed.observations[k].problem for k in observed.order]
+    problems = [equations.problems[k] for k in equations.order]
     of_settings = [[*p.settings.warnings, *_short_moves(p), *gain_warnings(p.signals)] for p in problems]
     if len(problems) == 1:
         return (*of_settings[0], *recording_warnings(problems[0].signals))
@@ -139,23 +180,26 @@ def _short_moves(problem: Problem) -> list[str]:
 
 
 def assess_iv(
-    observed: StackedSystem,
+    equations: Equations,
     best: Pass,
-    beginning: tuple[StackedSystem, Pass] | None,
     ls: LeastSquares,
     passes: Sequence[Pass],
     start: str,
 ) -> Fit:
     """The fit of the pass that is returned; the robot simulated with its estimate validates the direct model."""
-    observed, estimate, replicas = observed.about(best.z), best.estimate, best.replicas
-    evidence = _evidence_along(observed, best, ls)
+    estimate, replicas, z = best.estimate, best.replicas, best.z
+    solved = replace(ls, estimate=estimate, tau_predicted=equations.predicted(estimate))
+    evidence = evidence_of(equations, "iv", solved, equations.along(z), each=z.rows, replicas=replicas)
+    if z.whitened:
+        evidence = replace(evidence, whitened=equations.stacked(equations.rows_with(z.whitened)))
     tests = _tests(evidence.observed.system, estimate)
-    status, reason = _status(passes, best, [one.problem.signals.recording for one in observed.observations], tests)
+    status, reason = _status(equations, passes, best, tests)
     if reason is not None and best.number != len(passes):
         reason += f"; pass {best.number} is returned: it tracks best"
     with np.errstate(divide="ignore", invalid="ignore"):
         off = np.abs(ls.full.values_of(estimate.names) - estimate.beta) / evidence.intervals.half
         contrast = np.nan_to_num(np.where(np.isin(estimate.names, ls.full.names), off, 0.0))
+    saturated = [saturated_percents(problem.with_samples()) for problem in equations.tasks()]
     iv = InstrumentEvidence(
         start=start,
         reference="recorded" if all(one.reference_kind == "recorded" for one in replicas) else "surrogate",
@@ -166,8 +210,8 @@ def assess_iv(
         tests=tests,
         contrast=float(contrast.max()),
         contrast_at=estimate.names[int(contrast.argmax())],
-        rows_used_percent=float(100 * observed.regression.counts.mean()),
-        saturated_percent=_largest([max(one.saturated.values(), default=None) for one in replicas]),
+        rows_used_percent=float(100 * evidence.observed.counts.mean()),
+        saturated_percent=_largest([max(one.values(), default=None) for one in saturated]),
         direct=_direct_errors(replicas),
     )
     evidence = replace(
@@ -175,33 +219,10 @@ def assess_iv(
         fixed_point=status in ("converged", "not_confirmed"),
         first_stage_F=tests.first_stage_F,
         unconfirmed=None if status == "converged" else f"status {status}: {reason}",
-        beginning=None if beginning is None else _evidence_along(*beginning, ls),
     )
-    own = replace(ls, estimate=estimate, intervals=evidence.intervals, tau_predicted=evidence.predicted)
-    fit = fit_of(observed, evidence, own, replicas)
-    warnings = (*fit.warnings, *_iv_warnings(replicas, tests))
+    fit = fit_of(equations, evidence, replace(solved, intervals=evidence.intervals), replicas)
+    warnings = (*fit.warnings, *_iv_warnings(replicas, saturated, tests))
     return replace(fit, status=status, iv=iv, least_squares=ls.of_base(), warnings=warnings)
-
-
-def _evidence_along(observed: StackedSystem, best: Pass, ls: LeastSquares) -> FitData:
-    """Inputs of the trust tests of an IV estimate."""
-    observed, z, estimate = observed.about(best.z), best.z, best.estimate
-    system = observed.along(z)
-    within = add_lag_variance(estimate, intervals_of(system, estimate), observed.lags)
-    within = add_scale_variance(observed, estimate, within)
-    return FitData(
-        recordings=observed.simulated(best.replicas),
-        observed=replace(observed.regression, system=system),
-        method="iv",
-        fixed_point=True,
-        estimate=estimate,
-        predicted=observed.predicted(estimate),
-        intervals=within,
-        least_squares=ls.full,
-        Z=z.Z,
-        lags=observed.lags,
-        essential=essential_names(ls.essential, estimate, within),
-    )
 
 
 def _tests(system: System, estimate: Estimate) -> InstrumentTests:
@@ -231,19 +252,19 @@ def _largest(percents: list[float | None]) -> float | None:
 
 
 def _status(
-    passes: Sequence[Pass], best: Pass, recordings: Sequence[str], tests: InstrumentTests
+    equations: Equations, passes: Sequence[Pass], best: Pass, tests: InstrumentTests
 ) -> tuple[Status, str | None]:
     """`converged` needs settled passes, simulated instruments that explain W, and a simulation that tracks the recording.
 
     Other settled passes are `not_confirmed`. Every joint has to track: the mean over the robot would hide a joint of small
     travel.
     """
-    last, unconfirmed = passes[-1], _unconfirmed(best.replicas, recordings)
+    last, unconfirmed = passes[-1], _unconfirmed(equations, best)
     if last.failure is not None:
         return "diverged", last.failure
     if not tests.first_stage_F >= 1.0:
         return "diverged", f"the instruments do not explain the regressor: first-stage F = {tests.first_stage_F:.2g}"
-    if last.settled:
+    if last.is_last:
         if unconfirmed is None and last.z.kind != "simulated":
             unconfirmed = f"settled without simulated instruments: {last.z.reason}"
         return ("converged", None) if unconfirmed is None else ("not_confirmed", unconfirmed)
@@ -254,12 +275,17 @@ def _status(
         moving.append(f"{last.changed} still changes by {last.change_sigma:.2g} sigma")
     if not last.residual_settled:
         moving.append(f"the residual norm still changes by {last.residual_percent:.2g} %")
-    return "max_iterations", f"after {len(passes)} passes " + " and ".join(moving)
+    still = " and ".join(moving) or "only the start is known"
+    return "max_iterations", f"after {len(passes)} passes {still}"
 
 
-def _unconfirmed(replicas: Sequence[Replica], recordings: Sequence[str]) -> str | None:
+def _unconfirmed(equations: Equations, best: Pass) -> str | None:
     """Why the simulation with the final estimate does not confirm it; None if it does."""
-    reason = join_reasons([one.reason for one in replicas], recordings)
+    replicas, reasons = best.replicas, list[str | None]()
+    for problem, arm in zip(equations.tasks(), equations.unknowns.arms, strict=True):
+        chi = problem.base.standard_parameters(arm.values(best.estimate))
+        reasons.append(why_not_positive(direct_model(problem.model, chi).inertia(poses_of(problem.used_positions()))))
+    reason = join_reasons(reasons, [problem.signals.recording for problem in equations.problems])
     if reason is not None:
         return f"the final estimate cannot be simulated: {reason}"
     tracking_percent = max_or_none([one.tracking_percent for one in replicas])
@@ -271,7 +297,9 @@ def _unconfirmed(replicas: Sequence[Replica], recordings: Sequence[str]) -> str 
     return None
 
 
-def _iv_warnings(replicas: tuple[Replica, ...], tests: InstrumentTests) -> tuple[str, ...]:
+def _iv_warnings(
+    replicas: tuple[Replica, ...], saturated: Sequence[dict[str, float]], tests: InstrumentTests
+) -> tuple[str, ...]:
     warnings = []
     if any(one.reference_kind == "surrogate" for one in replicas):
         warnings.append(
@@ -285,8 +313,8 @@ def _iv_warnings(replicas: tuple[Replica, ...], tests: InstrumentTests) -> tuple
             "least squares gives no positive inertias: the gain update uses those that suit the described gains at "
             f"{unknown[0]:g} Hz"
         )
-    for one in replicas:
-        at_limit = (f"{name} in {x:.1f} %" for name, x in one.saturated.items() if x > MAX_SATURATED_PERCENT)
+    for shares in saturated:
+        at_limit = (f"{name} in {x:.1f} %" for name, x in shares.items() if x > MAX_SATURATED_PERCENT)
         if found := ", ".join(at_limit):
             warnings.append(f"drives at their limit: {found} of the samples")
     if tests.first_stage_F < MIN_FIRST_STAGE_F:

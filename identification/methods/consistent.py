@@ -74,18 +74,18 @@ def with_consistent(fit: Fit, prior: Prior) -> Fit:
     problem, full = fit.problem, fit.least_squares.full
     covariance = covariance_of_all(full.names, fit.estimate, fit.intervals, full)
     # of own parameters those of one recording
-    first = np.array([full.names.index(name) for name in fit.recordings[0].parameters.names])
+    first = np.array([full.names.index(name) for name in fit.recordings[0].arm.names])
     covariance = covariance[np.ix_(first, first)]
     known = Known(beta=fit.beta, covariance=covariance, reach=fit.intervals.reach)
-    alike = [one for one in fit.recordings if one.parameters.names == fit.recordings[0].parameters.names]
-    power = recorded_power([(one.problem, one.states) for one in alike], fit.beta)
-    found = consistent_set(problem.model, fit.base, known, prior=prior, power=power)
     if any(not len(one.problem.signals.q) for one in fit.recordings):  # several, too long to be held
         text = "the recordings together are too long for the torque errors of a consistent set"
         raise IdentificationError(
             text, place=problem.signals.robot.name, expected="a larger decimation, or one recording"
         )
-    carried = [one.parameters.payload for one in fit.recordings]
+    alike = [one for one in fit.recordings if one.arm.names == fit.recordings[0].arm.names]
+    power = recorded_power([one.problem for one in alike], fit.beta)
+    found = consistent_set(problem.model, fit.base, known, prior=prior, power=power)
+    carried = [one.arm.payload for one in fit.recordings]
     each = [
         torque_of_recording(one.problem, found.beta if payload is None else found.beta + payload.known)
         for one, payload in zip(fit.recordings, carried, strict=True)

@@ -11,10 +11,10 @@ from acquisition.robot import ripple_notes
 from ..arrays import Array
 from ..estimation import Estimate, InstrumentTests, Intervals, Reduction
 from ..model import BaseParameters
-from ..regression import Problem, RecordingParameters, RowStates, Settings, base_places
+from ..regression import Arm, Problem, Settings, base_places
 from ..report import DirectModelError, FTest, Method, Status, TorqueError
 from ..simulation import Instruments, Replica
-from ..trust import HeldOut, Lag, Trust
+from ..trust import FitData, HeldOut, Lag, Trust
 from .gain_results import EstimatedPayload, Gains
 
 
@@ -26,6 +26,7 @@ class Pass:
         z: its instruments. Their `kind` is `simulated`: by the physically consistent parameters nearest to the previous
             estimate; `consistent`: the same, where the inertia matrix of that estimate is not positive; `reference`: along
             the reference, where the simulated robot does not follow it. `reason` explains the last two.
+        robot: values simulated in place of those of `z`; None for these.
         asked, covariance: (b, b) of all base parameters, corrected for correlation: of the values to simulate (None for a
             regular start), and of the estimate.
         coarse: whether the robot was simulated coarsely.
@@ -35,7 +36,8 @@ class Pass:
         residual_settled, parameters_settled: whether the residual, and every parameter, changed less than the tolerance.
         number: counted from 1.
         failure: why the next pass gave no estimate; None if it did, or there was none.
-        replicas: the robot simulated with the estimate in each recording; only of the pass that is returned.
+        replicas: the robot simulated in each recording with the estimate, or with the values that it settled at; only of the
+            pass that is returned.
     """
 
     z: Instruments
@@ -48,6 +50,7 @@ class Pass:
     residual_percent: float
     residual_settled: bool
     parameters_settled: bool
+    robot: Array | None = None
     coarse: bool = False
     number: int = 1
     failure: str | None = None
@@ -64,8 +67,8 @@ class Pass:
 
     @property
     def is_last(self) -> bool:
-        """Whether it settled, with instruments that are not coarse."""
-        return self.settled and not self.coarse
+        """Whether it settled, at the robot that was simulated, and not coarsely."""
+        return self.settled and not self.coarse and self.robot is None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -194,21 +197,19 @@ class FittedRecording:
 
     Attributes:
         problem: recording, settings and model; without samples if the recordings are too long to be held.
-        parameters: its base parameters in those of the fit.
+        arm: its base parameters in those of the fit.
         rows: its decimated samples in those of the fit.
         errors: its torque errors, one entry per joint and, last, all joints together.
         held_out: its torque predicted by the fit of the other recordings; None if there are none.
         replica: the robot simulated in it with the estimate; None after least squares.
-        states: some rows and their motion, to evaluate friction at; None without further friction terms.
     """
 
     problem: Problem
-    parameters: RecordingParameters
+    arm: Arm
     rows: slice
     errors: tuple[TorqueError, ...]
     held_out: HeldOut | None
     replica: Replica | None
-    states: RowStates | None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -226,7 +227,7 @@ class Fit:
         iv: None after least squares.
         consistent_set: the nearest physically consistent parameters, if requested; `consistent_errors`: their torque
             errors, as `errors`.
-        lags: of the recorded torques, corrected; the intervals include their deviations.
+        data: the evidence: rows, estimate, instruments, and whatever else its tests looked at.
         gains: of the drives, if identified; `payloads`: of the recordings that have one.
         own: the test of parameters of single recordings; None if all are shared.
     """
@@ -244,14 +245,19 @@ class Fit:
     errors: tuple[TorqueError, ...]
     warnings: tuple[str, ...]
     trust: Trust
+    data: FitData
     iv: InstrumentEvidence | None = None
     consistent_set: ConsistentSet | None = None
     consistent_errors: tuple[TorqueError, ...] = ()
     own: FTest | None = None
     method_reason: str = "asked for"
-    lags: tuple[Lag, ...] = ()
     gains: Gains | None = None
     payloads: tuple[EstimatedPayload, ...] = ()
+
+    @property
+    def lags(self) -> tuple[Lag, ...]:
+        """Of the recorded torques, corrected; the intervals include their deviations."""
+        return self.data.lags
 
     def on(self, one: FittedRecording) -> "Fit":
         """The fit restricted to one of its recordings: rows, errors and replica."""
@@ -295,7 +301,7 @@ class Fit:
     @property
     def beta(self) -> Array:
         """(b,) values of all base parameters, of the first recording; zero if left out."""
-        return self.estimate.values_of(self.recordings[0].parameters.names)
+        return self.estimate.values_of(self.recordings[0].arm.names)
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -116,7 +116,7 @@ def _payload(one: EstimatedPayload, fit: Fit) -> PayloadOfFit:
     units = (*["kg m²"] * 6, *["kg m"] * 3, "kg")
     columns = zip(LINK, one.values.tolist(), units, one.from_prior.tolist(), one.half.tolist(), strict=True)
     parameters = [StandardParameter(*column) for column in columns]
-    found = next(p.known for r in fit.recordings if (p := r.parameters.payload) and p.payload == one.payload)
+    found = next(p.known for r in fit.recordings if (p := r.arm.payload) and p.payload == one.payload)
     added = dict(zip(fit.base.names, found.tolist(), strict=True))
     return PayloadOfFit(recording=one.recording, stated=one.payload.text, parameters=parameters, base_parameters=added)
 

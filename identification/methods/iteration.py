@@ -1,6 +1,7 @@
 """Iteration of the instrumental variable method: start, next values to simulate, end."""
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,11 +11,11 @@ from ..errors import IdentificationError
 from ..estimation import Estimate, System, intervals_of
 from ..model import BaseParameters, InverseModel
 from ..regression import Problem
-from ..simulation import ClosedLoops, Instruments
+from ..simulation import ClosedLoops, Further, Instruments
 from ..trust import covariance_of_all
+from .equations import Equations
 from .fit import LeastSquares, Pass
-from .settled import solve_with_load_friction
-from .system import StackedSystem
+from .settled import least_squares
 
 MAX_FULL_STEPS = 4  # passes; later ones simulate the mean of the last two values, which damps oscillation
 
@@ -36,29 +37,33 @@ class Iteration:
     gain_update: bool = True
 
 
-def start_values(observed: StackedSystem, iteration: Iteration, ls: LeastSquares) -> tuple[Array, Array | None]:
-    """Values of all parameters to simulate first, and their covariance: None for a regular start."""
-    problem, repeated, system = observed.problem, observed.parameters.repeated, observed.regression.system
+def start_values(
+    equations: Equations, iteration: Iteration, ls: LeastSquares
+) -> tuple[Array, Array | None, Array | None]:
+    """Values of x to start from, least squares, their covariance, and what is simulated first in their place: neither a regular
+    start nor given values tell the torques that a lag is found by.
+    """
+    problem, repeated = equations.problem, equations.unknowns.repeated
+    x = ls.full.values_of(equations.names)
     if iteration.start == "regular" and iteration.values is None:
-        return repeated(regular_start(problem.model, problem.base, iteration.inertias)), None
-    beta = ls.full.beta if iteration.values is None else repeated(iteration.values(problem.base))
-    return beta, covariance_of_all(system.names, ls.full, intervals_of(system, ls.full), ls.full)
+        return x, None, repeated(regular_start(problem.model, problem.base, iteration.inertias))
+    C = covariance_of_all(equations.names, ls.full, intervals_of(equations.about(x).system, ls.full), ls.full)
+    return x, C, None if iteration.values is None else repeated(iteration.values(problem.base))
 
 
 def next_values(passes: Sequence[Pass], names: tuple[str, ...]) -> Array:
     """Parameters (b,) to simulate next: the estimate, or in later passes its mean with the last values."""
     beta = passes[-1].estimate.values_of(names)
-    return 0.5 * (beta + passes[-1].z.beta) if len(passes) >= MAX_FULL_STEPS else beta
+    return 0.5 * (beta + passes[-1].z.x) if len(passes) >= MAX_FULL_STEPS else beta
 
 
-def is_coarse(problem: Problem, start: str, passes: Sequence[Pass], most: int) -> bool:
-    """Whether the next pass is coarse: the first from a regular start, and the second if no controller is described.
+def is_coarse(problem: Problem, number: int, most: int) -> bool:
+    """Whether a pass from a regular start is coarse: the first, and the second if no controller is described.
 
     Their estimates only start later passes. A described controller sets its own steps, so less time is saved. The last of the
     `most` passes is never coarse.
     """
-    early = 0 if start != "regular" else 1 if problem.signals.robot.controller.structure else 2
-    return len(passes) < min(early, most - 1)
+    return number <= min(1 if problem.signals.robot.controller.structure else 2, most - 1)
 
 
 @np.errstate(over="ignore", invalid="ignore")  # a start may be anything
@@ -77,10 +82,10 @@ def assess_pass(
     # Compared with the values asked for, not with the consistent ones simulated instead. Parameters near zero never settle
     # in percent: half a deviation is enough.
     tolerance = 0.01 * tolerance_percent
-    old = np.array([z.beta[system.names.index(name)] for name in estimate.names])
+    old = np.array([z.x[system.names.index(name)] for name in estimate.names])
     change = np.abs(estimate.beta - old)
     w = estimate.weights[system.joint_of_row] * system.used
-    norm_before = float(np.linalg.norm(w * (system.Y - system.W @ z.beta)))
+    norm_before = float(np.linalg.norm(w * (system.Y - system.W @ z.x)))
     norm_change = abs(estimate.residual_norm - norm_before)
     with np.errstate(divide="ignore", invalid="ignore"):
         in_sigma = np.where(change > 0, change / estimate.sigma, 0.0)
@@ -99,60 +104,64 @@ def assess_pass(
     )
 
 
-def failed(passes: list[Pass], z: Instruments, recordings: Sequence[str], error: IdentificationError) -> list[Pass]:
-    """The passes; the last one has the reason why the next, with the instruments `z`, gave no estimate.
+class NoEstimateError(Exception):
+    """Instruments gave no estimate: the cause, and why they are not of the simulated robot, if so."""
+
+
+def failed(passes: list[Pass], error: NoEstimateError, recordings: Sequence[str]) -> list[Pass]:
+    """The passes; the last one has the reason why the next gave no estimate.
 
     Raises `IdentificationError` if there is none.
     """
-    text = f"pass {len(passes) + 1}: {error}"
-    text += f"; {z.reason}" if z.reason else ""
+    text = "; ".join([f"pass {len(passes) + 1}: {error.__cause__}", *(str(reason) for reason in error.args if reason)])
     if not passes:
         raise IdentificationError(f"no instruments: {text}", place=", ".join(recordings)) from error
     return [*passes[:-1], replace(passes[-1], failure=text)]
 
 
-def conclude(lab: ClosedLoops, passes: Sequence[Pass], solve: Callable[[Instruments], Estimate]) -> Pass:
-    """The last pass if it settled; otherwise the one with the lowest tracking error at its worst joint.
+def conclude(
+    lab: ClosedLoops,
+    passes: Sequence[Pass],
+    further: Callable[[Array], Sequence[Further]],
+    solve: Callable[[Instruments], Estimate],
+) -> Pass:
+    """The last pass if it settled; else the one whose estimate, simulated in the next pass, tracks best at its worst joint.
 
-    It has its instruments and replicas, simulated with its estimate or the nearest consistent parameters.
+    It has its instruments, and the robot simulated with its estimate, or with the values that it settled at. `further`: as of
+    `ClosedLoops.instruments`, about given values.
     """
-    best, names = passes[-1], lab.parameters.names
-    if not best.is_last or best.failure is not None:
-        best = _best_pass(lab, passes)
-    if best.number < len(passes):
-        z = lab.instruments(best.z.beta, best.asked, coarse=best.coarse)
-        best = replace(best, z=z, estimate=solve(z))
-    return (
-        best if best.replicas else replace(best, replicas=lab.replicas(best.estimate.values_of(names), best.covariance))
-    )
+    last, names = passes[-1], lab.unknowns.names
+    if last.is_last and last.failure is None:
+        return replace(last, replicas=last.z.replicas)
+    after = lab.instruments(last.estimate.values_of(names), last.covariance)
+    tracked = [_tracking(one.z) for one in passes[1:]] + [_tracking(after)]
+    best = passes[int(np.argmin(tracked)) if min(tracked) < np.inf else -1]
+    if best is last and last.failure is None:
+        return replace(last, replicas=after.replicas)
+    z = lab.instruments(best.z.x, best.asked, robot=best.robot, coarse=best.coarse, further=further(best.z.x))
+    estimate = solve(z)
+    if best is not last:
+        after = lab.instruments(estimate.values_of(names), best.covariance)
+    return replace(best, z=z, estimate=estimate, replicas=after.replicas)
 
 
-def _best_pass(lab: ClosedLoops, passes: Sequence[Pass]) -> Pass:
-    """The pass that tracks best when simulated with its estimate itself; the last if none can be simulated."""
-    found = []
-    for one in passes:
-        replicas = lab.replicas(one.estimate.values_of(lab.parameters.names), None)
-        if all(replica.direct for replica in replicas):
-            joints = [d.position_error_percent for replica in replicas for d in replica.direct]
-            percent = max((x for x in joints if x is not None), default=0.0)
-            found.append((percent, one.number, replace(one, replicas=replicas)))
-    return min(found, key=lambda one: one[:2])[2] if found else passes[-1]
+def _tracking(z: Instruments) -> float:
+    """Position error of the worst joint, percent; infinite where the estimate itself was not simulated."""
+    if z.kind != "simulated":
+        return np.inf
+    joints = [joint.position_error_percent for one in z.replicas for joint in one.direct]
+    return max((x for x in joints if x is not None), default=0.0)
 
 
-def inertia_prior(observed: StackedSystem, ls: LeastSquares) -> Array:
-    """Parameters (b,) for whose inertias the controller gains are assumed to be set: least squares at the rule's cut-off.
+def inertia_prior(equations: Equations, ls: LeastSquares) -> Array:
+    """Values of x for whose inertias the controller gains are assumed to be set: least squares at the rule's cut-off.
 
     Without that filter the inertias are poorly determined; it is left out if the recording is too short.
     """
-    try:
-        behind = observed.behind_rule()
-        return (
-            ls.full.beta
-            if behind is None
-            else solve_with_load_friction(behind)[1].values_of(observed.regression.system.names)
-        )
-    except IdentificationError:
-        return ls.full.beta
+    with suppress(IdentificationError):
+        if (behind := equations.behind_rule()) is not None:
+            return least_squares(behind)[1].values_of(equations.names)
+    return ls.full.values_of(equations.names)
 
 
 def regular_start(model: InverseModel, base: BaseParameters, J: Array | None = None) -> Array:

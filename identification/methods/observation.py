@@ -6,30 +6,32 @@ from dataclasses import replace
 import numpy as np
 
 from ..arrays import Array
-from ..data import ON_GRID, RecordingFile, Recordings, Signals, position_steps
+from ..data import ON_GRID, RecordingFile, Recordings, Signals
 from ..errors import IdentificationError
 from ..estimation import Estimate, System, one_thread, ordinary_least_squares, weighted_least_squares
-from ..model import SHAPES, poses_of
 from ..regression import (
-    ALL_REDUCED,
     HELD,
+    REDUCED,
     FilteredMotion,
+    KnownLag,
     Overrides,
     Problem,
-    Regression,
+    Rows,
     Settings,
     base_name,
     make_problem,
     make_settings,
-    regression_of_recording,
-    row_states,
+    most_numbers,
+    rows_of_recording,
     sample_weights,
 )
 from ..report import Method
-from ..trust import RecordingData, TrustLine, replay_line
+from ..trust import TrustLine, replay_line
 from .fit import LeastSquares
 
 Say = Callable[[str], None]
+Replayed = tuple[TrustLine, KnownLag | None]  # the line of `replay`, and the lag of the torque by it
+Observed = tuple[Problem, Rows, Replayed]  # a recording, without samples where it is one of several long ones
 
 SPAN_S = 180.0  # of a long recording, for tests that need rows
 NAME = "position noise"
@@ -41,70 +43,51 @@ ADVICE = "use --method iv (needs a recorded reference)"
 
 
 @one_thread
-def observe(source: Signals | RecordingFile, overrides: Overrides, share: int) -> RecordingData:
-    """`observation_of` as a task; `share` is the number of recordings of the fit."""
+def observe(source: Signals | RecordingFile, overrides: Overrides, most: float) -> Observed:
+    """`observation_of` as a task."""
     if isinstance(source, RecordingFile):
         source = source.load()
-    return observation_of(make_problem(source, overrides), share)
+    return observation_of(make_problem(source, overrides), most)
 
 
-def observation_of(problem: Problem, share: int, say: Say = lambda text: None) -> RecordingData:
-    """W and Y of a recording and inputs of the tests that need no estimate; `share` as of `observe`."""
-    settings, signals = problem.settings, problem.signals
-    regression = regression_of_recording(problem, say, share=share)
-    # Decimation keeps the last sample and every n_d-th before it.
-    at = settings.stop - 1 - settings.decimation * np.arange(len(regression.tau))[::-1]
-    q = signals.q[settings.start : settings.stop]
-    poses, (replay, replay_lag) = poses_of(q), replay_line(problem)
-    shaped = any(term in SHAPES for joint in signals.robot.joints for term in joint.terms)
-    shaped |= any(joint.one_sided for joint in signals.robot.joints)
-    states = row_states(problem) if shaped else None
-    if share > 1 and regression.reduced:
-        problem = problem.without_samples()
-    return RecordingData(
-        problem=problem,
-        regression=regression,
-        poses=np.array(poses),
-        replay=replay,
-        replay_lag=replay_lag,
-        steps=position_steps(q),
-        t_s=signals.t_s[at],
-        states=states,
-    )
+def observation_of(problem: Problem, most: float | None, say: Say = lambda text: None) -> Observed:
+    """The rows of a recording, and the replay of its control law; `most` as of `rows_of_recording`."""
+    rows, replayed = rows_of_recording(problem, say, most=most), replay_line(problem)
+    return problem.without_samples() if most is not None and rows.reduced else problem, rows, replayed
 
 
-def observe_all(given: Recordings, overrides: Sequence[Overrides], share: int) -> list[RecordingData]:
+def observe_all(given: Recordings, overrides: Sequence[Overrides], most: float) -> list[Observed]:
     """`observe` of each of `given`, with its overrides."""
-    tasks = zip(given.sources, overrides, [share] * len(given.sources), strict=True)
+    tasks = zip(given.sources, overrides, [most] * len(given.sources), strict=True)
     return list(given.work.run(observe, list(tasks)))
 
 
-def with_common_rate(given: Recordings, found: list[RecordingData], overrides: Overrides) -> list[RecordingData]:
+def with_common_rate(given: Recordings, found: list[Observed], overrides: Overrides) -> list[Observed]:
     """The same with common cut-off and rate of rows, all reduced or none; only those that change are built again."""
-    settings = [one.problem.settings for one in found]
-    rates = [one.problem.signals.sample_rate_hz for one in found]
+    settings = [problem.settings for problem, _, _ in found]
+    rates = [problem.signals.sample_rate_hz for problem, _, _ in found]
     cutoff_hz = min((s.cutoff_hz for s in settings if s.cutoff_hz is not None), default=None)
     row_hz = min(fs / s.decimation for fs, s in zip(rates, settings, strict=True))
-    share = ALL_REDUCED if any(one.regression.reduced for one in found) else len(found)
+    most = REDUCED if any(rows.reduced for _, rows, _ in found) else most_numbers(len(found))
     again = []
     for k, (fs, s) in enumerate(zip(rates, settings, strict=True)):
         decimation = max(1, round(fs / row_hz))
-        reduced = found[k].regression.reduced or share != ALL_REDUCED
+        reduced = found[k][1].reduced or most != REDUCED
         if (s.cutoff_hz, s.decimation) != (cutoff_hz, decimation) or not reduced:
             again.append((k, replace(overrides, cutoff_hz=cutoff_hz or 0.0, decimation=decimation)))
     if again:
         some = replace(given, sources=tuple(given.sources[k] for k, _ in again))
-        for (k, _), one in zip(again, observe_all(some, [o for _, o in again], share), strict=True):
+        for (k, _), one in zip(again, observe_all(some, [o for _, o in again], most), strict=True):
             found[k] = one
     return found
 
 
 @one_thread
-def regression_at(problem: Problem, overrides: Overrides, share: int) -> tuple[Settings, Regression]:
-    """Settings, W and Y of a recording with other overrides."""
+def rows_at(problem: Problem, overrides: Overrides, most: float) -> tuple[Settings, Rows]:
+    """Settings and rows of a recording with other overrides."""
     problem = problem.with_samples()
     settings = make_settings(problem.signals, overrides, problem.motion)
-    return settings, regression_of_recording(replace(problem, settings=settings), share=share)
+    return settings, rows_of_recording(replace(problem, settings=settings), most=most)
 
 
 def position_noise_line(problem: Problem, method: Method, ls: LeastSquares, *, alone: bool) -> TrustLine:
@@ -195,7 +178,7 @@ def _with_noise(problem: Problem, noise: Array) -> Problem:
 
 def _least_squares(problem: Problem, method: Method, ls: LeastSquares) -> Estimate:
     """Least squares of the recording with the parameters of `ls`, without load friction."""
-    system = regression_of_recording(problem, share=HELD).system
+    system = rows_of_recording(problem, most=HELD).system
     asked = set(map(base_name, ls.estimate.names))
     columns = np.array([k for k, name in enumerate(system.names) if name in asked and system.W[:, k].any()])
     return solver_of(method)(system.with_columns(columns))

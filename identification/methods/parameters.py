@@ -1,5 +1,6 @@
 """Parameters of a fit, known values, and those of a stored fit for another recording or robot, with its settings."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal
@@ -11,13 +12,14 @@ from msgspec import UNSET
 from acquisition.robot import LowSpeed, Robot, robot_from_files
 
 from ..arrays import Array
-from ..data import Signals, load_signals
+from ..data import Signals, check_one_robot, load_signals
 from ..errors import IdentificationError
-from ..estimation import Estimate, Intervals
+from ..estimation import Estimate, Intervals, one_thread, torque_errors
 from ..model import BaseParameters, InverseModel, base_parameters
-from ..regression import Overrides, Problem, base_name, payload_of
-from ..report import FitFile, Parameter, ParameterSet
+from ..regression import Overrides, Problem, base_name, make_problem, payload_of, torque_of_recording
+from ..report import FitFile, Parameter, ParameterSet, TorqueError
 from .fit import Fit, essential_names
+from .recording_report import Validated
 
 
 def fitted_parameters(fit: Fit) -> ParameterSet:
@@ -185,3 +187,30 @@ def signals_as_fitted(
         ]
     note = f"{signals.recording}: its description does not have the parameters of the fit ({names}): that of {place} is used"
     return replace(load_signals(recording, robot), payload=signals.payload), [note]
+
+
+@one_thread
+def validate_all(
+    recordings: Sequence[tuple[Signals, Overrides]], stored: FitFile, place: str
+) -> tuple[tuple[Validated, ...], tuple[TorqueError, ...]]:
+    """Torque errors of a stored fit on recordings of one robot, each with its settings; nothing is fitted.
+
+    Parameters
+    ----------
+    recordings : each with what replaces its settings.
+    stored : the fit, with what it found of payloads; `place` names it in errors.
+
+    Returns
+    -------
+    Each recording with its errors, and the errors of all together: one per joint and, last, that of all joints.
+    """
+    check_one_robot([signals for signals, _ in recordings])
+    names = tuple(j.name for j in recordings[0][0].robot.joints)
+    each, parts = [], []
+    for signals, overrides in recordings:
+        problem = make_problem(signals, overrides)
+        beta = stored_beta(stored, problem.base, place) + payload_beta(stored, problem)
+        parts.append(torque_of_recording(problem, beta))
+        each.append(Validated(signals, problem.settings, torque_errors(*parts[-1], names), *parts[-1][:2]))
+    tau, predicted, speed = (np.concatenate(x) for x in zip(*parts, strict=True))
+    return tuple(each), torque_errors(tau, predicted, speed, names)

@@ -1,8 +1,8 @@
-"""Least squares of friction terms that may be unidentifiable or depend on the previous estimate.
+"""Least squares of friction terms that may be unidentifiable, or depend on the link torque.
 
-A term whose column is nearly a sum of others is left out, with a message. Load friction depends on the link torque of the
-previous pass (`regression.load`): passes end when every parameter changes by less than half a deviation. The load friction
-of a joint that does not converge is left out, with a message.
+A term whose column is nearly a sum of others is left out, with a message; so is load friction that its own interval does not
+tell from none, before the first step. Load friction depends on the link torque (`regression.load`): steps about the estimate
+end when no parameter changes by more than a thousandth of its deviation.
 
 The ramps of the weights of samples are chosen once for a fit, by the half-widths of its method: long ones keep noise above the
 low-pass out of the rows, short ones leave more of short moves. Least squares has its own half-widths; those of instrumental
@@ -26,82 +26,94 @@ from ..estimation import (
     one_thread,
     weighted_least_squares,
 )
-from ..model import SHAPES, JointTerm
-from ..regression import RAMPS, ROWS, LoadFriction, Problem, Regression, sample_weights
+from ..model import SHAPES
+from ..regression import RAMPS, ROWS, Problem, Rows, sample_weights
+from .equations import Equations, closed_loops
 from .observation import solver_of
-from .system import StackedSystem
 
 MIN_INDEPENDENT_NORM = 0.01  # share of the norm of an identifiable column that is independent of the others
-MAX_PASSES = 10
+MAX_STEPS, MAX_STEP, MIN_STEP = 30, 1e-3, 0.1  # of load friction: deviations at the end; shares of a step
 MIN_CHANGE = 1e-10  # of the largest value: smaller changes are rounding, also where exact data have no deviation
 LONG, SHORT, *OTHERS = RAMPS
 
 
-def solve_with_load_friction(
-    observed: StackedSystem, method: Literal["ols", "wls"] = "wls"
-) -> tuple[StackedSystem, Estimate]:
-    """Least squares with the identifiable terms, and the system about the solution.
+def least_squares(equations: Equations, method: Literal["ols", "wls"] = "wls") -> tuple[Equations, Estimate]:
+    """Least squares with the terms that can be told.
 
     Raises `IdentificationError` as the estimators.
     """
-    solve = solver_of(method)
-    observed = leave_out_collinear_terms(observed)
-    while observed.load:
-        names, places = observed.parameters.names, observed.load_places()
-        others = np.setdiff1d(np.arange(len(names)), places)
-        about = solve(condensed(observed.regression.system.with_columns(others))).values_of(names)
-        left_out = most_collinear(observed.problem, observed.at(about).regression.system, [names[i] for i in places])
-        if not left_out:
-            settled, _, left_out = load_passes(observed, lambda x: solve(condensed(x.system)), about, observed.load)
-        if not left_out:
-            return settled, solve(settled.regression.system)
-        observed = observed.without(left_out)
-    return observed, solve(observed.regression.system)
+    equations, solve = leave_out_collinear_terms(equations), solver_of(method)
+    if equations.load is None:
+        return equations, solve(equations.about().system)
+    others = np.setdiff1d(np.arange(len(equations.names)), equations.load_places())
+    x = solve(condensed(equations.about().system.with_columns(others))).values_of(equations.names)
+    equations, x = leave_out_load(equations, x, solve)
+    return equations, settle(equations, x, lambda now: solve(now.system))[1]
 
 
-def load_passes(
-    observed: StackedSystem, solve: Callable[[Regression], Estimate], beta: Array, load: LoadFriction | None
-) -> tuple[StackedSystem, Estimate, dict[str, str]]:
-    """Solve in passes from the parameters `beta` (b,) on, until they settle, at most ten times.
+def leave_out_load(equations: Equations, x: Array, solve: Callable[[System], Estimate]) -> tuple[Equations, Array]:
+    """The equations without load friction that cannot be told about x, the least certain first; and x without its places."""
+    system, left_out = equations.about(x).system, dict[str, str]()
+    while names := [equations.names[i] for i in equations.load_places() if equations.names[i] not in left_out]:
+        kept = system.with_columns(np.flatnonzero([name not in left_out for name in system.names]))
+        if worst := most_collinear(equations.problem, kept, names):
+            left_out |= worst
+            continue
+        found = intervals_of(kept, estimate := solve(kept))
+        places = [estimate.names.index(name) for name in names]
+        value, half = estimate.beta[places], found.half[places]
+        least = int(np.argmin(np.abs(value) / np.maximum(half, 1e-300)))
+        if abs(value[least]) >= half[least]:
+            break
+        joint = equations.problem.joint_of(names[least])
+        text = f"{names[least]} = {value[least]:.2g} ± {half[least]:.2g} cannot be told from none"
+        left_out[names[least]] = f"load friction of joint {joint} left out: {text}"
+    stay = [name not in left_out for name in equations.names]
+    return (equations.without(left_out), x[stay]) if left_out else (equations, x)
 
-    `solve` estimates some or all parameters from W and Y about the previous ones, with the load friction of `load`.
 
-    Returns
-    -------
-    The system of the last pass, and its estimate. If a parameter still changed by over half a deviation: the parameters of load
-    friction that did, or the one that changed most, each with a message; else {}.
+def settle(equations: Equations, x: Array, solve: Callable[[Rows], Estimate]) -> tuple[Rows, Estimate]:
+    """Steps x + (Z'J)^-1 Z'r until none is above a thousandth of a deviation, halved where the next one would move more
+    torque, by the weights of the step before: those of least squares rise as the residual falls.
+
+    `solve` gives the whole step from the rows about x: one is enough without load friction. Returns the rows about the last x,
+    and its estimate.
     """
-    if load is None:
-        return observed, solve(observed.regression), {}
-    names, values = observed.parameters.names, list[Array]()
-    places, robot = observed.load_places(load), observed.problem.signals.robot
-    for _ in range(MAX_PASSES):
-        about, observed = beta, observed.at(beta, load)
-        estimate = solve(observed.regression)
-        beta, sigma = estimate.values_of(names), np.zeros(len(names))
-        sigma[[names.index(name) for name in estimate.names]] = estimate.sigma
-        off = np.abs(beta - about) / np.maximum(sigma / 2, MIN_CHANGE * np.abs(beta).max())
-        values.append(beta)
-        if (off < 1).all():
-            return observed, estimate, {}
-    unsettled, own = {}, off[places]
-    for j, place, far in zip(load.joints, places, own, strict=True):
-        if far >= 1 or far == own.max():
-            mu, joint = names[place], robot.joints[j].name
-            last = ", ".join(f"{value[place]:.3g}" for value in values[-3:])
-            unsettled[mu] = f"load friction of joint {joint} left out: it does not converge ({mu} {last})"
-    return observed, estimate, unsettled
+    rows = equations.about(x)
+    estimate = solve(rows)
+    for _ in range(MAX_STEPS if equations.load else 0):
+        step, sigma = estimate.values_of(equations.names) - x, np.zeros(len(x))
+        sigma[[equations.names.index(name) for name in estimate.names]] = estimate.sigma
+        if (np.abs(step) <= np.maximum(MAX_STEP * sigma, MIN_CHANGE * np.abs(x).max())).all():
+            break
+        share, before = 1.0, _torque(rows, step, estimate.weights)
+        while share > MIN_STEP:
+            tried = equations.about(x + share * step)
+            found = solve(tried)
+            left = found.values_of(equations.names) - x - share * step
+            if _torque(tried, left, estimate.weights) <= before:
+                break
+            share /= 2
+        else:  # at an edge of the absolute value, from which every step leads back
+            break
+        x, rows, estimate = x + share * step, tried, found
+    return rows, estimate
 
 
-def leave_out_collinear_terms(observed: StackedSystem) -> StackedSystem:
+def _torque(rows: Rows, step: Array, weights: Array) -> float:
+    """|J step| with `weights` (n,): the torque that a step moves."""
+    return float(np.linalg.norm(rows.system.weighted(weights)[0] @ step))
+
+
+def leave_out_collinear_terms(equations: Equations) -> Equations:
     """The system without the friction terms, other than load friction, whose columns are nearly a sum of others."""
-    model, base = observed.problem.model, observed.problem.base
+    model, base = equations.problem.model, equations.problem.base
     kinds = {name: getattr(model.sources[c], "kind", None) for name, c in zip(base.names, base.columns, strict=True)}
     shapes = [name for name, kind in kinds.items() if kind in SHAPES and kind != "load"]
-    while left_out := most_collinear(observed.problem, observed.regression.system, shapes):
-        observed = observed.without(left_out)
+    while left_out := most_collinear(equations.problem, equations.about().system, shapes):
+        equations = equations.without(left_out)
         shapes = [name for name in shapes if name not in left_out]
-    return observed
+    return equations
 
 
 def most_collinear(problem: Problem, system: System, indices: Collection[str]) -> dict[str, str]:
@@ -110,10 +122,8 @@ def most_collinear(problem: Problem, system: System, indices: Collection[str]) -
     lowest = min(shares, key=lambda name: shares[name], default=None)
     if lowest is None or shares[lowest] >= MIN_INDEPENDENT_NORM:
         return {}
-    source = problem.model.sources[problem.base.columns[problem.base.names.index(lowest)]]
-    assert isinstance(source, JointTerm)
-    joint = problem.signals.robot.joints[int(source.rows[-1])].name
-    finding = f"{source.kind} friction of joint {joint} left out: {lowest} cannot be distinguished from the others"
+    kind = problem.term_of(lowest).kind
+    finding = f"{kind} friction of joint {problem.joint_of(lowest)} left out: {lowest} cannot be distinguished from the others"
     return {lowest: f"{finding} ({100 * shares[lowest]:.1f} % of its column is independent)"}
 
 
@@ -133,18 +143,18 @@ def independent_norm(system: System, names: Collection[str]) -> dict[str, float]
 
 
 @one_thread
-def with_best_ramps(observed: StackedSystem, *, instruments: bool) -> StackedSystem:
+def with_best_ramps(equations: Equations, *, instruments: bool) -> Equations:
     """The recordings with the ramps that give smaller half-widths, in the median of the parameters.
 
     No weights, but rows in which joints move, are tried where moves are short; abrupt weights where no ramps determine the
     parameters. Unchanged where no sample stands, or the ramps are stated.
     """
-    stand = (observed.regression.share[observed.regression.counts] < 1).any()
-    if not stand or observed.overrides.ramp_rows is not None:
-        return observed
-    span = observed.on_span()
+    stand = (equations.about().share[equations.about().counts] < 1).any()
+    if not stand or equations.overrides.ramp_rows is not None:
+        return equations
+    span = equations.beginning()
     tried = {ramp: span.with_ramps(ramp) for ramp in (LONG, SHORT)}
-    if any(min(sample_weights(one.problem.with_samples()).ramps) < LONG for one in tried[LONG].observations):
+    if any(min(sample_weights(problem.with_samples()).ramps) < LONG for problem in tried[LONG].problems):
         tried[ROWS] = span.with_ramps(ROWS)
     found: dict[float, dict[str, float]] = {}
     for by_instruments in (instruments, False):  # a joint that the reference holds has no instruments along it
@@ -158,21 +168,19 @@ def with_best_ramps(observed: StackedSystem, *, instruments: bool) -> StackedSys
     if best is None:
         able = (ramp for ramp in OTHERS if _half_widths(span.with_ramps(ramp), instruments=False))
         best = next(able, LONG)
-    return tried[best] if span is observed and best in tried else observed.with_ramps(best)
+    return tried[best] if span is equations and best in tried else equations.with_ramps(best)
 
 
-def _half_widths(observed: StackedSystem, *, instruments: bool) -> dict[str, float]:
+def _half_widths(equations: Equations, *, instruments: bool) -> dict[str, float]:
     """Half-widths by parameter, without load friction; {} where parameters are undetermined."""
     with suppress(IdentificationError):
-        observed = leave_out_collinear_terms(observed)
-        system, columns = (
-            observed.regression.system,
-            np.setdiff1d(np.arange(len(observed.parameters.names)), observed.load_places()),
-        )
+        equations = leave_out_collinear_terms(equations)
+        system = equations.about().system
+        columns = np.setdiff1d(np.arange(len(equations.names)), equations.load_places())
         estimate = weighted_least_squares(system.with_columns(columns))
         if instruments:
             beta = estimate.values_of(system.names)
-            Z = observed.lab(beta, gain_update=False).along_reference(beta).Z
+            Z = closed_loops(equations, beta, gain_update=False).along_reference(beta).Z
             estimate = instrumental_variables(system.with_columns(columns), Z[:, columns], estimate.weights)
         half = intervals_of(system.with_columns(columns), estimate).half
         return {name: float(x) for name, x in zip(estimate.names, half, strict=True) if x > 0}

@@ -1,8 +1,27 @@
 """From signals to W and Y: settings, filters, regressor, weights of samples, load friction."""
 
 from .bandwidth import with_bandwidth
+from .equations import (
+    HELD,
+    REDUCED,
+    Rows,
+    Term,
+    columns_of_arm,
+    columns_of_block,
+    load_columns,
+    most_numbers,
+    predicted_drives,
+    predicted_torque,
+    residual_of_recording,
+    rows_again,
+    rows_of_factors,
+    rows_of_recording,
+    torque_of_drives,
+    torque_of_recording,
+    with_torque,
+)
 from .filtering import Decimation, forward_backward_3db_hz
-from .load import LoadFriction, load_columns, load_friction
+from .load import LoadFriction, load_friction
 from .motion import (
     BLOCK_SAMPLES,
     SPLINE_REACH,
@@ -15,14 +34,6 @@ from .motion import (
 )
 from .payload import payload_of
 from .problem import Problem, RowBlock, make_problem, row_blocks
-from .rows import (
-    RowStates,
-    fast_rows,
-    friction_states,
-    recorded_power,
-    rigid_torque_at_rows,
-    row_states,
-)
 from .settings import (
     CUTOFF_PER_BANDWIDTH,
     NOTHING,
@@ -38,21 +49,13 @@ from .settings import (
     rule_cutoff_hz,
     standing_joints,
 )
-from .several import OwnParameters, RecordingParameters, base_name, base_places, own_parameters
-from .system import (
-    ALL_REDUCED,
-    HELD,
-    Regression,
-    columns_of_drives,
-    decimated_regressor,
-    predicted_drives,
-    predicted_torque,
-    recorded_drives,
-    regression_again,
-    regression_of_recording,
-    rows_of_block,
-    torque_of_recording,
-    torque_rate,
-    with_torque,
+from .states import (
+    LAG_ORDER,
+    fast_for_lag,
+    friction_states,
+    recorded_power,
+    rigid_torque_at_rows,
+    row_states,
 )
+from .unknowns import Arm, Unknowns, base_name, base_places, make_unknowns
 from .weights import refuse_standing_joints, sample_weights, weighted, weights_at

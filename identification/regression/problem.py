@@ -4,19 +4,21 @@ from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from ..arrays import Array
 from ..data import COLUMNS, RecordingFile, Signals
 from ..errors import IdentificationError
-from ..model import BaseParameters, InverseModel, base_parameters
+from ..model import BaseParameters, InverseModel, JointTerm, base_parameters
 from .bandwidth import with_bandwidth
 from .filtering import decimation_reach
 from .motion import FilteredMotion, Motion, later
 from .settings import Overrides, Settings, make_settings, rule_cutoff_hz
 
 MAX_CACHED_NUMBERS = 8_000_000  # of positions in the cache of a process: 64 MB, a few times as much in all
+MARGIN_S = 5.0  # behind the beginning of a recording
 _SERIES_BLOCK = 12_000_000  # numbers of the regressor of a block, 96 MB; short blocks spend more time on margins
 
 
@@ -28,7 +30,7 @@ class Problem:
         signals: the recording with corrected torque lag; `recorded`: as recorded.
         motion: low-passed motion of the recording.
         source: where a task reads the recording, if the samples are left out.
-        gains: (n,) factors on the described drive gains, in `signals` and `recorded`; None for those described.
+        gains: (n,) factors on the described drive gains, in `signals`; 1 in `recorded`; None for those described.
     """
 
     signals: Signals
@@ -44,6 +46,30 @@ class Problem:
     def series(self) -> int:
         """Number of series of the regressor: its entries that are not zero."""
         return len(self.model.entries(self.base.columns))
+
+    def used_positions(self) -> Array:
+        """q (N, n) of the span used."""
+        return self.with_samples().signals.q[self.settings.start : self.settings.stop]
+
+    def row_times_s(self) -> Array:
+        """(rows,) instants of the decimated rows, s: decimation keeps the last sample and every n_d-th before it."""
+        s, t_s = self.settings, self.with_samples().signals.t_s
+        return np.asarray(t_s[s.start + s.decimator.instants(s.stop - s.start)])
+
+    def term_of(self, name: str) -> JointTerm:
+        """The term of a joint that a base parameter stands for alone."""
+        source = self.model.sources[self.base.columns[self.base.names.index(name)]]
+        assert isinstance(source, JointTerm)
+        return source
+
+    def joint_of(self, name: str) -> str:
+        """The name of its joint, of the last one if it acts at several."""
+        return self.signals.robot.joints[int(self.term_of(name).rows[-1])].name
+
+    @property
+    def needs_drives(self) -> bool:
+        """Whether rows have the torque of each motor beside their sum: a gain is unknown, or known within limits."""
+        return self.gains is not None or any(motor.drive_gain_half_width for motor in self.signals.robot.motors)
 
     @property
     def slip_cutoff_hz(self) -> float:
@@ -75,9 +101,17 @@ class Problem:
         found = _cache[key]
         return replace(self, signals=found.signals, recorded=found.recorded, motion=found.motion)
 
+    def until(self, stop: int) -> "Problem":
+        """The beginning of the recording, up to a sample of its span, and some seconds more for the filters."""
+        whole, N = self.recorded, stop + round(MARGIN_S * self.recorded.sample_rate_hz)
+        cut: dict[str, Any] = {name: np.array(x[:N]) for name in COLUMNS if (x := getattr(whole, name)) is not None}
+        recorded = replace(whole, **cut)
+        found = replace(self, signals=recorded, recorded=recorded, source=None, motion=FilteredMotion(recorded))
+        return replace(found, settings=replace(self.settings, stop=stop)).corrected(self.settings.torque_lag_s)
+
     def _of(self, signals: Signals) -> "Problem":
         if self.gains is not None:
-            signals = with_gains(signals, self.gains)
+            signals = with_gains(signals, np.ones(len(self.gains)))
         robot = replace(signals.robot, controller=self.signals.robot.controller)  # with its bandwidth
         signals = replace(signals, robot=robot, motion_hz=self.signals.motion_hz)
         found = replace(self, signals=signals, recorded=signals, motion=FilteredMotion(signals))
@@ -85,9 +119,8 @@ class Problem:
 
     def with_gains(self, factors: Array) -> "Problem":
         """The same with drive gains times `factors` (n,)."""
-        signals, gains = with_gains(self.recorded, factors), factors if self.gains is None else self.gains * factors
-        found = replace(self, signals=signals, recorded=signals, gains=gains)
-        return found.corrected(self.settings.torque_lag_s)
+        gains = factors if self.gains is None else self.gains * factors
+        return replace(self, gains=gains).corrected(self.settings.torque_lag_s)
 
     def without_terms(self, left_out: dict[str, str]) -> "Problem":
         """The same without friction terms that are regrouped with nothing; warnings have the reasons."""
@@ -96,8 +129,9 @@ class Problem:
 
     def corrected(self, lag_s: float) -> "Problem":
         """The same with the torque corrected by another lag, s, positive where it is late."""
-        by, effort = lag_s * self.recorded.sample_rate_hz, self.recorded.effort
-        signals = replace(self.recorded, effort=later(effort, by)) if by and len(effort) else self.recorded
+        signals = self.recorded if self.gains is None else with_gains(self.recorded, self.gains)
+        if (by := lag_s * signals.sample_rate_hz) and len(signals.effort):
+            signals = replace(signals, effort=later(signals.effort, by))
         settings = replace(self.settings, torque_lag_s=lag_s)
         return replace(self, signals=signals, settings=settings, motion=self.motion.with_torque_of(signals))
 

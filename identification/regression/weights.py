@@ -53,6 +53,7 @@ class SampleWeights:
         settings, parts = problem.settings, list[Array]()
         decimation, N = settings.decimator, settings.stop - settings.start
         self._reach = [round(ramp * settings.decimation) for ramp in self.ramps]  # negative for `ROWS`
+        self._last = (0, 0), np.zeros((0, 0))  # samples, and their weights
         for at in row_blocks(problem):
             samples = at.samples(N, settings.decimation)
             off = 1 - self.between(settings.start + samples.start, settings.start + samples.stop)
@@ -62,11 +63,15 @@ class SampleWeights:
         self.of_rows = np.where(share > MIN_SHARE, share, 0.0)
 
     def between(self, start: int, stop: int) -> Array:
-        """w (n, stop - start) of the samples `start` to `stop`."""
+        """w (n, stop - start) of the samples `start` to `stop`; the last ones are kept."""
+        if self._last[0] == (start, stop):
+            return self._last[1]
         far = 2 * max(0, *self._reach)
         low, high = max(0, start - far), min(len(self.moves), stop + far)
         near, inside = self.moves[low:high], slice(start - low, stop - low)
-        return np.stack([_ramped(near[:, j], reach)[inside] for j, reach in enumerate(self._reach)])
+        w = np.stack([_ramped(near[:, j], reach)[inside] for j, reach in enumerate(self._reach)])
+        self._last = (start, stop), w
+        return w
 
 
 def sample_weights(problem: Problem) -> SampleWeights:

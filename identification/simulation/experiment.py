@@ -7,7 +7,6 @@ and controller. All is computed block by block, like the rows: no whole motion o
 
 import math
 from collections.abc import Sequence
-from copy import copy
 from dataclasses import replace
 from typing import Literal
 
@@ -78,7 +77,6 @@ class Experiment:
         Raises `IdentificationError` for an incomplete controller or a reference of another recording.
         """
         signals, robot = problem.signals, problem.signals.robot
-        self.payload: Array | float = 0.0
         self.problem, self.gain_update, self.spans = problem, gain_update, spans
         self.directions, self.bandwidth_hz = problem.model.coulomb_directions, robot.bandwidth_hz
         self.reference_kind: Literal["recorded", "surrogate"] = "surrogate" if signals.q_ref is None else "recorded"
@@ -95,12 +93,6 @@ class Experiment:
         self.J_known = bool((self.J_prior > 0).all())
         if not self.J_known:  # described gains imply inertias; a surrogate PD suits any
             self.J_prior = self.loop.inertias(self.bandwidth_hz) if self.loop else np.ones(len(self.held))
-
-    def carrying(self, payload: Array | float) -> "Experiment":
-        """The same with the part (b,) of the simulated parameters that a payload adds."""
-        found = copy(self)
-        found.payload = payload
-        return found
 
     def _set_instants(self, step_hz: float) -> None:
         """Choose the largest stride that `step_hz` allows; refuse a sample rate that does not fit the recording."""

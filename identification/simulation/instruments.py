@@ -1,23 +1,27 @@
-"""Instruments: the regressor along the motion simulated with an estimate, one task per recorded experiment."""
+"""Instruments: the columns along the motion simulated with an estimate, one task per recorded experiment."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from ..arrays import Array
 from ..data import Work
-from ..estimation import SpanFactors, System, one_thread, stacked
+from ..estimation import SpanFactors, WhitenedFactors, one_thread, stacked_columns
 from ..model import why_not_positive
 from ..regression import (
-    OwnParameters,
+    Motion,
     Problem,
-    columns_of_drives,
-    decimated_regressor,
+    Rows,
+    Term,
+    Unknowns,
+    columns_of_arm,
+    columns_of_block,
     predicted_torque,
-    rows_of_block,
+    rows_of_factors,
     sample_weights,
+    torque_of_drives,
 )
 from .experiment import EARLY_RATE_PER_BANDWIDTH, RATE_PER_BANDWIDTH, Experiment
 from .motion import (
@@ -27,12 +31,13 @@ from .motion import (
     TrackingError,
     nearest,
     reference_blocks,
-    simulate_replica,
     simulated_blocks,
     with_gains_for,
 )
 
 InstrumentKind = Literal["simulated", "consistent", "reference"]
+# Of the rows of a long recording: terms that are not in the model, and by joint the filter (n, order + 1) that whitens them.
+Further = tuple[Term, Array]
 WORST_FIRST: tuple[InstrumentKind, ...] = ("reference", "consistent", "simulated")
 
 
@@ -41,104 +46,111 @@ class Instruments:
     """Instruments of a recording, or of several stacked; single values are those of the worst recording.
 
     Attributes:
-        beta: (b,) the requested parameters; the nearest consistent ones are simulated.
-        Z: (r, b) instruments, rows as those of W; of a long recording as those of `system`.
-        system: of a long recording W and Y about beta, as QR factors of the used rows [Z W Y] by span; else None.
-        drives: (n, rows, m) torques at the joints of each motor that beta predicts; None where no gains are identified.
+        x: values about which the columns are: (b,) base parameters of one recording, or all unknowns of several.
+        Z: (r, b + n) instruments of base parameters and drives, or (r, p) of all unknowns; empty for long recordings.
+        rows: of long recordings [C Z W E Y] of each about x, as QR factors by span; else none.
+        whitened: of long recordings the same without C, each joint's rows filtered in time.
         kind, reason: as in `methods.Pass`.
         gains: factors on the controllers' gains, n for each recording.
         tracking_percent: error of the simulated position, None if nothing was simulated.
-        load_unknown: beta, a regular start, has no link torques; load friction is left out.
+        replicas: the robot simulated in each recording.
     """
 
-    beta: Array
+    x: Array
     Z: Array
-    system: System | None = None
+    rows: tuple[Rows, ...]
+    whitened: tuple[Rows, ...]
     kind: InstrumentKind
     reason: str | None
     gains: Array
     tracking_percent: float | None
-    load_unknown: bool
-    drives: Array | None = None
+    replicas: tuple[Replica, ...]
 
     def without_rows(self) -> "Instruments":
         """The same without arrays of a recording's length."""
-        return replace(self, Z=self.Z[:0].copy(), system=None, drives=None)
+        replicas = tuple(replace(one, motion=None, q=one.q[:0]) for one in self.replicas)
+        return replace(self, Z=self.Z[:0].copy(), rows=(), whitened=(), replicas=replicas)
 
 
-def simulate_instruments(e: Experiment, beta: Array, covariance: Array | None) -> Instruments:
-    """Instruments along the closed loop simulated with the physically consistent parameters nearest to `beta` (b,).
+def simulate_instruments(
+    e: Experiment,
+    x: Array,
+    robot: Array,
+    covariance: Array | None,
+    payload: Array | float = 0.0,
+    further: Further | None = None,
+) -> Instruments:
+    """Instruments about the base parameters `x` (b,), along the closed loop of the physically consistent robot nearest to
+    parameters `robot` (b,) of this covariance (b, b); without a covariance that robot itself is simulated. `payload` (b,) is
+    the part of `robot` that a payload adds, which stays as it is.
 
     The nearest parameters follow the estimate smoothly. The estimate itself moves a light wrist wildly long before its inertia
     matrix stops being positive, and the iteration then has no fixed point. If the simulated robot leaves its reference,
     instruments are computed along the reference.
-
-    Parameters
-    ----------
-    e : the recorded experiment.
-    beta, covariance : of the estimate, (b,) and (b, b); without a covariance beta itself is simulated.
     """
-    near = beta if covariance is None else nearest(e, beta, covariance)
+    near = robot if covariance is None else nearest(e, robot, covariance, payload)
     model, gains, reason = with_gains_for(e, near)
     kind: InstrumentKind = "simulated"
-    tracking_percent = None
     try:
-        found, tracking_percent = _along(e, simulated_blocks(e, model, gains, reason), near, beta)
-        if covariance is not None and (reason := why_not_positive(e.model(beta).inertia(e.poses))) is not None:
+        found = _along(e, simulated_blocks(e, model, gains, reason), x, simulated=True, further=further)
+        if covariance is not None and (reason := why_not_positive(e.model(robot).inertia(e.poses))) is not None:
             kind = "consistent"
     except NotSimulatedError as why:
         kind, reason = "reference", str(why)
-        found, _ = _along(e, reference_blocks(e), near, beta)
-    Z, drives, system = found
-    return Instruments(
-        beta=beta,
-        Z=Z,
-        system=system,
-        kind=kind,
-        reason=reason,
-        gains=gains,
-        tracking_percent=tracking_percent,
-        load_unknown=covariance is None,
-        drives=drives,
+        found = _along(e, reference_blocks(e), x, simulated=False, further=further)
+    return replace(found, kind=kind, reason=reason, gains=gains)
+
+
+def _along(
+    e: Experiment, blocks: MotionBlocks, x: Array, *, simulated: bool, further: Further | None = None
+) -> Instruments:
+    """Instruments about x (b,) along a motion, of kind `reference`."""
+    problem, n, T = e.problem, e.problem.signals.robot.n, e.blocks[0].rows
+    share, width = sample_weights(problem).of_rows, problem.base.b + n * problem.needs_drives
+    factors = SpanFactors(T, n, e.spans) if e.spans else None
+    white = WhitenedFactors(SpanFactors(T, n, e.spans), further[1]) if further else None
+    error, parts, motions = TrackingError(e), list[Array](), list[tuple[Array, ...]]()
+    for at, motion in blocks:
+        inside, q = error.add(at, motion)
+        own = (motion.t_s[inside], q, *(series[inside] for series in (motion.q, motion.dq, motion.ddq, motion.tau)))
+        # A long recording keeps only the instants of the rows.
+        motions.append(tuple(map(e.decimation.kept, own)) if e.spans else own)
+        columns = [columns_of_arm(problem, motion, e.decimation, beta=x)[0]]
+        if problem.needs_drives:
+            torque = predicted_torque(motion, problem.model, problem.base, x)
+            columns.append(torque_of_drives(problem, motion.t_s, torque, e.decimation))
+        Z, rows = np.concatenate(columns, axis=1)[..., at.inside], slice(at.first, at.last)
+        if factors is None:
+            parts.append(Z)
+            continue
+        Z = np.concatenate([Z, columns_of_block(problem, at, x)], axis=1)
+        if further is not None and white is not None:
+            white.add(at.first, Z, share[rows])
+            Z = np.concatenate([further[0].columns(problem, motion, e.decimation)[..., at.inside], Z], axis=1)
+        factors.add(at.first, Z, share[rows])
+    held = np.concatenate(parts, axis=-1).transpose(0, 2, 1).reshape(-1, width) if parts else np.zeros((0, width))
+    t_s, measured, *moved = (np.concatenate(series) for series in zip(*motions, strict=True))
+    replica = Replica(
+        motion=Motion(t_s=t_s, q=moved[0], dq=moved[1], ddq=moved[2], tau=moved[3]) if simulated else None,
+        q=measured,
+        decimation=replace(e.decimation, factor=1) if e.spans else e.decimation,
+        tracking_percent=error.percent if simulated else None,
+        direct=error.by_joint if simulated else (),
+        reference_kind=e.reference_kind,
+        described=e.loop is not None,
+        J_known=e.J_known,
+        bandwidth_hz=e.bandwidth_hz,
     )
-
-
-def reference_instruments(e: Experiment, beta: Array) -> Instruments:
-    """Instruments along the reference, without a simulation, about beta (b,)."""
-    (Z, drives, system), _ = _along(e, reference_blocks(e), beta, beta)
-    gains = np.ones(len(e.held))
     return Instruments(
-        beta=beta,
-        Z=Z,
-        system=system,
+        x=x,
+        Z=held,
+        rows=(rows_of_factors(problem, factors, width),) if factors else (),
+        whitened=(rows_of_factors(problem, white.factors, width),) if white else (),
         kind="reference",
         reason=None,
-        gains=gains,
-        tracking_percent=None,
-        load_unknown=True,
-        drives=drives,
-    )
-
-
-def stack_instruments(
-    each: Sequence[Instruments], beta: Array, parameters: OwnParameters, names: Sequence[str]
-) -> Instruments:
-    """Instruments of several recordings, in the columns of all parameters beta (b,)."""
-    if len(each) == 1 and parameters.plain:
-        return replace(each[0], beta=beta)
-    n = len(each[0].gains)
-    of_all = [parameters.columns(one.Z, k, one.drives) for k, one in enumerate(each)]
-    wide = [Z.reshape(n, -1, len(beta)) for Z in of_all]
-    systems = [one.system for one in each if one.system is not None]
-    return Instruments(
-        beta=beta,
-        Z=np.concatenate(wide, axis=1).reshape(-1, len(beta)),
-        system=stacked(systems) if systems else None,
-        kind=min((one.kind for one in each), key=WORST_FIRST.index),
-        reason=join_reasons([one.reason for one in each], names),
-        gains=np.concatenate([one.gains for one in each]),
-        tracking_percent=max_or_none([one.tracking_percent for one in each]),
-        load_unknown=any(one.load_unknown for one in each),
+        gains=np.ones(n),
+        tracking_percent=replica.tracking_percent,
+        replicas=(replica,),
     )
 
 
@@ -155,47 +167,17 @@ def join_reasons(reasons: Sequence[str | None], names: Sequence[str]) -> str | N
     return "; ".join(f"{name}: {why}" for name, why in zip(names, reasons, strict=True) if why is not None) or None
 
 
-def _along(
-    e: Experiment, blocks: MotionBlocks, near: Array, beta: Array
-) -> tuple[tuple[Array, Array | None, System | None], float]:
-    """Z about `near` along a motion, the drives' torques by beta, a long recording's system; and the tracking error."""
-    problem, base = e.problem, e.problem.base
-    n, rows = problem.signals.robot.n, e.blocks[0].rows
-    share = sample_weights(problem).of_rows
-    factors = SpanFactors(rows, n, 2 * base.b + 1, e.spans) if e.spans else None
-    error, parts, drives = TrackingError(e), list[Array](), list[Array]()
-    for at, motion in blocks:
-        error.add(at, motion)
-        own = decimated_regressor(problem, motion, e.decimation, beta=near)[..., at.inside]
-        if factors is not None:
-            W, Y = rows_of_block(problem, at, beta)
-            factors.add(at.first, np.concatenate([own, W, Y[:, None]], axis=1), share[at.first : at.last])
-            continue
-        parts.append(own)
-        if problem.gains is not None:
-            torque = predicted_torque(motion, problem.model, base, beta)
-            drives.append(columns_of_drives(problem, motion.t_s, torque, e.decimation)[:, at.inside])
-    if factors is not None:
-        system, Z = factors.system(base.names)
-        assert Z is not None
-        return (Z, None, system), error.percent
-    Z = np.ascontiguousarray(np.concatenate(parts, axis=-1).transpose(0, 2, 1)).reshape(-1, base.b)
-    return (Z, np.concatenate(drives, axis=1) if drives else None, None), error.percent
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Simulation:
     """The closed loop of a recording, with gains set for the inertias of `prior` (b,).
 
-    `payload` (b,) is the part of the simulated parameters that a payload adds, which stays as it is; `spans` as of
-    `Experiment`.
+    `spans` as of `Experiment`.
     """
 
     problem: Problem
     prior: Array
     spans: int
     gain_update: bool = True
-    payload: Array | float = 0.0
     _experiments: dict[float, Experiment] = field(default_factory=dict)
 
     def at(self, rate_per_bandwidth: float) -> Experiment:
@@ -208,57 +190,68 @@ class Simulation:
                 gain_update=self.gain_update,
                 spans=self.spans,
             )
-        return self._experiments[rate_per_bandwidth].carrying(self.payload)
+        return self._experiments[rate_per_bandwidth]
 
     def __getstate__(self) -> dict[str, object]:
         return {**self.__dict__, "_experiments": {}}  # each process prepares its own
 
     @one_thread
-    def instruments(self, beta: Array, covariance: Array | None, rate_per_bandwidth: float) -> Instruments:
+    def instruments(self, rate_per_bandwidth: float, *given: Any) -> Instruments:
         """See `simulate_instruments`."""
-        return simulate_instruments(self.at(rate_per_bandwidth), beta, covariance)
+        return simulate_instruments(self.at(rate_per_bandwidth), *given)
 
     @one_thread
-    def along_reference(self, beta: Array) -> Instruments:
-        """See `reference_instruments`."""
-        return reference_instruments(self.at(EARLY_RATE_PER_BANDWIDTH), beta)
-
-    @one_thread
-    def replica(self, beta: Array, covariance: Array | None) -> Replica:
-        """See `simulate_replica`."""
-        return simulate_replica(self.at(RATE_PER_BANDWIDTH), beta, covariance)
+    def along_reference(self, x: Array) -> Instruments:
+        """Instruments along the reference, without a simulation, coarsely, about x (b,)."""
+        e = self.at(EARLY_RATE_PER_BANDWIDTH)
+        return _along(e, reference_blocks(e), x, simulated=False)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ClosedLoops:
     """The recordings of a fit in the order of the rows, and where the tasks run.
 
-    `names` are the recordings'; `parameters` gives the order of shared and own parameters.
+    `names` are the recordings'; `unknowns` gives the order of shared and own parameters.
     """
 
     simulations: tuple[Simulation, ...]
     names: tuple[str, ...]
-    parameters: OwnParameters
+    unknowns: Unknowns
     work: Work
 
-    def instruments(self, beta: Array, covariance: Array | None, *, coarse: bool = False) -> Instruments:
-        """Instruments of all recordings for beta (b,) and its covariance, as `simulate_instruments`."""
-        rate = EARLY_RATE_PER_BANDWIDTH if coarse else RATE_PER_BANDWIDTH
-        each = tuple(self.work.run(Simulation.instruments, [(*own, rate) for own in self._own(beta, covariance)]))
-        return stack_instruments(each, beta, self.parameters, self.names)
+    def instruments(
+        self,
+        x: Array,
+        covariance: Array | None,
+        *,
+        robot: Array | None = None,
+        coarse: bool = False,
+        further: Sequence[Further] = (),
+    ) -> Instruments:
+        """Instruments of all recordings about x, as `simulate_instruments`; `robot` is simulated in place of x."""
+        rate, tasks = EARLY_RATE_PER_BANDWIDTH if coarse else RATE_PER_BANDWIDTH, []
+        asked = self.unknowns.simulated(x if robot is None else robot, covariance)
+        for k, (one, (beta, C, carried)) in enumerate(zip(self.simulations, asked, strict=True)):
+            more = further[k] if further else None
+            tasks.append((one, rate, self.unknowns.beta(x, k), beta, C, carried, more))
+        return self._stacked(list(self.work.run(Simulation.instruments, tasks)), x)
 
-    def along_reference(self, beta: Array) -> Instruments:
-        """Instruments of all recordings along their references, coarsely, about beta (b,)."""
-        tasks = [(one, x) for one, x, _ in self._own(beta, None)]
-        return stack_instruments(
-            tuple(self.work.run(Simulation.along_reference, tasks)), beta, self.parameters, self.names
+    def along_reference(self, x: Array) -> Instruments:
+        """Instruments of all recordings along their references about x."""
+        tasks = [(one, self.unknowns.beta(x, k)) for k, one in enumerate(self.simulations)]
+        return self._stacked(list(self.work.run(Simulation.along_reference, tasks)), x)
+
+    def _stacked(self, each: Sequence[Instruments], x: Array) -> Instruments:
+        """Instruments of all recordings, in the columns of x; rows of long ones stay apart."""
+        Z = stacked_columns([self.unknowns.columns(k, one.Z) for k, one in enumerate(each)], len(each[0].gains))
+        return Instruments(
+            x=x,
+            Z=Z,
+            rows=tuple(rows for one in each for rows in one.rows),
+            whitened=tuple(rows for one in each for rows in one.whitened),
+            kind=min((one.kind for one in each), key=WORST_FIRST.index),
+            reason=join_reasons([one.reason for one in each], self.names),
+            gains=np.concatenate([one.gains for one in each]),
+            tracking_percent=max_or_none([one.tracking_percent for one in each]),
+            replicas=tuple(replica for one in each for replica in one.replicas),
         )
-
-    def replicas(self, beta: Array, covariance: Array | None) -> tuple[Replica, ...]:
-        """The robot simulated with beta (b,) in each recording, as `simulate_replica`."""
-        return tuple(self.work.run(Simulation.replica, self._own(beta, covariance)))
-
-    def _own(self, beta: Array, covariance: Array | None) -> list[tuple[Simulation, Array, Array | None]]:
-        """By recording: its simulation, its base parameters and their covariance."""
-        own = zip(self.simulations, self.parameters.simulated(beta, covariance), strict=True)
-        return [(replace(one, payload=carried), x, C) for one, (x, C, carried) in own]

@@ -1,7 +1,7 @@
 """The robot's motion in the recorded experiment, block by block: simulated in closed loop, or along the reference."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -15,7 +15,7 @@ from ..regression import Decimation, Motion, RowBlock
 from ..report import DirectModelError
 from .closed_loop import ClosedLoop
 from .control_law import surrogate_loop
-from .experiment import Experiment, saturated_percents
+from .experiment import Experiment
 
 MotionBlocks = Iterator[tuple[RowBlock, Motion]]  # motions at the instrument samples of each block of rows
 
@@ -26,29 +26,25 @@ class NotSimulatedError(Exception):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Replica:
-    """The robot simulated with given parameters in a whole recorded experiment.
+    """The robot simulated in a whole recorded experiment.
 
     Attributes:
-        motion: at the instruments' instants, of a long recording at those of the rows; None if it cannot be simulated.
+        motion: at the instruments' instants, of a long recording at those of the rows; None if it could not be simulated.
         q: measured positions at the same instants; `decimation` leads from there to the rows.
-        reason: why the parameters cannot be simulated; `motion` is then that of the nearest consistent ones, or None.
-        tracking_percent: |q_sim - q| in percent of |q - mean|, all joints that move; `direct` by joint, empty if nothing
-            could be simulated.
+        tracking_percent: |q_sim - q| in percent of |q - mean|, all joints that move; `direct` by joint; None and empty if it
+            could not be simulated.
         reference_kind, J_known, bandwidth_hz: as in `Experiment`; `described`: the description has the control law.
-        saturated: percentage of recorded samples at each motor's limit, by motor and limit; empty if none is stated.
     """
 
     motion: Motion | None
     q: Array
     decimation: Decimation
-    reason: str | None
     tracking_percent: float | None
     direct: tuple[DirectModelError, ...]
     reference_kind: Literal["recorded", "surrogate"]
     described: bool
     J_known: bool
     bandwidth_hz: float
-    saturated: dict[str, float]
 
 
 def with_gains_for(e: Experiment, beta: Array) -> tuple[DirectModel, Array, str | None]:
@@ -133,46 +129,9 @@ class TrackingError:
         )
 
 
-def simulate_replica(e: Experiment, beta: Array, covariance: Array | None = None) -> Replica:
-    """Simulate the closed loop with `beta` (b,).
-
-    If that fails and a covariance (b, b) is given, the nearest consistent parameters are simulated; `reason` is that of beta.
-    """
-    error, parts, reason, motion = TrackingError(e), list[tuple[Array, ...]](), None, None
+def nearest(e: Experiment, beta: Array, covariance: Array, payload: Array | float) -> Array:
+    """Consistent base parameters (b,) nearest to beta, of which `payload` (b,) stays; beta itself if none are found."""
     try:
-        for block, x in simulated_blocks(e, *with_gains_for(e, beta)):
-            inside, q = error.add(block, x)
-            own = (x.t_s[inside], q, x.q[inside], x.dq[inside], x.ddq[inside], x.tau[inside])
-            # A long recording keeps only the instants of the rows.
-            parts.append(tuple(map(e.decimation.kept, own)) if e.spans else own)
-    except NotSimulatedError as why:
-        reason, q = str(why), np.zeros((0, len(e.held)))
-        if covariance is not None:
-            near = simulate_replica(e, nearest(e, beta, covariance))
-            if near.motion is not None:
-                return replace(near, reason=reason)
-    else:
-        t_s, q, *rest = (np.concatenate(x) for x in zip(*parts, strict=True))
-        motion = Motion(t_s=t_s, q=rest[0], dq=rest[1], ddq=rest[2], tau=rest[3])
-    return Replica(
-        motion=motion,
-        q=q,
-        decimation=replace(e.decimation, factor=1) if e.spans else e.decimation,
-        reason=reason,
-        tracking_percent=error.percent if reason is None else None,
-        direct=error.by_joint if reason is None else (),
-        reference_kind=e.reference_kind,
-        described=e.loop is not None,
-        J_known=e.J_known,
-        bandwidth_hz=e.bandwidth_hz,
-        saturated=saturated_percents(e.problem),
-    )
-
-
-def nearest(e: Experiment, beta: Array, covariance: Array) -> Array:
-    """Consistent base parameters (b,) nearest to beta, of which the payload is; beta itself if none are found."""
-    try:
-        arm = nearest_consistent(e.problem.model, e.problem.base, beta - e.payload, covariance)
-        return arm.beta + e.payload
+        return nearest_consistent(e.problem.model, e.problem.base, beta - payload, covariance).beta + payload
     except IdentificationError:
         return beta

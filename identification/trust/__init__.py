@@ -1,8 +1,9 @@
 """Tests of an estimate against the recording, and one verdict."""
 
-from .fit_data import FitData, Lag, RecordingData, covariance_of_all
+from .candidates import Candidates
+from .fit_data import FitData, Lag, covariance_of_all, further_columns
 from .held_out import held_out_parts, predictions_by_others
-from .lag import combined_lag, lag_columns, lag_moves, lags_in
+from .lag import by_group, combined_lag, lags_in, moves_of, simulated_rates
 from .lines import LEVELS, Figure, HeldOut, Trust, TrustLine
 from .replay import replay_line
 from .solution import trust_in

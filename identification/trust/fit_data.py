@@ -1,72 +1,21 @@
 """Inputs of the trust tests."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import pairwise
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..data import PositionSteps
-from ..estimation import Estimate, Intervals, Scores, Spans, scores_of_recordings, spans_of
-from ..regression import (
-    NOTHING,
-    Decimation,
-    KnownLag,
-    Motion,
-    Problem,
-    RecordingParameters,
-    Regression,
-    RowStates,
-    base_places,
-)
+from ..estimation import Estimate, Intervals, Scores, Spans, scores_of_recordings, spans_of, stacked_columns
+from ..regression import Arm, Decimation, KnownLag, Motion, Problem, Rows, base_places
 from ..report import Method
+from ..simulation import Replica
+from .candidates import Candidates
 from .lines import HeldOut, TrustLine
 
-Span = slice | NDArray[np.intp]  # of time: instants of the recordings in sequence
-
-NO_PARAMETERS = RecordingParameters(names=())  # until recordings are stacked
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class RecordingData:
-    """A recording of a fit, as its tests use it.
-
-    Attributes:
-        problem: without samples where rows are reduced and recordings are several.
-        regression: its W and Y.
-        poses: (P, n) positions at which the inertia matrix M is tested.
-        replay: the described control law against the recorded effort; `replay_lag`: the lag of the torque by it.
-        steps: of its positions, to find missing rows.
-        t_s: (rows,) instants of its decimated rows, s.
-        states: rows at which friction power is tested; None if there is viscous and Coulomb friction only.
-        parameters: its base parameters in those of the system.
-        simulated: simulated motion, at a multiple of the rows' rate, with `decimation` to the rows.
-        reference: of the simulation; `surrogate`: the measured position replaces it.
-    """
-
-    problem: Problem
-    regression: Regression
-    poses: Array
-    replay: TrustLine
-    replay_lag: KnownLag | None
-    steps: PositionSteps
-    t_s: Array
-    states: RowStates | None
-    parameters: RecordingParameters = NO_PARAMETERS
-    simulated: Motion | None = None
-    decimation: Decimation | None = None
-    reference: Literal["recorded", "surrogate"] | None = None
-
-    @cached_property
-    def known_lag(self) -> KnownLag:
-        """The lag of its torque as known without an estimate."""
-        known, replayed = self.problem.settings.known_lag, self.replay_lag
-        if known.stated or replayed is None:
-            return known
-        return replayed if known.source == NOTHING else known.with_other(replayed)
+Span = tuple[slice, ...]  # of time: instants of the recordings in sequence
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -103,34 +52,39 @@ class FitData:
     """An estimate and its data.
 
     Attributes:
-        recordings: in the order of the rows.
+        problems: the recordings, in the order of the rows, without samples where several are long; `arms`: their parameters.
+        replays: by recording, the described control law against the recorded effort.
         observed: W and Y of all decimated rows about the estimate; QR factors for long recordings.
         fixed_point: whether the method ended in a fixed point; always true of least squares.
         unconfirmed: status and reason, where no simulation confirms the fixed point.
         estimate: of the base parameters, or of the essential ones only.
         predicted: (rows, n) predicted torque, not weighted.
         least_squares: weighted least squares of all base parameters on the same recordings.
-        Z: (r, b) instruments of all base parameters in the rows of W, None after least squares.
+        candidates: terms that are not in the model, by recording.
+        replicas: the robot simulated in each recording; empty after least squares.
+        whitened: of long recordings, rows filtered in time; None of others.
         position_noise: whether position noise biases least squares; None for instrumental variables.
-        beginning: where rows are reduced, the same data of the beginning of the first recording, with rows.
         lags: one per group of recordings of equal timing.
         essential: names of the parameters that the recordings determine well.
         held_out: blocks of time, or recordings, predicted by the fit of the others; empty where that is not made.
     """
 
-    recordings: tuple[RecordingData, ...]
-    observed: Regression
+    problems: tuple[Problem, ...]
+    arms: tuple[Arm, ...]
+    replays: tuple[TrustLine, ...]
+    observed: Rows
     method: Method
     fixed_point: bool
     estimate: Estimate
     predicted: Array
     intervals: Intervals
     least_squares: Estimate
-    Z: Array | None = None
+    candidates: tuple[Candidates, ...] = ()
+    replicas: tuple[Replica, ...] = ()
+    whitened: Rows | None = None
     first_stage_F: float | None = None
     unconfirmed: str | None = None
     position_noise: TrustLine | None = None
-    beginning: "FitData | None" = None
     lags: tuple[Lag, ...] = ()
     essential: tuple[str, ...] = ()
     held_out: tuple[HeldOut, ...] = ()
@@ -138,7 +92,12 @@ class FitData:
     @property
     def problem(self) -> Problem:
         """The first recording's: robot, model and base parameters are common to all."""
-        return self.recordings[0].problem
+        return self.problems[0]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the recordings."""
+        return tuple(problem.signals.recording for problem in self.problems)
 
     @cached_property
     def gains(self) -> tuple[str, ...]:
@@ -150,112 +109,97 @@ class FitData:
         """Places of the base parameters in the estimate, which may have payloads and gains too."""
         return base_places(self.estimate.names)
 
-    def spans(self, count: int) -> list["Span"]:
+    def spans(self, count: int) -> list[Span]:
         """Equal spans of time of the recordings together; of each recording, if a span alone must tell drive gains."""
         parts = spans_of(self.observed.parts) if self.gains else [slice(0, len(self.observed.tau))]
-        edges = [np.linspace(one.start, one.stop, count + 1).round().astype(int) for one in parts]
-        if len(parts) == 1:
-            return [slice(int(first), int(last)) for first, last in pairwise(edges[0])]
-        return [np.concatenate([np.arange(own[k], own[k + 1]) for own in edges]) for k in range(count)]
+        edges = [np.linspace(one.start, one.stop, count + 1).round().astype(int).tolist() for one in parts]
+        return [tuple(slice(own[k], own[k + 1]) for own in edges) for k in range(count)]
 
     @property
-    def with_rows(self) -> "FitData":
-        """The data with rows: of a long recording its beginning."""
-        return self.beginning or self
+    def Z(self) -> Array | None:
+        """(r, p) instruments of all unknowns in the rows of W; None after least squares."""
+        return self.observed.Z if self.observed.Z.size else None
 
     @cached_property
-    def rows(self) -> "WeightedRows":
-        """W and Y of the estimated parameters, weighted as in the estimate."""
-        system = self.observed.system
-        system = system.with_columns(np.array([system.names.index(name) for name in self.estimate.names]))
-        weight = self.estimate.weights[system.joint_of_row] * system.used
-        W, Y = system.W * weight[:, None], system.Y * weight
-        return WeightedRows(W=W, Y=Y, rho=Y - W @ self.estimate.beta, weight=weight)
+    def weight(self) -> Array:
+        """(r,) 1/s_j of the rows of the system, zero where they do not count."""
+        return np.asarray(self.estimate.weights[self.observed.system.joint_of_row] * self.observed.system.used)
 
-    def sums(self, part: Span) -> "PartSums":
-        """Sums over the rows of a span of time of all recordings."""
-        estimate, n = self.estimate, self.observed.tau.shape[1]
-        part, rows = self.aligned(part)
-        weighted = (estimate.Q, self.rows.W, self.rows.Y, self.rows.rho, self.rows.weight)
-        Q, W, Y, left, weight = (part_of(x, n, rows) for x in weighted)
-        per_weight = np.divide(1.0, weight, out=np.zeros_like(weight), where=weight > 0)
-        plain = W * per_weight[:, None]
-        return PartSums(
-            QQ=Q.T @ Q,
-            QW=Q.T @ W,
-            QY=Q.T @ Y,
-            WW=plain.T @ plain,
-            W_rho=plain.T @ (left * per_weight),
-            rho_rho=float(np.sum((left * per_weight) ** 2)),
-            rows=float(np.sum(self.observed.share[part] ** 2)),
-        )
+    @cached_property
+    def W(self) -> Array:
+        """(r, b) weighted columns of the estimated parameters."""
+        names = self.observed.system.names
+        return self.observed.system.W[:, [names.index(name) for name in self.estimate.names]] * self.weight[:, None]
+
+    @cached_property
+    def Y(self) -> Array:
+        """(r,) weighted torques; `rho`: residuals."""
+        return self.observed.system.Y * self.weight
+
+    @cached_property
+    def rho(self) -> Array:
+        """(r,) weighted residuals."""
+        return self.Y - self.W @ self.estimate.beta
+
+    def part(self, part: Span) -> tuple[Array, Array, Array, float]:
+        """Q, W (r_k, b) and Y (r_k,) of a span of time, and its number of rows: the sum of the squares of their weights."""
+        instants, rows = self.aligned(part)
+        Q, W, Y = (part_of(x, self.observed.tau.shape[1], rows) for x in (self.estimate.Q, self.W, self.Y))
+        return Q, W, Y, float(np.sum(self.observed.share[instants] ** 2))
+
+    def error(self, part: Span, beta: Array) -> float:
+        """|Y - W beta| of a span of time, in the unit of the torque."""
+        _, W, Y, _ = self.part(part)
+        weight = part_of(self.weight, self.observed.tau.shape[1], self.aligned(part)[1])
+        return float(np.linalg.norm((Y - W @ beta)[weight > 0] / weight[weight > 0]))
 
     def scores(self, part: Span, beta: Array, bread: Array, basis: Array) -> list[Scores]:
         """Scores, by recording, of an estimate beta (b,) of a span of time with the orthonormal columns Q `basis`."""
-        n, (part, rows) = self.observed.tau.shape[1], self.aligned(part)
-        Q, W, Y = (part_of(x, n, rows) for x in (self.estimate.Q, self.rows.W, self.rows.Y))
-        if isinstance(part, slice):
-            each = [own.between(part, start) for own, start in zip(self._spans, self._starts, strict=True)]
-        else:
-            counts = np.bincount(np.searchsorted(self._starts, part, side="right") - 1)
-            each = [Spans(instants=int(count), count=int(count)) for count in counts]
-        spans = [own for own in each if own.count]
-        return scores_of_recordings(Q @ basis, bread, (Y - W @ beta).reshape(n, -1), spans)
+        Q, W, Y, _ = self.part(part)
+        each = [own.between(self._rounded(one)[0], start) for one in part for own, start in self._spans]
+        rho = (Y - W @ beta).reshape(self.observed.tau.shape[1], -1)
+        return scores_of_recordings(Q @ basis, bread, rho, [own for own in each if own.count])
 
-    def aligned(self, part: Span) -> tuple[Span, Span]:
-        """A span of time rounded to the nearest borders of the recordings' spans, and the rows of a joint in it."""
-        if not isinstance(part, slice):
-            return part, part
-        each = list(zip(self._spans, self._starts, strict=True))
-        edges = np.concatenate([start + own.edges for own, start in each])
-        rows = np.cumsum(np.concatenate([np.r_[0, np.full(own.count, own.rows)] for own, _ in each]))
+    def aligned(self, part: Span) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """The instants of a span of time, rounded to the nearest borders of the recordings' spans, and the rows of a joint."""
+        each = zip(*map(self._rounded, part), strict=True)
+        instants, rows = (np.concatenate([np.arange(one.start, one.stop) for one in slices]) for slices in each)
+        return instants, rows
+
+    def _rounded(self, part: slice) -> tuple[slice, slice]:
+        edges = np.concatenate([start + own.edges for own, start in self._spans])
+        rows = np.cumsum(np.concatenate([np.r_[0, np.full(own.count, own.rows)] for own, _ in self._spans]))
         first, last = (int(np.abs(edges - at).argmin()) for at in (part.start, part.stop))
         return slice(int(edges[first]), int(edges[last])), slice(int(rows[first]), int(rows[last]))
 
     @property
-    def _spans(self) -> tuple[Spans, ...]:
-        return self.observed.system.spans
-
-    @property
-    def _starts(self) -> list[int]:
-        """The first instant of each recording."""
-        return [part.start for part in spans_of(self.observed.parts)]
+    def _spans(self) -> list[tuple[Spans, int]]:
+        """By recording its spans and its first instant."""
+        starts = [part.start for part in spans_of(self.observed.parts)]
+        return list(zip(self.observed.system.spans, starts, strict=True))
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class WeightedRows:
-    """Rows of the system times 1/s_j, zero where they do not count: W (r, b), Y, rho and `weight` (r,)."""
-
-    W: Array
-    Y: Array
-    rho: Array
-    weight: Array
+def measured_motion(problem: Problem) -> tuple[Motion, Decimation]:
+    """The measured motion of a recording and its decimation."""
+    settings = problem.settings
+    return problem.motion.between(settings.start, settings.stop, settings.cutoff_hz), settings.decimator
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class PartSums:
-    """Sums over the used rows of a span of time.
-
-    Attributes:
-        QQ, QW: (b, b) Q'Q and Q'W, `QY`: (b,) Q'Y, of the orthonormal columns Q and the weighted rows of the estimate.
-        WW: (b, b) W'W, `W_rho`: (b,) W'rho, and `rho_rho` in the unit of the torque; rho is the residual.
-        rows: number of rows, the sum of the squares of their weights.
-    """
-
-    QQ: Array
-    QW: Array
-    QY: Array
-    WW: Array
-    W_rho: Array
-    rho_rho: float
-    rows: float
-
-    def error(self, difference: Array) -> float:
-        """|Y - W beta|² in the unit of the torque, where beta differs from the estimate by `difference` (b,)."""
-        return max(0.0, float(self.rho_rho - 2 * difference @ self.W_rho + difference @ self.WW @ difference))
+def further_columns(
+    problems: Sequence[Problem], candidates: Sequence[Candidates], replicas: Sequence[Replica]
+) -> Array:
+    """Columns (r, k + 1) of the candidates in the rows of the recordings: along the simulated motion, or the measured one."""
+    found = list[Array]()
+    for k, (problem, terms) in enumerate(zip(problems, candidates, strict=True)):
+        motion, decimation = measured_motion(problem)
+        if replicas and (own := replicas[k].motion) is not None:
+            motion, decimation = own, replicas[k].decimation
+        columns = terms.columns(problem, motion, decimation)
+        found.append(columns.transpose(0, 2, 1).reshape(-1, columns.shape[1]))
+    return stacked_columns(found, problems[0].signals.robot.n)
 
 
-def part_of(x: Array, n: int, part: Span) -> Array:
+def part_of(x: Array, n: int, part: slice | NDArray[np.intp]) -> Array:
     """Rows of a span of time, of all joints: x (r, ...) -> (n T_k, ...)."""
     return np.asarray(x.reshape(n, -1, *x.shape[1:])[:, part].reshape(-1, *x.shape[1:]))
 

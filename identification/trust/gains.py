@@ -57,7 +57,7 @@ def gains_test(evidence: FitData) -> TrustLine | None:
 
 def payload_assumptions(evidence: FitData) -> Iterator[Assumed]:
     """Mass and frame of the payloads, which no test covers."""
-    found = dict.fromkeys(one.parameters.payload for one in evidence.recordings)
+    found = dict.fromkeys(arm.payload for arm in evidence.arms)
     joint = evidence.problem.signals.robot.joints[-1].name
     for one in found:
         if one is None:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..estimation import r_factor, relative_error_percent, spans_of, undetermined_parameters
-from .fit_data import FitData, Span, part_of
+from .fit_data import FitData, part_of
 from .lines import Figure, HeldOut, TrustLine
 
 BLOCKS = 5
@@ -30,26 +30,26 @@ def held_out_parts(evidence: FitData, predict: Predict) -> tuple[HeldOut, ...]:
     With drive gains the blocks are of each recording, as none tells them alone. Empty where too few rows are outside a block.
     Errors in percent are of the torque; where the model does not hold, joints stand: those of weighted rows leave that out.
     """
-    if len(evidence.recordings) > 1 and not evidence.gains:
+    if len(evidence.names) > 1 and not evidence.gains:
         return _recordings(evidence, predict)
     spans, estimate = evidence.spans(BLOCKS), evidence.estimate
-    sums = [evidence.sums(part) for part in spans]
-    if sum(one.rows for one in sums) - max(one.rows for one in sums) <= len(estimate.beta):
+    each = [(Q.T @ W, Q.T @ Y, rows) for Q, W, Y, rows in map(evidence.part, spans)]
+    A, c, rows = (sum(x) for x in zip(*each, strict=True))
+    if rows - max(own for _, _, own in each) <= len(estimate.beta):
         return ()
-    A, c = sum(one.QW for one in sums), sum(one.QY for one in sums)
     d = np.linalg.norm(A, axis=0)
-    betas = [np.linalg.lstsq((A - one.QW) / d, c - one.QY, rcond=1e-12)[0] / d for one in sums]
+    betas = [np.linalg.lstsq((A - A_k) / d, c - c_k, rcond=1e-12)[0] / d for A_k, c_k, _ in each]
     by_others = predict(*(replace(estimate, beta=beta) for beta in betas))
     return tuple(
         _held_out(
             evidence,
             f"block {k}",
-            part,
+            evidence.aligned(part)[0],
             by_others,
-            held=one.error(beta - estimate.beta) ** 0.5,
-            trained=one.rho_rho**0.5,
+            held=evidence.error(part, beta),
+            trained=evidence.error(part, estimate.beta),
         )
-        for k, (part, one, beta) in enumerate(zip(spans, sums, betas, strict=True), 1)
+        for k, (part, beta) in enumerate(zip(spans, betas, strict=True), 1)
     )
 
 
@@ -59,18 +59,20 @@ def _recordings(evidence: FitData, predict: Predict) -> tuple[HeldOut, ...]:
     parts = spans_of(evidence.observed.parts)
     rows = [_rows_of(evidence, k) for k in range(len(parts))]
     weighted = [np.c_[Z, W, Y] * weights[joint][:, None] for Z, W, Y, joint in rows]
-    by_others = predictions_by_others(weighted, names, [one.parameters.own for one in evidence.recordings])
+    by_others = predictions_by_others(weighted, names, [arm.own for arm in evidence.arms])
     betas, found = [estimate.beta if beta is None else beta for beta, _ in by_others], list[HeldOut]()
     predicted = predict(*(replace(estimate, beta=beta) for beta in betas), by_recording=True)
     for k, (part, (_, W, Y, _), (beta, lost)) in enumerate(zip(parts, rows, by_others, strict=True)):
         held, trained = (float(np.linalg.norm(Y - W @ x)) for x in (betas[k], estimate.beta))
-        name, shown = evidence.recordings[k].problem.signals.recording, None if beta is None else predicted
+        name, shown = evidence.names[k], None if beta is None else predicted
         found.append(_held_out(evidence, name, part, shown, held=held, trained=trained, undetermined=tuple(lost)))
     return tuple(found)
 
 
-def _held_out(evidence: FitData, name: str, part: Span, predicted: Array | None, **known: Any) -> HeldOut:
-    """With the torque errors of a span of time, whose torque `predicted` (rows, n) the others predict."""
+def _held_out(
+    evidence: FitData, name: str, part: slice | NDArray[np.intp], predicted: Array | None, **known: Any
+) -> HeldOut:
+    """With the torque errors of some instants, whose torque `predicted` (rows, n) the others predict."""
     tau, counts = evidence.observed.tau[part], evidence.observed.counts[part]
     percents = [
         None if x is None else relative_error_percent(tau[counts], (tau - x[part])[counts])
@@ -83,7 +85,7 @@ def _held_out(evidence: FitData, name: str, part: Span, predicted: Array | None,
 def held_out_test(evidence: FitData) -> TrustLine:
     """Held-out and training error, in percent, of five blocks of time or of several recordings."""
     name, found = "held-out blocks", evidence.held_out
-    several = len(evidence.recordings) > 1 and not evidence.gains
+    several = len(evidence.names) > 1 and not evidence.gains
     if not found:
         b = len(evidence.estimate.beta)
         return TrustLine(name, "not made", f"not made: too few rows outside a block for {b} parameters; record longer")

@@ -1,9 +1,9 @@
 """The lag of the recorded torque behind the motion: one per group of recordings, estimated with instruments.
 
-To first order tau(t - L) = tau(t) - L d/dt tau(t): the column -d/dt(W beta) takes the coefficient L. Its instrument is -d/dt of
-the simulated torque, so that position noise does not bias it; least squares would find a false lag. Rows slower than a fifth of
-the peak are left out: after a reversal friction rises smoothly where the model has a step, which looks like a lag. Residuals
-are whitened, as position noise grows with frequency and would hide a lag.
+To first order tau(t - L) = tau(t) - L d/dt tau(t): the column -d/dt tau takes the coefficient L. It is that of the simulated
+torque, as column and as instrument, so that position noise does not bias it; least squares would find a false lag. Rows slower
+than a fifth of the peak are left out: after a reversal friction rises smoothly where the model has a step, which looks like a
+lag. Residuals are whitened, as position noise grows with frequency and would hide a lag.
 
 Prior information (effort timing of the recording, replay of the described controller) is combined with it by variances.
 """
@@ -17,42 +17,34 @@ from numpy.typing import NDArray
 from ..arrays import Array
 from ..errors import IdentificationError
 from ..estimation import Estimate, System, instrumental_variables, intervals, whitened
-from ..regression import KnownLag, Regression, differentiate, fast_rows, torque_rate, weighted
+from ..regression import LAG_ORDER, KnownLag, Problem, Rows, differentiate, fast_for_lag, weighted
 from ..report import Level
-from .fit_data import FitData, Lag, RecordingData
+from ..simulation import Replica
+from .fit_data import FitData, Lag
 from .lines import Figure, TrustLine
 
 MAX_DEVIATIONS_FROM_PRIOR = 3.0  # joint ones; beyond, only the data are used
 MAX_DEVIATIONS_FROM_STATED = 4.0  # between the data and a lag that the user states
 MAX_EARLY_SAMPLES = 0.75  # of a torque before its command, besides the interval
-MIN_SPEED_PERCENT = 20.0  # of the peak speed; slower rows are left out
-ORDER = 6  # of the whitening filter: shorter, model error looks like a lag; longer, few rows are left
 
 Groups = Sequence[Sequence[int]]  # indices of recordings whose torques have one lag
 
 
-def lag_columns(parts: Sequence[RecordingData], groups: Groups, estimate: Estimate) -> Array:
-    """-d/dt(W beta) (r, K): torque per second of lag of each group of recordings, in the rows of the system."""
-    rates = [torque_rate(part.problem, part.parameters.values(estimate)) for part in parts]
-    return _by_group(rates, groups)
-
-
 def lags_in(
-    parts: Sequence[RecordingData], groups: Groups, system: System, Z: Array, estimate: Estimate
+    rows: Rows, along: tuple[Array, Array, Sequence[NDArray[np.bool_]]], weights: Array
 ) -> tuple[Array, Array, float]:
     """Lags (K,) of the torques in s besides those already corrected, deviations (K,), and deviations in half an interval.
 
-    `parts` are simulated with the estimate; `system` and `Z` have all parameters. Raises `IdentificationError` where the
-    instruments do not determine the lags.
+    `along` the simulated motion: the instruments Z (r, b) of all parameters, the columns (r, K) of `by_group`, and by recording
+    which rows (n, T) are fast. Raises `IdentificationError` where the instruments do not determine the lags.
     """
-    rates, fast = zip(*map(simulated_rates, parts), strict=True)
-    b, lengths, columns = len(system.names), [rate.shape[1] for rate in rates], lag_columns(parts, groups, estimate)
-    names = (*system.names, *(f"lag {k}" for k in range(len(groups))))
+    Z, columns, fast = along
+    system, b, lengths = rows.system, len(rows.system.names), [one.shape[1] for one in fast]
+    names = (*system.names, *(f"lag {k}" for k in range(columns.shape[1])))
     used = np.concatenate(fast, axis=1).reshape(-1).astype(float)
-    system = replace(system, W=np.c_[system.W, columns], names=names).with_rows(used)
-    Z = np.c_[Z, _by_group(rates, groups)]
-    first = instrumental_variables(system, Z, estimate.weights)
-    system, Z = whitened(system, Z, system.Y - system.W @ first.beta, ORDER, tuple(lengths))
+    system, Z = replace(system, W=np.c_[system.W, columns], names=names).with_rows(used), np.c_[Z, columns]
+    first = instrumental_variables(system, Z, weights)
+    system, Z = whitened(system, Z, system.Y - system.W @ first.beta, LAG_ORDER, tuple(lengths))
     rho = (system.Y - system.W @ first.beta) * system.used
     size = np.sqrt(np.bincount(system.joint_of_row, weights=rho**2) / np.maximum(1, system.rows))
     if not size.max() > 0:
@@ -63,31 +55,22 @@ def lags_in(
     return found.beta[b:], within.sigma[b:], within.reach
 
 
-def _by_group(rates: Sequence[Array], groups: Groups) -> Array:
-    """Columns (r, K) of the rates (n, rows) of each recording, zero in the rows of other groups."""
+def by_group(rates: Sequence[Array], groups: Groups) -> Array:
+    """Torque per second of lag (r, K) of each group of recordings, from the rates (n, rows) of the torque in each: -d/dt tau,
+    zero in the rows of other groups.
+    """
     whole, recording = -np.concatenate(rates, axis=1), np.repeat(range(len(rates)), [rate.shape[1] for rate in rates])
     return np.stack([(whole * np.isin(recording, group)).reshape(-1) for group in groups], axis=1)
 
 
-def simulated_rates(part: RecordingData) -> tuple[Array, NDArray[np.bool_]]:
-    """d/dt of the simulated torque of a recording, per second, weighted; and which rows are fast; (n, rows) each."""
-    problem, simulated, decimation = part.problem, part.simulated, part.decimation
+def simulated_rates(problem: Problem, replica: Replica) -> tuple[Array, NDArray[np.bool_]]:
+    """d/dt of the simulated torque of a recording, per second, weighted; and which rows are fast; (n, T) each."""
+    simulated, decimation = replica.motion, replica.decimation
     assert simulated is not None
-    assert decimation is not None
     rate = differentiate(simulated.tau, 1 / (simulated.t_s[1] - simulated.t_s[0]))
-    percent = max(MIN_SPEED_PERCENT, problem.settings.low_speed_percent or 0.0)
-    fast = fast_rows(decimation.kept(simulated.dq), problem.model.coulomb_directions, percent)
-    return weighted(problem, simulated.t_s, rate, decimation), _well_before_slow(fast.T)
-
-
-def _well_before_slow(fast: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Rows (n, rows) not soon before a slow one, as zero-phase decimation spreads a reversal both ways.
-
-    The whitening leaves out rows soon after a slow one.
-    """
-    for _ in range(ORDER):
-        fast = fast & np.c_[fast[:, 1:], fast[:, -1:]]
-    return fast
+    sliding = np.abs(decimation.kept(simulated.dq) @ problem.model.coulomb_directions.T)
+    fast = fast_for_lag(problem, simulated, decimation, sliding.max(axis=0))
+    return weighted(problem, simulated.t_s, rate, decimation), fast
 
 
 def combined_lag(prior: KnownLag, found: tuple[float, float, float] | None) -> Lag:
@@ -102,9 +85,9 @@ def combined_lag(prior: KnownLag, found: tuple[float, float, float] | None) -> L
     return Lag(value_s=value_s, sd_s=sd_s, reach=reach, source=source, prior=prior, found=found)
 
 
-def lag_moves(observed: Regression, columns: Array, estimate: Estimate) -> Array:
-    """d beta / d lag (b, K) per s: bread QᵀC of the columns C."""
-    weight = estimate.weights[observed.system.joint_of_row] * observed.system.used
+def moves_of(system: System, columns: Array, estimate: Estimate) -> Array:
+    """d beta / d known (b, K): bread QᵀC of the torque C (r, K) per unit of something known that the estimate holds."""
+    weight = estimate.weights[system.joint_of_row] * system.used
     return np.asarray(estimate.bread @ (estimate.Q.T @ (columns * weight[:, None])))
 
 

@@ -22,11 +22,10 @@ from ..estimation import (
     r_factor,
     weighted_least_squares,
 )
-from ..model import InverseModel, friction_power, nearest_consistent, requirements
-from ..regression import base_name, friction_states, recorded_power
+from ..model import InverseModel, friction_power, nearest_consistent, poses_of, requirements
+from ..regression import base_name, friction_states, recorded_power, row_states
 from ..report import Level
-from .columns import motion_of
-from .fit_data import FitData, covariance_of_all
+from .fit_data import FitData, covariance_of_all, measured_motion
 from .lines import LEVELS, TrustLine
 
 MAX_HALF_WIDTHS = 2.0  # below zero; beyond, it is not chance
@@ -63,21 +62,21 @@ def _findings(evidence: FitData, estimate: Estimate, found: Intervals) -> tuple[
     """Physically impossible values of an estimate, and the lowest eigenvalue of M on the trajectory."""
     idm, base = evidence.problem.model, evidence.problem.base
     indices = np.array([base.names.index(base_name(name)) for name in estimate.names])
-    poses = np.concatenate([part.poses for part in evidence.recordings])
+    poses = np.concatenate([poses_of(problem.used_positions()) for problem in evidence.problems])
     findings, lowest = _inertia_findings(idm, base.columns[indices], estimate.beta, found, poses)
     findings += _driving_findings(evidence, base.columns[indices], estimate, found)
     own = any("@" in name for name in estimate.names)
     beyond: dict[int, dict[str, tuple[float, str]]] = {}  # by joint and kind: half-widths, and a text
     by_base = np.linalg.pinv(base.K)
-    for part in evidence.recordings if own else evidence.recordings[:1]:
-        of_part = np.array([name in part.parameters.names for name in estimate.names])
+    for arm, recording in list(zip(evidence.arms, evidence.names, strict=True))[: None if own else 1]:
+        of_part = np.array([name in arm.names for name in estimate.names])
         for matrix, first, of in requirements(idm, shaped=False):
             G = matrix @ by_base  # of base parameters, which do not separate rotors regrouped with links
             if not np.allclose(G @ base.K, matrix, atol=1e-9) or not (G := G[..., indices] * of_part).any():
                 continue
             _, value, half = _along_directions(G, estimate.beta, found)
             worst = int(np.argmin(value / np.maximum(half, MIN_HALF_WIDTH)))
-            name = of + (f" in {part.problem.signals.recording}" if own else "")
+            name = of + (f" in {recording}" if own else "")
             text = f"{name} = {value[worst]:.4g} ± {half[worst]:.2g} {first.unit}"
             furthest = (float(-value[worst] / max(half[worst], MIN_HALF_WIDTH)), text)
             if furthest[0] > 1:
@@ -116,11 +115,11 @@ def _driving_findings(
     """
     idm, robot = evidence.problem.model, evidence.problem.model.robot
     worst: dict[int, tuple[float, float, float, float]] = {}  # by joint: in half-widths, speed, power, half-width
-    for part in evidence.recordings:
-        of_part = np.array([name in part.parameters.names for name in estimate.names])
-        if part.states is None:
+    for problem, arm in zip(evidence.problems, evidence.arms, strict=True):
+        of_part = np.array([name in arm.names for name in estimate.names])
+        if (states := row_states(problem)) is None:
             continue
-        dq, load = friction_states(part.problem, estimate.values_of(part.parameters.names), part.states)
+        dq, load = friction_states(problem, estimate.values_of(arm.names), states)
         G = friction_power(idm, columns, dq, load) * of_part
         for g, v in zip(G, dq, strict=True):
             j, power, half = int(np.abs(v).argmax()), float(g @ estimate.beta), float(_half(g, found))
@@ -170,13 +169,13 @@ def _gravity_findings(evidence: FitData) -> list[Finding]:
     problem, idm, columns = evidence.problem, evidence.problem.model, evidence.problem.base.columns
     if evidence.observed.reduced:
         return []
-    measured = [motion_of(part, "wls") for part in evidence.recordings]
+    measured = [measured_motion(problem) for problem in evidence.problems]
     q = np.concatenate([decimation.kept(motion.q) for motion, decimation in measured])
     of_links = idm.of_links[columns]
     at_rest = np.where(of_links, idm.regressor(q, np.zeros_like(q), np.zeros_like(q))[:, :, columns], 0.0)
     if np.abs(at_rest).max() <= MIN_ARM_M * np.linalg.norm(problem.signals.robot.gravity):
         return []
-    rows, system = evidence.rows, evidence.observed.system
+    system = evidence.observed.system
     # Gravity changes slowly: with the weights of the rows it is nearly that of the weighted samples.
     gravity = dict(
         zip(problem.base.names, (evidence.observed.share[..., None] * at_rest).transpose(2, 1, 0), strict=True)
@@ -184,14 +183,14 @@ def _gravity_findings(evidence: FitData) -> list[Finding]:
     weighs = [i for i, name in enumerate(system.names) if name in gravity and gravity[name].any()]
     G = np.array([gravity[system.names[i]].ravel() for i in weighs]).reshape(len(weighs), -1).T
     # The small R factor has the same column products as the rows.
-    R = r_factor(np.c_[np.c_[system.W, G] * rows.weight[:, None], rows.Y])
+    R = r_factor(np.c_[np.c_[system.W, G] * evidence.weight[:, None], evidence.Y])
     W, left = R[:, : len(system.names)].copy(), list[float]()
     for weight in (0.0, R[:, len(system.names) : -1]):
         W[:, weighs] -= weight
         size = np.linalg.norm(W, axis=0)
         A = W / np.where(size > 0, size, 1.0)
         rho = R[:, -1] - A @ np.linalg.lstsq(A, R[:, -1], rcond=1e-9)[0]
-        left.append(100 * float(np.linalg.norm(rho) / np.linalg.norm(rows.Y)))
+        left.append(100 * float(np.linalg.norm(rho) / np.linalg.norm(evidence.Y)))
     if left[1] >= MIN_RESIDUAL_RATIO * left[0]:
         return []
     text = f"the torques fit a model without gravity better: residual {left[1]:.3g} % against {left[0]:.3g} %: "
@@ -205,10 +204,11 @@ def consistent_test(evidence: FitData) -> TrustLine:
     if not problem.signals.robot.gain_known:
         text = "links cannot be compared: the drive gains are not known: state drive_gain"
         return TrustLine("consistent", "not made", text)
-    all_names, names = evidence.observed.system.names, evidence.recordings[0].parameters.names
+    all_names, names = evidence.observed.system.names, evidence.arms[0].names
     covariance = covariance_of_all(all_names, estimate, evidence.intervals, evidence.least_squares)
     first = np.array([all_names.index(name) for name in names])  # of own parameters those of one recording
-    moved = [(part.problem, part.states) for part in evidence.recordings if part.parameters.names == names]
+    pairs = zip(evidence.problems, evidence.arms, strict=True)
+    moved = [problem for problem, arm in pairs if arm.names == names]
     beta = estimate.values_of(names)
     try:
         power = recorded_power(moved, beta)

@@ -32,12 +32,11 @@ MIN_EFFORT_RATIO = 1e-9  # of the largest effort; joints with less are not compa
 
 def replay_test(evidence: FitData) -> TrustLine:
     """Whether the described controllers give the recorded efforts: the line of the worst recording."""
-    worst = min(evidence.recordings, key=lambda part: _rank(part.replay))
-    if len(evidence.recordings) == 1:
-        return worst.replay
-    name, text = worst.problem.signals.recording, worst.replay.text
-    reason = text.removeprefix("not made: ")
-    return replace(worst.replay, text=f"{'not made: ' if reason != text else ''}{name}: {reason}")
+    worst, name = min(zip(evidence.replays, evidence.names, strict=True), key=lambda one: _rank(one[0]))
+    if len(evidence.names) == 1:
+        return worst
+    reason = worst.text.removeprefix("not made: ")
+    return replace(worst, text=f"{'not made: ' if reason != worst.text else ''}{name}: {reason}")
 
 
 def _rank(line: TrustLine) -> tuple[int, float]:

@@ -9,13 +9,23 @@ from dataclasses import replace
 import numpy as np
 
 from ..arrays import Array
+from ..data import PositionSteps, position_steps
 from ..errors import IdentificationError
-from ..estimation import Estimate, are_moving, estimate_deviations, f_tail, instrumental_variables, spans_of, whitened
+from ..estimation import (
+    Estimate,
+    are_moving,
+    estimate_deviations,
+    f_tail,
+    instrumental_variables,
+    spans_of,
+    whitened,
+    whitening_order,
+)
 from ..model import JointTerm
-from ..regression import base_name, base_places, standing_joints
+from ..regression import Problem, base_name, base_places, standing_joints
 from ..report import Assumed
 from .columns import added_columns_test
-from .fit_data import FitData, RecordingData, Span
+from .fit_data import FitData, Span
 from .gains import gains_test, payload_assumptions
 from .held_out import held_out_test
 from .lag import lag_test
@@ -30,11 +40,7 @@ MAX_END_DEVIATIONS = 30.0  # of a row at an end; above: caution
 MAX_END_RATIO = 2.0  # of the largest deviation at an end over the largest elsewhere
 END_ROWS = 5  # rows at each end that a bad edge affects
 MIN_SHARED_NORM = 1e-9  # of a column's norm over all joints: less at a joint is rounding
-MIN_FIRST_STAGE_F, MAX_FIRST_STAGE_F = (
-    10.0,
-    1e10,
-)  # below, weak; above, the instruments are W itself
-MAX_ORDER = 12  # of the whitening filter of a joint's residual
+MIN_FIRST_STAGE_F, MAX_FIRST_STAGE_F = 10.0, 1e10  # below, weak; above, the instruments are W itself
 MAX_MISSING_PERCENT = 0.1  # of the moving rows
 MAX_HELD_RATIO = 0.3  # of missing or repeated rows over held rows
 MAX_COARSE_PERCENT = 0.4  # of a joint's moving steps that are double or zero: a slow encoder
@@ -49,11 +55,9 @@ def fixed_point_test(evidence: FitData) -> TrustLine:
         text = f"{why or 'no fixed point'}: check signs, gains, bandwidth_hz; record faster motion"
         return TrustLine(name, "do not use", text)
     if why is not None:
-        advice = (
-            "record the reference, check [controller]"
-            if evidence.gains
-            else "check [controller]; compare with least squares"
-        )
+        advice = "check [controller]; compare with least squares"
+        if evidence.gains:
+            advice = "record the reference, check [controller]"
         return TrustLine(name, "caution", f"{why}: {advice}")
     if evidence.method != "iv":
         return TrustLine(name, "ok", "least squares has one solution")
@@ -132,7 +136,7 @@ def halves_test(evidence: FitData) -> TrustLine:
     """
     name, T, cuts = "halves", len(evidence.observed.tau), np.cumsum(evidence.observed.parts)[:-1]
     cut = int(cuts[np.abs(cuts - T / 2).argmin()]) if len(cuts) else round(T / 2)  # recordings are not cut
-    parts = evidence.spans(2) if evidence.gains else [slice(0, cut), slice(cut, T)]
+    parts = evidence.spans(2) if evidence.gains else [(slice(0, cut),), (slice(cut, T),)]
     first, second = (_solve_part(evidence, part) for part in parts)
     if first is None or second is None:
         text = "not made: a half alone does not determine the parameters; record longer"
@@ -156,17 +160,17 @@ def halves_test(evidence: FitData) -> TrustLine:
 
 def _solve_part(evidence: FitData, part: Span) -> tuple[Array, Array, int] | None:
     """Parameters (b,) of a span of time, covariance D R D (b, b), degrees of freedom; None where they are undetermined."""
-    sums = evidence.sums(part)
-    values, vectors = np.linalg.eigh(sums.QQ)
-    if sums.rows <= 2 * len(values) or not values[0] > MIN_SQUARE_OF_HALF * values[-1]:
+    Q, W, Y, rows = evidence.part(part)
+    values, vectors = np.linalg.eigh(Q.T @ Q)
+    if rows <= 2 * len(values) or not values[0] > MIN_SQUARE_OF_HALF * values[-1]:
         return None
     basis = vectors / np.sqrt(values)  # Q basis is orthonormal in the rows of the part
-    A = basis.T @ sums.QW
+    A = basis.T @ (Q.T @ W)
     d = np.linalg.norm(A, axis=0)
     if not (d > 0).all() or not np.linalg.cond(A / d) < 1e8:
         return None
     bread = np.linalg.inv(A / d) / d[:, None]
-    beta = bread @ (basis.T @ sums.QY)
+    beta = bread @ (basis.T @ (Q.T @ Y))
     sigma, freedom = estimate_deviations(bread, evidence.scores(part, beta, bread, basis))
     C = bread @ bread.T
     formula = np.sqrt(np.diag(C))
@@ -175,7 +179,7 @@ def _solve_part(evidence: FitData, part: Span) -> tuple[Array, Array, int] | Non
 
 def prewhitened_test(evidence: FitData) -> TrustLine | None:
     """How far the estimate moves when each joint's residual is whitened: model error moves it, white noise does not."""
-    name, evidence = "prewhitened", evidence.with_rows
+    name = "prewhitened"
     if evidence.Z is None:
         return None
     estimate = _solve_whitened(evidence)
@@ -184,9 +188,9 @@ def prewhitened_test(evidence: FitData) -> TrustLine | None:
     with np.errstate(divide="ignore", invalid="ignore"):
         apart = np.nan_to_num(np.abs(estimate.beta - evidence.estimate.beta) / evidence.intervals.sigma, nan=0.0)
     worst = int(apart.argmax())
-    value, finding = (
-        float(apart[worst]),
-        f"differs by {apart[worst]:.2g} sigma with prewhitening (limit {MAX_PREWHITENED_SIGMA:g}), at {estimate.names[worst]}",
+    value = float(apart[worst])
+    finding = (
+        f"differs by {value:.2g} sigma with prewhitening (limit {MAX_PREWHITENED_SIGMA:g}), at {estimate.names[worst]}"
     )
     if value > MAX_PREWHITENED_SIGMA:
         text = f"{finding}: a term is missing in the model: see added columns"
@@ -200,10 +204,13 @@ def _solve_whitened(evidence: FitData) -> Estimate | str:
     names = evidence.estimate.names
     indices = np.array([evidence.observed.system.names.index(name) for name in names])
     system = evidence.observed.system.with_columns(indices)
-    order = min(MAX_ORDER, len(evidence.observed.tau) // 20)
-    system, Z = whitened(system, evidence.Z[:, indices], evidence.rows.rho, order, evidence.observed.parts)
-    if system.used.sum() <= 4 * len(names):
-        return f"not made: {int(system.used.sum())} consecutive rows for {len(names)} parameters; record longer"
+    if evidence.whitened is not None:
+        system, Z = evidence.whitened.system.with_columns(indices), evidence.whitened.Z[:, indices]
+    else:
+        order = whitening_order(len(evidence.observed.tau))
+        system, Z = whitened(system, evidence.Z[:, indices], evidence.rho, order, evidence.observed.parts)
+    if (count := round(system.rows.sum())) <= 4 * len(names):
+        return f"not made: {count} consecutive rows for {len(names)} parameters; record longer"
     try:
         return instrumental_variables(system, Z, evidence.estimate.weights)
     except IdentificationError as error:
@@ -226,7 +233,7 @@ def motion_test(evidence: FitData) -> TrustLine | None:
 
 def effort_test(evidence: FitData) -> TrustLine | None:
     """Recorded efforts beyond a limit of the description, which no drive gives."""
-    overloads = dict.fromkeys(text for part in evidence.recordings for text in part.problem.settings.overloads)
+    overloads = dict.fromkeys(text for problem in evidence.problems for text in problem.settings.overloads)
     if not overloads:
         return None
     text = f"{'; '.join(overloads)}: check drive_gain, ratio and unit of the effort, or correct the limit"
@@ -235,8 +242,8 @@ def effort_test(evidence: FitData) -> TrustLine | None:
 
 def rows_test(e: FitData) -> TrustLine | None:
     """The recording with most missing or repeated rows; else one whose encoders are slower than the log."""
-    several, every = len(e.recordings) > 1, [part.steps for part in e.recordings]
-    places = [f"{part.problem.signals.recording}: " if several else "" for part in e.recordings]
+    every = [position_steps(problem.used_positions()) for problem in e.problems]
+    places = [f"{name}: " if len(e.names) > 1 else "" for name in e.names]
     shares = [100 * np.array([steps.lost, steps.repeated, steps.held]) / max(steps.moving, 1) for steps in every]
     surplus = [x[:2] * (x[:2] > max(MAX_MISSING_PERCENT, MAX_HELD_RATIO * x[2])) for x in shares]
     k = int(np.argmax([x.sum() for x in surplus]))
@@ -246,17 +253,16 @@ def rows_test(e: FitData) -> TrustLine | None:
         text = f"{places[k]}{finding} (position steps that are double or zero)"
         text += ": record time stamps or a row counter ([time] in map.toml), or record again"
         return TrustLine("rows", "caution", text, float(surplus[k].sum()), finding=finding)
-    notes = [_slow_encoder(part, float(x[2])) for part, x in zip(e.recordings, shares, strict=True)]
-    return next(
-        (TrustLine("rows", "ok", place + note) for place, note in zip(places, notes, strict=True) if note), None
-    )
+    notes = [_slow_encoder(e.problem, steps, float(x[2])) for steps, x in zip(every, shares, strict=True)]
+    noted = (place + note for place, note in zip(places, notes, strict=True) if note)
+    return next((TrustLine("rows", "ok", text) for text in noted), None)
 
 
-def _slow_encoder(part: RecordingData, held: float) -> str:
+def _slow_encoder(problem: Problem, steps: PositionSteps, held: float) -> str:
     """The note on positions that stand for one row and jump in the next, which are not missing rows."""
-    percent = 100 * part.steps.coarse[:, 1:] / np.maximum(part.steps.coarse[:, :1], 1)
+    percent = 100 * steps.coarse[:, 1:] / np.maximum(steps.coarse[:, :1], 1)
     both = (percent.min(axis=1) > MAX_MISSING_PERCENT) & (percent.sum(axis=1) > MAX_COARSE_PERCENT)
-    joints = part.problem.signals.robot.joints
+    joints = problem.signals.robot.joints
     names = ", ".join(joint.name for joint, slow in zip(joints, both, strict=True) if slow)
     if held <= MAX_MISSING_PERCENT and not names:
         return ""

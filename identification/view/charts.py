@@ -128,9 +128,9 @@ def friction_charts(fit: Fit, of: str = "") -> list[Graph]:
     problem, estimate, charts, found = fit.problem, fit.estimate, list[Graph](), []
     model, robot = problem.model, problem.signals.robot
     columns = problem.base.columns[[fit.base.names.index(base_name(name)) for name in estimate.names]]
-    applies = np.array([[n in one.parameters.names for n in estimate.names] for one in fit.recordings], dtype=float)
+    applies = np.array([[n in one.arm.names for n in estimate.names] for one in fit.recordings], dtype=float)
     for one, own in zip(fit.recordings, applies, strict=True):
-        dq, rigid = rigid_torque_at_rows(one.problem, one.parameters.values(estimate))
+        dq, rigid = rigid_torque_at_rows(one.problem, one.arm.values(estimate))
         residual = (fit.tau - fit.tau_predicted)[one.rows][: len(dq)]
         found.append((dq, np.abs(rigid), residual, np.tile(own, (len(dq), 1))))
     moved, loads, residuals, own = (np.concatenate(x) for x in zip(*found, strict=True))

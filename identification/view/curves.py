@@ -84,7 +84,7 @@ def _decimate(signals: Signals, settings: Settings | None, fit: Fit | None) -> d
         series = {"q": m.q, "dq": m.dq, "ddq": m.ddq}
         if fit is not None:
             series["torque"] = predicted_torque(
-                m, fit.problem.model, fit.base, fit.recordings[0].parameters.values(fit.estimate)
+                m, fit.problem.model, fit.base, fit.recordings[0].arm.values(fit.estimate)
             )
         elif settings is None:
             series["torque"] = m.tau

@@ -7,19 +7,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..model import direct_model, friction_power, shaped_states
+from ..model import SHAPES, friction_power, shaped_states
+from .filtering import Decimation
+from .load import torque_of_links
+from .motion import Motion
 from .problem import Problem, motion_blocks
 
+MIN_LAG_SPEED_PERCENT = 20.0  # of the peak speed; a lag is looked for in faster rows
+LAG_ORDER = 6  # of its whitening filter: shorter, model error looks like a lag; longer, few rows are left
 STATES = 300  # rows of a recording to evaluate friction at
 
 
-def fast_rows(speed: Array, directions: Array, percent: float) -> NDArray[np.bool_]:
+def fast_rows(speed: Array, directions: Array, percent: float, peak: Array) -> NDArray[np.bool_]:
     """Rows (rows, n) in which each joint is fast, by the joint speeds (rows, n).
 
-    A row is slow if a direction (c, n) of Coulomb friction that acts on its joint is slower than `percent` of its peak.
+    A row is slow if a direction (c, n) of Coulomb friction that acts on its joint is slower than `percent` of its `peak` (c,).
     """
-    sliding = np.abs(speed @ directions.T)
-    slow = sliding < 0.01 * percent * sliding.max(axis=0, initial=0.0)
+    slow = np.abs(speed @ directions.T) < 0.01 * percent * peak
     return np.asarray(~(slow @ (directions != 0)))
 
 
@@ -33,8 +37,11 @@ class RowStates:
     ddq: Array
 
 
-def row_states(problem: Problem) -> RowStates:
-    """About 300 rows of a recording, evenly spaced."""
+def row_states(problem: Problem) -> RowStates | None:
+    """About 300 rows of a recording, evenly spaced; None where there is viscous and Coulomb friction only."""
+    joints, problem = problem.signals.robot.joints, problem.with_samples()
+    if not any(joint.one_sided or set(joint.terms) & set(SHAPES) for joint in joints):
+        return None
     settings, parts, first = problem.settings, list[tuple[Array, ...]](), 0
     rows = settings.decimator.rows(settings.stop - settings.start)
     rows_wanted = np.arange(0, rows, max(1, rows // STATES))
@@ -46,26 +53,21 @@ def row_states(problem: Problem) -> RowStates:
     return RowStates(rows=rows_wanted, q=q, dq=dq, ddq=ddq)
 
 
-def torque_of_links(problem: Problem, beta: Array, motion: RowStates) -> Array:
-    """tau_rigid (k, n) of base parameters beta (b,) at states; needs no samples of the recording."""
-    links = direct_model(problem.model, problem.base.standard_parameters(np.where(problem.base.links, beta, 0.0)))
-    return links.torque(motion.q, motion.dq, motion.ddq)
-
-
 def friction_states(problem: Problem, beta: Array, states: RowStates) -> tuple[Array, Array]:
     """Speeds and loads (m, n), by states of a recording, to evaluate the power of further friction terms at."""
-    return shaped_states(problem.model, states.dq, np.abs(torque_of_links(problem, beta, states)))
+    rigid = torque_of_links(problem.model, problem.base, beta, states.q, states.dq, states.ddq)
+    return shaped_states(problem.model, states.dq, np.abs(rigid))
 
 
-def recorded_power(moved: Sequence[tuple[Problem, RowStates | None]], beta: Array) -> Array | None:
+def recorded_power(problems: Sequence[Problem], beta: Array) -> Array | None:
     """Friction power (m, p) per unit of the standard parameters at recorded speeds; None without further friction terms.
 
-    `moved` are recordings and states in them; beta (b,), base parameters, gives the link torque.
+    Base parameters beta (b,) give the link torque.
     """
     found = [
         friction_power(problem.model, np.arange(problem.model.p), *friction_states(problem, beta, states))
-        for problem, states in moved
-        if states is not None
+        for problem in problems
+        if (states := row_states(problem)) is not None
     ]
     return np.concatenate(found) if found else None
 
@@ -74,4 +76,21 @@ def rigid_torque_at_rows(problem: Problem, beta: Array) -> tuple[Array, Array]:
     """Speeds and tau_rigid (rows, n) at the rows; of a long recording, its first block."""
     motion, inside, _ = next(motion_blocks(problem))
     q, dq, ddq = (problem.settings.decimator.kept(x)[inside] for x in (motion.q, motion.dq, motion.ddq))
-    return dq, torque_of_links(problem, beta, RowStates(rows=np.arange(len(q)), q=q, dq=dq, ddq=ddq))
+    return dq, torque_of_links(problem.model, problem.base, beta, q, dq, ddq)
+
+
+def fast_for_lag(problem: Problem, motion: Motion, decimation: Decimation, peak: Array) -> NDArray[np.bool_]:
+    """Rows (n, T) in which a lag shows, by the `peak` speeds (c,) along the directions of Coulomb friction."""
+    percent = max(MIN_LAG_SPEED_PERCENT, problem.settings.low_speed_percent or 0.0)
+    fast = fast_rows(decimation.kept(motion.dq), problem.model.coulomb_directions, percent, peak)
+    return _well_before_slow(fast.T)
+
+
+def _well_before_slow(fast: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Rows (n, rows) not soon before a slow one, as zero-phase decimation spreads a reversal both ways.
+
+    The whitening leaves out rows soon after a slow one.
+    """
+    for _ in range(LAG_ORDER):
+        fast = fast & np.c_[fast[:, 1:], fast[:, -1:]]
+    return fast

@@ -1,0 +1,326 @@
+"""The equations of a fit: the rows of all its recordings, in the columns of its unknowns x, about given values of them."""
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..arrays import Array
+from ..data import RecordingFile, Recordings, Signals, check_one_robot
+from ..errors import IdentificationError
+from ..estimation import Estimate, System, autoregression, stacked, stacked_columns, whitening_order
+from ..regression import (
+    HELD,
+    REDUCED,
+    LoadFriction,
+    Overrides,
+    Problem,
+    Rows,
+    Settings,
+    Term,
+    Unknowns,
+    load_columns,
+    load_friction,
+    make_problem,
+    make_unknowns,
+    most_numbers,
+    refuse_standing_joints,
+    residual_of_recording,
+    rows_again,
+    rule_cutoff_hz,
+    torque_of_recording,
+    with_torque,
+)
+from ..simulation import ClosedLoops, Instruments, Simulation
+from ..trust import Lag
+from .observation import SPAN_S, Observed, Replayed, Say, observation_of, observe_all, rows_at, with_common_rate
+
+SPANS_OF_IV = 80  # of a long recording: the factors of [C Z W Y] of six joints take 80 MB
+SPAN_NUMBERS = 1_500_000  # of the W of the beginning of a long recording
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Equations:
+    """The recordings of a fit, in the order of their digests, so that sums do not depend on the order given.
+
+    Attributes:
+        recordings: in the order of the digests; `overrides`: their settings.
+        problems: the recordings with their settings; `rows`: of each, columns of load friction zero.
+        replays: the described control law of each against its recorded effort.
+        order: places of the recordings in the order given.
+        unknowns: x.
+        load: load friction in the base parameters; None without.
+        left_out: friction terms left out, each with the reason.
+        lags: that the torques are corrected by, once estimated.
+    """
+
+    recordings: Recordings
+    overrides: Overrides
+    problems: tuple[Problem, ...]
+    rows: tuple[Rows, ...]
+    replays: tuple[Replayed, ...]
+    order: tuple[int, ...]
+    unknowns: Unknowns
+    load: LoadFriction | None
+    left_out: dict[str, str] = field(default_factory=dict)
+    lags: tuple[Lag, ...] = ()
+    _about: dict[bytes, Rows] = field(default_factory=dict)
+
+    @property
+    def problem(self) -> Problem:
+        """That of the recording given first; all have the same robot, model and base parameters."""
+        return self.problems[self.order[0]]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of x."""
+        return self.unknowns.names
+
+    @property
+    def reduced(self) -> bool:
+        """Whether rows are QR factors; all of them, or none."""
+        return self.rows[0].reduced
+
+    def tasks(self) -> list[Problem]:
+        """The problems for tasks: without samples if a task can read them itself."""
+        found = []
+        for source, problem in zip(self.recordings.sources, self.problems, strict=True):
+            if isinstance(source, RecordingFile) and self.recordings.work.workers != 1:
+                problem = problem.without_samples()
+            found.append(problem if len(problem.signals.q) else replace(problem, source=source))
+        return found
+
+    def with_sources(self) -> list[Problem]:
+        """The problems, those without samples with where to read them."""
+        return [own if len(own.signals.q) else task for own, task in zip(self.problems, self.tasks(), strict=True)]
+
+    def load_places(self) -> NDArray[np.intp]:
+        """Places of the parameters of load friction in x."""
+        places = self.load.places if self.load else ()
+        return np.array([self.names.index(self.problem.base.names[place]) for place in places], dtype=np.intp)
+
+    def about(self, x: Array | None = None) -> Rows:
+        """[J Y] of all recordings about x, columns of all unknowns; without x columns of load friction are zero."""
+        if self.load is None or x is None:
+            x = np.zeros(0)
+        if (key := x.tobytes()) not in self._about:
+            self._about.clear()
+            self._about[key] = self.stacked(self.rows_about(x))
+        return self._about[key]
+
+    def rows_about(self, x: Array, further: Sequence[Term] = ()) -> list[Rows]:
+        """The rows of each recording about x, of long ones with `further` columns; without load friction for an empty x."""
+        if not further and (self.load is None or not len(x)):
+            return list(self.rows)
+        run = self.recordings.work.run
+        tasks = [(problem, REDUCED, self.unknowns.beta(x, k)) for k, problem in enumerate(self.tasks())]
+        if self.reduced:
+            more = further or (None,) * len(tasks)
+            return list(run(rows_again, [(*task, terms) for task, terms in zip(tasks, more, strict=True)]))
+        assert self.load is not None
+        columns = run(load_columns, [(problem, self.load, beta) for problem, _, beta in tasks])
+        found = zip(self.rows, tasks, columns, strict=True)
+        return [rows.about(beta, self.load, column) for rows, (*_, beta), column in found]
+
+    def stacked(self, each: Sequence[Rows]) -> Rows:
+        """The rows of the recordings, stacked joint by joint, in the columns of x."""
+        systems, Z = list[System](), list[Array]()
+        for k, rows in enumerate(each):
+            WE = np.c_[rows.system.W, rows.E] if rows.E.size else rows.system.W
+            J, Y = self.unknowns.columns(k, WE), rows.system.Y
+            if not self.unknowns.plain:
+                Y = Y - rows.system.W @ self.unknowns.arms[k].known - rows.E[:, self.unknowns.motors].sum(axis=1)
+            systems.append(replace(rows.system, W=J, Y=Y, names=self.names))
+            Z.append(self.unknowns.columns(k, rows.Z) if rows.Z.size else rows.Z)
+        n = self.problem.signals.robot.n
+        return Rows(
+            system=stacked(systems),
+            E=each[0].E[:0],
+            C=stacked_columns([rows.C for rows in each], n),
+            Z=stacked_columns(Z, n),
+            **{name: np.concatenate([getattr(rows, name) for rows in each]) for name in ("share", "tau", "speed")},
+        )
+
+    def along(self, z: Instruments) -> Rows:
+        """[Z J Y] about the values of instruments, in their rows."""
+        return self.stacked(self.rows_with(z.rows)) if z.rows else replace(self.about(z.x), Z=z.Z)
+
+    def rows_with(self, factors: Sequence[Rows]) -> list[Rows]:
+        """The rows of each recording with the given factors, and its measurements; without any, its own rows."""
+        pairs = zip(self.rows, factors, strict=bool(factors))
+        return [replace(x, share=own.share, tau=own.tau, speed=own.speed) for own, x in pairs] or list(self.rows)
+
+    def without(self, left_out: dict[str, str]) -> "Equations":
+        """The same without friction terms that are regrouped with nothing; `left_out` has the reasons."""
+        problems = [problem.without_terms(left_out) for problem in self.problems]
+        found = self._of(problems, [rows.without(left_out) for rows in self.rows])
+        return replace(found, left_out=self.left_out | left_out)
+
+    def _of(
+        self, problems: Sequence[Problem], rows: Sequence[Rows], motors: tuple[int, ...] | None = None
+    ) -> "Equations":
+        """The same recordings with other settings and rows, or other motors whose gains are unknown."""
+        observed = list(zip(problems, rows, self.replays, strict=True))
+        motors = self.unknowns.motors if motors is None else motors
+        found = equations_of(self.recordings, self.overrides, observed, self.order, motors)
+        return replace(found, left_out=self.left_out, lags=self.lags)
+
+    def at_cutoff(self, cutoff_hz: float) -> "Equations":
+        """The same recordings with another low-pass."""
+        tasks, most = [], most_numbers(len(self.problems))
+        for problem in self.tasks():
+            overrides = replace(self.overrides, cutoff_hz=cutoff_hz, decimation=problem.settings.decimation)
+            tasks.append((problem, overrides, most))
+        settings, rows = zip(*self.recordings.work.run(rows_at, tasks), strict=True)
+        return self._of(self._with_settings(settings), rows)
+
+    def with_ramps(self, ramp_rows: float) -> "Equations":
+        """The same recordings with other ramps of the weights of samples."""
+        if all(problem.settings.ramp_rows == ramp_rows for problem in self.problems):
+            return self
+        most, settings = REDUCED if self.reduced else HELD, [one.settings for one in self.problems]
+        found = replace(self, overrides=replace(self.overrides, ramp_rows=ramp_rows))
+        found = replace(found, problems=self._with_settings([replace(one, ramp_rows=ramp_rows) for one in settings]))
+        rows = list(self.recordings.work.run(rows_again, [(problem, most) for problem in found.tasks()]))
+        return found._of(found.problems, rows)
+
+    def _with_settings(self, settings: Sequence[Settings]) -> tuple[Problem, ...]:
+        return tuple(replace(one, settings=own) for one, own in zip(self.problems, settings, strict=True))
+
+    def behind_rule(self) -> "Equations | None":
+        """The same recordings with the rule's low-pass; None if all have it or a lower one, or a recording is too short."""
+        if all(problem.settings.filtered for problem in self.problems):
+            return None
+        signals = [problem.signals for problem in self.problems]
+        with suppress(IdentificationError):
+            return self.at_cutoff(min(map(rule_cutoff_hz, signals)))
+        return None
+
+    def with_motors(self, motors: tuple[int, ...]) -> "Equations":
+        """The same recordings with the gains of these motors as unknowns."""
+        return self if motors == self.unknowns.motors else self._of(self.problems, self.rows, motors)
+
+    def with_gains(self, factors: Array) -> "Equations":
+        """The same recordings with drive gains times `factors` (n,)."""
+        return self._with_torques([problem.with_gains(factors) for problem in self.problems])
+
+    def corrected(self, lags_s: Sequence[float]) -> "Equations":
+        """The same with the torque of each recording corrected by another lag, s."""
+        pairs = list(zip(self.problems, lags_s, strict=True))
+        if all(problem.settings.torque_lag_s == lag_s for problem, lag_s in pairs):
+            return self
+        return self._with_torques([problem.corrected(lag_s) for problem, lag_s in pairs])
+
+    def _with_torques(self, problems: Sequence[Problem]) -> "Equations":
+        tasks = zip(replace(self, problems=tuple(problems)).tasks(), self.rows, strict=True)
+        return self._of(problems, list(self.recordings.work.run(with_torque, list(tasks))))
+
+    def beginning(self) -> "Equations":
+        """Unchanged if rows are held; else the beginnings of the recordings, with rows, together at most three minutes."""
+        if not self.reduced:
+            return self
+        observed, count = list[Observed](), len(self.problems)
+        for problem in self.tasks():
+            whole = problem.with_samples()
+            rows = SPAN_NUMBERS / (whole.signals.robot.n * whole.base.b) / count
+            most = min(rows * whole.settings.decimation, SPAN_S * whole.signals.sample_rate_hz / count)
+            observed.append(
+                observation_of(whole.until(min(whole.settings.stop, whole.settings.start + int(most))), HELD)
+            )
+        problems, held, replays = zip(*observed, strict=True)
+        recordings = Recordings(sources=tuple(problem.signals for problem in problems))
+        return replace(self, recordings=recordings, replays=replays)._of(problems, held)
+
+    def whitening(self, x: Array) -> Array:
+        """(n, order + 1) filters that whiten each joint's residual of x, in its torque by the gains in x."""
+        of, problems, factors = self.unknowns, self.tasks(), np.ones(self.problem.signals.robot.n)
+        if of.motors:
+            factors[list(of.motors)] = x[of.gains]
+            problems = [problem.with_gains(factors) for problem in problems]
+        tasks = [(problem, of.beta(x, k)) for k, problem in enumerate(problems)]
+        rho = np.concatenate(list(self.recordings.work.run(residual_of_recording, tasks)), axis=1)
+        rho *= np.concatenate([rows.counts for rows in self.rows]).T
+        order = whitening_order(rho.shape[1])
+        return np.stack([np.r_[1.0, -autoregression(own, order)] for own in rho])
+
+    def predicted(self, *estimates: Estimate, by_recording: bool = False) -> Array:
+        """Decimated torque (rows, n) of an estimate; of several, each in equal spans of a recording, or in one recording."""
+        tasks = [
+            (problem, *(arm.values(one) for one in (estimates[k : k + 1] if by_recording else estimates)))
+            for k, (problem, arm) in enumerate(zip(self.tasks(), self.unknowns.arms, strict=True))
+        ]
+        return np.concatenate([predicted for _, predicted, _ in self.recordings.work.run(torque_of_recording, tasks)])
+
+
+def equations_of(
+    recordings: Recordings,
+    overrides: Overrides,
+    observed: Sequence[Observed],
+    order: tuple[int, ...],
+    motors: tuple[int, ...] = (),
+) -> Equations:
+    """The equations of recordings; the gains of `motors` are unknown."""
+    problems, rows, replays = zip(*observed, strict=True)
+    return Equations(
+        recordings=recordings,
+        overrides=overrides,
+        problems=problems,
+        rows=rows,
+        replays=replays,
+        order=order,
+        unknowns=make_unknowns(problems, motors),
+        load=load_friction(problems[0].model, problems[0].base),
+    )
+
+
+def read_equations(given: Signals | Recordings, overrides: Overrides, say: Say) -> Equations:
+    """The equations of one recording or several, each filtered and decimated separately.
+
+    All have the lowest cut-off and the lowest rate of rows that the rules give.
+
+    Raises `IdentificationError` if the recordings are not of one robot, and as `make_problem`.
+    """
+    if isinstance(given, Signals):
+        given = Recordings(sources=(given,))
+    if len(given.sources) == 1:
+        (source,) = given.sources
+        signals = source if isinstance(source, Signals) else source.load()
+        one = observation_of(make_problem(signals, overrides), None, say)
+        return equations_of(Recordings(sources=(signals,)), overrides, (one,), (0,))
+    say(f"reading {len(given.sources)} recordings")
+    found = observe_all(given, [overrides] * len(given.sources), most_numbers(len(given.sources)))
+    check_one_robot([problem.signals for problem, _, _ in found])
+    found = with_common_rate(given, found, overrides)
+    each = [problem.signals for problem, _, _ in found]
+    by_digest = sorted(range(len(found)), key=lambda k: (each[k].sha256, each[k].recording))
+    equations = equations_of(
+        replace(given, sources=tuple(given.sources[k] for k in by_digest)),
+        overrides,
+        [found[k] for k in by_digest],
+        tuple(by_digest.index(k) for k in range(len(found))),
+    )
+    joints = tuple(joint.name for joint in each[0].robot.joints)
+    places = ", ".join(each[k].recording for k in by_digest)
+    refuse_standing_joints(equations.about().share, joints, places, equations.problem.signals.robot.bandwidth_hz)
+    return equations
+
+
+def closed_loops(equations: Equations, prior: Array, *, gain_update: bool) -> ClosedLoops:
+    """The closed loops of the recordings; gains are set for the inertias of `prior`, values of x."""
+    pairs = enumerate(zip(equations.tasks(), equations.rows, strict=True))
+    return ClosedLoops(
+        simulations=tuple(
+            Simulation(
+                problem=problem,
+                prior=equations.unknowns.beta(prior, k),
+                spans=min(SPANS_OF_IV, len(rows.tau) // 2) if rows.reduced else 0,
+                gain_update=gain_update,
+            )
+            for k, (problem, rows) in pairs
+        ),
+        names=tuple(problem.signals.recording for problem in equations.problems),
+        unknowns=equations.unknowns,
+        work=equations.recordings.work,
+    )

@@ -1,0 +1,181 @@
+"""Terms that the model may lack: as those that it has, they are asked for their columns along a motion."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.robot import Joint
+
+from ..arrays import Array
+from ..model import JointTerm, direct_model
+from ..regression import Decimation, Motion, Problem, differentiate, fast_for_lag, predicted_torque, weights_at
+
+MIN_T = 5.0  # deviations, above chance
+MIN_TAKEN_PERCENT = 2.0  # of the residual's square
+MIN_SPRING_TAKEN_PERCENT = 10.0  # the same for a spring: any slow error correlates with a slow position
+STRIBECK_SPEED_RATIO = 0.2  # of a joint's peak speed: Stribeck friction has fallen to Coulomb friction about there
+STRIBECK, ASYMMETRIC, OFFSET, SPRING = "Stribeck friction", "asymmetric friction", "offset", "spring"
+ROOT, LOAD, TILT, LAG, DRIFT = "root friction", "load friction", "tilt of gravity", "lag", "drift"
+SELECT_TERMS = "run `robot-identify friction`"
+
+
+@dataclass(frozen=True, kw_only=True)
+class MissingTerm:
+    """A term that the model may lack.
+
+    Attributes:
+        kind, where: the term, and its joint or axis.
+        unit, advice: unit of the coefficient; what to do.
+        value, t: its coefficient, also in deviations.
+        taken_percent: share of the residual's square that it explains; `together_percent`: all columns of its kind.
+        moves: largest shift of an essential parameter, in half-widths.
+    """
+
+    kind: str
+    where: str
+    unit: str
+    advice: str
+    value: float = 0.0
+    t: float = 0.0
+    taken_percent: float = 0.0
+    together_percent: float = 0.0
+    moves: float = 0.0
+
+    @property
+    def found(self) -> bool:
+        """Whether it is significant and large."""
+        if self.kind == LAG:  # hardly visible in the residual
+            return abs(self.t) > MIN_T and self.moves > 1
+        least = MIN_SPRING_TAKEN_PERCENT if self.kind == SPRING else MIN_TAKEN_PERCENT
+        return abs(self.t) > MIN_T and self.taken_percent > least
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Candidates:
+    """Terms that are not in the model of a recording, asked for their columns along any motion.
+
+    Attributes:
+        problem: of the recording, without samples; `beta`: (b,) its base parameters, about which the columns are.
+        peak, sliding: (n,) and (c,) largest speeds of the joints, and along the directions of Coulomb friction.
+        simulated: whether the motion has the torque of a simulated robot that follows a recorded reference.
+        gains: whether drive gains are identified.
+    """
+
+    problem: Problem
+    beta: Array
+    peak: Array
+    sliding: Array
+    simulated: bool
+    gains: bool
+
+    @cached_property
+    def terms(self) -> tuple[MissingTerm, ...]:
+        """The terms."""
+        return tuple(term for term, _, _ in self._still)
+
+    @cached_property
+    def places(self) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+        """By term its column (k,) and the joints (k, n) whose rows in it are its own: terms of other joints share a column."""
+        acts = np.array([joints != 0 for _, joints, _ in self._still])
+        columns, taken = list[int](), list[NDArray[np.bool_]]()
+        for joints in acts:
+            free = next((i for i, other in enumerate(taken) if not (other & joints).any()), len(taken))
+            taken[free:] = [joints | (taken[free] if free < len(taken) else False), *taken[free + 1 :]]
+            columns.append(free)
+        return np.array(columns, dtype=np.intp), acts
+
+    @cached_property
+    def _still(self) -> list[tuple[MissingTerm, Array, Array]]:
+        none = np.zeros((3, self.problem.signals.robot.n))
+        still = Motion(t_s=np.arange(3) / self.problem.signals.sample_rate_hz, q=none, dq=none, ddq=none, tau=none)
+        return list(self._torques(self.problem, still, none))
+
+    def columns(self, problem: Problem, motion: Motion, decimation: Decimation) -> Array:
+        """(n, k + 1, rows) torque per unit of the terms along a motion, weighted and decimated; last the rate of the drives'
+        torque, per second.
+        """
+        w, places, drives = weights_at(problem, motion.t_s), self.places[0], self._drives(problem, motion)
+        # Near reversals, friction that rises smoothly looks like a lag.
+        fast = fast_for_lag(problem, motion, decimation, self.sliding)
+        found = np.zeros((len(w), places.max() + 2, decimation.rows(len(motion.t_s))))
+        for place, (term, acts, torque) in zip(places, self._torques(problem, motion, drives), strict=True):
+            for j in np.flatnonzero(acts):
+                x = torque if torque.ndim == 1 else torque[:, j]
+                found[j, place] = decimation.filtered(acts[j] * w[j] * x) * (fast[j] if term.kind == LAG else 1.0)
+        tau = motion.tau if self.simulated else drives
+        found[:, -1] = decimation.filtered(w * differentiate(tau, 1 / (motion.t_s[1] - motion.t_s[0])).T)
+        return found
+
+    def _drives(self, problem: Problem, x: Motion) -> Array:
+        """The drives' torque (N, n) along a motion: the model's less the known one."""
+        drives, known = predicted_torque(x, problem.model, problem.base, self.beta), problem.signals.known_torque
+        if known is None or not len(known):
+            return drives
+        return drives - known[np.rint(x.t_s * problem.signals.sample_rate_hz).astype(np.intp)]
+
+    def _torques(self, problem: Problem, x: Motion, drives: Array) -> Iterator[tuple[MissingTerm, Array, Array]]:
+        """Each term, the factors (n,) by which it acts at the joints, and its torque (N,) or (N, n)."""
+        robot, idm, base = problem.signals.robot, problem.model, problem.base
+        chi, joints, n, efforts = np.zeros(idm.p), robot.joints, len(robot.joints), robot.effort_units
+        chi[base.columns] = self.beta
+        links = direct_model(idm, np.where(idm.of_links, chi, 0.0))
+        value = {s.name: chi[c] for c, s in enumerate(idm.sources) if isinstance(s, JointTerm)}
+        load = np.abs(links.torque(x.q, x.dq, x.ddq))
+        fs, settings, each = problem.signals.sample_rate_hz, problem.settings, np.eye(n)
+        for j, joint in enumerate(joints):
+            terms, effort, v, where = joint.terms, efforts[j], x.dq[:, j], f"of joint {joint.name}"
+            if {"viscous", "coulomb"} & set(terms) and not joint.one_sided and "asymmetric" not in terms:
+                advice = _to_describe(joint, "asymmetric", 'friction = "asymmetric", which includes an offset')
+                Fc, Fv = (0.01 * value.get(f"{name}{j + 1}", 0.0) for name in ("Fc", "Fv"))
+                term = MissingTerm(kind=ASYMMETRIC, where=where, unit="% of it", advice=advice)
+                yield term, each[j], Fc + Fv * np.abs(v)
+            if "offset" not in terms:
+                advice = _to_describe(joint, "offset", "offset = true")
+                yield MissingTerm(kind=OFFSET, where=where, unit=effort, advice=advice), each[j], np.ones_like(v)
+            advice = "warm the robot up, or record a shorter motion"
+            term = MissingTerm(kind=DRIFT, where=where, unit=f"{effort} over the recording", advice=advice)
+            yield term, each[j], (x.t_s * fs - settings.start) / (settings.stop - 1 - settings.start)
+            advice = "record its torque (of a spring, a hose or a weight) as known_torque"
+            term = MissingTerm(kind=SPRING, where=where, unit=f"{effort}/{joint.position_unit}", advice=advice)
+            yield term, each[j], x.q[:, j]
+            if "stribeck" not in terms:
+                advice = "leave out slow samples by a larger low_speed_percent of [identification]"
+                v_s = STRIBECK_SPEED_RATIO * max(self.peak[j], 1e-300)
+                term = MissingTerm(kind=STRIBECK, where=where, unit=effort, advice=advice)
+                yield term, each[j], np.sign(v) * np.exp(-((v / v_s) ** 2))
+            if "load" not in joint.terms:
+                term = MissingTerm(kind=LOAD, where=where, unit="", advice=SELECT_TERMS)
+                yield term, each[j], load[:, j] * np.sign(v)
+        # Torque per rad of rotation of gravity about an axis of the base, by the estimated links.
+        for axis, about in zip(np.eye(3), "xyz", strict=True):
+            if (turned := np.cross(axis, np.array(robot.gravity))).any():
+                advice = "level the base, or set gravity_m_s2"
+                term = MissingTerm(kind=TILT, where=f"about {about}", unit="rad", advice=advice)
+                yield term, np.ones(n), links.gravity(x.q, along=turned)
+        for along in idm.coulomb_directions:
+            j = int(np.flatnonzero(along)[-1])
+            if "root" not in joints[j].terms:
+                where = f"of{' the motor of' if np.count_nonzero(along) > 1 else ''} joint {joints[j].name}"
+                unit, v = f"{efforts[j]} ({joints[j].position_unit}/s)^-½", x.dq @ along
+                term = MissingTerm(kind=ROOT, where=where, unit=unit, advice=SELECT_TERMS)
+                yield term, along, np.sign(v) * np.sqrt(np.abs(v))
+        if n > 1 and self.simulated:
+            rate = differentiate(x.tau, 1 / (x.t_s[1] - x.t_s[0]))
+            advice = "check how its effort is filtered and stamped"
+            for j in range(n):
+                term = MissingTerm(kind=LAG, where=f"of joint {joints[j].name}", unit="ms", advice=advice)
+                yield term, -1e-3 * each[j], rate
+        if n > 1 and robot.gain_known and not self.gains:
+            # The predicted torque of a drive: the coefficient is its gain relative to the others, less 1.
+            advice = "check its drive_gain and ratio against those of the other joints"
+            for j in range(n):
+                term = MissingTerm(kind="relative gain", where=f"of joint {joints[j].name}", unit="%", advice=advice)
+                yield term, 0.01 * each[j], drives
+
+
+def _to_describe(joint: Joint, term: str, otherwise: str) -> str:
+    """How to describe a friction term, in a list of terms or by keys."""
+    return f'add "{term}" to its friction' if isinstance(joint.friction, tuple) else f"describe it as {otherwise}"
