@@ -13,7 +13,7 @@ from .direct import (
     why_not_positive,
 )
 from .inverse import LINK, InverseModel
-from .joint_terms import SHAPES, SLIDING, JointTerm
+from .joint_terms import SHAPES, SLIDING, JointTerm, inertia_unit
 from .obstacles import Obstacles, obstacles_of
 from .payload import add_payload, payload_parameters
 from .physical import (

@@ -10,15 +10,17 @@ from numpy.typing import NDArray
 from acquisition.robot import Joint
 
 from ..arrays import Array
-from ..model import JointTerm, direct_model
+from ..model import DirectModel, JointTerm, direct_model, inertia_unit, torque_of_links
 from ..regression import Decimation, Motion, Problem, differentiate, fast_for_lag, predicted_torque, weights_at
 
 MIN_T = 5.0  # deviations, above chance
 MIN_TAKEN_PERCENT = 2.0  # of the residual's square
-MIN_SPRING_TAKEN_PERCENT = 10.0  # the same for a spring: any slow error correlates with a slow position
+MIN_SPRING_TAKEN_PERCENT = 10.0  # of a spring where nothing weighs: any slow error correlates with a slow position
 STRIBECK_SPEED_RATIO = 0.2  # of a joint's peak speed: Stribeck friction has fallen to Coulomb friction about there
 STRIBECK, ASYMMETRIC, OFFSET, SPRING = "Stribeck friction", "asymmetric friction", "offset", "spring"
 ROOT, LOAD, TILT, LAG, DRIFT = "root friction", "load friction", "tilt of gravity", "lag", "drift"
+ROTOR, ZERO, CLOCKS = "rotor", "zero", "clock drift"
+SAMPLES_A_ROW = 4  # at which the torque of the links is computed: smooth, and low-passed to half a sample a row
 SELECT_TERMS = "run `robot-identify friction`"
 
 
@@ -32,6 +34,8 @@ class MissingTerm:
         value, t: its coefficient, also in deviations.
         taken_percent: share of the residual's square that it explains; `together_percent`: all columns of its kind.
         moves: largest shift of an essential parameter, in half-widths.
+        least_percent: of `taken_percent`, to be large.
+        noticed: size of the coefficient that is noticed in nearly every recording; infinite in the span of the model.
     """
 
     kind: str
@@ -43,14 +47,16 @@ class MissingTerm:
     taken_percent: float = 0.0
     together_percent: float = 0.0
     moves: float = 0.0
+    least_percent: float = MIN_TAKEN_PERCENT
+    noticed: float = np.inf
 
     @property
     def found(self) -> bool:
         """Whether it is significant and large."""
-        if self.kind == LAG:  # hardly visible in the residual
-            return abs(self.t) > MIN_T and self.moves > 1
-        least = MIN_SPRING_TAKEN_PERCENT if self.kind == SPRING else MIN_TAKEN_PERCENT
-        return abs(self.t) > MIN_T and self.taken_percent > least
+        large = self.taken_percent > self.least_percent
+        if self.kind in (LAG, CLOCKS):  # hardly visible in the residual
+            large = self.moves > 1 or (large and self.kind == CLOCKS)
+        return abs(self.t) > MIN_T and large
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -91,7 +97,7 @@ class Candidates:
     def _still(self) -> list[tuple[MissingTerm, Array, Array]]:
         none = np.zeros((3, self.problem.signals.robot.n))
         still = Motion(t_s=np.arange(3) / self.problem.signals.sample_rate_hz, q=none, dq=none, ddq=none, tau=none)
-        return list(self._torques(self.problem, still, none))
+        return list(self._torques(self.problem, still, none, 1))
 
     def columns(self, problem: Problem, motion: Motion, decimation: Decimation) -> Array:
         """(n, k + 1, rows) torque per unit of the terms along a motion, weighted and decimated; last the rate of the drives'
@@ -100,13 +106,14 @@ class Candidates:
         w, places, drives = weights_at(problem, motion.t_s), self.places[0], self._drives(problem, motion)
         # Near reversals, friction that rises smoothly looks like a lag.
         fast = fast_for_lag(problem, motion, decimation, self.sliding)
+        stride = max(1, decimation.factor // SAMPLES_A_ROW)
         found = np.zeros((len(w), places.max() + 2, decimation.rows(len(motion.t_s))))
-        for place, (term, acts, torque) in zip(places, self._torques(problem, motion, drives), strict=True):
+        for place, (term, acts, torque) in zip(places, self._torques(problem, motion, drives, stride), strict=True):
             for j in np.flatnonzero(acts):
                 x = torque if torque.ndim == 1 else torque[:, j]
-                found[j, place] = decimation.filtered(acts[j] * w[j] * x) * (fast[j] if term.kind == LAG else 1.0)
-        tau = motion.tau if self.simulated else drives
-        found[:, -1] = decimation.filtered(w * differentiate(tau, 1 / (motion.t_s[1] - motion.t_s[0])).T)
+                column = decimation.filtered(acts[j] * w[j] * x)
+                found[j, place] = column * fast[j] if term.kind in (LAG, CLOCKS) else column
+        found[:, -1] = decimation.filtered(w * self._rate(motion, drives).T)
         return found
 
     def _drives(self, problem: Problem, x: Motion) -> Array:
@@ -116,14 +123,22 @@ class Candidates:
             return drives
         return drives - known[np.rint(x.t_s * problem.signals.sample_rate_hz).astype(np.intp)]
 
-    def _torques(self, problem: Problem, x: Motion, drives: Array) -> Iterator[tuple[MissingTerm, Array, Array]]:
+    def _rate(self, x: Motion, drives: Array) -> Array:
+        """d/dt (N, n) of the torque along a motion, per second."""
+        return differentiate(x.tau if self.simulated else drives, 1 / (x.t_s[1] - x.t_s[0]))
+
+    def _torques(
+        self, problem: Problem, x: Motion, drives: Array, stride: int
+    ) -> Iterator[tuple[MissingTerm, Array, Array]]:
         """Each term, the factors (n,) by which it acts at the joints, and its torque (N,) or (N, n)."""
         robot, idm, base = problem.signals.robot, problem.model, problem.base
         chi, joints, n, efforts = np.zeros(idm.p), robot.joints, len(robot.joints), robot.effort_units
         chi[base.columns] = self.beta
         links = direct_model(idm, np.where(idm.of_links, chi, 0.0))
         value = {s.name: chi[c] for c, s in enumerate(idm.sources) if isinstance(s, JointTerm)}
-        load = np.abs(links.torque(x.q, x.dq, x.ddq))
+        tau, by_position = _along(links, x, stride)
+        load = np.abs(tau)
+        weighs = n > 1 and max(np.abs(tau).max(), np.abs(by_position).max()) > 1e-9  # N m
         fs, settings, each = problem.signals.sample_rate_hz, problem.settings, np.eye(n)
         for j, joint in enumerate(joints):
             terms, effort, v, where = joint.terms, efforts[j], x.dq[:, j], f"of joint {joint.name}"
@@ -139,13 +154,22 @@ class Candidates:
             term = MissingTerm(kind=DRIFT, where=where, unit=f"{effort} over the recording", advice=advice)
             yield term, each[j], (x.t_s * fs - settings.start) / (settings.stop - 1 - settings.start)
             advice = "record its torque (of a spring, a hose or a weight) as known_torque"
-            term = MissingTerm(kind=SPRING, where=where, unit=f"{effort}/{joint.position_unit}", advice=advice)
+            unit, least = f"{effort}/{joint.position_unit}", MIN_TAKEN_PERCENT if weighs else MIN_SPRING_TAKEN_PERCENT
+            term = MissingTerm(kind=SPRING, where=where, unit=unit, advice=advice, least_percent=least)
             yield term, each[j], x.q[:, j]
             if "stribeck" not in terms:
                 advice = "leave out slow samples by a larger low_speed_percent of [identification]"
                 v_s = STRIBECK_SPEED_RATIO * max(self.peak[j], 1e-300)
                 term = MissingTerm(kind=STRIBECK, where=where, unit=effort, advice=advice)
                 yield term, each[j], np.sign(v) * np.exp(-((v / v_s) ** 2))
+            unit, per = ("deg", np.pi / 180) if joint.type == "revolute" else ("mm", 1e-3)
+            advice = "check the zero of its position (home offset 607Ch, zero_deg or zero_m)"
+            term = MissingTerm(kind=ZERO, where=where, unit=unit, advice=advice)
+            yield term, np.ones(n), per * by_position[:, :, j]
+            if not joint.rotor_inertia:
+                advice = "rotor_inertia = true"
+                term = MissingTerm(kind=ROTOR, where=where, unit=inertia_unit(robot, j), advice=advice)
+                yield term, each[j], x.ddq[:, j]
             if "load" not in joint.terms:
                 term = MissingTerm(kind=LOAD, where=where, unit="", advice=SELECT_TERMS)
                 yield term, each[j], load[:, j] * np.sign(v)
@@ -162,18 +186,35 @@ class Candidates:
                 unit, v = f"{efforts[j]} ({joints[j].position_unit}/s)^-½", x.dq @ along
                 term = MissingTerm(kind=ROOT, where=where, unit=unit, advice=SELECT_TERMS)
                 yield term, along, np.sign(v) * np.sqrt(np.abs(v))
+        advice = "stamp positions and efforts by one clock"
+        term = MissingTerm(kind=CLOCKS, where="between positions and efforts", unit="%", advice=advice)
+        middle_s = (settings.start + settings.stop - 1) / (2 * fs)
+        yield term, np.ones(n), -0.01 * (x.t_s - middle_s)[:, None] * self._rate(x, drives)
         if n > 1 and self.simulated:
-            rate = differentiate(x.tau, 1 / (x.t_s[1] - x.t_s[0]))
             advice = "check how its effort is filtered and stamped"
             for j in range(n):
                 term = MissingTerm(kind=LAG, where=f"of joint {joints[j].name}", unit="ms", advice=advice)
-                yield term, -1e-3 * each[j], rate
+                yield term, -1e-3 * each[j], self._rate(x, drives)
         if n > 1 and robot.gain_known and not self.gains:
             # The predicted torque of a drive: the coefficient is its gain relative to the others, less 1.
             advice = "check its drive_gain and ratio against those of the other joints"
             for j in range(n):
                 term = MissingTerm(kind="relative gain", where=f"of joint {joints[j].name}", unit="%", advice=advice)
                 yield term, 0.01 * each[j], drives
+
+
+def _along(links: DirectModel, x: Motion, stride: int) -> tuple[Array, Array]:
+    """The links' torque (N, n) along a motion, and its derivatives (N, n, n) by the positions, the last axis.
+
+    They are computed at every `stride`-th sample, and lie on straight lines between.
+    """
+    at = np.unique(np.r_[0 : len(x.q) : stride, len(x.q) - 1])
+    tau, slopes = torque_of_links(links, (x.q[at], x.dq[at], x.ddq[at]))
+    series = np.concatenate([tau[..., None], slopes[0]], axis=2)
+    upper = np.clip(np.searchsorted(at, np.arange(len(x.q))), 1, len(at) - 1)
+    share = ((np.arange(len(x.q)) - at[upper - 1]) / (at[upper] - at[upper - 1]))[:, None, None]
+    every = (1 - share) * series[upper - 1] + share * series[upper]
+    return every[..., 0], every[..., 1:]
 
 
 def _to_describe(joint: Joint, term: str, otherwise: str) -> str:

@@ -6,25 +6,47 @@ by the share that estimate and column leave of white noise: a slow column remove
 c is the column of the simulated motion, so that position noise does not bias g. Columns have the weights of W.
 """
 
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..estimation import deviations_of_sums
-from .candidates import ASYMMETRIC, DRIFT, LAG, MIN_T, SPRING, STRIBECK, TILT, MissingTerm
+from ..report import Assumed
+from .candidates import (
+    ASYMMETRIC,
+    CLOCKS,
+    DRIFT,
+    LAG,
+    MIN_T,
+    MIN_TAKEN_PERCENT,
+    ROTOR,
+    SPRING,
+    STRIBECK,
+    TILT,
+    ZERO,
+    MissingTerm,
+)
 from .fit_data import FitData
 from .lines import TrustLine
 
 MAX_TIE_PERCENT = 2.0  # of the residual's square: kinds within this are indistinguishable
 MIN_INDEPENDENT_NORM = 0.01  # share of a column's norm outside the span of W, for a usable coefficient
+MIN_BIAS = 1e-6  # the same, and of a column's norm beside the torque's: below, it is rounding and biases nothing
+NAMES_THEMSELVES = (TILT, LAG, DRIFT, ZERO, CLOCKS)
+MARGIN_T = 2.0  # deviations above MIN_T, at which nearly every recording tells
+MAX_UNNOTICED = {"deg": 2.0, "mm": 10.0}  # error of a zero; a larger one that is not noticed is assumed away
 
 
 def added_columns_test(evidence: FitData) -> TrustLine:
     """Whether the model lacks a term: friction, an offset, drift, a spring, a tilt of gravity, a gain or a lag."""
     name = "added columns"
-    terms = missing_terms(evidence)
+    every = missing_terms(evidence)
+    assumed, terms = tuple(_assumed(every)), [term for term in every if np.isfinite(term.noticed)]
     if not terms:
-        return TrustLine(name, "not made", "not made: the model has every term that is tried")
+        return TrustLine(name, "not made", "not made: the model has every term that is tried", assumed=assumed)
     found = [term for term in terms if term.found]
     first = max(found or terms, key=_rank)
     strongest = f"{first.kind} {first.where} {first.value:.3g} {first.unit}".rstrip()
@@ -34,10 +56,24 @@ def added_columns_test(evidence: FitData) -> TrustLine:
         untried = "" if robot.gain_known else "; relative gains not tried: the drive gains are not known"
         untried = "; one joint has no relative gain" if robot.n == 1 else untried
         text = f"no missing term found ({len(terms)} tried; strongest: {strongest}){untried}"
-        return TrustLine(name, "ok", text, first.t)
+        return TrustLine(name, "ok", text, first.t, assumed=assumed)
     more = f"; {len(found) - 1} more with t above {MIN_T:g}" if len(found) > 1 else ""
-    finding = f"{first.kind} {first.where}{'' if first.kind in (TILT, LAG, DRIFT) else ' missing'}"
-    return TrustLine(name, "caution", f"{strongest}{more}: {first.advice}", first.t, finding=finding)
+    finding = f"{first.kind} {first.where}{'' if first.kind in NAMES_THEMSELVES else ' missing'}"
+    return TrustLine(name, "caution", f"{strongest}{more}: {first.advice}", first.t, finding=finding, assumed=assumed)
+
+
+def _assumed(terms: Sequence[MissingTerm]) -> Iterator[Assumed]:
+    """Zeros whose large error is not noticed, and rotors that the description denies."""
+    for kind, value, why in (
+        (ZERO, "right at {}", "a wrong zero turns the links' parameters; not noticed: {}"),
+        (ROTOR, "none at {} (rotor_inertia = false)", "the links' parameters take a rotor; not noticed: {}"),
+    ):
+        unnoticed = [t for t in terms if t.kind == kind and not t.found and t.noticed > MAX_UNNOTICED.get(t.unit, 0.0)]
+        if unnoticed:
+            joints = [t.where.removeprefix("of joint ") for t in unnoticed]
+            sizes = (f"{t.noticed:.2g} {t.unit}" if np.isfinite(t.noticed) else "any" for t in unnoticed)
+            each = ", ".join(f"up to {size} at {joint}" for size, joint in zip(sizes, joints, strict=True))
+            yield Assumed(f"{kind}s", value.format(", ".join(joints)), why.format(each.replace("up to any", "any")))
 
 
 def _rank(term: MissingTerm) -> tuple[float, float]:
@@ -51,43 +87,75 @@ def _rank(term: MissingTerm) -> tuple[float, float]:
 
 
 def missing_terms(evidence: FitData) -> tuple[MissingTerm, ...]:
-    """All columns that are independent of W.
+    """All columns that are independent of W; and zeros and rotors in its span, which bias the parameters.
 
     Negative Stribeck friction is left out: near standstill, filters and elasticity smooth the sign of the speed.
     """
-    terms, n = evidence.candidates[0].terms, evidence.observed.tau.shape[1]
-    W, rho, Q, bread = evidence.W, evidence.rho, evidence.estimate.Q, evidence.estimate.bread
     places, joints = evidence.candidates[0].places
-    C = evidence.observed.C[:, places] * joints.T[evidence.observed.system.joint_of_row] * evidence.weight[:, None]
-    z = C - Q @ (bread.T @ (W.T @ C))  # zᵀW = 0
-    independent = np.linalg.norm(z, axis=0) > MIN_INDEPENDENT_NORM * np.linalg.norm(C, axis=0)
-    independent &= np.linalg.norm(C, axis=0) > 0
-    C, z = C[:, independent], z[:, independent]
-    columns = [term for term, keep in zip(terms, independent, strict=True) if keep]
-    size = np.einsum("rk,rk->k", z, C)
+    acts, weight = joints.T[evidence.observed.system.joint_of_row], evidence.weight[:, None]
+    C, rate = evidence.observed.C[:, places] * acts * weight, evidence.observed.C[:, -1:] * weight
+    terms = _scored(evidence, evidence.candidates[0].terms, C)
+    for k, term in terms.items():
+        if term.kind == CLOCKS or (term.kind == LAG and abs(term.t) > MIN_T):
+            # In the rows of the column only: friction near reversals looks like a lag. And beside the common lag, which may be
+            # wrong by what is known of it.
+            rows, beside = (C[:, k] != 0) | ~acts[:, k], rate if term.kind == CLOCKS else rate[:, :0]
+            again = _scored(evidence, [term], C[:, [k]], rows, beside).get(0, term)
+            terms[k] = again if term.kind == CLOCKS or again.t * term.t > 0 else replace(term, t=0.0)
+    together = dict[str, float]()
+    for kind in {term.kind for term in terms.values()} - {CLOCKS}:
+        own = C[:, [k for k, term in terms.items() if term.kind == kind and np.isfinite(term.noticed)]]
+        z, apart = _projected(own, evidence.W, evidence.estimate.Q, evidence.estimate.bread)
+        left = evidence.rho - apart @ np.linalg.lstsq(z.T @ own, z.T @ evidence.rho, rcond=1e-6)[0]
+        together[kind] = 100 * (1 - float(left @ left) / max(float(evidence.rho @ evidence.rho), 1e-300))
+    return tuple(
+        replace(term, together_percent=together.get(term.kind, term.taken_percent))
+        for term in terms.values()
+        if term.kind != STRIBECK or term.value > 0
+    )
+
+
+def _projected(C: Array, W: Array, Q: Array, bread: Array) -> tuple[Array, Array]:
+    """Columns C (r, k) made orthogonal to W by the span of Q, and what is left of them when beta is solved again."""
+    return C - Q @ (bread.T @ (W.T @ C)), C - W @ (bread @ (Q.T @ C))
+
+
+def _scored(
+    evidence: FitData,
+    terms: Sequence[MissingTerm],
+    C: Array,
+    rows: NDArray[np.bool_] | None = None,
+    beside: Array | None = None,
+) -> dict[int, MissingTerm]:
+    """Terms of columns C (r, k) by their places with their figures, in some of the rows (r,) and beside further columns."""
+    W, Q, bread, rho = evidence.W, evidence.estimate.Q, evidence.estimate.bread, evidence.rho
+    if rows is not None:
+        W, Q, C = np.c_[W, beside] * rows[:, None], np.linalg.qr(np.c_[Q, beside] * rows[:, None])[0], C * rows[:, None]
+        bread = np.linalg.pinv(Q.T @ W, rcond=1e-12)
+        rho = rows * evidence.Y - W @ (bread @ (Q.T @ evidence.Y))
+    z, apart = _projected(C, W, Q, bread)
+    norm, left = np.linalg.norm(C, axis=0), np.linalg.norm(z, axis=0)
+    independent = (left > MIN_INDEPENDENT_NORM * norm) & (norm > 0)
+    # A zero may act nowhere, and a rotor in the span to rounding is a part of a link's parameter.
+    stays = {ZERO: norm > MIN_BIAS * np.linalg.norm(evidence.Y), ROTOR: left > MIN_BIAS * norm}
+    size = np.where(independent, np.einsum("rk,rk->k", z, C), np.inf)
     g = z.T @ rho / size
-    with_term = rho[:, None] - g * (C - W @ (bread @ (Q.T @ C)))  # and beta solved again
-    sigma = deviations_of_sums(z, with_term, Q, n, evidence.observed.system.spans) / np.abs(size)
-    whole = max(float(rho @ rho), 1e-300)
+    with_term = rho[:, None] - g * apart  # and beta solved again
+    n, spans, whole = evidence.observed.tau.shape[1], evidence.observed.system.spans, max(float(rho @ rho), 1e-300)
+    sigma = deviations_of_sums(z, with_term, Q, n, spans) / np.abs(size)
     counts = np.array([name in evidence.essential for name in evidence.estimate.names])
     with np.errstate(divide="ignore", invalid="ignore"):
-        moved = np.nan_to_num(np.abs(bread @ (Q.T @ C) * g) / evidence.intervals.half[:, None]) * counts[:, None]
-    taken = 100 * (1 - np.einsum("rk,rk->k", with_term, with_term) / whole)
-    together = {}
-    for kind in {column.kind for column in columns}:
-        own = np.array([column.kind == kind for column in columns])
-        apart = C[:, own] - W @ (bread @ (Q.T @ C[:, own]))
-        left = rho - apart @ np.linalg.lstsq(z[:, own].T @ C[:, own], z[:, own].T @ rho, rcond=1e-6)[0]
-        together[kind] = 100 * (1 - float(left @ left) / whole)
-    return tuple(
-        replace(
-            column,
-            value=float(value),
-            t=float(value / s) if s > 0 else 0.0,
-            taken_percent=float(percent),
-            together_percent=together[column.kind],
-            moves=float(moves),
+        moved = (bread @ (Q.T @ C))[: len(counts)] * g
+        moves = np.nan_to_num(np.abs(moved) / evidence.intervals.half[:, None]) * counts[:, None]
+        t = np.where(sigma > 0, g / sigma, 0.0)
+        seen = np.maximum(
+            (MIN_T + MARGIN_T) * sigma, np.sqrt(0.01 * MIN_TAKEN_PERCENT * whole) / np.linalg.norm(apart, axis=0)
         )
-        for column, value, s, percent, moves in zip(columns, g, sigma, taken, moved.max(axis=0), strict=True)
-        if column.kind != STRIBECK or value > 0
+    taken, noticed = (
+        100 * (1 - np.einsum("rk,rk->k", with_term, with_term) / whole),
+        np.where(independent, seen, np.inf),
     )
+    names = ("value", "t", "taken_percent", "moves", "noticed")
+    figures = np.transpose([g, t, taken, moves.max(axis=0), noticed]).tolist()
+    every = (replace(term, **dict(zip(names, of, strict=True))) for term, of in zip(terms, figures, strict=True))
+    return {k: term for k, term in enumerate(every) if stays.get(term.kind, independent)[k]}

@@ -308,6 +308,7 @@ def list_assumptions(evidence: FitData, lines: Mapping[str, TrustLine]) -> Itera
     if evidence.method != "iv":
         why = "position noise biases least squares; only the noise above the low-pass is tested"
         yield Assumed("encoder noise", "the same spectrum below and above the low-pass", why)
+    yield from (one for line in lines.values() for one in line.assumed)
 
 
 # A test is a function of the fit's data, None where it does not apply. A new one is a line here.
