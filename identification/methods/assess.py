@@ -267,7 +267,7 @@ def _status(
     if not tests.first_stage_F >= 1.0:
         return "diverged", f"the instruments do not explain the regressor: first-stage F = {tests.first_stage_F:.2g}"
     if best.stands_alone:
-        return "converged", best.z.reason
+        return "converged", f"instruments: reference; {best.z.reason}"
     if last.is_last:
         if unconfirmed is None and last.z.kind != "simulated":
             unconfirmed = f"settled without simulated instruments: {last.z.reason}"
@@ -290,7 +290,7 @@ def why_by_reference(equations: Equations, passes: Sequence[Pass], best: Pass) -
     if any(one.described or one.reference_kind != "recorded" for one in best.replicas):
         return None
     status, why = _status(equations, passes, best, _tests(equations.along(best.z).system, best.estimate))
-    text = f"instruments: reference; by those of a simulated robot, whose control law is not described, {status}: {why}"
+    text = f"by a simulated robot, whose control law is not described, {status}: {why}"
     return None if status == "converged" else text
 
 
