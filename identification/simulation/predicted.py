@@ -15,11 +15,11 @@ from acquisition.files import allocate, release_pages
 
 from ..arrays import Array
 from ..estimation import r_factor
-from ..regression import BLOCK_SAMPLES, FilteredMotion, Problem, differentiate
+from ..regression import BLOCK_SAMPLES, FilteredMotion, Problem, differentiate, lowpass_reach, rule_cutoff_hz
 
 DELAYS_S = (0.0, 0.02, 0.05, 0.1)
 SMOOTH = 0.05  # of the peak speed
-MIN_SINGULAR = 1e-8  # of columns of norm 1
+MIN_SINGULAR = 1e-6  # of columns of norm 1
 MOST_SAMPLES = 50_000  # of the regression, evenly spaced
 DESIGN_SAMPLES = 10_000  # whose columns are in memory
 EDGE = 2  # samples to each side of an acceleration
@@ -36,17 +36,17 @@ def predicted_motion(problem: Problem) -> FilteredMotion:
 
 
 def _predicted_positions(q: Array, r: Array, problem: Problem, span: tuple[int, int]) -> Array:
-    """q^ (N, n) at all samples of a recording; the reference ends with the span that is used."""
-    fs, (start, stop) = problem.signals.sample_rate_hz, span
+    """q^ (N, n) at all samples of a recording, by the errors within its span and the reach of the low-pass."""
+    fs, N = problem.signals.sample_rate_hz, len(q)
+    reach = lowpass_reach(rule_cutoff_hz(problem.signals), fs)
+    start, stop = max(0, span[0] - reach), min(N, span[1] + reach)
     late, peak = [round(delay_s * fs) for delay_s in DELAYS_S], np.full(r.shape[1], np.finfo(float).tiny)
 
     def columns(at: NDArray[np.intp]) -> Array:
         """(K, p) at samples `at` (K,), in order."""
-        low, high = max(start, min(at[0], stop - 1) - late[-1] - EDGE), min(stop, max(at[-1], start) + 1 + EDGE)
-        now = _terms(r[low:high], peak, fs)
-        return np.concatenate(
-            [np.ones((len(at), 1)), *(now[np.clip(at - d, start, stop - 1) - low] for d in late)], axis=1
-        )
+        low = max(0, at[0] - late[-1] - EDGE)
+        now = _terms(r[low : at[-1] + 1 + EDGE], peak, fs)
+        return np.concatenate([np.ones((len(at), 1)), *(now[np.maximum(at - d, 0) - low] for d in late)], axis=1)
 
     for a in range(start, stop, BLOCK_SAMPLES):
         speed = np.abs(differentiate(r[a : min(stop, a + BLOCK_SAMPLES)], fs))
@@ -59,9 +59,9 @@ def _predicted_positions(q: Array, r: Array, problem: Problem, span: tuple[int, 
     size = np.maximum(np.linalg.norm(factor[:, :-n], axis=0), np.finfo(float).tiny)
     effects = np.linalg.lstsq(factor[:, :-n] / size, factor[:, -n:], rcond=MIN_SINGULAR)[0] / size[:, None]
     found = allocate(q.shape)
-    for a in range(0, len(q), DESIGN_SAMPLES):
-        at = np.arange(a, min(len(q), a + DESIGN_SAMPLES))
-        found[at] = r[np.clip(at, start, stop - 1)] + columns(at) @ effects
+    for a in range(0, N, DESIGN_SAMPLES):
+        at = np.arange(a, min(N, a + DESIGN_SAMPLES))
+        found[at] = r[at] + columns(at) @ effects
         for x in (q, r, found):
             release_pages(x)
     return found
