@@ -219,6 +219,7 @@ def assess_iv(
         fixed_point=status in ("converged", "not_confirmed"),
         first_stage_F=tests.first_stage_F,
         unconfirmed=None if status == "converged" else f"status {status}: {reason}",
+        by_reference=reason if status == "converged" else None,
     )
     fit = fit_of(equations, evidence, replace(solved, intervals=evidence.intervals), replicas)
     warnings = (*fit.warnings, *_iv_warnings(replicas, saturated, tests))
@@ -254,16 +255,19 @@ def _largest(percents: list[float | None]) -> float | None:
 def _status(
     equations: Equations, passes: Sequence[Pass], best: Pass, tests: InstrumentTests
 ) -> tuple[Status, str | None]:
-    """`converged` needs settled passes, simulated instruments that explain W, and a simulation that tracks the recording.
+    """`converged` needs settled passes, simulated instruments that explain W, and a simulation that tracks the recording; or
+    instruments along the motion that the reference predicts which stand alone, and explain W.
 
     Other settled passes are `not_confirmed`. Every joint has to track: the mean over the robot would hide a joint of small
     travel.
     """
-    last, unconfirmed = passes[-1], _unconfirmed(equations, best)
+    last, unconfirmed = passes[-1], None if best.stands_alone else _unconfirmed(equations, best)
     if last.failure is not None:
         return "diverged", last.failure
     if not tests.first_stage_F >= 1.0:
         return "diverged", f"the instruments do not explain the regressor: first-stage F = {tests.first_stage_F:.2g}"
+    if best.stands_alone:
+        return "converged", f"instruments: reference; {best.z.reason}"
     if last.is_last:
         if unconfirmed is None and last.z.kind != "simulated":
             unconfirmed = f"settled without simulated instruments: {last.z.reason}"
@@ -277,6 +281,22 @@ def _status(
         moving.append(f"the residual norm still changes by {last.residual_percent:.2g} %")
     still = " and ".join(moving) or "only the start is known"
     return "max_iterations", f"after {len(passes)} passes {still}"
+
+
+def why_by_reference(equations: Equations, passes: Sequence[Pass], best: Pass) -> str | None:
+    """Why the instruments have to be along the motion that the reference predicts; None where those of the simulated robot are
+    confirmed, its control law is described, or the reference is not recorded.
+    """
+    if any(one.described or one.reference_kind != "recorded" for one in best.replicas):
+        return None
+    status, why = _status(equations, passes, best, _tests(equations.along(best.z).system, best.estimate))
+    text = f"by a simulated robot, whose control law is not described, {status}: {why}"
+    return None if status == "converged" else text
+
+
+def explains(equations: Equations, one: Pass) -> bool:
+    """Whether the instruments of a pass explain W."""
+    return _tests(equations.along(one.z).system, one.estimate).first_stage_F >= 1.0
 
 
 def _unconfirmed(equations: Equations, best: Pass) -> str | None:

@@ -25,7 +25,7 @@ class Pass:
     Attributes:
         z: its instruments. Their `kind` is `simulated`: by the physically consistent parameters nearest to the previous
             estimate; `consistent`: the same, where the inertia matrix of that estimate is not positive; `reference`: along
-            the reference, where the simulated robot does not follow it. `reason` explains the last two.
+            the motion that the reference predicts, where the simulated robot does not follow it. `reason` says why.
         robot: values simulated in place of those of `z`; None for these.
         asked, covariance: (b, b) of all base parameters, corrected for correlation: of the values to simulate (None for a
             regular start), and of the estimate.
@@ -35,6 +35,7 @@ class Pass:
         residual_percent: change of the residual norm by the pass, over the same rows.
         residual_settled, parameters_settled: whether the residual, and every parameter, changed less than the tolerance.
         number: counted from 1.
+        stands_alone: whether its instruments are of kind `reference` as no simulated robot confirms others: one solution.
         failure: why the next pass gave no estimate; None if it did, or there was none.
         replicas: the robot simulated in each recording with the estimate, or with the values that it settled at; only of the
             pass that is returned.
@@ -53,6 +54,7 @@ class Pass:
     robot: Array | None = None
     coarse: bool = False
     number: int = 1
+    stands_alone: bool = False
     failure: str | None = None
     replicas: tuple[Replica, ...] = ()
 
@@ -80,7 +82,7 @@ class InstrumentEvidence:
         reference: `recorded`, or `surrogate`: the measured position, with which the instruments are not strictly
             exogenous. `controller`: `described`, or `surrogate`: a PD of the stated bandwidth.
         passes: in order; `returned` is the number, counted from 1, of the one whose estimate this is.
-        reason: of the status; None for `converged`.
+        reason: of the status; None for `converged` with instruments of a simulated robot.
         contrast, contrast_at: largest difference of least squares from the estimate, in half-widths, and its parameter.
         saturated_percent: share of recorded samples at a drive's limit; None if no limit is stated.
         direct: errors of the direct model by joint; empty if the final estimate could not be simulated.

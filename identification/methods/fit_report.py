@@ -55,8 +55,9 @@ def first_line(fit: Fit) -> str:
     figures = [headline(fit.errors)]
     if (held := fit.trust.line("held-out blocks").value) is not None:
         figures.append(f"{held:.2g} % held out")
+    alone = " with instruments: reference" if fit.iv and fit.iv.passes[fit.iv.returned - 1].stands_alone else ""
     return (
-        f"{fit.method.upper()} ({fit.method_reason}), {fit.status}, {fit.trust.verdict}{finding}; {', '.join(figures)}; "
+        f"{fit.method.upper()} ({fit.method_reason}), {fit.status}{alone}, {fit.trust.verdict}{finding}; {', '.join(figures)}; "
         f"{_determined(fit)}"
     )
 

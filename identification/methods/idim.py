@@ -5,6 +5,7 @@ approach for rigid industrial robots identification", Control Engineering Practi
 """
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from typing import Literal
@@ -24,9 +25,9 @@ from ..estimation import (
 )
 from ..regression import Overrides, Rows, base_places
 from ..report import Method
-from ..simulation import Further
+from ..simulation import Further, Instruments
 from ..trust import covariance_of_all
-from .assess import assess_iv, candidates_of, evidence_of, fit_of, position_noise_of
+from .assess import assess_iv, candidates_of, evidence_of, explains, fit_of, position_noise_of, why_by_reference
 from .equations import Equations, closed_loops, read_equations
 from .fit import Fit, LeastSquares, Pass
 from .gains import factors_of, joint_weights_of, measured_instruments, motors_of, solve_with_gains
@@ -215,23 +216,27 @@ def _solve_by_instruments(
     def step(rows: Rows, Z: Array) -> Estimate:  # beta = (ZᵀW)⁻¹ ZᵀY
         return instrumental_variables(rows.system.with_columns(fitted), Z[:, fitted], weights)
 
-    def next_pass(equations: Equations, number: int) -> tuple[Equations, Pass]:
-        coarse = regular and is_coarse(equations.problem, number, most)
-        # Z = IDM(q_sim, dq_sim, ddq_sim); a first pass of a long recording only starts the next ones
-        further = further_of(equations, x) if number > 1 or most == 1 else ()
-        z = lab.instruments(x, C, robot=robot, coarse=coarse, further=further)
+    def one_pass(equations: Equations, z: Instruments, *, find_lags: bool) -> tuple[Equations, Pass]:
         try:
             # Y(tau(t + L))
-            equations = equations if coarse or robot is not None else with_lags_found(equations, z, weights)
+            equations = with_lags_found(equations, z, weights) if find_lags else equations
             W_and_Y = equations.along(z)
             estimate = step(W_and_Y, W_and_Y.Z)
         except IdentificationError as error:
             raise NoEstimateError(z.reason) from error
         # C = D R D
         after = covariance_of_all(names, estimate, intervals_of(W_and_Y.system, estimate), ls.full)
-        one = assess_pass(z, estimate, W_and_Y.system, (C, after), tolerance_percent=tolerance_percent)
+        return equations, assess_pass(z, estimate, W_and_Y.system, (C, after), tolerance_percent=tolerance_percent)
+
+    def next_pass(equations: Equations, number: int) -> tuple[Equations, Pass]:
+        coarse = regular and is_coarse(equations.problem, number, most)
+        # Z = IDM(q_sim, dq_sim, ddq_sim); a first pass of a long recording only starts the next ones
+        further = further_of(equations, x) if number > 1 or most == 1 else ()
+        z = lab.instruments(x, C, robot=robot, coarse=coarse, further=further)
+        equations, one = one_pass(equations, z, find_lags=not coarse and robot is None)
         return equations, replace(one, number=number, coarse=coarse, robot=robot)
 
+    given, first = equations, x
     ls, passes, regular = ls.without_rows(), list[Pass](), C is None
     stored = equations.problem.signals.robot.identification
     most = iteration.max_iterations or stored.max_iterations
@@ -247,6 +252,15 @@ def _solve_by_instruments(
         passes, C = [*passes, last], last.covariance
         x, robot = next_values(passes, names), None
     best = conclude(lab, passes, partial(further_of, equations), lambda z: step(rows := equations.along(z), rows.Z))
+    if why := why_by_reference(equations, passes, best):
+        z = replace(
+            lab.along_reference(first, further=further_of(given, first)), reason=why
+        )  # Z = IDM(q^) of the reference
+        with suppress(NoEstimateError):
+            found, last = one_pass(given, z, find_lags=True)
+            last = replace(last, number=len(passes) + 1, stands_alone=True, replicas=z.replicas)
+            if explains(found, last):
+                equations, passes, best = found, [*passes, last], last
     passes = [one.without_rows() for one in passes]
     if motors:
         equations = equations.with_gains(factors_of(equations, best.estimate.values_of(names)))

@@ -20,7 +20,7 @@ from .equations import (
     torque_of_recording,
     with_torque,
 )
-from .filtering import Decimation, forward_backward_3db_hz
+from .filtering import Decimation, forward_backward_3db_hz, lowpass_reach
 from .load import LoadFriction, load_friction
 from .motion import (
     BLOCK_SAMPLES,

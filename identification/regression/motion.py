@@ -46,12 +46,14 @@ class FilteredMotion:
         self._signals = signals
         self._filtered: dict[float, Array] = {}
         self.weights: dict[tuple[Any, ...], Any] = {}  # of samples, by settings: `weights.sample_weights`
+        self.predicted: dict[tuple[int, int], FilteredMotion] = {}  # by span: `simulation.predicted`
         self.torques: dict[tuple[Any, ...], tuple[bytes, Array]] = {}  # by block: `equations.torque_of_model`
 
     def with_torque_of(self, signals: Signals) -> "FilteredMotion":
         """The same position, with its filtered versions and weights, and the torque of other signals."""
         other = FilteredMotion(signals)
         other._filtered, other.weights, other.torques = self._filtered, self.weights, self.torques
+        other.predicted = self.predicted
         return other
 
     def between(self, start: int, stop: int, cutoff_hz: float | None) -> Motion:

@@ -22,6 +22,7 @@ from ..model import DirectModel, direct_model, inertias, pose_step
 from ..regression import (
     BLOCK_SAMPLES,
     SPLINE_REACH,
+    FilteredMotion,
     Motion,
     Problem,
     RowBlock,
@@ -128,7 +129,7 @@ class Experiment:
     def _scan_recording(self) -> None:
         """Find start, poses, speeds, travel and scatter over the whole recording, block by block."""
         joints, every = self.problem.signals.robot.joints, pose_step(self.N)
-        start = self._motion(slice(0, 1))
+        start = self.motion(slice(0, 1), self.problem.motion)
         poses, ends, self.fastest = list[Array](), list[Array](), np.zeros(len(self.directions))
         total, squares = np.zeros((2, len(joints)))
         for block in self.blocks:
@@ -159,11 +160,12 @@ class Experiment:
 
     def measured(self, at: slice) -> Array:
         """Filtered measured position (N, n) at instrument samples."""
-        return self._motion(at).q[:: self.stride]
+        return self.motion(at, self.problem.motion).q[:: self.stride]
 
-    def _motion(self, at: slice) -> Motion:
-        """The filtered motion at all recorded samples from the first to the last of these instrument samples."""
-        return self.filtered(self.first + self.stride * at.start, self.first + self.stride * (at.stop - 1) + 1)
+    def motion(self, at: slice, of: FilteredMotion) -> Motion:
+        """A motion at all recorded samples from the first to the last of these instrument samples, low-passed as `filtered`."""
+        first, last = (self.first + self.stride * place for place in (at.start, at.stop - 1))
+        return of.between(first, last + 1, self._cutoff_hz)
 
     def filtered(self, start: int, stop: int) -> Motion:
         """The measured motion at recorded samples, low-passed at the rule's cut-off."""

@@ -86,7 +86,7 @@ def simulate_instruments(
 
     The nearest parameters follow the estimate smoothly. The estimate itself moves a light wrist wildly long before its inertia
     matrix stops being positive, and the iteration then has no fixed point. If the simulated robot leaves its reference,
-    instruments are computed along the reference.
+    instruments are computed along the motion that the reference predicts.
     """
     near = robot if covariance is None else nearest(e, robot, covariance, payload)
     model, gains, reason = with_gains_for(e, near)
@@ -97,7 +97,7 @@ def simulate_instruments(
             kind = "consistent"
     except NotSimulatedError as why:
         kind, reason = "reference", str(why)
-        found = _along(e, reference_blocks(e), x, simulated=False, further=further)
+        found = _along(e, reference_blocks(e, x), x, simulated=False, further=further)
     return replace(found, kind=kind, reason=reason, gains=gains)
 
 
@@ -131,7 +131,7 @@ def _along(
     held = np.concatenate(parts, axis=-1).transpose(0, 2, 1).reshape(-1, width) if parts else np.zeros((0, width))
     t_s, measured, *moved = (np.concatenate(series) for series in zip(*motions, strict=True))
     replica = Replica(
-        motion=Motion(t_s=t_s, q=moved[0], dq=moved[1], ddq=moved[2], tau=moved[3]) if simulated else None,
+        motion=Motion(t_s=t_s, q=moved[0], dq=moved[1], ddq=moved[2], tau=moved[3]),
         q=measured,
         decimation=replace(e.decimation, factor=1) if e.spans else e.decimation,
         tracking_percent=error.percent if simulated else None,
@@ -201,10 +201,10 @@ class Simulation:
         return simulate_instruments(self.at(rate_per_bandwidth), *given)
 
     @one_thread
-    def along_reference(self, x: Array) -> Instruments:
-        """Instruments along the reference, without a simulation, coarsely, about x (b,)."""
-        e = self.at(EARLY_RATE_PER_BANDWIDTH)
-        return _along(e, reference_blocks(e), x, simulated=False)
+    def along_reference(self, rate_per_bandwidth: float, x: Array, further: Further | None = None) -> Instruments:
+        """Instruments along the motion that the reference predicts, without a simulation, about x (b,)."""
+        e = self.at(rate_per_bandwidth)
+        return _along(e, reference_blocks(e, x), x, simulated=False, further=further)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -236,9 +236,10 @@ class ClosedLoops:
             tasks.append((one, rate, self.unknowns.beta(x, k), beta, C, carried, more))
         return self._stacked(list(self.work.run(Simulation.instruments, tasks)), x)
 
-    def along_reference(self, x: Array) -> Instruments:
-        """Instruments of all recordings along their references about x."""
-        tasks = [(one, self.unknowns.beta(x, k)) for k, one in enumerate(self.simulations)]
+    def along_reference(self, x: Array, *, coarse: bool = False, further: Sequence[Further] = ()) -> Instruments:
+        """Instruments of all recordings along the motions that their references predict about x."""
+        rate, each = EARLY_RATE_PER_BANDWIDTH if coarse else RATE_PER_BANDWIDTH, enumerate(self.simulations)
+        tasks = [(one, rate, self.unknowns.beta(x, k), further[k] if further else None) for k, one in each]
         return self._stacked(list(self.work.run(Simulation.along_reference, tasks)), x)
 
     def _stacked(self, each: Sequence[Instruments], x: Array) -> Instruments:

@@ -1,7 +1,7 @@
-"""The robot's motion in the recorded experiment, block by block: simulated in closed loop, or along the reference."""
+"""The robot's motion in the recorded experiment, block by block: simulated in closed loop, or predicted by the reference."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -16,6 +16,7 @@ from ..report import DirectModelError
 from .closed_loop import ClosedLoop
 from .control_law import surrogate_loop
 from .experiment import Experiment
+from .predicted import predicted_motion
 
 MotionBlocks = Iterator[tuple[RowBlock, Motion]]  # motions at the instrument samples of each block of rows
 
@@ -29,7 +30,8 @@ class Replica:
     """The robot simulated in a whole recorded experiment.
 
     Attributes:
-        motion: at the instruments' instants, of a long recording at those of the rows; None if it could not be simulated.
+        motion: at the instruments' instants, of a long recording at those of the rows: simulated, or if that could not be,
+            predicted by the reference; None once dropped.
         q: measured positions at the same instants; `decimation` leads from there to the rows.
         tracking_percent: |q_sim - q| in percent of |q - mean|, all joints that move; `direct` by joint; None and empty if it
             could not be simulated.
@@ -78,14 +80,12 @@ def simulated_blocks(e: Experiment, model: DirectModel, gains: Array, reason: st
         yield block, Motion(t_s=e.t_s(at), q=q, dq=dq, ddq=ddq, tau=tau)
 
 
-def reference_blocks(e: Experiment) -> MotionBlocks:
-    """The reference as the motion, without torque."""
+def reference_blocks(e: Experiment, x: Array) -> MotionBlocks:
+    """The motion that the reference predicts, low-passed as the measured one, with the torque of base parameters x (b,)."""
+    predicted, model = predicted_motion(e.problem), e.model(x)
     for block in e.blocks:
-        at = e.samples(block)
-        begin, end = e.around(at)
-        reference = e.reference(begin, end)
-        q, dq, ddq = (e.sampled(x, begin, at, 1) for x in (reference.q, reference.dq, reference.ddq))
-        yield block, Motion(t_s=e.t_s(at), q=q, dq=dq, ddq=ddq, tau=np.zeros_like(q))
+        motion = e.motion(e.samples(block), predicted).part(slice(None, None, e.stride))
+        yield block, replace(motion, tau=model.torque(motion.q, motion.dq, motion.ddq))
 
 
 class TrackingError:

@@ -57,6 +57,7 @@ class FitData:
         observed: W and Y of all decimated rows about the estimate; QR factors for long recordings.
         fixed_point: whether the method ended in a fixed point; always true of least squares.
         unconfirmed: status and reason, where no simulation confirms the fixed point.
+        by_reference: why the instruments are along the motion that the reference predicts; None where the robot is simulated.
         estimate: of the base parameters, or of the essential ones only.
         predicted: (rows, n) predicted torque, not weighted.
         least_squares: weighted least squares of all base parameters on the same recordings.
@@ -84,6 +85,7 @@ class FitData:
     whitened: Rows | None = None
     first_stage_F: float | None = None
     unconfirmed: str | None = None
+    by_reference: str | None = None
     position_noise: TrustLine | None = None
     lags: tuple[Lag, ...] = ()
     essential: tuple[str, ...] = ()

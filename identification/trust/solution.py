@@ -61,6 +61,9 @@ def fixed_point_test(evidence: FitData) -> TrustLine:
         return TrustLine(name, "caution", f"{why}: {advice}")
     if evidence.method != "iv":
         return TrustLine(name, "ok", "least squares has one solution")
+    if evidence.by_reference is not None:
+        text = "one solution, that no simulation confirms or has to; wider intervals than with a described control law"
+        return TrustLine(name, "ok", f"{evidence.by_reference}: {text}")
     return TrustLine(name, "ok", "converged, and the simulated robot confirms it")
 
 
@@ -297,7 +300,7 @@ def list_assumptions(evidence: FitData, lines: Mapping[str, TrustLine]) -> Itera
         lengths = "dh" if robot.urdf is None else "urdf"
         yield Assumed("lengths", lengths, "link parameters absorb an error of a length")
     yield Assumed("sample rate", f"{signals.sample_rate_hz:g} Hz", "speeds and accelerations scale with it")
-    if evidence.method == "iv" and lines["replay"].level == "not made":
+    if evidence.method == "iv" and evidence.by_reference is None and lines["replay"].level == "not made":
         law = robot.controller.structure or f"a {robot.bandwidth_hz:g} Hz PD"
         yield Assumed("control law", law, lines["replay"].text.removeprefix("not made: "))
     if evidence.lags and evidence.lags[0].prior.stated:

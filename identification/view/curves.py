@@ -55,7 +55,7 @@ def lines_of(signals: Signals, settings: Settings | None, fit: Fit | None) -> Li
         for quantity, x in (("q", signals.q_ref), ("error", signals.q_ref - signals.q)):
             lines["reference", quantity] = [_line(signals.t_s, column) for column in x.T]
     replica = None if fit is None else fit.replica
-    if replica is not None and (m := replica.motion) is not None:
+    if replica is not None and replica.direct and (m := replica.motion) is not None:
         t_s = signals.t_s[np.rint(m.t_s * signals.sample_rate_hz).astype(int)]  # m.t_s is index / rate
         for quantity, x in (("q", m.q), ("dq", m.dq), ("ddq", m.ddq), ("torque", m.tau), ("error", m.q - replica.q)):
             lines["simulated", quantity] = [_line(t_s, column) for column in x.T]
