@@ -49,6 +49,20 @@ def expected_links(idm: InverseModel, prior: InverseModel | None = None) -> tupl
     return links, tuple(source for _, source in found)
 
 
+def prior_of_base(idm: InverseModel, base: BaseParameters, prior: InverseModel | None = None) -> tuple[Array, str]:
+    """A-priori base parameters K chi (b,) of the links, NaN where not all in them is stated, and `URDF` or `[parameters]`.
+
+    As `expected_links`, but without plausible values; the source is empty if there is nothing else.
+    """
+    links, sources = expected_links(idm, prior)
+    stated = (idm if prior is None else prior).robot.parameters
+    chi = np.array([stated.get(name, np.nan) for name in idm.names])  # of a rotor that is regrouped
+    chi[link_columns(idm)] = np.where((np.array(sources) == "plausible")[:, None], np.nan, links)
+    known = base.links & ~((base.K != 0) @ np.isnan(chi))
+    source = next((one for one in ("URDF", "[parameters]") if one in sources), "")
+    return np.where(known, base.K @ np.nan_to_num(chi), np.nan), source
+
+
 def link_columns(idm: InverseModel) -> NDArray[np.intp]:
     """Columns (n, 10) of XX XY XZ YY YZ ZZ MX MY MZ M of each link."""
     place = {source: c for c, source in enumerate(idm.sources) if not isinstance(source, JointTerm)}

@@ -31,6 +31,7 @@ from .held_out import held_out_test
 from .lag import lag_test
 from .lines import LEVELS, Trust, TrustLine
 from .physical import consistent_test, physical_test
+from .prior import prior_test
 from .replay import replay_test
 
 HALVES_LEVEL = 0.001  # of the Wald test
@@ -312,8 +313,8 @@ def list_assumptions(evidence: FitData, lines: Mapping[str, TrustLine]) -> Itera
 
 # A test is a function of the fit's data, None where it does not apply. A new one is a line here.
 TESTS: tuple[Callable[[FitData], TrustLine | None], ...] = (
-    *(gains_test, fixed_point_test, physical_test, units_test, replay_test, added_columns_test, lag_test),
-    *(held_out_test, halves_test, consistent_test, ends_test, essential_test, instruments_test),
+    *(gains_test, fixed_point_test, physical_test, units_test, replay_test, prior_test, added_columns_test),
+    *(lag_test, held_out_test, halves_test, consistent_test, ends_test, essential_test, instruments_test),
     *(prewhitened_test, position_noise_test, motion_test, effort_test, rows_test),
 )
 
