@@ -7,7 +7,7 @@ the others. Where the links do not fit, they are tried along the recorded motion
 
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -66,38 +66,56 @@ def with_error(evidence: FitData, predict: Predict) -> LinkPrior | None:
     return evidence.prior
 
 
+@dataclass(frozen=True, kw_only=True)
+class LinkFactor:
+    """Torque of a joint over that of the prior's links, and half its 95 % interval.
+
+    Attributes:
+        explained, needed: shares of the square of the joint's torque, both without what is not of links: what the prior's
+            links explain with the factor, and their own square.
+    """
+
+    value: float
+    half_width: float
+    explained: float
+    needed: float
+
+    @property
+    def outside(self) -> bool:
+        """Whether the interval is beyond what a prior may be off."""
+        return self.value + self.half_width < MIN_FACTOR or self.value - self.half_width > MAX_FACTOR
+
+
 def prior_test(evidence: FitData) -> TrustLine | None:
     """By joint its torque over that of the prior's links; joints that seem exchanged or in other units."""
     name, robot = "prior", evidence.problem.signals.robot
     if evidence.prior is None or evidence.gains:
         return None
     links = f"the {evidence.prior.source}'s links"
-    names, found = [joint.name for joint in robot.joints], {j: _factor(evidence, j) for j in range(robot.n)}
-    told = {j: one for j, one in found.items() if one and one[2] > MIN_EXPLAINED}
-    figures = tuple(Figure(name=names[j], value=f, half_width=half, expected=1.0) for j, (f, half, _) in told.items())
-    line = TrustLine(name, "ok", f"torques are {_range(told)} times what {links} need", figures=figures)
-    outside = {j: one for j, one in told.items() if one[0] + one[1] < MIN_FACTOR or one[0] - one[1] > MAX_FACTOR}
-    if (outside or len(told) < len(found)) and (cause := _cause(evidence)):
+    found = {joint.name: one for j, joint in enumerate(robot.joints) if (one := _factor(evidence, j)) is not None}
+    told = {joint: one for joint, one in found.items() if one.explained > MIN_EXPLAINED}
+    figures = (Figure(name=j, value=x.value, half_width=x.half_width, expected=1.0) for j, x in told.items())
+    line = TrustLine(name, "ok", f"torques are {_range(told)} times what {links} need", figures=tuple(figures))
+    outside = {joint: one for joint, one in told.items() if one.outside}
+    unlike = any(one.needed > MIN_EXPLAINED >= one.explained for one in found.values())
+    if (outside or unlike) and (cause := _cause(evidence)):
         return replace(line, level="caution", text=f"{cause}? {links} then need the recorded torques", finding=cause)
     if not told:
         return replace(line, level="cannot tell", text=f"no torque is like that of {links}")
     if not outside:
         return line
-    values = [f for f, _, _ in outside.values()]
-    common = max(values) < max(MAX_SPREAD * min(values), 0.0)
-    if len(outside) == len(told) > 1 and not common:
+    all_outside, values = len(outside) == len(told) > 1, [one.value for one in outside.values()]
+    if all_outside and max(values) > max(MAX_SPREAD * min(values), 0.0):
         text = f"the prior is off everywhere: torques are {_range(outside)} times what {links} need"
         return replace(line, level="cannot tell", text=text)
-    each = [f"torque of {names[j]} is {f:.2g} times" for j, (f, _, _) in outside.items()]
-    if len(outside) == len(told) > 1:
-        each = [f"torques of all joints are {_range(outside)} times"]
-    text = f"{', '.join(each)} what {links} need"
+    each = ", ".join(f"torque of {joint} is {one.value:.2g} times" for joint, one in outside.items())
+    text = f"{f'torques of all joints are {_range(outside)} times' if all_outside else each} what {links} need"
     return replace(line, level="caution", text=f"{text}: drive_gain, ratio, unit, or the prior?", finding=text)
 
 
-def _range(found: dict[int, tuple[float, float, float]]) -> str:
-    values = [f for f, _, _ in found.values()]
-    return f"{min(values, default=0):.2g} to {max(values, default=0):.2g}"
+def _range(found: dict[str, LinkFactor]) -> str:
+    values = [one.value for one in found.values()]
+    return f"{min(values, default=0.0):.2g} to {max(values, default=0.0):.2g}"
 
 
 def _known_and_free(evidence: FitData) -> tuple[Array, NDArray[np.intp]]:
@@ -110,19 +128,17 @@ def _known_and_free(evidence: FitData) -> tuple[Array, NDArray[np.intp]]:
     return np.nan_to_num(known), np.flatnonzero(free)
 
 
-def _factor(evidence: FitData, j: int) -> tuple[float, float, float] | None:
-    """Torque of joint j over that of the prior's links, half its 95 % interval, and the share that it explains of the joint's
-    square without what is not of links; None where no link of the prior acts, or nothing tells it.
-    """
+def _factor(evidence: FitData, j: int) -> LinkFactor | None:
+    """The factor of joint j; None where no link of the prior acts, or nothing tells it."""
     system, (known, free) = evidence.observed.system, _known_and_free(evidence)
     own = system.joint_of_row == j
-    W, Y = system.W[own], system.Y[own] * system.used[own]
-    Z = W if evidence.Z is None else evidence.Z[own]
-    others, torque = W[:, free] * system.used[own, None], W @ known * system.used[own]
-    norms = np.linalg.norm(others, axis=0)
-    free, norms = free[norms > 0], norms[norms > 0]
-    _, sizes, axes = np.linalg.svd(W[:, free] * system.used[own, None] / norms, full_matrices=False)
-    basis = (axes[sizes > MIN_INDEPENDENT * sizes[0]] / norms).T if len(free) else np.zeros((0, 0))
+    W, Z = (A[own] * system.used[own, None] for A in (system.W, system.W if evidence.Z is None else evidence.Z))
+    Y, torque, free = system.Y[own] * system.used[own], W @ known, free[W[:, free].any(axis=0)]
+    d = np.linalg.norm(W[:, free], axis=0)
+    U, sizes, axes = np.linalg.svd(W[:, free] / d, full_matrices=False)
+    kept = sizes > MIN_INDEPENDENT * sizes.max(initial=0.0)
+    others, basis = U[:, kept], (axes[kept] / d).T
+    whole, needed = (float(np.linalg.norm(x - others @ (others.T @ x))) ** 2 for x in (Y, torque))
     alone = System(
         W=np.c_[torque, W[:, free] @ basis],
         Y=Y,
@@ -133,10 +149,13 @@ def _factor(evidence: FitData, j: int) -> tuple[float, float, float] | None:
         spans=system.spans,
     )
     with suppress(IdentificationError):
-        estimate = instrumental_variables(alone, np.c_[Z @ known, Z[:, free] @ basis], np.ones(1))
-        rest = Y - others @ np.linalg.lstsq(others, Y)[0]
-        explained = 1 - estimate.residual_norm**2 / max(float(rest @ rest), 1e-300)
-        return float(estimate.beta[0]), float(intervals_of(alone, estimate).half[0]), explained
+        found = instrumental_variables(alone, np.c_[Z @ known, Z[:, free] @ basis], np.ones(1))
+        return LinkFactor(
+            value=float(found.beta[0]),
+            half_width=float(intervals_of(alone, found).half[0]),
+            explained=1 - found.residual_norm**2 / max(whole, 1e-300),
+            needed=needed / max(whole, 1e-300),
+        )
     return None
 
 
