@@ -2,11 +2,11 @@
 
 import tomllib
 import xml.etree.ElementTree as ET
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from independent_robots import Chain, Friction, Plant, skew
-from independent_simulator import Controller, designed_pd, described_controller
+from independent_simulator import Controller, designed_pd
 
 from acquisition.robot import Robot, robot_from_files
 

@@ -21,6 +21,7 @@ from .parameters import (
     consistent_fit,
     fitted_parameters,
     least_squares_parameters,
+    prior_parameters,
     signals_as_fitted,
     stored_beta,
     stored_robot,

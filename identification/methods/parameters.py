@@ -1,5 +1,6 @@
 """Parameters of a fit, known values, and those of a stored fit for another recording or robot, with its settings."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -15,9 +16,10 @@ from ..arrays import Array
 from ..data import Signals, check_one_robot, load_signals
 from ..errors import IdentificationError
 from ..estimation import Estimate, Intervals, one_thread, torque_errors
-from ..model import BaseParameters, InverseModel, base_parameters
+from ..model import BaseParameters, InverseModel, base_parameters, prior_of_base
 from ..regression import Overrides, Problem, base_name, make_problem, payload_of, torque_of_recording
 from ..report import FitFile, Parameter, ParameterSet, TorqueError
+from .consistent import read_prior, refuse_unknown_gain
 from .fit import Fit, essential_names
 from .recording_report import Validated
 
@@ -55,10 +57,28 @@ def _estimated(label: str, fit: Fit, e: Estimate, intervals: Intervals) -> Param
     )
 
 
-def true_parameters(base: BaseParameters, true: Array) -> ParameterSet:
-    """Known values `true` (b,) of the base parameters, SI, labelled `true`; their deviations are 0."""
+def prior_parameters(stored: FitFile, place: str, prior: Path) -> ParameterSet:
+    """A-priori base parameters of links of a robot.toml or a URDF, `prior`, in the frames of a stored fit, `place`.
+
+    Raises `IdentificationError`: the fit has no description or is in A or V; the file cannot be read, is of another robot, or
+    has no inertials.
+    """
+    if (robot := stored_robot(stored, place)) is None:
+        raise IdentificationError(place=place, key="description", value=None, expected="a fit with its robot.toml")
+    refuse_unknown_gain(robot)
+    base, described = base_parameters(model := InverseModel(robot)), read_prior(prior, robot).robot
+    assert described is not None
+    values, source = prior_of_base(model, base, InverseModel(described))
+    if not source:
+        raise IdentificationError(place=str(prior), key="inertials", value=None, expected="those of the links")
+    found = true_parameters(base, values, prior.name)
+    return replace(found, parameters={name: x for name, x in found.parameters.items() if math.isfinite(x.value)})
+
+
+def true_parameters(base: BaseParameters, true: Array, label: str = "true") -> ParameterSet:
+    """Known values `true` (b,) of the base parameters, SI; their deviations are 0."""
     return ParameterSet(
-        label="true",
+        label=label,
         parameters={
             name: Parameter(name=name, value=float(x), unit=unit, expression=expression)
             for name, x, unit, expression in zip(base.names, true, base.units, base.expressions, strict=True)

@@ -20,6 +20,7 @@ from .parameters import (
     Covariance,
     DriveGain,
     LeftOut,
+    LinkPriorFile,
     Parameter,
     PayloadOfFit,
     PhysicalWarning,
@@ -212,6 +213,7 @@ class FitFile(OnRecording, frozen=True, kw_only=True):
     lag: LagFile | UnsetType = UNSET
     trust: list[TrustLineFile] | UnsetType = UNSET
     held_out_error_percent: float | UnsetType | None = UNSET
+    prior: LinkPriorFile | UnsetType = UNSET
     own_parameters: FTest | UnsetType = UNSET
     gains: list[DriveGain] | UnsetType = UNSET
     payloads: list[PayloadOfFit] | UnsetType = UNSET
