@@ -33,7 +33,9 @@ class UrdfChain(Chain):
 
 
 def numbers(element: ET.Element | None, key: str) -> Array:
-    return np.array([float(x) for x in (element.get(key) if element is not None else None or "0 0 0").split()])
+    """The numbers of an attribute; zeros without it."""
+    text = None if element is None else element.get(key)
+    return np.array([float(x) for x in (text or "0 0 0").split()])
 
 
 def rotation_of(rpy: Array) -> Array:

@@ -65,7 +65,7 @@ def robot_of_arm(text: str, head: str) -> Robot:
     return robot_from_files({"robot.toml": toml.encode(), "robot.urdf": text.encode()}, "arm.toml")
 
 
-# Six joints as a UR5's, with its masses: name, axis, origin and rpy of the joint; mass, centre and principal inertias of the link.
+# Six joints as a UR5's, with its masses: name, axis, origin and rpy of the joint; mass, centre, principal inertias of the link.
 SIX = (
     ("pan", "0 0 1", "0 0 0.0892", "0 0 0", 3.7, "0 0 0", (0.0103, 0.0103, 0.00666)),
     ("lift", "0 1 0", "0 0.1358 0", "0 1.5708 0", 8.393, "0 0 0.28", (0.2269, 0.2269, 0.0151)),
@@ -76,7 +76,7 @@ SIX = (
 )
 
 
-def six_joints(factors=(1.0,) * len(SIX)):
+def six_joints(factors=(1.0, 1.0, 1.0, 1.0, 1.0, 1.0)):
     """The URDF of the six joints, mass and inertia of each link times its factor."""
     parts = ['<?xml version="1.0"?>\n<robot name="six">\n<link name="base"/>\n']
     for k, (name, axis, origin, rpy, mass, at, (xx, yy, zz)) in enumerate(SIX):

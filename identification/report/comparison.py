@@ -116,20 +116,19 @@ def comparison_document(a: ParameterSet, b: ParameterSet, warnings: tuple[str, .
 
 
 def prior_document(a: ParameterSet, b: ParameterSet, warnings: tuple[str, ...] = ()) -> Document:
-    """A fit `a` beside a-priori values `b`, which have no intervals, with `warnings`; in short the largest differences in sigma.
+    """A fit `a` beside a-priori values `b` without intervals, and `warnings`; in short the largest differences in sigma.
 
     Raises `IdentificationError`: as `differences` does.
     """
-    found, rows = [d for d in differences(a, b) if d.a and d.b], list[Row]()
-    for d in found:
-        assert d.a is not None and d.b is not None
-        form, ratio = value_form(d.a.spread), d.a.value / d.b.value if d.b.value else None
-        values = (Number(x, form) for x in (d.a.value, d.a.half, d.b.value))
+    found, rows = [(d, d.a, d.b) for d in differences(a, b) if d.a and d.b], list[Row]()
+    for d, x, prior in found:
+        form, ratio = value_form(x.spread), x.value / prior.value if prior.value else None
+        values = (Number(one, form) for one in (x.value, x.half, prior.value))
         rows.append((d.name, d.unit, *values, Number(ratio, ".3g")))
     heads = columns("name", "unit", numbers=("value", "±95%", "prior", "ratio"))
     line = f"{len(a.parameters) - len(rows)} others of {a.label}: not of links alone, or not stated by {b.label}"
     section = Section(table=Table(columns=heads, rows=tuple(rows)), lines=(line,), warnings=warnings)
-    largest = sorted(range(len(rows)), key=lambda k: -abs(found[k].off_sigma or 0.0))
+    largest = sorted(range(len(rows)), key=lambda k: -abs(found[k][0].off_sigma or 0.0))
     return Document(title=f"{a.label} and the prior {b.label}", sections=(section.with_short_table(largest),))
 
 
