@@ -19,30 +19,18 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> None:
     """Print the differences, and the warnings of both fits."""
-    from ..methods import prior_parameters
-    from ..report import (
-        ParameterSet,
-        comparison_document,
-        comparison_file,
-        frame_lines,
-        prior_document,
-        read_fit,
-        write_json,
-    )
+    from ..methods import prior_file
+    from ..report import ParameterSet, comparison_document, comparison_file, frame_lines, read_fit, write_json
 
     refuse_outputs([options.a, options.b], options.json, report=options.report)
-    same, prior = options.a.stem == options.b.stem, options.b.suffix.lower() in (".urdf", ".toml")
-    labels = [str(path) if same and not prior else path.stem for path in (options.a, options.b)]
-    fits = [read_fit(path) for path in ((options.a,) if prior else (options.a, options.b))]
-    a = ParameterSet.of_file(fits[0], labels[0])
-    warnings = fits[0].warnings_of(str(options.a))
-    if prior:
-        b = prior_parameters(fits[0], str(options.a), options.b)
-        document = prior_document(a, b, tuple(warnings))
-    else:
-        b = ParameterSet.of_file(fits[1], labels[1])
-        warnings += fits[1].warnings_of(str(options.b)) + frame_lines(fits[0], fits[1], (labels[0], labels[1]))
-        document = comparison_document(a, b, tuple(warnings))
+    same = options.a.stem == options.b.stem
+    labels = [str(path) if same else path.stem for path in (options.a, options.b)]
+    prior, first = options.b.suffix.lower() in (".urdf", ".toml"), read_fit(options.a)
+    fits = [first, prior_file(first, str(options.a), options.b) if prior else read_fit(options.b)]
+    a, b = (ParameterSet.of_file(fit, label) for fit, label in zip(fits, labels, strict=True))
+    warnings = [*fits[0].warnings_of(str(options.a)), *fits[1].warnings_of(str(options.b))]
+    warnings += frame_lines(fits[0], fits[1], (labels[0], labels[1]))
+    document = comparison_document(a, b, tuple(warnings), prior=prior)
     if options.json:
         write_json(options.json, comparison_file(a, b))
 

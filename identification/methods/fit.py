@@ -1,6 +1,5 @@
 """Results of an identification: the estimate, its settings, and its tests."""
 
-import math
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -12,7 +11,7 @@ from acquisition.robot import ripple_notes
 from ..arrays import Array
 from ..estimation import Estimate, InstrumentTests, Intervals, Reduction
 from ..model import BaseParameters
-from ..regression import Arm, Problem, Settings, base_name, base_places
+from ..regression import Arm, Problem, Settings, base_places
 from ..report import DirectModelError, FTest, Method, Status, TorqueError
 from ..simulation import Instruments, Replica
 from ..trust import FitData, HeldOut, Lag, Trust
@@ -303,13 +302,6 @@ class Fit:
     def beta(self) -> Array:
         """(b,) values of all base parameters, of the first recording; zero if left out."""
         return self.estimate.values_of(self.recordings[0].arm.names)
-
-    def prior_of(self, name: str) -> float | None:
-        """A-priori value of a parameter; None without one."""
-        if self.data.prior is None:
-            return None
-        value = dict(zip(self.base.names, self.data.prior.values.tolist(), strict=True)).get(base_name(name), math.nan)
-        return value if math.isfinite(value) else None
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -20,7 +20,6 @@ from ..report import (
     KnownLagFile,
     LagFile,
     LeftOut,
-    LinkPriorFile,
     PassFile,
     PayloadOfFit,
     PhysicalWarning,
@@ -74,15 +73,14 @@ def fit_file(fit: Fit) -> FitFile:
             UNSET,
         ),
         held_out_error_percent=fit.trust.line("held-out blocks").value,
-        prior=LinkPriorFile(source=prior.source, held_out_error_percent=prior.error_percent) if prior else UNSET,
+        prior_source=fit.data.prior_source or UNSET,
+        prior_held_out_error_percent=fit.data.prior_error_percent if prior else UNSET,
         trust=[TrustLineFile(test=one.test, level=one.level, value=one.value, text=one.text) for one in lines],
         condition_number=e.condition_number,
         condition_number_scaled=e.condition_number_scaled,
         rows=round(e.rows),
         parameters=[
-            msgspec.structs.replace(
-                parameter, sigma_percent=float(percent), prior=fit.prior_of(parameter.name) if prior else UNSET
-            )
+            msgspec.structs.replace(parameter, sigma_percent=float(percent), prior=prior.get(parameter.name, UNSET))
             for parameter, percent in zip(fitted_parameters(fit).parameters.values(), e.sigma_percent, strict=True)
         ],
         gains=_gains(fit.gains) if fit.gains else UNSET,

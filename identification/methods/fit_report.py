@@ -176,24 +176,22 @@ def _parameters(fit: Fit) -> Section:
     e, essential = fit.estimate, set(fit.essential_names)
     units = dict(zip(fit.base.names, fit.base.units, strict=True))
     rows: list[Row] = []
-    prior = fit.data.prior
+    prior, error = fit.data.prior, fit.data.prior_error_percent
     for k, name in enumerate(e.names):
         value, half, sigma = float(e.beta[k]), float(fit.intervals.half[k]), float(e.sigma[k])
         form, percent = value_form(sigma), 100 * half / abs(value) if value else math.inf
         numbers: list[Cell] = [Number(value, form), Number(half, form), Number(percent, ".2f", most=1000)]
-        numbers += ["" if (stated := fit.prior_of(name)) is None else Number(stated, form)] if prior else []
+        numbers += [Number(prior[name], form) if name in prior else ""] if prior else []
         unit, mark = units[base_name(name)], "yes" if name in essential else ""
         rows.append((name, *numbers, unit, Number(sigma, form), mark))
-    heads = columns("parameter", numbers=("value", "±95%", "in %", *(["prior"] if prior else []))) + columns("unit")
+    heads = columns("parameter", numbers=("value", "±95%", "in %", *["prior"] * bool(prior))) + columns("unit")
     places = sorted(range(len(rows)), key=lambda k: (e.names[k] not in essential, -abs(float(e.beta[k]))))
     places = sorted(places[: min(MAX_SHORT_PARAMETERS, len(essential))])
     left_out = f"; {len(rows) - len(places)} others: --all" if len(places) < len(rows) else ""
     meaning = "±95%: half-width of the 95 % interval"
-    if prior:
-        meaning += f"; prior: links of the {prior.source}"
-        held, by_prior = fit.trust.line("held-out blocks").value, prior.error_percent
-        if held is not None and by_prior is not None:
-            meaning += f"; held-out torque error with them {by_prior:.2g} %, of the fit {held:.2g} %"
+    if error is not None:
+        held = _percent(fit.trust.line("held-out blocks").value)
+        meaning += f"; torque error held out: links of the {fit.data.prior_source} {_percent(error)}, fit {held}"
     return Section(
         title=PARAMETERS,
         table=Table(columns=heads + columns(numbers=("sigma",)) + columns("essential"), rows=tuple(rows)),

@@ -1,6 +1,5 @@
 """Parameters of a fit, known values, and those of a stored fit for another recording or robot, with its settings."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -57,28 +56,26 @@ def _estimated(label: str, fit: Fit, e: Estimate, intervals: Intervals) -> Param
     )
 
 
-def prior_parameters(stored: FitFile, place: str, prior: Path) -> ParameterSet:
-    """A-priori base parameters of links of a robot.toml or a URDF, `prior`, in the frames of a stored fit, `place`.
+def prior_file(stored: FitFile, place: str, prior: Path) -> FitFile:
+    """The a-priori links of a robot.toml or a URDF, `prior`, as known values of the base parameters of a stored fit, `place`.
 
-    Raises `IdentificationError`: the fit has no description or is in A or V; the file cannot be read, is of another robot, or
-    has no inertials.
+    Raises `IdentificationError`: the fit is in A or V or without description; a file of another robot, or without inertials.
     """
     if (robot := stored_robot(stored, place)) is None:
         raise IdentificationError(place=place, key="description", value=None, expected="a fit with its robot.toml")
     refuse_unknown_gain(robot)
-    base, described = base_parameters(model := InverseModel(robot)), read_prior(prior, robot).robot
-    assert described is not None
-    values, source = prior_of_base(model, base, InverseModel(described))
-    if not source:
+    base = base_parameters(model := InverseModel(robot))
+    values, _ = prior_of_base(model, base, InverseModel(read_prior(prior, robot)))
+    if not values:
         raise IdentificationError(place=str(prior), key="inertials", value=None, expected="those of the links")
-    found = true_parameters(base, values, prior.name)
-    return replace(found, parameters={name: x for name, x in found.parameters.items() if math.isfinite(x.value)})
+    known = true_parameters(base, np.array([values.get(name, 0.0) for name in base.names])).parameters
+    return FitFile(parameters=[known[name] for name in values])
 
 
-def true_parameters(base: BaseParameters, true: Array, label: str = "true") -> ParameterSet:
-    """Known values `true` (b,) of the base parameters, SI; their deviations are 0."""
+def true_parameters(base: BaseParameters, true: Array) -> ParameterSet:
+    """Known values `true` (b,) of the base parameters, SI, labelled `true`; their deviations are 0."""
     return ParameterSet(
-        label=label,
+        label="true",
         parameters={
             name: Parameter(name=name, value=float(x), unit=unit, expression=expression)
             for name, x, unit, expression in zip(base.names, true, base.units, base.expressions, strict=True)

@@ -20,7 +20,7 @@ from .joint_terms import SHAPES, JointTerm, corner_speeds, spanning
 
 DENSITY = 1000.0  # kg/m³ of a plausible link, including motor and cavities
 SLENDERNESS, RADIUS_M = 0.2, (0.05, 0.08)  # its radius over its length, and limits of the radius
-ROUNDING = 1e-12  # of a sum's terms
+ROUNDING = 1e-12  # of the largest a-priori value: smaller ones are rounding
 MIN_EIGENVALUE = 1e-4  # of a physical pseudo-inertia, scaled to a diagonal of ones
 ROTOR_SHARE, FRICTION = 0.1, 0.01  # start values: of the link's ZZ, and in N m or N m s
 MAX_FRAME_DIFFERENCE = 1e-6  # m and rotation entries, of two descriptions of one robot
@@ -50,19 +50,16 @@ def expected_links(idm: InverseModel, prior: InverseModel | None = None) -> tupl
     return links, tuple(source for _, source in found)
 
 
-def prior_of_base(idm: InverseModel, base: BaseParameters, prior: InverseModel | None = None) -> tuple[Array, str]:
-    """A-priori base parameters K chi (b,) of links alone, NaN for others, and their source, `URDF` or `[parameters]`.
-
-    As `expected_links`, but without plausible values; the source is empty if there is nothing else.
-    """
+def prior_of_base(
+    idm: InverseModel, base: BaseParameters, prior: InverseModel | None = None
+) -> tuple[dict[str, float], str]:
+    """A-priori base parameters K chi of links alone, by name, as `expected_links` but without plausible values; their source."""
     (links, sources), chi = expected_links(idm, prior), np.full(idm.p, np.nan)
     chi[link_columns(idm)] = np.where((np.array(sources) == "plausible")[:, None], np.nan, links)
-    known = base.links & ~((base.K != 0) @ np.isnan(chi))
-    source = next((one for one in ("URDF", "[parameters]") if one in sources), "")
-    sizes = np.abs(base.K) @ np.abs(np.nan_to_num(chi))
-    beta = base.K @ np.nan_to_num(chi)
-    beta[np.abs(beta) < ROUNDING * sizes] = 0.0
-    return np.where(known, beta, np.nan), source
+    known, beta = base.links & ~((base.K != 0) @ np.isnan(chi)), base.K @ np.nan_to_num(chi)
+    beta[np.abs(beta) < ROUNDING * np.abs(beta).max()] = 0.0
+    found = {name: float(x) for name, x, k in zip(base.names, beta, known, strict=True) if k}
+    return found, "URDF" if "URDF" in sources else "[parameters]"
 
 
 def link_columns(idm: InverseModel) -> NDArray[np.intp]:

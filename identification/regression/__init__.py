@@ -56,7 +56,6 @@ from .states import (
     recorded_power,
     rigid_torque_at_rows,
     row_states,
-    spaced_states,
 )
 from .unknowns import Arm, Unknowns, base_name, base_places, make_unknowns
 from .weights import refuse_standing_joints, sample_weights, weighted, weights_at

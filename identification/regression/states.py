@@ -37,17 +37,11 @@ class RowStates:
     ddq: Array
 
 
-def row_states(problem: Problem) -> RowStates | None:
-    """About 300 rows of a recording, evenly spaced; None where there is viscous and Coulomb friction only."""
-    joints = problem.signals.robot.joints
-    if not any(joint.one_sided or set(joint.terms) & set(SHAPES) for joint in joints):
+def row_states(problem: Problem, *, always: bool = False) -> RowStates | None:
+    """About 300 rows of a recording, evenly spaced; None, if not `always`, where there is viscous and Coulomb friction only."""
+    joints, problem = problem.signals.robot.joints, problem.with_samples()
+    if not always and not any(joint.one_sided or set(joint.terms) & set(SHAPES) for joint in joints):
         return None
-    return spaced_states(problem)
-
-
-def spaced_states(problem: Problem) -> RowStates:
-    """About 300 rows of a recording, evenly spaced."""
-    problem = problem.with_samples()
     settings, parts, first = problem.settings, list[tuple[Array, ...]](), 0
     rows = settings.decimator.rows(settings.stop - settings.start)
     rows_wanted = np.arange(0, rows, max(1, rows // STATES))

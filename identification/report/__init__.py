@@ -1,15 +1,7 @@
 """Documents of sections and tables, their renderers, the JSON files of fits, comparisons."""
 
 from .comparison import Difference as Difference
-from .comparison import (
-    ParameterSet,
-    comparison_document,
-    comparison_file,
-    comparison_section,
-    differences,
-    frame_lines,
-    prior_document,
-)
+from .comparison import ParameterSet, comparison_document, comparison_file, comparison_section, differences, frame_lines
 from .document import (
     Cell,
     Document,
@@ -49,7 +41,6 @@ from .parameters import (
     Covariance,
     DriveGain,
     LeftOut,
-    LinkPriorFile,
     Parameter,
     PayloadOfFit,
     PhysicalWarning,

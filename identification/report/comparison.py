@@ -104,32 +104,22 @@ def difference_lines(a: ParameterSet, b: ParameterSet, rows: list[Difference]) -
     return lines
 
 
-def comparison_document(a: ParameterSet, b: ParameterSet, warnings: tuple[str, ...] = ()) -> Document:
-    """A comparison as a report, with `warnings`; in short the largest differences in sigma.
+def comparison_document(
+    a: ParameterSet, b: ParameterSet, warnings: tuple[str, ...] = (), *, prior: bool = False
+) -> Document:
+    """A comparison as a report, with `warnings`; in short the largest differences in sigma. With a `prior` b, also a over b.
 
     Raises `IdentificationError`: as `differences` does.
     """
     section, rows = comparison_section(a, b), differences(a, b)
+    if prior:
+        both = [(row, row.a.value / row.b.value if row.b.value else None) for row in rows if row.a and row.b]
+        heads = columns("name", "unit", numbers=("value", "±95%", "prior", "ratio"))
+        table = Table(columns=heads, rows=tuple((*_cells(row)[:5], Number(x, ".3g", most=1e6)) for row, x in both))
+        section, rows = replace(section, table=table), [row for row, _ in both]
     largest = sorted(range(len(rows)), key=lambda k: -abs(rows[k].off_sigma or 0.0))
     shown = replace(section, title="", warnings=warnings).with_short_table(largest)
     return Document(title=section.title, sections=(shown,))
-
-
-def prior_document(a: ParameterSet, b: ParameterSet, warnings: tuple[str, ...] = ()) -> Document:
-    """A fit `a` beside a-priori values `b` without intervals, and `warnings`; in short the largest differences in sigma.
-
-    Raises `IdentificationError`: as `differences` does.
-    """
-    found, rows = [(d, d.a, d.b) for d in differences(a, b) if d.a and d.b], list[Row]()
-    for d, x, prior in found:
-        form, ratio = value_form(x.spread), x.value / prior.value if prior.value else None
-        values = (Number(one, form) for one in (x.value, x.half, prior.value))
-        rows.append((d.name, d.unit, *values, Number(ratio, ".3g")))
-    heads = columns("name", "unit", numbers=("value", "±95%", "prior", "ratio"))
-    line = f"{len(a.parameters) - len(rows)} others of {a.label}: not of links alone, or not stated by {b.label}"
-    section = Section(table=Table(columns=heads, rows=tuple(rows)), lines=(line,), warnings=warnings)
-    largest = sorted(range(len(rows)), key=lambda k: -abs(found[k][0].off_sigma or 0.0))
-    return Document(title=f"{a.label} and the prior {b.label}", sections=(section.with_short_table(largest),))
 
 
 def comparison_section(a: ParameterSet, b: ParameterSet) -> Section:

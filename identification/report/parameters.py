@@ -12,8 +12,7 @@ PER_INTERVAL = 1.96  # deviations in half a 95 % interval
 class Parameter(msgspec.Struct, frozen=True, kw_only=True):
     """A parameter with its 95 % interval and its deviation `sigma` by the formula, 0 for an exact value.
 
-    `low`, `high` and `expression`, its sum of standard parameters, are None in a file of an earlier version. `prior` is its
-    a-priori value where the fit has `prior`; null where that states none.
+    `low`, `high` and `expression`, its sum of standard parameters, are None in a file of an earlier version. `prior`: a-priori.
     """
 
     name: str
@@ -26,7 +25,7 @@ class Parameter(msgspec.Struct, frozen=True, kw_only=True):
     sigma_hac: float | UnsetType | None = UNSET  # of a file of an earlier version
     sigma_percent: float | UnsetType | None = UNSET
     essential: bool = False
-    prior: float | UnsetType | None = UNSET
+    prior: float | UnsetType = UNSET
 
     @property
     def half(self) -> float:
@@ -86,15 +85,6 @@ class ConsistentFile(msgspec.Struct, frozen=True, kw_only=True):
     certificate: float
     relative_error_percent: float | None
     base_parameters: list[StandardParameter] | UnsetType = UNSET
-
-
-class LinkPriorFile(msgspec.Struct, frozen=True, kw_only=True):
-    """The a-priori links of a description, of its `URDF` or `[parameters]`; the held-out torque error in percent is of these
-    links with all else fitted, null where it is not made.
-    """
-
-    source: str
-    held_out_error_percent: float | None
 
 
 class DriveGain(msgspec.Struct, frozen=True, kw_only=True):

@@ -48,22 +48,6 @@ class Lag:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class LinkPrior:
-    """A-priori base parameters of the links.
-
-    Attributes:
-        values: (b,) NaN where the description states none.
-        source: `URDF` or `[parameters]`.
-        error_percent: torque error where blocks of time, or recordings, are held out, of these links with all else fitted to
-            the others; None where that is not made.
-    """
-
-    values: Array
-    source: str
-    error_percent: float | None = None
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class FitData:
     """An estimate and its data.
 
@@ -83,7 +67,8 @@ class FitData:
         lags: one per group of recordings of equal timing.
         essential: names of the parameters that the recordings determine well.
         held_out: blocks of time, or recordings, predicted by the fit of the others; empty where that is not made.
-        prior: of the links; None where neither URDF nor `[parameters]` has any, or the torques are not in N m.
+        prior, prior_source: a-priori base parameters of links, by name, of the `URDF` or `[parameters]`.
+        prior_error_percent: held-out torque error of these links with all else fitted to the other blocks, or recordings.
     """
 
     problems: tuple[Problem, ...]
@@ -105,7 +90,9 @@ class FitData:
     lags: tuple[Lag, ...] = ()
     essential: tuple[str, ...] = ()
     held_out: tuple[HeldOut, ...] = ()
-    prior: LinkPrior | None = None
+    prior: dict[str, float] = field(default_factory=dict)
+    prior_source: str = ""
+    prior_error_percent: float | None = None
 
     @property
     def problem(self) -> Problem:

@@ -98,8 +98,10 @@ def held_out_test(evidence: FitData) -> TrustLine:
     ]
     if not made:
         return TrustLine(name, "cannot tell" if several else "not made", "; ".join(without) or "not made: no torque")
-    held, trained = (np.array([[x.held, x.trained] for x in made]) ** 2).sum(axis=0)
-    error, training = errors_together(made)
+    of_tau = np.array([[x.error_percent, x.trained_percent, 1.0] for x in made]) * np.array([[x.torque] for x in made])
+    squares, of_weighted = (of_tau**2).sum(axis=0), np.array([[x.held, x.trained] for x in made])
+    held, trained = (of_weighted**2).sum(axis=0)
+    error, training = (float(np.sqrt(x / squares[2])) for x in squares[:2])
     text = "; ".join([f"error {error:.3g} %{' of recordings' * several} held out, {training:.3g} % trained", *without])
     figures = tuple(Figure(name=x.name, value=x.error_percent or 0.0, expected=x.trained_percent or 0.0) for x in made)
     ratio = float(np.sqrt(held / trained)) if trained > 0 else 1.0
@@ -113,14 +115,6 @@ def held_out_test(evidence: FitData) -> TrustLine:
         text += ", or take the parameters of --consistent, which generalise better"
     line = TrustLine(name, "caution", text, error, "does not generalise", figures=figures, unit="%")
     return replace(line, fails_held_out=ratio > MAX_HELD_OUT_RATIO_NOT_POSITIVE)
-
-
-def errors_together(made: Sequence[HeldOut]) -> tuple[float, float]:
-    """Held-out and training error of all blocks or recordings together, in percent of their torque."""
-    torque = np.array([x.torque for x in made])
-    each = np.array([[x.error_percent, x.trained_percent] for x in made], dtype=float) * torque[:, None]
-    error, training = np.linalg.norm(each, axis=0) / np.linalg.norm(torque)
-    return float(error), float(training)
 
 
 def predictions_by_others(
