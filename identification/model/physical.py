@@ -53,7 +53,7 @@ def expected_links(idm: InverseModel, prior: InverseModel | None = None) -> tupl
 def prior_of_base(
     idm: InverseModel, base: BaseParameters, prior: InverseModel | None = None
 ) -> tuple[dict[str, float], str]:
-    """A-priori base parameters K chi of links alone, by name, as `expected_links` but without plausible values; their source."""
+    """A-priori base parameters K chi of links alone, by name, as `expected_links` without plausible values; their source."""
     (links, sources), chi = expected_links(idm, prior), np.full(idm.p, np.nan)
     chi[link_columns(idm)] = np.where((np.array(sources) == "plausible")[:, None], np.nan, links)
     known, beta = base.links & ~((base.K != 0) @ np.isnan(chi)), base.K @ np.nan_to_num(chi)

@@ -1,8 +1,7 @@
-"""A-priori links, of a URDF or `[parameters]`, as a witness of the recording: by joint and held out, and what may be exchanged.
+"""A-priori links, of a URDF or `[parameters]`, as a witness of the recording: by joint, held out, and exchanged joints.
 
-The recorded torque of joint j is f_j times that of the prior's links, beside all that the prior does not know: rotors and
-friction, with the instruments and weights of the fit. Only rows of joint j tell f_j: a wrong gain of one joint does not move
-the others. Where the links do not fit, they are tried along the recorded motion with joints exchanged, and in other units.
+The recorded torque of joint j is f_j times that of the prior's links, beside all that the prior does not know (rotors,
+friction), with instruments and weights of the fit. Only rows of joint j tell f_j: a wrong gain of a joint does not move others.
 """
 
 from contextlib import suppress
@@ -14,33 +13,35 @@ from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..errors import IdentificationError
-from ..estimation import Estimate, System, instrumental_variables, intervals_of
+from ..estimation import Estimate, instrumental_variables, intervals_of
 from ..model import direct_model, prior_of_base
 from ..regression import base_name, row_states
 from .fit_data import FitData
 from .held_out import Predict, held_out_parts, held_out_test
 from .lines import Figure, TrustLine
 
-MIN_FACTOR, MAX_FACTOR = 0.5, 2.0  # of a joint's torque over that of the prior's links
-MAX_SPREAD = 1.5  # of factors that are one
+MIN_FACTOR, MAX_FACTOR, MAX_SPREAD = (
+    0.5,
+    2.0,
+    1.5,
+)  # of a joint's torque over that of the prior's links; of equal factors
 MIN_EXPLAINED = (
     0.25  # of a joint's square, without what is not of links, for its factor to be one of the prior's torque
 )
 MIN_LEFT = 0.01  # smallest share of a joint's square left by the prior's links that counts
+MIN_SHARED_NORM = 1e-9  # of a column's norm over all joints: less at a joint is rounding
 MIN_CAUSE = 1.5  # fall of the sum of the logarithms of these shares by which a cause is named
 UNITS = {"position of {} in rad declared as degrees": 180 / np.pi, "sign of the position of {}": -1.0}
 
 
 def with_prior(evidence: FitData, predict: Predict) -> FitData:
     """The same with the prior and the held-out error of its links: all else is fitted to the other blocks, or recordings."""
-    problem = evidence.problem
+    problem, system = evidence.problem, evidence.observed.system
     values, source = prior_of_base(problem.model, problem.base)
     if not values or not problem.signals.robot.gain_known:
         return evidence
     evidence = replace(evidence, prior=values, prior_source=source)
-    system, (known, free) = evidence.observed.system, _known_and_free(evidence)
-    rest = replace(system, Y=system.Y - system.W @ known).with_columns(free)
-    Z = (system.W if evidence.Z is None else evidence.Z)[:, free]
+    known, free = _known_and_free(evidence)
 
     def with_links(*estimates: Estimate, by_recording: bool = False) -> Array:
         whole = (replace(one, names=system.names, beta=known + one.values_of(system.names)) for one in estimates)
@@ -48,6 +49,8 @@ def with_prior(evidence: FitData, predict: Predict) -> FitData:
 
     with suppress(IdentificationError):
         if evidence.held_out and not evidence.gains:
+            rest = replace(system, Y=system.Y - system.W @ known).with_columns(free)
+            Z = (system.W if evidence.Z is None else evidence.Z)[:, free]
             others = instrumental_variables(rest, Z, evidence.estimate.weights)
             of_rest = replace(evidence, observed=replace(evidence.observed, system=rest, Z=Z), estimate=others)
             line = held_out_test(replace(of_rest, held_out=held_out_parts(of_rest, with_links)))
@@ -56,7 +59,7 @@ def with_prior(evidence: FitData, predict: Predict) -> FitData:
 
 
 def prior_test(evidence: FitData) -> TrustLine | None:
-    """By joint its torque over that of the prior's links; joints that seem exchanged or in other units."""
+    """By joint its torque over that of the prior's links; joints that seem exchanged or in other units. Never `do not use`."""
     if not evidence.prior or evidence.gains:
         return None
     links, names = f"the {evidence.prior_source}'s links", [one.name for one in evidence.problem.signals.robot.joints]
@@ -71,13 +74,13 @@ def prior_test(evidence: FitData) -> TrustLine | None:
     if not told:
         return line
     low, high = min(factor[outside or told]), max(factor[outside or told])
-    between, all_outside = f"{low:.2g} to {high:.2g} times what {links} need", len(outside) == len(told) > 1
+    between, everywhere = f"{low:.2g} to {high:.2g} times what {links} need", len(outside) == len(told) > 1
     if not outside:
         return replace(line, text=f"torques are {between}")
-    if all_outside and high > max(MAX_SPREAD * low, 0.0):
+    if everywhere and high > max(MAX_SPREAD * low, 0.0):
         return replace(line, level="cannot tell", text=f"the prior is off everywhere: torques are {between}")
     each = ", ".join(f"torque of {names[j]} is {factor[j]:.2g} times" for j in outside)
-    text = f"torques of all joints are {between}" if all_outside else f"{each} what {links} need"
+    text = f"torques of all joints are {between}" if everywhere else f"{each} what {links} need"
     return replace(line, level="caution", text=f"{text}: drive_gain, ratio, unit, or the prior?", finding=text)
 
 
@@ -95,23 +98,16 @@ def _factor(evidence: FitData, j: int) -> tuple[float, float, float, float]:
     """
     system, (known, free) = evidence.observed.system, _known_and_free(evidence)
     own = system.joint_of_row == j
-    (W, Y), Z = (x[own] for x in system.weighted(np.ones(len(system.rows)))), evidence.Z
-    free = free[W[:, free].any(axis=0)]
-    both = np.c_[Y, W @ known]
-    both -= W[:, free] @ np.linalg.lstsq(W[:, free], both)[0]
-    whole, needed = np.maximum((both**2).sum(axis=0), 1e-300)
-    alone = System(
-        W=np.c_[W @ known, W[:, free]],
-        Y=Y,
-        joint_of_row=np.zeros(len(Y), dtype=np.intp),
-        names=("factor", *(system.names[i] for i in free)),
-        share=system.share[own],
-        rows=system.rows[[j]],
-        spans=system.spans,
-    )
+    W, Y = (x[own] for x in system.weighted(np.ones(len(system.rows))))
+    acts = np.linalg.norm(W, axis=0) > MIN_SHARED_NORM * np.linalg.norm(system.W, axis=0)
+    columns = np.c_[known, np.eye(len(known))[:, free[acts[free]]]]
+    J, Z = W @ columns, (W if evidence.Z is None else evidence.Z[own]) @ columns
+    both = np.c_[Y, J[:, 0]]
+    whole, needed = ((both - J[:, 1:] @ np.linalg.lstsq(J[:, 1:], both)[0]) ** 2).sum(axis=0) + 1e-300
+    rows, names, share = 0 * system.joint_of_row[own], tuple(map(str, range(J.shape[1]))), system.share[own]
+    alone = replace(system, W=J, Y=Y, joint_of_row=rows, names=names, share=share, rows=system.rows[[j]])
     with suppress(IdentificationError):
-        Z = W if Z is None else Z[own]
-        found = instrumental_variables(alone, np.c_[Z @ known, Z[:, free]], np.ones(1))
+        found = instrumental_variables(alone, Z, np.ones(1))
         half = float(intervals_of(alone, found).half[0])
         return float(found.beta[0]), half, 1 - found.residual_norm**2 / whole, needed / whole
     return 0.0, 0.0, 0.0, 0.0
@@ -119,32 +115,30 @@ def _factor(evidence: FitData, j: int) -> tuple[float, float, float, float]:
 
 def _cause(evidence: FitData) -> str:
     """What, corrected, lets the prior's links explain the torques far better, in some 300 rows of the first recording."""
-    problem, payload = evidence.problem, evidence.arms[0].payload
+    problem, payload, states = evidence.problem, evidence.arms[0].payload, row_states(evidence.problem, always=True)
+    assert states is not None
     beta = np.array([evidence.prior.get(name, 0.0) for name in problem.base.names])
     beta += payload.values(evidence.estimate) * problem.base.links if payload else 0.0
     links = direct_model(problem.model, problem.base.standard_parameters(beta))
-    states, names = row_states(problem, always=True), [joint.name for joint in problem.signals.robot.joints]
-    assert states is not None
-    tau, motion, same = evidence.observed.tau[states.rows], [states.q, states.dq, states.ddq], np.eye(len(names))
-    tried = [("", same, same)]
+    names = [joint.name for joint in problem.signals.robot.joints]
+    same, recorded = np.eye(len(names)), evidence.observed.tau[states.rows]
+
+    def left(of_motion: Array, of_torque: Array) -> float:
+        (q, dq, ddq), shares = (x @ of_motion for x in (states.q, states.dq, states.ddq)), 0.0
+        tau, rigid = recorded @ of_torque, links.torques_of_links(q, dq, ddq)
+        for j in range(len(names)):
+            others = np.linalg.qr(np.c_[ddq[:, j], dq[:, j], np.sign(dq[:, j]), np.ones(len(q))])[0]
+            both = np.c_[tau[:, j] - rigid[:, j], tau[:, j]]
+            share, whole = ((both - others @ (others.T @ both)) ** 2).sum(axis=0)
+            shares += float(np.log(np.clip(share / (whole + 1e-300), MIN_LEFT, 1.0)))
+        return shares
+
+    found = [(left(same, same) - MIN_CAUSE, "")]
     for a, b in combinations(range(len(names)), 2):
         order, pair = same.copy(), f"of joints {names[a]} and {names[b]} exchanged"
         order[[a, b]] = same[[b, a]]
-        tried += [(f"recorded efforts {pair}", same, order), (f"recorded positions {pair}", order, same)]
+        found += [(left(same, order), f"recorded efforts {pair}"), (left(order, same), f"recorded positions {pair}")]
     for text, factor in UNITS.items():
-        tried += [
-            (text.format(name), same + np.diag((factor - 1) * own), same) for name, own in zip(names, same, strict=True)
-        ]
-        tried += [(text.format("all joints"), factor * same, same)]
-
-    def left(of_motion: Array, of_torque: Array) -> float:
-        q, dq, ddq = (x @ of_motion for x in motion)
-        both, shares = np.stack([tau @ of_torque - links.torques_of_links(q, dq, ddq), tau @ of_torque], axis=-1), 0.0
-        for j in range(len(names)):
-            others = np.linalg.qr(np.c_[ddq[:, j], dq[:, j], np.sign(dq[:, j]), np.ones(len(q))])[0]
-            left, whole = np.linalg.norm(both[:, j] - others @ (others.T @ both[:, j]), axis=0) ** 2
-            shares += np.log(np.clip(left / max(whole, 1e-300), MIN_LEFT, 1.0))
-        return float(shares)
-
-    found = [left(of_motion, of_torque) for _, of_motion, of_torque in tried]
-    return tried[int(np.argmin(found))][0] if min(found) < found[0] - MIN_CAUSE else ""
+        for own, of in [*zip(same, names, strict=True), (np.ones(len(names)), "all joints")]:
+            found.append((left(same + np.diag((factor - 1) * own), same), text.format(of)))
+    return min(found)[1]
