@@ -2,6 +2,7 @@
 
 import tomllib
 import xml.etree.ElementTree as ET
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -80,10 +81,10 @@ ROTORS = np.array([0.9, 0.9, 0.5, 0.06, 0.06, 0.05])
 RATE_HZ = 500.0
 
 
-def arm_of(text: str, head: str = HEAD) -> tuple[Plant, Controller]:
+def arm_of(text: str) -> tuple[Plant, Controller]:
     """The arm of a URDF with rotors and friction, and a PD that holds it."""
     joints = [joint.get("name") for joint in ET.fromstring(text).findall("joint")]
-    described = tomllib.loads(head + "".join(JOINT.format(name) for name in joints))
+    described = tomllib.loads(HEAD + "".join(JOINT.format(name) for name in joints))
     viscous, coulomb = FRICTION_OF_TORQUE[: len(joints)].T
     n = len(joints)
     body = Plant(
@@ -96,7 +97,7 @@ def arm_of(text: str, head: str = HEAD) -> tuple[Plant, Controller]:
     return body, designed_pd(body, 6.0, RATE_HZ)
 
 
-def robot_of(text: str, names: list[str], head: str = HEAD) -> Robot:
-    """The description that a fit is given, with the URDF `text` of the same joints."""
-    toml = head + "".join(JOINT.format(name) for name in names)
+def robot_of(text: str, names: list[str], joint: Callable[[str], str] = str) -> Robot:
+    """The description that a fit is given, with the URDF `text` of the same joints; `joint` changes the text of each."""
+    toml = HEAD + "".join(joint(JOINT.format(name)) for name in names)
     return robot_from_files({"robot.toml": toml.encode(), "robot.urdf": text.encode()}, "robot.toml")

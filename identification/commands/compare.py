@@ -19,13 +19,15 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> None:
     """Print the differences, and the warnings of both fits."""
-    from ..methods import prior_file
     from ..report import ParameterSet, comparison_document, comparison_file, frame_lines, read_fit, write_json
 
     refuse_outputs([options.a, options.b], options.json, report=options.report)
     same = options.a.stem == options.b.stem
     labels = [str(path) if same else path.stem for path in (options.a, options.b)]
     prior, first = options.b.suffix.lower() in (".urdf", ".toml"), read_fit(options.a)
+    if prior:
+        from ..methods import prior_file
+
     fits = [first, prior_file(first, str(options.a), options.b) if prior else read_fit(options.b)]
     a, b = (ParameterSet.of_file(fit, label) for fit, label in zip(fits, labels, strict=True))
     warnings = [*fits[0].warnings_of(str(options.a)), *fits[1].warnings_of(str(options.b))]

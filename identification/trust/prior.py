@@ -28,6 +28,7 @@ MIN_FACTOR, MAX_FACTOR, MAX_SPREAD = (
 MIN_EXPLAINED = (
     0.25  # of a joint's square, without what is not of links, for its factor to be one of the prior's torque
 )
+MIN_ALIKE = 0.9  # the same; below, other causes than a factor are looked for
 MIN_LEFT = 0.01  # smallest share of a joint's square left by the prior's links that counts
 MIN_SHARED_NORM = 1e-9  # of a column's norm over all joints: less at a joint is rounding
 MIN_CAUSE = 1.5  # fall of the sum of the logarithms of these shares by which a cause is named
@@ -68,7 +69,7 @@ def prior_test(evidence: FitData) -> TrustLine | None:
     outside = [j for j in told if factor[j] + half[j] < MIN_FACTOR or factor[j] - half[j] > MAX_FACTOR]
     figures = (Figure(name=names[j], value=factor[j], half_width=half[j], expected=1.0) for j in told)
     line = TrustLine("prior", "ok", f"no torque is like that of {links}", figures=tuple(figures))
-    unlike = (needed > MIN_LEFT) & (explained <= MIN_EXPLAINED)
+    unlike = (needed > MIN_LEFT) & (explained < MIN_ALIKE)
     if (outside or unlike.any()) and (cause := _cause(evidence)):
         return replace(line, level="caution", text=f"{cause}? {links} then need the recorded torques", finding=cause)
     if not told:
@@ -121,14 +122,17 @@ def _cause(evidence: FitData) -> str:
     beta += payload.values(evidence.estimate) * problem.base.links if payload else 0.0
     links = direct_model(problem.model, problem.base.standard_parameters(beta))
     names = [joint.name for joint in problem.signals.robot.joints]
-    same, recorded = np.eye(len(names)), evidence.observed.tau[states.rows]
+    same, recorded, counts = (
+        np.eye(len(names)),
+        *(x[states.rows] for x in (evidence.observed.tau, evidence.observed.counts)),
+    )
 
     def left(of_motion: Array, of_torque: Array) -> float:
         (q, dq, ddq), shares = (x @ of_motion for x in (states.q, states.dq, states.ddq)), 0.0
         tau, rigid = recorded @ of_torque, links.torques_of_links(q, dq, ddq)
-        for j in range(len(names)):
-            others = np.linalg.qr(np.c_[ddq[:, j], dq[:, j], np.sign(dq[:, j]), np.ones(len(q))])[0]
-            both = np.c_[tau[:, j] - rigid[:, j], tau[:, j]]
+        for j, moves in enumerate((counts @ np.abs(of_motion) > 0).T):
+            others = np.linalg.qr(np.c_[ddq[:, j], dq[:, j], np.sign(dq[:, j]), np.ones(len(q))][moves])[0]
+            both = np.c_[tau[:, j] - rigid[:, j], tau[:, j]][moves]
             share, whole = ((both - others @ (others.T @ both)) ** 2).sum(axis=0)
             shares += float(np.log(np.clip(share / (whole + 1e-300), MIN_LEFT, 1.0)))
         return shares

@@ -295,8 +295,7 @@ def list_assumptions(evidence: FitData, lines: Mapping[str, TrustLine]) -> Itera
     ratios = ", ".join(f"{x:g}" for x in np.diag(robot.R))
     yield Assumed("ratios", ratios, "joint positions and torques are computed with them")
     if several:
-        lengths = "dh" if robot.urdf is None else "urdf"
-        yield Assumed("lengths", lengths, "link parameters absorb an error of a length")
+        yield Assumed("lengths", "dh" if robot.urdf is None else "urdf", "link parameters absorb an error of a length")
     yield Assumed("sample rate", f"{signals.sample_rate_hz:g} Hz", "speeds and accelerations scale with it")
     if evidence.method == "iv" and lines["replay"].level == "not made":
         law = robot.controller.structure or f"a {robot.bandwidth_hz:g} Hz PD"
