@@ -92,7 +92,7 @@ class Fit(methods.Fit):
         `prior`: a robot.toml or a URDF with a-priori link parameters; default: the description of the fit.
         Raises `IdentificationError`: a drive gain is not known, the prior is of another robot, or there are no such parameters.
         """
-        found = methods.read_prior(None if prior is None else Path(prior), self.problem.signals.robot)
+        found = None if prior is None else methods.read_prior(Path(prior), self.problem.signals.robot)
         return Fit(**vars(methods.with_consistent(self, found)))
 
     def compare(self, other: methods.Fit | FitFile) -> tuple[Difference, ...]:

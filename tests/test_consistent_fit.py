@@ -25,7 +25,7 @@ from identification.estimation import (
     pseudo_inertia,
     weighted_least_squares,
 )
-from identification.methods import Prior, fit_document, fit_file, identify_ls, urdf_prior, with_consistent
+from identification.methods import fit_document, fit_file, identify_ls, urdf_prior, with_consistent
 from identification.model import InverseModel, base_parameters, expected_links, physical_parameters
 from identification.regression import Overrides, rows_of_recording
 from identification.report import FitFile, LeftOut, read_fit
@@ -33,7 +33,7 @@ from identification.report import FitFile, LeftOut, read_fit
 
 @pytest.fixture(scope="module")
 def consistent(tx40):
-    return with_consistent(ls_of(tx40), Prior())
+    return with_consistent(ls_of(tx40))
 
 
 @pytest.mark.slow
@@ -74,7 +74,7 @@ def test_the_verdict_and_the_consistent_set_are_one_computation(consistent, tx40
     lines = [line for s in fit_document(signals_of(tx40), consistent).sections for line in s.lines]
     assert not any("has its own" in line for line in lines)
     expected = dataclasses.replace(consistent.problem.signals.robot, parameters={})
-    other = with_consistent(consistent, Prior(robot=expected, name="no links"))
+    other = with_consistent(consistent, expected)
     assert any("has its own" in line for s in fit_document(signals_of(tx40), other).sections for line in s.lines)
     assert other.consistent_set.chi_squared != line.value
 
@@ -326,7 +326,7 @@ def test_a_wrist_that_feeds_energy_is_told_by_the_verdict_and_by_the_consistent_
     x = fourier_reference(robot, period_s=10.0, seed=2).at(np.arange(0.0, 10.0, 2e-3))
     tau = (model.regressor(*x) @ chi) + np.random.default_rng(0).normal(0, 0.05, x[0].shape)
     fit = identify_ls(signals_from_arrays(x[0], tau, 500.0, robot), Overrides(torque_lag_s="none", edges="smooth"))
-    line, made = fit.trust.line("physical"), with_consistent(fit, Prior()).consistent_set
+    line, made = fit.trust.line("physical"), with_consistent(fit).consistent_set
     assert (line.level == "do not use") == bool(told), line.text
     assert (told or "no friction or rotor inertia is below zero") in line.text
     of_friction = [i for i, name in enumerate(base.names) if name[:2] in ("Fv", "Fc") and name[-1] in "56"]

@@ -23,7 +23,7 @@ from identification.estimation import consistent_parameters
 from identification.export import export_model, make_urdf, model_of_fit, split_parameters, write_models
 from identification.export.exporting import replace_parameters
 from identification.export.formats import quaternion, roll_pitch_yaw
-from identification.methods import Prior, fit_file, stored_robot, with_consistent
+from identification.methods import fit_file, stored_robot, with_consistent
 from identification.model import InverseModel, JointTerm, base_parameters, physical_parameters
 from identification.report import Covariance, LeftOut, read_fit, write_json
 from identification.study import study_truth
@@ -373,7 +373,7 @@ def fits(tmp_path_factory):
     """Files of a fit, as it is and made consistent."""
     folder, fit = tmp_path_factory.mktemp("fits"), ls_of(SCARA)
     files = {}
-    for name, made in (("free", fit), ("consistent", with_consistent(fit, Prior()))):
+    for name, made in (("free", fit), ("consistent", with_consistent(fit))):
         files[name] = folder / f"{name}.json"
         write_json(files[name], fit_file(made))
     return files

@@ -21,7 +21,7 @@ from identification.errors import IdentificationError
 from identification.estimation import System
 from identification.export import replace_in_tables, split_parameters
 from identification.export.exported_model import random_states, representable, whole_regressor
-from identification.methods import Iteration, Prior, identify_iv, identify_ls, least_squares, with_consistent
+from identification.methods import Iteration, identify_iv, identify_ls, least_squares, with_consistent
 from identification.methods.settled import independent_norm
 from identification.model import InverseModel, JointTerm, base_parameters, described_parameters, direct_model
 from identification.regression import (
@@ -450,7 +450,7 @@ def test_friction_that_would_drive_a_joint_is_told_and_signs_of_its_terms_are_no
         assert ("friction would drive joint axis at -" in line.text) == told
         assert "below zero: " not in line.text
         # What the verdict has nothing against, the consistent set leaves as it is, and the other way round.
-        made = with_consistent(fit, Prior()).consistent_set
+        made = with_consistent(fit).consistent_set
         assert made.chi_squared == fit.trust.line("consistent").value
         assert (np.abs(made.moves).max() > 1) == told
         power = recorded_power([one.problem for one in fit.recordings], made.beta)

@@ -17,7 +17,6 @@ from identification.errors import IdentificationError
 from identification.export import model_of_fit
 from identification.methods import (
     Iteration,
-    Prior,
     fit_file,
     fitted_parameters,
     identify_iv,
@@ -489,7 +488,7 @@ def test_a_file_of_own_parameters_is_exported_where_it_is_consistent(tmp_path):
     shared = identify_ls(several(*(replace(recorded(k), robot=plain) for k in (1, 2, 3))), Overrides())
     beside = {row.name: row.b.name for row in differences(a, fitted_parameters(shared))}
     assert beside == {name: name.split("@")[0] for name in fit.estimate.names}
-    made = with_consistent(fit, Prior())
+    made = with_consistent(fit)
     np.testing.assert_array_equal(model_of_fit(stored(made), "fit.json")[0].chi, made.consistent_set.chi)
 
 

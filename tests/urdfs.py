@@ -63,3 +63,29 @@ def robot_of_arm(text: str, head: str) -> Robot:
     for name, kind, unit in zip(ARM, ("revolute", "revolute", "prismatic"), ("N m", "N m", "N"), strict=True):
         toml += f'[[joint]]\nname = "{name}"\ntype = "{kind}"\n[[motor]]\nname = "m_{name}"\neffort_unit = "{unit}"\n'
     return robot_from_files({"robot.toml": toml.encode(), "robot.urdf": text.encode()}, "arm.toml")
+
+
+# Six joints as a UR5's, with its masses: name, axis, origin and rpy of the joint; mass, centre, principal inertias of the link.
+SIX = (
+    ("pan", "0 0 1", "0 0 0.0892", "0 0 0", 3.7, "0 0 0", (0.0103, 0.0103, 0.00666)),
+    ("lift", "0 1 0", "0 0.1358 0", "0 1.5708 0", 8.393, "0 0 0.28", (0.2269, 0.2269, 0.0151)),
+    ("elbow", "0 1 0", "0 -0.1197 0.425", "0 0 0", 2.275, "0 0 0.196", (0.0312, 0.0312, 0.0041)),
+    ("wrist_1", "0 1 0", "0 0 0.3922", "0 1.5708 0", 1.219, "0 0.093 0", (0.00256, 0.00256, 0.00219)),
+    ("wrist_2", "0 0 1", "0 0.093 0", "0 0 0", 1.219, "0 0 0.0947", (0.00256, 0.00256, 0.00219)),
+    ("wrist_3", "0 1 0", "0 0 0.0947", "0 0 0", 0.1879, "0 0.0656 0", (0.0000847, 0.0000847, 0.000132)),
+)
+
+
+def six_joints(factors=(1.0, 1.0, 1.0, 1.0, 1.0, 1.0)):
+    """The URDF of the six joints, mass and inertia of each link times its factor."""
+    parts = ['<?xml version="1.0"?>\n<robot name="six">\n<link name="base"/>\n']
+    for k, (name, axis, origin, rpy, mass, at, (xx, yy, zz)) in enumerate(SIX):
+        x, parent = factors[k], SIX[k - 1][0] + "_link" if k else "base"
+        parts.append(
+            f'<link name="{name}_link"><inertial><origin xyz="{at}"/><mass value="{x * mass}"/>'
+            f'<inertia ixx="{x * xx}" ixy="0" ixz="0" iyy="{x * yy}" iyz="0" izz="{x * zz}"/></inertial></link>\n'
+            f'<joint name="{name}" type="revolute"><origin xyz="{origin}" rpy="{rpy}"/><parent link="{parent}"/>'
+            f'<child link="{name}_link"/><axis xyz="{axis}"/>'
+            '<limit lower="-3" upper="3" velocity="3" effort="150"/></joint>\n'
+        )
+    return "".join(parts) + "</robot>\n"

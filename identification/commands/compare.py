@@ -1,4 +1,4 @@
-"""`robot-identify compare`: the parameters of two fits."""
+"""`robot-identify compare`: the parameters of two fits, or of a fit and a prior."""
 
 import argparse
 from hashlib import sha256
@@ -11,7 +11,7 @@ from .arguments import add_report, print_results, refuse_outputs, write_pictures
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_path(parser, "a", "A.json", "a fit, as `fit --json` writes it")
-    add_path(parser, "b", "B.json", "another fit")
+    add_path(parser, "b", "B.json|URDF", "another fit; or a URDF or a robot.toml, whose links are the prior")
     add_path(parser, "--json", "FILE", "write the comparison as JSON")
     add_flag(parser, "--all", "print all parameters, not only the largest differences")
     add_report(parser)
@@ -24,11 +24,15 @@ def run(options: argparse.Namespace) -> None:
     refuse_outputs([options.a, options.b], options.json, report=options.report)
     same = options.a.stem == options.b.stem
     labels = [str(path) if same else path.stem for path in (options.a, options.b)]
-    fits = [read_fit(path) for path in (options.a, options.b)]
+    prior, first = options.b.suffix.lower() in (".urdf", ".toml"), read_fit(options.a)
+    if prior:
+        from ..methods import prior_file
+
+    fits = [first, prior_file(first, str(options.a), options.b) if prior else read_fit(options.b)]
     a, b = (ParameterSet.of_file(fit, label) for fit, label in zip(fits, labels, strict=True))
     warnings = [*fits[0].warnings_of(str(options.a)), *fits[1].warnings_of(str(options.b))]
     warnings += frame_lines(fits[0], fits[1], (labels[0], labels[1]))
-    document = comparison_document(a, b, tuple(warnings))
+    document = comparison_document(a, b, tuple(warnings), prior=prior)
     if options.json:
         write_json(options.json, comparison_file(a, b))
 

@@ -24,8 +24,10 @@ from .arguments import (
 )
 
 if TYPE_CHECKING:
+    from acquisition.robot import Robot
+
     from ..data import Recordings
-    from ..methods import Fit, Prior
+    from ..methods import Fit
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -75,7 +77,7 @@ def run(options: argparse.Namespace) -> int:
         recordings = Recordings(sources=tuple(sources(options)), work=work)
         prior = _prior(options) if options.consistent else None
         fit = _identify(options, recordings, progress.say)
-        if prior is not None:
+        if options.consistent:
             from ..methods import with_consistent
 
             fit = with_consistent(fit, prior)
@@ -120,14 +122,14 @@ def edited_descriptions(fit: "Fit", recordings: list[Path]) -> list[str]:
     return list(lines)
 
 
-def _prior(options: argparse.Namespace) -> "Prior":
+def _prior(options: argparse.Namespace) -> "Robot | None":
     """The prior of the links; read before any fit, so that a recording in A or V is refused at once."""
     from ..methods import read_prior, refuse_unknown_gain
 
     robot = sources(options)[0].load().robot
     if not options.gains:
         refuse_unknown_gain(robot)
-    return read_prior(options.prior, robot)
+    return read_prior(options.prior, robot) if options.prior else None
 
 
 def _identify(options: argparse.Namespace, recordings: "Recordings", say: Callable[[str], None]) -> "Fit":

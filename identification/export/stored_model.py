@@ -7,7 +7,7 @@ from msgspec import UNSET
 
 from ..arrays import Array
 from ..errors import IdentificationError
-from ..methods import Known, Prior, consistent_set, refuse_unknown_gain, stored_beta, stored_robot
+from ..methods import Known, consistent_set, refuse_unknown_gain, stored_beta, stored_robot
 from ..model import InverseModel, base_parameters
 from ..report import Document, FitFile, Section
 from .exported_model import ExportedModel, split_parameters
@@ -92,7 +92,7 @@ def _make_consistent(stored: FitFile, model: InverseModel, place: str) -> tuple[
     covariance[np.ix_(index, index)] = values
     sigma = dict(zip(names, np.sqrt(np.diag(values)), strict=True))
     reach = float(np.median([p.half / sigma[p.name] for p in stored.parameters if sigma.get(p.name)] or [1.0]))
-    c = consistent_set(model, base, Known(beta=beta, covariance=covariance, reach=reach), prior=Prior())
+    c = consistent_set(model, base, Known(beta=beta, covariance=covariance, reach=reach))
     line = (
         f"{place} is not consistent: the nearest consistent parameters are used; prior {c.prior}; "
         f"added chi² {c.chi_squared:.3g} on {base.b} parameters, largest move {c.largest_move:.2g} half-widths of the 95 % "

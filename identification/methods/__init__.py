@@ -9,7 +9,7 @@ The path of a fit, stage by stage::
     Fit                          the result; `report.FitFile` is its JSON file
 """
 
-from .consistent import Known, Prior, consistent_set, read_prior, refuse_unknown_gain, urdf_prior, with_consistent
+from .consistent import Known, consistent_set, read_prior, refuse_unknown_gain, urdf_prior, with_consistent
 from .equations import Equations, read_equations
 from .fit import Fit, FittedRecording, Pass
 from .fit_files import fit_file, validation_file
@@ -21,6 +21,7 @@ from .parameters import (
     consistent_fit,
     fitted_parameters,
     least_squares_parameters,
+    prior_file,
     signals_as_fitted,
     stored_beta,
     stored_robot,

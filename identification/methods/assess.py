@@ -20,7 +20,7 @@ from ..model import direct_model, poses_of, why_not_positive
 from ..regression import ROWS, Problem, Rows, base_name, sample_weights
 from ..report import DirectModelError, FTest, Method, Status
 from ..simulation import Replica, join_reasons, max_or_none, saturated_percents
-from ..trust import Candidates, FitData, TrustLine, further_columns, held_out_parts, trust_in
+from ..trust import Candidates, FitData, TrustLine, further_columns, held_out_parts, trust_in, with_prior
 from .equations import Equations
 from .fit import Fit, FittedRecording, InstrumentEvidence, LeastSquares, Pass, essential_names
 from .gains import held_and_counted, results_of
@@ -100,6 +100,7 @@ def fit_of(equations: Equations, evidence: FitData, solved: LeastSquares, replic
     rows, predicted = evidence.observed, solved.tau_predicted
     names = tuple(joint.name for joint in equations.problem.signals.robot.joints)
     evidence = replace(evidence, held_out=held_out_parts(evidence, equations.predicted))
+    evidence = with_prior(evidence, equations.predicted)
     filtered, of_model = equations, predicted
     # errors of the model, without the noise that passes the cut-off of the fit
     if (behind := equations.behind_rule()) is not None:

@@ -20,19 +20,6 @@ MIN_PRIOR_SHARE = 0.5  # of the variance by the prior alone: above, the value is
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Prior:
-    """A-priori link parameters.
-
-    Attributes:
-        robot: description whose `[parameters]` or URDF give them; None for that of the fit.
-        name: of that description.
-    """
-
-    robot: Robot | None = None
-    name: str = "the description"
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class Known:
     """An estimate beta (b,), its covariance C = D R D (b, b), and `reach`, deviations in half a 95 % interval."""
 
@@ -47,25 +34,25 @@ def urdf_prior(robot: Robot, urdf: str, name: str) -> Robot:
     return replace(robot, name=name, joints=joints, urdf=urdf, parameters={})
 
 
-def read_prior(path: Path | None, robot: Robot) -> Prior:
-    """The prior of the links from a robot.toml or a URDF, `path`; None for the description of `robot`, the fitted one.
+def read_prior(path: Path, robot: Robot) -> Robot:
+    """The fitted `robot` as another robot.toml or a URDF, `path`, describes it, by the name of the file.
 
     Raises `IdentificationError`: the file cannot be read.
     """
-    if path is None:
-        return Prior()
     if path.suffix.lower() == ".toml":
-        return Prior(robot=load_robot(path), name=path.name)
+        return replace(load_robot(path), name=path.name)
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise IdentificationError(f"cannot be read: {error}", place=str(path)) from error
-    return Prior(robot=urdf_prior(robot, text, path.name), name=path.name)
+    return urdf_prior(robot, text, path.name)
 
 
 @one_thread
-def with_consistent(fit: Fit, prior: Prior) -> Fit:
+def with_consistent(fit: Fit, prior: Robot | None = None) -> Fit:
     """The fit with the nearest physically consistent parameters and their torque errors; the estimate stays the same.
+
+    `prior` describes the a-priori links; None: the fitted description.
 
     Raises
     ------
@@ -97,7 +84,7 @@ def with_consistent(fit: Fit, prior: Prior) -> Fit:
 
 @one_thread
 def consistent_set(
-    model: InverseModel, base: BaseParameters, known: Known, *, prior: Prior, power: Array | None = None
+    model: InverseModel, base: BaseParameters, known: Known, *, prior: Robot | None = None, power: Array | None = None
 ) -> ConsistentSet:
     """The physically consistent parameters nearest to base parameters.
 
@@ -105,7 +92,7 @@ def consistent_set(
     ----------
     model, base : of the robot.
     known : the estimate.
-    prior : a-priori link parameters.
+    prior : whose a-priori link parameters; None: of the robot's own description.
     power : friction power at recorded speeds, for further friction terms; None without such terms or known speeds.
 
     Raises
@@ -113,7 +100,7 @@ def consistent_set(
     IdentificationError : as `with_consistent`.
     """
     refuse_unknown_gain(model.robot)
-    expected = None if prior.robot is None else InverseModel(prior.robot)
+    expected = None if prior is None else InverseModel(prior)
     physical = physical_parameters(model, expected, power)
     found = consistent_parameters(known.beta, known.covariance, base.K, physical)
     (sigma, share), (base_sigma, base_share) = parameter_certainty(found, known.covariance, base.K, physical)
@@ -127,7 +114,7 @@ def consistent_set(
         beta=found.beta,
         base_half=known.reach * base_sigma,
         base_from_prior=base_share > MIN_PRIOR_SHARE,
-        prior=f"{prior.name}: {_in_words(expected_links(model, expected)[1])}",
+        prior=f"{'the description' if prior is None else prior.name}: {_in_words(expected_links(model, expected)[1])}",
         chi_squared=found.chi_squared,
         deviations=found.deviations,
         reach=known.reach,

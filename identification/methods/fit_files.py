@@ -40,7 +40,7 @@ from .recording_report import Validated
 
 def fit_file(fit: Fit) -> FitFile:
     """The JSON file of a fit; a number that does not exist (no standing rows, say) is null."""
-    e, signals, lines = fit.estimate, fit.problem.signals, fit.trust.lines
+    e, signals, lines, prior = fit.estimate, fit.problem.signals, fit.trust.lines, fit.data.prior
     errors = [(r.problem.signals, r.problem.settings, r.errors, r.held_out) for r in fit.recordings]
     return FitFile(
         **_on_recording(signals, fit.settings, fit.errors, fit.warnings),
@@ -73,12 +73,14 @@ def fit_file(fit: Fit) -> FitFile:
             UNSET,
         ),
         held_out_error_percent=fit.trust.line("held-out blocks").value,
+        prior_source=fit.data.prior_source or UNSET,
+        prior_held_out_error_percent=fit.data.prior_error_percent if prior else UNSET,
         trust=[TrustLineFile(test=one.test, level=one.level, value=one.value, text=one.text) for one in lines],
         condition_number=e.condition_number,
         condition_number_scaled=e.condition_number_scaled,
         rows=round(e.rows),
         parameters=[
-            msgspec.structs.replace(parameter, sigma_percent=float(percent))
+            msgspec.structs.replace(parameter, sigma_percent=float(percent), prior=prior.get(parameter.name, UNSET))
             for parameter, percent in zip(fitted_parameters(fit).parameters.values(), e.sigma_percent, strict=True)
         ],
         gains=_gains(fit.gains) if fit.gains else UNSET,

@@ -8,7 +8,7 @@ from ..data import Signals
 from ..estimation import relative_error_percent
 from ..model import LINK
 from ..regression import ROWS, base_name
-from ..report import NO_FIXED_POINT, Document, Number, Row, Section, Table, columns, value_form
+from ..report import NO_FIXED_POINT, Cell, Document, Number, Row, Section, Table, columns, value_form
 from .fit import Fit, InstrumentEvidence
 from .recording_report import error_line, errors_section, headline, recording_lines, recordings_section, settings_lines
 
@@ -177,24 +177,29 @@ def _parameters(fit: Fit) -> Section:
     e, essential = fit.estimate, set(fit.essential_names)
     units = dict(zip(fit.base.names, fit.base.units, strict=True))
     rows: list[Row] = []
+    prior, error = fit.data.prior, fit.data.prior_error_percent
     for k, name in enumerate(e.names):
         value, half, sigma = float(e.beta[k]), float(fit.intervals.half[k]), float(e.sigma[k])
         form, percent = value_form(sigma), 100 * half / abs(value) if value else math.inf
-        numbers = Number(value, form), Number(half, form), Number(percent, ".2f", most=1000)
+        numbers: list[Cell] = [Number(value, form), Number(half, form), Number(percent, ".2f", most=1000)]
+        numbers += [Number(prior[name], form) if name in prior else ""] if prior else []
         unit, mark = units[base_name(name)], "yes" if name in essential else ""
         rows.append((name, *numbers, unit, Number(sigma, form), mark))
-    heads = columns("parameter", numbers=("value", "±95%", "in %")) + columns("unit")
+    heads = columns("parameter", numbers=("value", "±95%", "in %", *["prior"] * bool(prior))) + columns("unit")
     places = sorted(range(len(rows)), key=lambda k: (e.names[k] not in essential, -abs(float(e.beta[k]))))
     places = sorted(places[: min(MAX_SHORT_PARAMETERS, len(essential))])
     left_out = f"; {len(rows) - len(places)} others: --all" if len(places) < len(rows) else ""
     meaning = "±95%: half-width of the 95 % interval"
+    if error is not None:
+        held = _percent(fit.trust.line("held-out blocks").value)
+        meaning += f"; torque error held out: links of the {fit.data.prior_source} {_percent(error)}, fit {held}"
     return Section(
         title=PARAMETERS,
         table=Table(columns=heads + columns(numbers=("sigma",)) + columns("essential"), rows=tuple(rows)),
         lines=(meaning, "sigma assumes a white residual, the interval does not"),
         short=Section(
             title=f"the {len(places)} largest of {len(essential)} essential parameters",
-            table=Table(columns=heads, rows=tuple(rows[k][:5] for k in places)),
+            table=Table(columns=heads, rows=tuple(rows[k][: len(heads)] for k in places)),
             lines=(meaning + left_out,),
         ),
     )

@@ -15,9 +15,10 @@ from ..arrays import Array
 from ..data import Signals, check_one_robot, load_signals
 from ..errors import IdentificationError
 from ..estimation import Estimate, Intervals, one_thread, torque_errors
-from ..model import BaseParameters, InverseModel, base_parameters
+from ..model import BaseParameters, InverseModel, base_parameters, prior_of_base
 from ..regression import Overrides, Problem, base_name, make_problem, payload_of, torque_of_recording
 from ..report import FitFile, Parameter, ParameterSet, TorqueError
+from .consistent import read_prior, refuse_unknown_gain
 from .fit import Fit, essential_names
 from .recording_report import Validated
 
@@ -53,6 +54,22 @@ def _estimated(label: str, fit: Fit, e: Estimate, intervals: Intervals) -> Param
             )
         },
     )
+
+
+def prior_file(stored: FitFile, place: str, prior: Path) -> FitFile:
+    """The a-priori links of a robot.toml or a URDF, `prior`, as known values of the base parameters of a stored fit, `place`.
+
+    Raises `IdentificationError`: the fit is in A or V or without description; a file of another robot, or without inertials.
+    """
+    if (robot := stored_robot(stored, place)) is None:
+        raise IdentificationError(place=place, key="description", value=None, expected="a fit with its robot.toml")
+    refuse_unknown_gain(robot)
+    base = base_parameters(model := InverseModel(robot))
+    values, _ = prior_of_base(model, base, InverseModel(read_prior(prior, robot)))
+    if not values:
+        raise IdentificationError(place=str(prior), key="inertials", value=None, expected="those of the links")
+    known = true_parameters(base, np.array([values.get(name, 0.0) for name in base.names])).parameters
+    return FitFile(parameters=[known[name] for name in values])
 
 
 def true_parameters(base: BaseParameters, true: Array) -> ParameterSet:

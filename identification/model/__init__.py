@@ -25,6 +25,7 @@ from .physical import (
     link_columns,
     nearest_consistent,
     physical_parameters,
+    prior_of_base,
     requirements,
     shaped_states,
 )

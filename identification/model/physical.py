@@ -20,6 +20,7 @@ from .joint_terms import SHAPES, JointTerm, corner_speeds, spanning
 
 DENSITY = 1000.0  # kg/m³ of a plausible link, including motor and cavities
 SLENDERNESS, RADIUS_M = 0.2, (0.05, 0.08)  # its radius over its length, and limits of the radius
+ROUNDING = 1e-12  # of the largest a-priori value: smaller ones are rounding
 MIN_EIGENVALUE = 1e-4  # of a physical pseudo-inertia, scaled to a diagonal of ones
 ROTOR_SHARE, FRICTION = 0.1, 0.01  # start values: of the link's ZZ, and in N m or N m s
 MAX_FRAME_DIFFERENCE = 1e-6  # m and rotation entries, of two descriptions of one robot
@@ -47,6 +48,18 @@ def expected_links(idm: InverseModel, prior: InverseModel | None = None) -> tupl
         T = _frames_of(idm, prior)
         links = link_parameters(T @ pseudo_inertia(links) @ T.transpose(0, 2, 1))
     return links, tuple(source for _, source in found)
+
+
+def prior_of_base(
+    idm: InverseModel, base: BaseParameters, prior: InverseModel | None = None
+) -> tuple[dict[str, float], str]:
+    """A-priori base parameters K chi of links alone, by name, as `expected_links` without plausible values; their source."""
+    (links, sources), chi = expected_links(idm, prior), np.full(idm.p, np.nan)
+    chi[link_columns(idm)] = np.where((np.array(sources) == "plausible")[:, None], np.nan, links)
+    known, beta = base.links & ~((base.K != 0) @ np.isnan(chi)), base.K @ np.nan_to_num(chi)
+    beta[np.abs(beta) < ROUNDING * np.abs(beta).max()] = 0.0
+    found = {name: float(x) for name, x, k in zip(base.names, beta, known, strict=True) if k}
+    return found, "URDF" if "URDF" in sources else "[parameters]"
 
 
 def link_columns(idm: InverseModel) -> NDArray[np.intp]:

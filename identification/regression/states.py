@@ -37,10 +37,10 @@ class RowStates:
     ddq: Array
 
 
-def row_states(problem: Problem) -> RowStates | None:
-    """About 300 rows of a recording, evenly spaced; None where there is viscous and Coulomb friction only."""
+def row_states(problem: Problem, *, always: bool = False) -> RowStates | None:
+    """About 300 rows of a recording, evenly spaced; None, if not `always`, where there is viscous and Coulomb friction only."""
     joints, problem = problem.signals.robot.joints, problem.with_samples()
-    if not any(joint.one_sided or set(joint.terms) & set(SHAPES) for joint in joints):
+    if not always and not any(joint.one_sided or set(joint.terms) & set(SHAPES) for joint in joints):
         return None
     settings, parts, first = problem.settings, list[tuple[Array, ...]](), 0
     rows = settings.decimator.rows(settings.stop - settings.start)

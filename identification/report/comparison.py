@@ -104,12 +104,19 @@ def difference_lines(a: ParameterSet, b: ParameterSet, rows: list[Difference]) -
     return lines
 
 
-def comparison_document(a: ParameterSet, b: ParameterSet, warnings: tuple[str, ...] = ()) -> Document:
-    """A comparison as a report, with `warnings`; in short the largest differences in sigma.
+def comparison_document(
+    a: ParameterSet, b: ParameterSet, warnings: tuple[str, ...] = (), *, prior: bool = False
+) -> Document:
+    """A comparison as a report, with `warnings`; in short the largest differences in sigma. With a `prior` b, also a over b.
 
     Raises `IdentificationError`: as `differences` does.
     """
     section, rows = comparison_section(a, b), differences(a, b)
+    if prior:
+        both = [(row, row.a.value / row.b.value if row.b.value else None) for row in rows if row.a and row.b]
+        heads = columns("name", "unit", numbers=("value", "±95%", "prior", "ratio"))
+        table = Table(columns=heads, rows=tuple((*_cells(row)[:5], Number(x, ".3g", most=1e6)) for row, x in both))
+        section, rows = replace(section, table=table), [row for row, _ in both]
     largest = sorted(range(len(rows)), key=lambda k: -abs(rows[k].off_sigma or 0.0))
     shown = replace(section, title="", warnings=warnings).with_short_table(largest)
     return Document(title=section.title, sections=(shown,))

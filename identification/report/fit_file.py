@@ -212,6 +212,8 @@ class FitFile(OnRecording, frozen=True, kw_only=True):
     lag: LagFile | UnsetType = UNSET
     trust: list[TrustLineFile] | UnsetType = UNSET
     held_out_error_percent: float | UnsetType | None = UNSET
+    prior_source: str | UnsetType = UNSET
+    prior_held_out_error_percent: float | UnsetType | None = UNSET
     own_parameters: FTest | UnsetType = UNSET
     gains: list[DriveGain] | UnsetType = UNSET
     payloads: list[PayloadOfFit] | UnsetType = UNSET

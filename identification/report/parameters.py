@@ -12,7 +12,7 @@ PER_INTERVAL = 1.96  # deviations in half a 95 % interval
 class Parameter(msgspec.Struct, frozen=True, kw_only=True):
     """A parameter with its 95 % interval and its deviation `sigma` by the formula, 0 for an exact value.
 
-    `low`, `high` and `expression`, its sum of standard parameters, are None in a file of an earlier version.
+    `low`, `high` and `expression`, its sum of standard parameters, are None in a file of an earlier version. `prior`: a-priori.
     """
 
     name: str
@@ -25,6 +25,7 @@ class Parameter(msgspec.Struct, frozen=True, kw_only=True):
     sigma_hac: float | UnsetType | None = UNSET  # of a file of an earlier version
     sigma_percent: float | UnsetType | None = UNSET
     essential: bool = False
+    prior: float | UnsetType = UNSET
 
     @property
     def half(self) -> float:

@@ -68,6 +68,8 @@ class FitData:
         lags: one per group of recordings of equal timing.
         essential: names of the parameters that the recordings determine well.
         held_out: blocks of time, or recordings, predicted by the fit of the others; empty where that is not made.
+        prior, prior_source: a-priori base parameters of links, by name, of the `URDF` or `[parameters]`.
+        prior_error_percent: held-out torque error of these links with all else fitted to the other blocks, or recordings.
     """
 
     problems: tuple[Problem, ...]
@@ -90,6 +92,9 @@ class FitData:
     lags: tuple[Lag, ...] = ()
     essential: tuple[str, ...] = ()
     held_out: tuple[HeldOut, ...] = ()
+    prior: dict[str, float] = field(default_factory=dict)
+    prior_source: str = ""
+    prior_error_percent: float | None = None
 
     @property
     def problem(self) -> Problem:

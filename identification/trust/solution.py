@@ -31,6 +31,7 @@ from .held_out import held_out_test
 from .lag import lag_test
 from .lines import LEVELS, Trust, TrustLine
 from .physical import consistent_test, physical_test
+from .prior import prior_test
 from .replay import replay_test
 
 HALVES_LEVEL = 0.001  # of the Wald test
@@ -297,8 +298,7 @@ def list_assumptions(evidence: FitData, lines: Mapping[str, TrustLine]) -> Itera
     ratios = ", ".join(f"{x:g}" for x in np.diag(robot.R))
     yield Assumed("ratios", ratios, "joint positions and torques are computed with them")
     if several:
-        lengths = "dh" if robot.urdf is None else "urdf"
-        yield Assumed("lengths", lengths, "link parameters absorb an error of a length")
+        yield Assumed("lengths", "dh" if robot.urdf is None else "urdf", "link parameters absorb an error of a length")
     yield Assumed("sample rate", f"{signals.sample_rate_hz:g} Hz", "speeds and accelerations scale with it")
     if evidence.method == "iv" and evidence.by_reference is None and lines["replay"].level == "not made":
         law = robot.controller.structure or f"a {robot.bandwidth_hz:g} Hz PD"
@@ -316,8 +316,8 @@ def list_assumptions(evidence: FitData, lines: Mapping[str, TrustLine]) -> Itera
 
 # A test is a function of the fit's data, None where it does not apply. A new one is a line here.
 TESTS: tuple[Callable[[FitData], TrustLine | None], ...] = (
-    *(gains_test, fixed_point_test, physical_test, units_test, replay_test, added_columns_test, lag_test),
-    *(held_out_test, halves_test, consistent_test, ends_test, essential_test, instruments_test),
+    *(gains_test, fixed_point_test, physical_test, units_test, replay_test, prior_test, added_columns_test),
+    *(lag_test, held_out_test, halves_test, consistent_test, ends_test, essential_test, instruments_test),
     *(prewhitened_test, position_noise_test, motion_test, effort_test, rows_test),
 )
 

@@ -15,7 +15,7 @@ from independent_simulator import description, references, simulate
 from random_arms import random_estimate
 
 from identification.estimation import consistent_parameters, one_thread, parameter_certainty
-from identification.methods import Prior, identify_ls, with_consistent
+from identification.methods import identify_ls, with_consistent
 from identification.model import InverseModel, described_parameters
 from identification.regression import Overrides
 
@@ -54,7 +54,7 @@ def test_intervals_of_an_arm_of_the_independent_simulator_hold_the_truth():
     known, bare = Overrides(torque_lag_s=-0.5 / controller.rate_hz), replace(robot, parameters={})
     hit, of_fit = [], []
     for k in range(8):
-        fit = with_consistent(identify_ls(runs.signals(bare, k), known), Prior())
+        fit = with_consistent(identify_ls(runs.signals(bare, k), known))
         true, c = described_parameters(InverseModel(robot), fit.base), fit.consistent_set
         hit += list((np.abs(c.beta - true) <= c.base_half)[~c.base_from_prior])
         of_fit += list(np.abs(fit.beta - true) <= fit.intervals.half)
