@@ -248,6 +248,9 @@ class PayloadFile(TomlTable, frozen=True):
     mass_half_width_kg: Annotated[
         float, msgspec.Meta(ge=0, description="half of the 95 % interval of the weighed mass, kg")
     ] = 0.0
+    center_half_width_m: Annotated[
+        float, msgspec.Meta(ge=0, description="half of the 95 % interval of each coordinate of the centre of mass, m")
+    ] = 0.005
 
 
 class RobotFile(TomlTable, frozen=True):

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ..arrays import Array
 from ..data import RecordingFile, Recordings, Signals, check_one_robot
 from ..errors import IdentificationError
-from ..estimation import Estimate, System, autoregression, stacked, stacked_columns, whitening_order
+from ..estimation import Estimate, System, autoregression, combined, stacked, stacked_columns, whitening_order
 from ..regression import (
     HELD,
     REDUCED,
@@ -232,6 +232,12 @@ class Equations:
         problems, held, replays = zip(*observed, strict=True)
         recordings = Recordings(sources=tuple(problem.signals for problem in problems))
         return replace(self, recordings=recordings, replays=replays)._of(problems, held)
+
+    def combined(self, system: System, estimate: Estimate) -> Estimate:
+        """An estimate from these rows, combined with the stated centres of mass."""
+        for payload in self.unknowns.payloads:
+            estimate = combined(system, estimate, payload.stated)
+        return estimate
 
     def whitening(self, x: Array) -> Array:
         """(n, order + 1) filters that whiten each joint's residual of x, in its torque by the gains in x."""

@@ -93,6 +93,11 @@ class Unknowns:
         return tuple(name for name in self.names if "@" in name)
 
     @property
+    def payloads(self) -> tuple[PayloadColumns, ...]:
+        """Those of the recordings, each once."""
+        return tuple(dict.fromkeys(arm.payload for arm in self.arms if arm.payload is not None))
+
+    @property
     def gains(self) -> slice:
         """Places of the gains."""
         return slice(len(self.names) - len(self.motors), len(self.names))
@@ -142,7 +147,7 @@ def make_unknowns(problems: Sequence[Problem], motors: tuple[int, ...] = ()) -> 
     own = _own_places(problems[0]) if len(problems) > 1 else []
     labels = _labels([problem.signals.recording for problem in problems])
     of = [tuple(f"{n}@{label}" if i in own else n for i, n in enumerate(base.names)) for label in labels]
-    carried = payload_columns(problems, labels)
+    carried = payload_columns(problems, labels, scale=bool(motors))
     names = [name for i, name in enumerate(base.names) for name in ([one[i] for one in of] if i in own else [name])]
     names += dict.fromkeys(name for one in carried if one is not None for name in one.names)
     x = (*names, *(f"K:{robot.motors[m].name}" for m in motors))

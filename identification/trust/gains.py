@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from ..estimation import by_rows_alone, differs, intervals_of
 from ..report import Assumed, Level
 from .fit_data import FitData
 from .lines import Figure, TrustLine
@@ -53,6 +54,31 @@ def gains_test(evidence: FitData) -> TrustLine | None:
     if any((np.abs(np.abs(K * by) - 1) < 0.01 * MAX_OFF_ONE_PERCENT).all() for by in (np.ones(len(K)), ratios)):
         text += "; all are 1 N m per unit: the recorded effort is a torque already"
     return line("ok", text)
+
+
+def center_of_mass_test(evidence: FitData) -> TrustLine | None:
+    """How far the centre of mass by the recordings alone is from the stated one; the line of the worst payload."""
+    names, lines = evidence.estimate.names, list[TrustLine]()
+    for one in dict.fromkeys(arm.payload for arm in evidence.arms):
+        stated = {name: of for name, of in one.stated.items() if name in names} if one else {}
+        if not one or not stated or not one.payload.mass_kg:
+            continue
+        alone = by_rows_alone(evidence.estimate, evidence.W, evidence.Y)
+        found, at = intervals_of(evidence.observed.system, alone), [names.index(name) for name in stated]
+        value, half = np.array(list(stated.values())).T
+        off, C = alone.beta[at] - value, found.covariance[np.ix_(at, at)]
+        mm = 1e3 / one.payload.mass_kg
+        far, along = mm * float(np.linalg.norm(off)), off / max(float(np.linalg.norm(off)), 1e-300)
+        width = mm * found.reach * float(np.sqrt(along @ C @ along))
+        beyond = differs(off, C + np.diag((half / found.reach) ** 2), found.freedom)
+        text = f"centre of mass by the data {far:.2g} ± {width:.2g} mm from the stated one"
+        if beyond:
+            text += f", beyond its ± {1e3 * one.payload.center_half_width_m:g} mm, and not used: check centre, frame and mass"
+        figures = (Figure(name="distance", value=far, half_width=width, expected=0.0),)
+        level: Level = "caution" if beyond else "ok"
+        finding = "centre of mass differs" if beyond else ""
+        lines.append(TrustLine("centre of mass", level, text, far, finding=finding, figures=figures, unit="mm"))
+    return max(lines, key=lambda line: (line.level == "caution", line.value or 0.0), default=None)
 
 
 def payload_assumptions(evidence: FitData) -> Iterator[Assumed]:

@@ -26,7 +26,7 @@ from ..regression import Problem, base_name, base_places, standing_joints
 from ..report import Assumed
 from .columns import added_columns_test
 from .fit_data import FitData, Span
-from .gains import gains_test, payload_assumptions
+from .gains import center_of_mass_test, gains_test, payload_assumptions
 from .held_out import held_out_test
 from .lag import lag_test
 from .lines import LEVELS, Trust, TrustLine
@@ -185,8 +185,10 @@ def prewhitened_test(evidence: FitData) -> TrustLine | None:
     estimate = _solve_whitened(evidence)
     if isinstance(estimate, str):
         return TrustLine(name, "not made", estimate)
+    e = evidence.estimate  # what is stated holds it in both
+    moved = e.bread @ (e.Q.T @ (evidence.W @ estimate.beta - evidence.Y))
     with np.errstate(divide="ignore", invalid="ignore"):
-        apart = np.nan_to_num(np.abs(estimate.beta - evidence.estimate.beta) / evidence.intervals.sigma, nan=0.0)
+        apart = np.nan_to_num(np.abs(moved) / evidence.intervals.sigma, nan=0.0)
     worst = int(apart.argmax())
     value = float(apart[worst])
     finding = (
@@ -312,7 +314,7 @@ def list_assumptions(evidence: FitData, lines: Mapping[str, TrustLine]) -> Itera
 
 # A test is a function of the fit's data, None where it does not apply. A new one is a line here.
 TESTS: tuple[Callable[[FitData], TrustLine | None], ...] = (
-    *(gains_test, fixed_point_test, physical_test, units_test, replay_test, added_columns_test, lag_test),
+    *(gains_test, center_of_mass_test, fixed_point_test, physical_test, units_test, replay_test, added_columns_test, lag_test),
     *(held_out_test, halves_test, consistent_test, ends_test, essential_test, instruments_test),
     *(prewhitened_test, position_noise_test, motion_test, effort_test, rows_test),
 )
