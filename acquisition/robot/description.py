@@ -226,7 +226,10 @@ class Identification(TomlTable, frozen=True):
     ] = None
     tolerance_percent: Annotated[Positive, note("iv stops when no value changes by more, % of the value")] = 2.5
     max_iterations: Annotated[RowStep, note("maximum number of passes of iv")] = 10
-    own: Annotated[tuple[OwnKind, ...], note("kinds of parameters that several recordings do not share")] = ()
+    own: Annotated[
+        tuple[OwnKind, ...] | None,
+        note("kinds of parameters that several recordings do not share (default: Fv and Fc with --gains, else none)"),
+    ] = None
 
     @property
     def low_speed(self) -> LowSpeed:

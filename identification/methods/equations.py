@@ -276,7 +276,7 @@ def equations_of(
         rows=rows,
         replays=replays,
         order=order,
-        unknowns=make_unknowns(problems, motors),
+        unknowns=make_unknowns(problems, motors, ("Fv", "Fc") if overrides.gains else ()),
         load=load_friction(problems[0].model, problems[0].base),
     )
 
