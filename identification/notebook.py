@@ -243,9 +243,7 @@ def fit(
         torque_lag_s=torque_lag_s,
         gains=tuple(gains) or None,
     )
-    return _of_user(
-        methods.identify(Recordings(sources=tuple(sources)), overrides, method=method, essential=essential)
-    )
+    return _of_user(methods.identify(Recordings(sources=tuple(sources)), overrides, method=method, essential=essential))
 
 
 def validate(

@@ -131,8 +131,8 @@ STATED = "2@0.05,0.02,0"
     ("names", "options", "status", "words"),
     [
         ("free loaded", ["--payload", f"free={STATED}", "--payload", "loaded=none"], 3, "all drive gains are negative: the r"),
-        ("free_true loaded_true", ["--payload", "loaded_true=1"], 0, "caution: gains: all drive gains are 0.501 times those"),
-        ("free_true loaded_true", ["--payload", "loaded_true=1@0.05,0.02,0"], 0, "gains: all drive gains are 0.499 times"),
+        ("free_true loaded_true", ["--payload", "loaded_true=1"], 0, "caution: gains: drive gains are 0.501 times those"),
+        ("free_true loaded_true", ["--payload", "loaded_true=1@0.05,0.02,0"], 0, "gains: drive gains are 0.5 times"),
         ("free free2", ["--payload", f"free2={STATED}"], 3, "do not use: gains: no drive gain is usable"),
         ("axis_free axis_free2", ["--payload", "axis_free2=2@0.3,0.02,0"], 3, "do not use: gains: no drive gain is usable"),
         ("light_free light_loaded", [], 3, "do not use: gains: no drive gain is usable (motor_1 ±"),
@@ -402,7 +402,8 @@ def test_files_of_a_fit_with_gains(folder, tmp_path, capsys):
         ("scara", Payload(None), ("M", "MX", "MY", "ZZ")),
         ("emps", Payload(20.0), ()),
         ("emps", Payload(None), ("M",)),
-        ("axis", Payload(2.0, (0.3, 0.02, 0.0)), ("ZZ",)),
+        ("axis", Payload(2.0, (0.3, 0.02, 0.0)), ("ZZ", "MX", "MY")),
+        ("axis", Payload(2.0, (0.3, 0.02, 0.0), center_half_width_m=0.0), ("ZZ",)),
         ("spatial", Payload(2.0), ("MX", "MY", "MZR", "XXR", "XY", "XZ", "YZ", "ZZ")),
     ],
 )

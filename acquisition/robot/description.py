@@ -251,9 +251,7 @@ class PayloadFile(TomlTable, frozen=True):
     mass_half_width_kg: Annotated[
         float, msgspec.Meta(ge=0, description="half of the 95 % interval of the weighed mass, kg")
     ] = 0.0
-    center_half_width_m: Annotated[
-        float, msgspec.Meta(ge=0, description="half of the 95 % interval of each coordinate of the centre of mass, m")
-    ] = 0.005
+    center_half_width_m: Annotated[float, msgspec.Meta(ge=0, description="the same of each coordinate, m")] = 0.005
 
 
 class RobotFile(TomlTable, frozen=True):

@@ -169,10 +169,8 @@ class Equations:
 
     def at_cutoff(self, cutoff_hz: float) -> "Equations":
         """The same recordings with another low-pass."""
-        tasks, most = [], most_numbers(len(self.problems))
-        for problem in self.tasks():
-            overrides = replace(self.overrides, cutoff_hz=cutoff_hz, decimation=problem.settings.decimation)
-            tasks.append((problem, overrides, most))
+        overrides, most = replace(self.overrides, cutoff_hz=cutoff_hz), most_numbers(len(self.problems))
+        tasks = [(one, replace(overrides, decimation=one.settings.decimation), most) for one in self.tasks()]
         settings, rows = zip(*self.recordings.work.run(rows_at, tasks), strict=True)
         return self._of(self._with_settings(settings), rows)
 

@@ -131,17 +131,16 @@ def held_and_counted(
     for m, motor in enumerate(robot.motors):
         if motor.drive_gain_half_width and m not in of.motors:
             torques.append([motor.drive_gain_half_width / robot.gain[m] * rows.E[:, m] for rows in each])
-    values = np.zeros((len(torques), len(estimate.names)))  # of x, that move with what is stated of it
+    stated = [np.zeros(len(estimate.names))] * len(torques)  # moves of what is stated of x
     for carried in of.payloads:
-        knowns, xs = carried.half_widths(estimate.names)
-        values = np.concatenate([values, np.reshape(xs, (-1, len(estimate.names)))])
-        for known in knowns:
+        for known, x in carried.half_widths(estimate.names):
+            stated.append(x)
             pairs = zip(each, of.arms, strict=True)
             torques.append([rows.system.W @ (known * (arm.payload is carried)) for rows, arm in pairs])
     moved = [lag.moved for lag in lags]
     if torques:
         C = stacked_columns([np.transpose(of_recording) for of_recording in zip(*torques, strict=True)], n)
-        moved += list(np.abs(values - moves_of(system, C, estimate).T) / found.reach)
+        moved += list(np.abs(stated - moves_of(system, C, estimate).T) / found.reach)
     return intervals_from(estimate, np.hypot.reduce([found.sigma, *moved]), found.freedom)
 
 

@@ -6,6 +6,7 @@ parameters beta = K chi: its columns are L = W K_n. What is weighed and measured
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,30 +48,29 @@ class PayloadColumns:
     columns: Array
     whole: Array
 
-    @property
+    @cached_property
     def stated(self) -> dict[str, tuple[float, float]]:
         """First moments that are estimated though the centre of mass is stated, kg m: values and half-widths."""
-        if self.payload.mass_kg is None or self.payload.center_of_mass_m is None:
+        payload, of = self.payload, {LINK[i]: i for i in MOMENTS}
+        if payload.mass_kg is None or payload.center_of_mass_m is None:
             return {}
-        phi, half = payload_parameters(self.model, self.payload), self.payload.mass_kg * self.payload.center_half_width_m
-        of = {name.partition(":")[0]: name for name in self.names}
-        return {of[LINK[i]]: (float(phi[i]), half) for i in MOMENTS if LINK[i] in of}
+        phi, half = payload_parameters(self.model, payload), payload.mass_kg * payload.center_half_width_m
+        by_name = {name: of.get(name.partition(":")[0]) for name in self.names}
+        return {name: (float(phi[i]), half) for name, i in by_name.items() if i is not None}
 
-    def half_widths(self, names: tuple[str, ...]) -> tuple[list[Array], list[Array]]:
-        """For the half-width of the mass and of each coordinate of a centre of mass that is not estimated: what `known` (b,)
-        moves by, with what is stated of parameters; and the moves of the latter among `names` (p,).
+    def half_widths(self, names: tuple[str, ...]) -> list[tuple[Array, Array]]:
+        """By the half-width of the mass, and of each coordinate of a centre of mass that is not estimated: moves of the base
+        parameters (b,), and of what is stated of the unknowns `names` (p,), which moves them too.
         """
-        payload, known, x = self.payload, list[Array](), list[Array]()
-        if payload.mass_kg and payload.mass_half_width_kg:
-            share = payload.mass_half_width_kg / payload.mass_kg
-            a = np.array([self.stated.get(name, (0.0,))[0] for name in self.names])
-            known.append(share * (self.known + self.columns @ a))
-            x.append(share * np.array([self.stated.get(name, (0.0,))[0] for name in names]))
-        if payload.mass_kg and payload.center_of_mass_m is not None and payload.center_half_width_m:
-            held = [i for i in MOMENTS if LINK[i] not in {name.partition(":")[0] for name in self.names}]
-            known += list(payload.mass_kg * payload.center_half_width_m * self.whole[:, held].T)
-            x += [np.zeros(len(names))] * len(held)
-        return known, x
+        payload, moments = self.payload, {name: value for name, (value, _) in self.stated.items()}
+        mass, found = payload.mass_kg or 0.0, list[tuple[Array, Array]]()
+        if mass and payload.mass_half_width_kg:
+            own, x = (np.array([moments.get(name, 0.0) for name in some]) for some in (self.names, names))
+            share = payload.mass_half_width_kg / mass
+            found.append((share * (self.known + self.columns @ own), share * x))
+        if mass and payload.center_of_mass_m is not None and not moments:
+            found += [(mass * payload.center_half_width_m * self.whole[:, i], np.zeros(len(names))) for i in MOMENTS]
+        return found
 
     def values(self, estimate: Estimate) -> Array:
         """(b,) base parameters of the payload by an estimate."""
@@ -108,9 +108,7 @@ class PayloadColumns:
         return found.chi, sigma, share > PRIOR_SHARE
 
 
-def payload_columns(
-    problems: Sequence[Problem], labels: Sequence[str], *, scale: bool
-) -> list[PayloadColumns | None]:
+def payload_columns(problems: Sequence[Problem], labels: Sequence[str], *, scale: bool) -> list[PayloadColumns | None]:
     """The payload of each recording, None for none; equal payloads have the same parameters.
 
     A stated centre of mass of some half-width is estimated, unless the mass alone would not tell the `scale` of gains.

@@ -77,11 +77,13 @@ class Unknowns:
         names: (p,) of x.
         arms: by recording.
         motors: whose gains are unknown.
+        payloads: of the recordings, each once.
     """
 
     names: tuple[str, ...]
     arms: tuple[Arm, ...]
     motors: tuple[int, ...]
+    payloads: tuple[PayloadColumns, ...]
 
     @property
     def plain(self) -> bool:
@@ -92,11 +94,6 @@ class Unknowns:
     def own(self) -> tuple[str, ...]:
         """Names of the base parameters that are of one recording each."""
         return tuple(name for name in self.names if "@" in name)
-
-    @property
-    def payloads(self) -> tuple[PayloadColumns, ...]:
-        """Those of the recordings, each once."""
-        return tuple(dict.fromkeys(arm.payload for arm in self.arms if arm.payload is not None))
 
     @property
     def gains(self) -> slice:
@@ -139,11 +136,9 @@ class Unknowns:
         return x
 
 
-def make_unknowns(
-    problems: Sequence[Problem], motors: tuple[int, ...] = (), friction: Sequence[str] = ()
-) -> Unknowns:
-    """The unknowns of several recordings, and the gains of `motors`. Own parameters are those of the first one's description, or
-    where it does not list them the kinds of `friction` that stand alone.
+def make_unknowns(problems: Sequence[Problem], motors: tuple[int, ...] = (), friction: Sequence[str] = ()) -> Unknowns:
+    """The unknowns of several recordings, and the gains of `motors`. Own parameters are of the kinds that the first one's
+    description lists, or else of those of `friction` that stand alone.
 
     Raises `IdentificationError` for a kind that the robot lacks, or that gravity or other parameters absorb.
     """
@@ -158,9 +153,12 @@ def make_unknowns(
     of = [tuple(f"{n}@{label}" if i in own else n for i, n in enumerate(base.names)) for label in labels]
     carried = payload_columns(problems, labels, scale=bool(motors))
     names = [name for i, name in enumerate(base.names) for name in ([one[i] for one in of] if i in own else [name])]
-    names += dict.fromkeys(name for one in carried if one is not None for name in one.names)
+    payloads = tuple(dict.fromkeys(one for one in carried if one is not None))
+    names += [name for one in payloads for name in one.names]
     x = (*names, *(f"K:{robot.motors[m].name}" for m in motors))
-    return Unknowns(names=x, arms=tuple(_arm(x, *one) for one in zip(of, carried, strict=True)), motors=motors)
+    return Unknowns(
+        names=x, arms=tuple(_arm(x, *one) for one in zip(of, carried, strict=True)), motors=motors, payloads=payloads
+    )
 
 
 def _arm(x: tuple[str, ...], names: tuple[str, ...], payload: PayloadColumns | None) -> Arm:

@@ -51,7 +51,9 @@ def gains_test(evidence: FitData) -> TrustLine | None:
         text = f"no drive gain is known to {MAX_HALF_PERCENT:g} % ({', '.join(unsure)}): use a heavier payload"
         return line("caution", text, "drive gains not determined")
     if (common := _common_factor((K / described)[(half < MAX_HALF_PERCENT) & np.isfinite(described)])) is not None:
-        text = f"drive gains are {common[0]:.3g} times those described (median), which scatter by {100 * common[1]:.2g} %"
+        text = (
+            f"drive gains are {common[0]:.3g} times those described (median), which scatter by {100 * common[1]:.2g} %"
+        )
         text += ": check the payload's mass, or peak against rms"
         return line("caution", text, "drive gains off by one factor")
     text = f"known to {half.min():.2g} to {worst:.2g} %"

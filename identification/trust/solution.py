@@ -139,8 +139,7 @@ def halves_test(evidence: FitData) -> TrustLine:
     parts = evidence.spans(2) if evidence.gains else [(slice(0, cut),), (slice(cut, T),)]
     first, second = (_solve_part(evidence, part) for part in parts)
     if first is None or second is None:
-        text = "not made: a half alone does not determine the parameters; record longer"
-        return TrustLine(name, "not made", text)
+        return TrustLine(name, "not made", "not made: a half alone does not determine the parameters; record longer")
     (beta_1, C_1, B_1), (beta_2, C_2, B_2) = first, second
     b, off = len(beta_1), beta_2 - beta_1
     sigma = np.sqrt(np.diag(C_1 + C_2))
@@ -189,8 +188,7 @@ def prewhitened_test(evidence: FitData) -> TrustLine | None:
     moved = e.bread @ (e.Q.T @ (evidence.W @ estimate.beta - evidence.Y))
     with np.errstate(divide="ignore", invalid="ignore"):
         apart = np.nan_to_num(np.abs(moved) / evidence.intervals.sigma, nan=0.0)
-    worst = int(apart.argmax())
-    value = float(apart[worst])
+    worst, value = int(apart.argmax()), float(apart.max())
     finding = (
         f"differs by {value:.2g} sigma with prewhitening (limit {MAX_PREWHITENED_SIGMA:g}), at {estimate.names[worst]}"
     )
@@ -314,8 +312,8 @@ def list_assumptions(evidence: FitData, lines: Mapping[str, TrustLine]) -> Itera
 
 # A test is a function of the fit's data, None where it does not apply. A new one is a line here.
 TESTS: tuple[Callable[[FitData], TrustLine | None], ...] = (
-    *(gains_test, center_of_mass_test, fixed_point_test, physical_test, units_test, replay_test, added_columns_test, lag_test),
-    *(held_out_test, halves_test, consistent_test, ends_test, essential_test, instruments_test),
+    *(gains_test, center_of_mass_test, fixed_point_test, physical_test, units_test, replay_test, added_columns_test),
+    *(lag_test, held_out_test, halves_test, consistent_test, ends_test, essential_test, instruments_test),
     *(prewhitened_test, position_noise_test, motion_test, effort_test, rows_test),
 )
 
