@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import wraps
 from pathlib import Path
-from typing import Literal, ParamSpec
+from typing import Any, Literal, ParamSpec
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -229,13 +229,14 @@ def fit(
             "has no effect", key="bandwidth_hz", value=bandwidth_hz, expected="a URDF's path with it"
         )
     described = robot if isinstance(robot, Robot) else read_robot(robot, bandwidth_hz=bandwidth_hz)
-    one, sources = payload is None or isinstance(payload, str), list[Signals]()
-    arrays = {"velocity": velocity, "known_torque": known_torque, "feedforward": feedforward}
-    of_all = {name: x for name, x in ({"q": q, "effort": tau, "q_ref": q_ref} | arrays).items() if x is not None}
-    for k, carried in enumerate([payload] if one else payload):
-        given = of_all if one else {name: x[k] for name, x in of_all.items()}
-        signals = signals_from_arrays(sample_rate_hz=sample_rate_hz, robot=described, **given)
-        sources.append(replace(signals, payload=parse_payload(carried, described) if carried else None))
+    arrays = {"q": q, "effort": tau, "q_ref": q_ref, "velocity": velocity, "known_torque": known_torque}
+    given: dict[str, Any] = {name: x for name, x in (arrays | {"feedforward": feedforward}).items() if x is not None}
+    alone, sources = payload is None or isinstance(payload, str), list[Signals]()
+    texts = (payload,) if payload is None or isinstance(payload, str) else tuple(payload)
+    for k, text in enumerate(texts):
+        own = given if alone else {name: x[k] for name, x in given.items()}
+        signals = signals_from_arrays(sample_rate_hz=sample_rate_hz, robot=described, **own)
+        sources.append(replace(signals, payload=parse_payload(text, described) if text else None))
     overrides = Overrides(
         cutoff_hz=cutoff_hz,
         decimation=decimation,

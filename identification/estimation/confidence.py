@@ -110,7 +110,7 @@ def combined(system: System, estimate: Estimate, stated: Mapping[str, tuple[floa
 
 def by_rows_alone(estimate: Estimate, W: Array, Y: Array) -> Estimate:
     """The same without what is stated, from its weighted rows."""
-    bread: Array = np.linalg.inv(estimate.Q.T @ W)
+    bread = np.asarray(np.linalg.inv(estimate.Q.T @ W), dtype=float)
     return replace(estimate, beta=bread @ (estimate.Q.T @ Y), bread=bread, stated=np.zeros((0, 0)))
 
 
