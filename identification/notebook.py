@@ -3,9 +3,10 @@
 import os
 import warnings
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import wraps
 from pathlib import Path
-from typing import Literal, ParamSpec
+from typing import Any, Literal, ParamSpec
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -164,11 +165,11 @@ def _robot(robot: File | Robot) -> Robot:
 
 
 def fit(
-    q: ArrayLike,
-    tau: ArrayLike,
+    q: ArrayLike | Sequence[ArrayLike],
+    tau: ArrayLike | Sequence[ArrayLike],
     sample_rate_hz: float,
     robot: File | Robot,
-    q_ref: ArrayLike | None = None,
+    q_ref: ArrayLike | Sequence[ArrayLike] | None = None,
     *,
     method: Literal["iv", "wls", "ols"] | None = None,
     bandwidth_hz: float | None = None,
@@ -177,9 +178,11 @@ def fit(
     low_speed_percent: float | None = None,
     torque_lag_s: float | Literal["none"] | None = None,
     essential: bool = False,
-    velocity: ArrayLike | None = None,
-    known_torque: ArrayLike | None = None,
-    feedforward: ArrayLike | None = None,
+    velocity: ArrayLike | Sequence[ArrayLike] | None = None,
+    known_torque: ArrayLike | Sequence[ArrayLike] | None = None,
+    feedforward: ArrayLike | Sequence[ArrayLike] | None = None,
+    payload: str | Sequence[str | None] | None = None,
+    gains: Sequence[str] = (),
 ) -> Fit:
     """Base parameters of a robot from arrays. `identify_ls` and `identify_iv` do the same for recordings.
 
@@ -202,6 +205,9 @@ def fit(
         explains the sum.
     feedforward : (N, n) added to the controller's output, per motor in the unit of the recorded effort (which includes it);
         the simulated controller adds it too.
+    payload : what the robot carried, as `KG@X,Y,Z`, m. With a sequence, by recording and None for nothing, all arrays are
+        sequences of those of each recording.
+    gains : motors whose drive gains are identified, `("all",)` for all, from recordings with and without a payload.
 
     Returns
     -------
@@ -223,13 +229,22 @@ def fit(
             "has no effect", key="bandwidth_hz", value=bandwidth_hz, expected="a URDF's path with it"
         )
     described = robot if isinstance(robot, Robot) else read_robot(robot, bandwidth_hz=bandwidth_hz)
-    signals = signals_from_arrays(
-        q, tau, sample_rate_hz, described, q_ref, velocity=velocity, known_torque=known_torque, feedforward=feedforward
-    )
+    arrays = {"q": q, "effort": tau, "q_ref": q_ref, "velocity": velocity, "known_torque": known_torque}
+    given: dict[str, Any] = {name: x for name, x in (arrays | {"feedforward": feedforward}).items() if x is not None}
+    alone, sources = payload is None or isinstance(payload, str), list[Signals]()
+    texts = (payload,) if payload is None or isinstance(payload, str) else tuple(payload)
+    for k, text in enumerate(texts):
+        own = given if alone else {name: x[k] for name, x in given.items()}
+        signals = signals_from_arrays(sample_rate_hz=sample_rate_hz, robot=described, **own)
+        sources.append(replace(signals, payload=parse_payload(text, described) if text else None))
     overrides = Overrides(
-        cutoff_hz=cutoff_hz, decimation=decimation, low_speed_percent=low_speed_percent, torque_lag_s=torque_lag_s
+        cutoff_hz=cutoff_hz,
+        decimation=decimation,
+        low_speed_percent=low_speed_percent,
+        torque_lag_s=torque_lag_s,
+        gains=tuple(gains) or None,
     )
-    return _of_user(methods.identify(signals, overrides, method=method, essential=essential))
+    return _of_user(methods.identify(Recordings(sources=tuple(sources)), overrides, method=method, essential=essential))
 
 
 def validate(

@@ -46,9 +46,18 @@ def arm(table: str = "", **parts: str) -> Robot:
         (
             "2.805@0.03,0.15,-0.16",
             Payload(2.805, (0.03, 0.15, -0.16)),
-            "2.805 kg at 0.03, 0.15, -0.16 m in the frame of the last joint",
+            "2.805 kg at 0.03, 0.15, -0.16 ± 0.005 m in the frame of the last joint",
         ),
-        (" 1e-3 @ 0, 0 ,5", Payload(0.001, (0.0, 0.0, 5.0)), "0.001 kg at 0, 0, 5 m in the frame of the last joint"),
+        (
+            " 1e-3 @ 0, 0 ,5",
+            Payload(0.001, (0.0, 0.0, 5.0)),
+            "0.001 kg at 0, 0, 5 ± 0.005 m in the frame of the last joint",
+        ),
+        (
+            "2@0,0,0.1+-1e-3",
+            Payload(2.0, (0.0, 0.0, 0.1), center_half_width_m=0.001),
+            "2 kg at 0, 0, 0.1 ± 0.001 m in the frame of the last joint",
+        ),
         (f"{1 / 3!r}@{0.1 + 0.2!r},0,0", Payload(1 / 3, (0.1 + 0.2, 0.0, 0.0)), None),
     ],
 )
@@ -64,6 +73,7 @@ def test_a_payload_is_read_and_written(text, payload, words):
     [
         "", "x", "0", "-1", "nan", "inf", "2@", "2@1", "2@1,2", "2@0,0,0,0", "2@0,0,x", "2@0,0,nan", "2@0,inf,0", "@0,0,0",
         "2@0,0,5.001", "2@0,-5.1,0", "1e7", "2@0@0", "2 kg", "2,805", "unknown",
+        "2@0,0,0.1+-", "2@0,0,0.1+-x", "2@0,0,0.1+--1", "2@0,0,0.1+-nan", "2+-0.1",
     ],
 )  # fmt: skip
 def test_no_payload(text):
@@ -75,9 +85,10 @@ def test_no_payload(text):
 
 
 def test_the_table_says_how_the_numbers_are_meant():
-    robot = arm('[payload]\nframe = "tool"\nmass_half_width_kg = 0.01\n')
-    assert parse_payload("2@0,0,0.1", robot) == Payload(2.0, (0.0, 0.0, 0.1), "tool", 0.01)
-    assert str(parse_payload("2@0,0,0.1", robot)) == "2 ± 0.01 kg at 0, 0, 0.1 m in tool"
+    robot = arm('[payload]\nframe = "tool"\nmass_half_width_kg = 0.01\ncenter_half_width_m = 0.002\n')
+    assert parse_payload("2@0,0,0.1", robot) == Payload(2.0, (0.0, 0.0, 0.1), "tool", 0.01, 0.002)
+    assert parse_payload("2@0,0,0.1+-0.003", robot).center_half_width_m == 0.003
+    assert str(parse_payload("2@0,0,0.1", robot)) == "2 ± 0.01 kg at 0, 0, 0.1 ± 0.002 m in tool"
 
 
 @pytest.mark.parametrize(
@@ -85,6 +96,7 @@ def test_the_table_says_how_the_numbers_are_meant():
     [
         ('frame = "tool0"', "payload.frame"),
         ("mass_half_width_kg = -1", "payload.mass_half_width_kg"),
+        ("center_half_width_m = -1", "payload.center_half_width_m"),
         ("mass = 2", "payload"),
     ],
 )
@@ -224,7 +236,7 @@ def test_info_shows_the_payload(tmp_path, capsys):
         return capsys.readouterr().out
 
     loaded, empty = recorded(tmp_path / "a.mcap", HEAVY), recorded(tmp_path / "b.mcap", None)
-    words = "2.805 ± 0.01 kg at 0.03, 0.15, -0.16 m in the frame of elbow"
+    words = "2.805 ± 0.01 kg at 0.03, 0.15, -0.16 ± 0.005 m in the frame of elbow"
     assert re.search(rf"^ *payload +{re.escape(words)}$", info(loaded), re.MULTILINE)
     assert "payload" not in info(empty)
     found = json.loads(info(loaded, "--json"))
@@ -233,6 +245,7 @@ def test_info_shows_the_payload(tmp_path, capsys):
         "center_of_mass_m": [0.03, 0.15, -0.16],
         "frame": None,
         "mass_half_width_kg": 0.01,
+        "center_half_width_m": 0.005,
     }
     assert found["payload_text"] == words
     assert json.loads(info(empty, "--json"))["payload"] is None
@@ -282,7 +295,7 @@ def test_check_shows_the_payload(tmp_path, capsys):
     toml.write_text(bus_text(1))
     assert main(["check", str(toml), "--payload", "2@0,0,0.1"]) == 1  # no drive answers
     assert "ok  payload" in (printed := capsys.readouterr().out)
-    assert "2 kg at 0, 0, 0.1 m in the frame of joint_1" in printed
+    assert "2 kg at 0, 0, 0.1 ± 0.005 m in the frame of joint_1" in printed
 
 
 @pytest.mark.parametrize("passive", [False, True])

@@ -226,7 +226,10 @@ class Identification(TomlTable, frozen=True):
     ] = None
     tolerance_percent: Annotated[Positive, note("iv stops when no value changes by more, % of the value")] = 2.5
     max_iterations: Annotated[RowStep, note("maximum number of passes of iv")] = 10
-    own: Annotated[tuple[OwnKind, ...], note("kinds of parameters that several recordings do not share")] = ()
+    own: Annotated[
+        tuple[OwnKind, ...] | None,
+        note("kinds of parameters that several recordings do not share (default: Fv and Fc with --gains, else none)"),
+    ] = None
 
     @property
     def low_speed(self) -> LowSpeed:
@@ -248,6 +251,7 @@ class PayloadFile(TomlTable, frozen=True):
     mass_half_width_kg: Annotated[
         float, msgspec.Meta(ge=0, description="half of the 95 % interval of the weighed mass, kg")
     ] = 0.0
+    center_half_width_m: Annotated[float, msgspec.Meta(ge=0, description="the same of each coordinate, m")] = 0.005
 
 
 class RobotFile(TomlTable, frozen=True):

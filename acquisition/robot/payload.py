@@ -11,6 +11,7 @@ from .robot import Robot
 Mass = Annotated[float, msgspec.Meta(gt=0, le=1e6)]
 Metres = Annotated[float, msgspec.Meta(ge=-5, le=5)]  # a larger number is in another unit
 HalfWidth = Annotated[float, msgspec.Meta(ge=0, le=1e6)]
+CENTER_HALF_WIDTH_M = 0.005  # of a centre of mass by drawing or by hand
 
 
 @dataclass(frozen=True)
@@ -22,41 +23,48 @@ class Payload:
         center_of_mass_m: None: unknown.
         frame: fixed link of the URDF in which the centre of mass is given; None: frame of the last joint.
         mass_half_width_kg: half-width of the mass's 95 % interval.
+        center_half_width_m: half-width of the 95 % interval of each coordinate of the centre of mass; 0: exact.
     """
 
     mass_kg: Mass | None
     center_of_mass_m: tuple[Metres, Metres, Metres] | None = None
     frame: str | None = None
     mass_half_width_kg: HalfWidth = 0.0
+    center_half_width_m: HalfWidth = CENTER_HALF_WIDTH_M
 
     @property
     def text(self) -> str:
-        """As options state it: `2.805@0.03,0.15,-0.16`, or `unknown`."""
+        """As options state it: `2.805@0.03,0.15,-0.16`, with `+-0.001` if not the default; or `unknown`."""
         center, mass = ",".join(map(repr, self.center_of_mass_m or ())), self.mass_kg or "unknown"
-        return f"{mass}@{center}" if center else f"{mass}"
+        width = f"+-{self.center_half_width_m!r}" if self.center_half_width_m != CENTER_HALF_WIDTH_M else ""
+        return f"{mass}@{center}{width}" if center else f"{mass}"
 
     def describe(self, last_joint: str = "the last joint") -> str:
-        """For people: `2.805 kg at 0.03, 0.15, -0.16 m in tool0`."""
+        """For people: `2.805 kg at 0.03, 0.15, -0.16 ± 0.005 m in tool0`."""
         width = f" ± {self.mass_half_width_kg:g}" if self.mass_half_width_kg else ""
         mass = "unknown mass" if self.mass_kg is None else f"{self.mass_kg:g}{width} kg"
         if self.center_of_mass_m is None:
             return f"{mass}, centre of mass not stated"
-        center = ", ".join(f"{x:g}" for x in self.center_of_mass_m)
+        center = ", ".join(f"{x:g}" for x in self.center_of_mass_m) + f" ± {self.center_half_width_m:g}"
         return f"{mass} at {center} m in {self.frame or f'the frame of {last_joint}'}"
 
     __str__ = describe
 
 
 def parse_payload(text: str, robot: Robot, key: str = "--payload") -> Payload:
-    """The payload of `KG` or `KG@X,Y,Z` (m), with the frame and the half-width of the robot's `[payload]`.
+    """The payload of `KG`, `KG@X,Y,Z` or `KG@X,Y,Z+-HALF` (m), with the frame and half-widths of the robot's `[payload]`.
 
     Raises `AcquisitionError` with `key`, the text as `value`, and `expected`.
     """
     mass, at, center = text.partition("@")
+    center, within, half_width = center.partition("+-")
     try:
         numbers = [float(x) for x in center.split(",")] if at else None
         given = {"mass_kg": float(mass), "center_of_mass_m": numbers}
-        return msgspec.convert(given | msgspec.structs.asdict(robot.payload), Payload)
+        stated = {"center_half_width_m": float(half_width)} if within else {}
+        return msgspec.convert(msgspec.structs.asdict(robot.payload) | given | stated, Payload)
     except ValueError as error:  # of msgspec too
-        expected = "KG or KG@X,Y,Z: a mass above 0 in kg, and a centre of mass in m, each number within 5 m"
+        expected = (
+            "KG or KG@X,Y,Z: a mass above 0 in kg, and a centre of mass in m, each number within 5 m; +-0.005 after it"
+        )
         raise AcquisitionError(key=key, value=text, expected=expected) from error

@@ -19,7 +19,7 @@ from .arguments import (
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_recordings(parser.add_argument_group("inputs"))
-    add_options(parser.add_argument_group("settings of the fit"), Overrides, "cutoff_hz", "torque_lag_s")
+    add_options(parser.add_argument_group("settings of the fit"), Overrides, "cutoff_hz", "torque_lag_s", "gains")
     outputs = parser.add_argument_group("outputs")
     add_path(outputs, "--json", "FILE", "write all sets of terms that were tried, and the recommended one, as JSON")
     add_report(outputs)

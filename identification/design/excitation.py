@@ -24,7 +24,15 @@ from ..model import (
 )
 from ..options import ReferenceOptions
 from ..report import Document, Number, Row, Section, Table, columns
-from .information import Information, PriorInformation, earlier_information, loads_of, rows_per_s, torque_noise
+from .information import (
+    NORMAL_QUANTILE,
+    Information,
+    PriorInformation,
+    earlier_information,
+    loads_of,
+    rows_per_s,
+    torque_noise,
+)
 from .limits import KINDS, Limits, Series, limits_of, motion_of
 from .search import CHECKS_PER_SAMPLE, MARGIN_M, SAMPLES_PER_PERIOD, SearchProblem, best_of_searches, random_within
 
@@ -34,7 +42,6 @@ MAX_BANDWIDTH_SHARE = 1 / 3  # highest harmonic over bandwidth: the loop does no
 CREEP_SHARE = 0.05  # of a joint's speed limit
 MIN_HARMONICS = 2  # zero speed and acceleration at the ends leave nothing of a single one
 CURVE_SAMPLES = 100  # per period of the highest harmonic, in pictures
-NORMAL_QUANTILE = 1.959964  # deviations to each side of a 95 % interval
 
 
 class ExcitationSettings(ReferenceOptions):

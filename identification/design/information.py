@@ -38,6 +38,7 @@ from ..report import read_fit
 from .limits import Motion
 
 NOISE_SHARE = 0.02  # of a joint's rms torque, if the noise is unknown
+NORMAL_QUANTILE = 1.959964  # deviations to each side of a 95 % interval
 RANK_SHARE = 1e-9  # of the largest: a smaller singular value is zero
 SAMPLE_RATE_HZ = 1000.0  # of a recording, if none is stated
 
@@ -224,13 +225,19 @@ class Information:
         X = [W L -E] of both runs: E from the torques of the robot with each of the two `loads`, L of what is not stated of the
         payload. Earlier recordings do not count.
         """
-        stated = {"M"} | ({"MX", "MY", "MZ"} if payload.center_of_mass_m is not None else set())
-        columns = zip(link_columns(self.model)[-1], LINK, strict=True)
-        free = self.base.K[:, [column for column, name in columns if name not in stated]]
+        moments, half_m = {"MX", "MY", "MZ"}, payload.center_half_width_m
+        stated = {"M"} | (moments if payload.center_of_mass_m is not None and not half_m else set())
+        columns = [x for x in zip(link_columns(self.model)[-1], LINK, strict=True) if x[1] not in stated]
+        free = self.base.K[:, [column for column, _ in columns]]
         W = (self._regressor(motion) / self.noise[:, None]).reshape(-1, self.base.b)
         others, R = np.block([[W, np.zeros((len(W), free.shape[1]))], [W, W @ free]]), self.model.robot.R
         of_motors = [np.linalg.solve(R.T, model.torque(*motion).T).T for model in loads]
         E = np.concatenate([(x[:, None] * R.T / self.noise[:, None]).reshape(-1, len(R)) for x in of_motors])
+        if payload.center_of_mass_m is not None and half_m and payload.mass_kg:  # a row for each stated moment
+            at = [self.base.b + k for k, (_, name) in enumerate(columns) if name in moments]
+            known = np.eye(others.shape[1])[at] * NORMAL_QUANTILE / (half_m * payload.mass_kg)
+            others = np.concatenate([others, known * np.sqrt(len(motion[0]) / self.rows)])
+            E = np.concatenate([E, np.zeros((len(at), len(R)))])
         others /= np.maximum(np.linalg.norm(others, axis=0), 1e-300)
         left = E - others @ np.linalg.lstsq(others, E, rcond=RANK_SHARE)[0]
         _, s, V = np.linalg.svd(left, full_matrices=False)

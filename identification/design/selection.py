@@ -1,4 +1,4 @@
-"""Choice of friction terms by cross-validation: over parts of a recording, or over recordings.
+"""Choice of friction terms by cross-validation: over parts of a recording, or of a pair, or over recordings.
 
 Of the sets without terms whose interval contains 0, the smallest that predicts parts nearly as well as the best, as
 identification/method.md says. The score of a part is the sum of squared residuals of its weighted rows, each divided by
@@ -11,6 +11,7 @@ from itertools import combinations, pairwise
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from acquisition.robot import FrictionTerm, Robot, low_speed_by_method
 
@@ -31,6 +32,7 @@ from ..methods import (
     Equations,
     Fit,
     correct_known_lags,
+    identify,
     identify_ls,
     least_squares,
     read_equations,
@@ -151,7 +153,12 @@ def select_friction(
     """
     sources = signals.sources if isinstance(signals, Recordings) else (signals,)
     recordings = tuple(source if isinstance(source, Signals) else source.load() for source in sources)
-    robot, given = recordings[0].robot, overrides or Overrides()
+    given = overrides or Overrides()
+    if given.gains:  # of the terms that are described; the sets of terms are compared on one scale
+        gain = identify(Recordings(sources=recordings), given, say=say).problem.signals.robot.gain
+        recordings = tuple(_with_gain(one, gain) for one in recordings)
+        given = replace(given, gains=None)
+    robot = recordings[0].robot
     low = robot.identification.low_speed.iv if given.low_speed_percent is None else given.low_speed_percent
     given = replace(given, low_speed_percent=low_speed_by_method(low))  # least squares with the weights of instruments
     whole = read_equations(_with_terms(recordings, at_all_joints(robot, CANDIDATES)), given, say)
@@ -173,6 +180,11 @@ def select_friction(
     )
 
 
+def _with_gain(signals: Signals, gain: Array) -> Signals:
+    robot = replace(signals.robot, identified_gain=gain)
+    return replace(signals, robot=robot, effort=robot.joint_effort(signals.robot.motor_effort(signals.effort)))
+
+
 def smallest_near_best(trials: Sequence[Trial]) -> Trial:
     """The smallest set within one standard error of the best."""
     best = min(trials, key=lambda trial: trial.score)
@@ -190,7 +202,8 @@ class Trials:
 
     Attributes:
         whole: their system with all tried terms; `added`: joint and term of the base parameters of these, by name.
-        parts: instants that are held out, fifths of a single recording or each of several; `names`: of the parts.
+        parts: instants that are held out: fifths of time of a single recording, and of recordings that differ in payload, which
+            only all of them tell; else each of several; `names`: of the parts.
         weights: (n,) 1/s_j of the fit with the usual terms.
         unpredicted: messages about the parts whose parameters the others do not determine, by name.
         done: the trials; `left_out`: joints and terms that some of them leave out, each with the reason.
@@ -198,15 +211,18 @@ class Trials:
 
     def __init__(self, whole: Equations) -> None:
         robot, model, base = whole.problem.signals.robot, whole.problem.model, whole.problem.base
-        parts = spans_of(whole.about().parts)
-        self.whole, self.parts, self._own = whole, tuple(parts), [arm.own for arm in whole.unknowns.arms]
+        recordings = spans_of(whole.about().parts)
+        self.parts = tuple(np.arange(part.start, part.stop) for part in recordings)
+        self.whole, self._own = whole, [arm.own for arm in whole.unknowns.arms]
         self.names = [problem.signals.recording for problem in whole.problems]
         if whole.reduced:
             expected = "a part of it, or a larger decimation"
             raise IdentificationError("too long", place=", ".join(self.names), expected=expected)
-        if len(self.names) == 1:
-            edges = np.linspace(0, len(whole.about().tau), FIFTHS + 1).round().astype(int)
-            self.parts = tuple(slice(first, last) for first, last in pairwise(edges))
+        self.by_recording = len(self.names) > 1 and not whole.unknowns.payloads
+        if not self.by_recording:
+            edges = [np.linspace(of.start, of.stop, FIFTHS + 1).round().astype(int) for of in recordings]
+            fifths = zip(*([np.arange(*ends) for ends in pairwise(of)] for of in edges), strict=True)
+            self.parts = tuple(map(np.concatenate, fifths))
             self.names, self._own = [f"fifth {k + 1}" for k in range(FIFTHS)], [set()] * FIFTHS
         self.added = {
             name: (source.joint, term)
@@ -239,10 +255,10 @@ class Trials:
 
         by_others = settled.predicted(
             *(replace(estimate, names=rows.system.names, beta=beta) for beta in betas),
-            by_recording=len(settled.problems) > 1,
+            by_recording=self.by_recording,
         )
 
-        def percent(predicted: Array, part: slice) -> float | None:
+        def percent(predicted: Array, part: slice | NDArray[np.intp]) -> float | None:
             among, tau = moving[part], rows.tau[part]
             return relative_error_percent(tau[among], (tau - predicted[part])[among])
 

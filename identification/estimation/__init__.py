@@ -3,7 +3,10 @@
 from .confidence import (
     Intervals,
     Scores,
+    by_rows_alone,
+    combined,
     deviations_of_sums,
+    differs,
     estimate_deviations,
     intervals,
     intervals_from,

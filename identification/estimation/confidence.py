@@ -4,7 +4,7 @@ Lazarus, Lewis, Stock and Watson, HAR Inference: Recommendations for Practice, J
 (2018). Only the low-frequency part of the residual matters for an estimate; the cosines of the lowest frequencies measure it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from .diagnostics import t_quantile
+from .diagnostics import f_tail, t_quantile
 from .estimators import Estimate
 from .system import Spans, System, spans_of
 
@@ -73,7 +73,50 @@ def intervals_of(system: System, estimate: Estimate) -> Intervals:
 
 def _intervals(estimate: Estimate, rho: Array, spans: Sequence[Spans]) -> Intervals:
     found = scores_of_recordings(estimate.Q, estimate.bread, rho, spans)
-    return intervals_from(estimate, *estimate_deviations(estimate.bread, found))
+    sigma, freedom = estimate_deviations(estimate.bread, found)
+    return intervals_from(estimate, np.hypot.reduce([sigma, *estimate.stated.T]), freedom)
+
+
+def combined(system: System, estimate: Estimate, stated: Mapping[str, tuple[float, float]]) -> Estimate:
+    """An estimate combined by variances with stated values of some of its parameters and half-widths of their 95 % intervals:
+
+        x + G (a - A x),    G = C Aᵀ (A C Aᵀ + S)⁻¹,    C by equal-weighted cosines, S of what is stated
+
+    Unchanged where the rows contradict the statement (`differs`).
+    """
+    at = [estimate.names.index(name) for name in stated if name in estimate.names]
+    if not at:
+        return estimate
+    found, names = intervals_of(system, estimate), estimate.names
+    value, half = np.array([stated[names[i]] for i in at]).T
+    off, both = value - estimate.beta[at], found.covariance[np.ix_(at, at)] + np.diag((half / found.reach) ** 2)
+    if differs(off, both, found.freedom):
+        return estimate
+    G = np.linalg.solve(both, found.covariance[at]).T
+    kept = np.eye(len(names))
+    kept[:, at] -= G
+    moves, beta = G * (half / found.reach), estimate.beta + G @ off
+    W, Y = system.weighted(estimate.weights)
+    before = kept @ estimate.stated if estimate.stated.size else np.zeros((len(names), 0))
+    return replace(
+        estimate,
+        beta=beta,
+        covariance=kept @ estimate.covariance @ kept.T + moves @ moves.T,
+        residual_norm=float(np.linalg.norm(Y - W @ beta)),
+        bread=kept @ estimate.bread,
+        stated=np.c_[before, moves],
+    )
+
+
+def by_rows_alone(estimate: Estimate, W: Array, Y: Array) -> Estimate:
+    """The same without what is stated, from its weighted rows."""
+    bread = np.asarray(np.linalg.inv(estimate.Q.T @ W), dtype=float)
+    return replace(estimate, beta=bread @ (estimate.Q.T @ Y), bread=bread, stated=np.zeros((0, 0)))
+
+
+def differs(off: Array, covariance: Array, freedom: int) -> bool:
+    """Whether a difference (s,) of this covariance (s, s) is beyond its 95 % region, by Hotelling's F."""
+    return f_tail(float(off @ np.linalg.solve(covariance, off)) / len(off), len(off), freedom) < 1 - LEVEL
 
 
 # Of a recording: the scores (T, b) of instants or spans of time, whose sum is its share of beta - beta_true; Q'Q (K, b, b) of

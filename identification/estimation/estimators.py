@@ -6,7 +6,7 @@ scripts and published deviations; it makes sigma smaller by b/2r (0.06 % on the 
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, TypeVar, cast
 
@@ -46,6 +46,7 @@ class Estimate:
         condition_number: of W in the used rows; `condition_number_scaled`: of the weighted W with columns of norm one.
         rows: r, the number of decimated samples over all joints, the sum of the squares of their weights.
         Q, bread: beta - beta_true = bread Qᵀ rho with weighted rho (r,): Q (r, b) orthonormal columns that span W, or Z.
+        stated: (b, s) moves by one deviation of each of the s stated values that it is combined with (`confidence.combined`).
     """
 
     names: tuple[str, ...]
@@ -58,6 +59,7 @@ class Estimate:
     rows: float
     Q: Array
     bread: Array
+    stated: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
     @cached_property
     def sigma(self) -> Array:
@@ -82,6 +84,7 @@ class Estimate:
             beta=self.beta[indices],
             covariance=self.covariance[np.ix_(indices, indices)],
             bread=self.bread[indices],
+            stated=self.stated[indices] if self.stated.size else self.stated,
         )
 
     def values_of(self, names: tuple[str, ...]) -> Array:

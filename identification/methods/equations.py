@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ..arrays import Array
 from ..data import RecordingFile, Recordings, Signals, check_one_robot
 from ..errors import IdentificationError
-from ..estimation import Estimate, System, autoregression, stacked, stacked_columns, whitening_order
+from ..estimation import Estimate, System, autoregression, combined, stacked, stacked_columns, whitening_order
 from ..regression import (
     HELD,
     REDUCED,
@@ -169,10 +169,8 @@ class Equations:
 
     def at_cutoff(self, cutoff_hz: float) -> "Equations":
         """The same recordings with another low-pass."""
-        tasks, most = [], most_numbers(len(self.problems))
-        for problem in self.tasks():
-            overrides = replace(self.overrides, cutoff_hz=cutoff_hz, decimation=problem.settings.decimation)
-            tasks.append((problem, overrides, most))
+        overrides, most = replace(self.overrides, cutoff_hz=cutoff_hz), most_numbers(len(self.problems))
+        tasks = [(one, replace(overrides, decimation=one.settings.decimation), most) for one in self.tasks()]
         settings, rows = zip(*self.recordings.work.run(rows_at, tasks), strict=True)
         return self._of(self._with_settings(settings), rows)
 
@@ -233,6 +231,12 @@ class Equations:
         recordings = Recordings(sources=tuple(problem.signals for problem in problems))
         return replace(self, recordings=recordings, replays=replays)._of(problems, held)
 
+    def combined(self, system: System, estimate: Estimate) -> Estimate:
+        """An estimate from these rows, combined with the stated centres of mass."""
+        for payload in self.unknowns.payloads:
+            estimate = combined(system, estimate, payload.stated)
+        return estimate
+
     def whitening(self, x: Array) -> Array:
         """(n, order + 1) filters that whiten each joint's residual of x, in its torque by the gains in x."""
         of, problems, factors = self.unknowns, self.tasks(), np.ones(self.problem.signals.robot.n)
@@ -270,7 +274,7 @@ def equations_of(
         rows=rows,
         replays=replays,
         order=order,
-        unknowns=make_unknowns(problems, motors),
+        unknowns=make_unknowns(problems, motors, ("Fv", "Fc") if overrides.gains else ()),
         load=load_friction(problems[0].model, problems[0].base),
     )
 

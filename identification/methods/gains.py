@@ -72,6 +72,7 @@ def solve_with_gains(equations: Equations) -> tuple[Equations, Array, bool]:
         rows, Z = equations.about(x), measured_instruments(equations, x)
         try:
             estimate = instrumental_variables(rows.system, Z, joint_weights_of(rows.system, x))
+            estimate = equations.combined(rows.system, estimate)
         except IdentificationError as error:
             text = f"the drive gains cannot be told from the arm ({error}): the payload does not show in the recordings"
             expected = "a payload on one recording, and its mass as stated"
@@ -100,7 +101,7 @@ def refuse_without_scale(equations: Equations, columns: NDArray[np.intp]) -> Non
     typical = np.linalg.norm(rows.tau * rows.share)
     if left > MIN_KNOWN_SHARE * max(float(np.linalg.norm(Y)), 1e-9 * float(typical)):
         return
-    payloads = {one.payload.payload for one in of.arms if one.payload is not None}
+    payloads = {one.payload for one in of.payloads}
     several = len(payloads) + any(one.payload is None for one in of.arms) > 1
     if several and any(payload.center_of_mass_m is None for payload in payloads):
         text = "the mass alone does not tell the scale: give its centre of mass"
@@ -122,23 +123,24 @@ def factors_of(equations: Equations, x: Array) -> Array:
 def held_and_counted(
     equations: Equations, estimate: Estimate, each: Sequence[Rows], system: System, lags: Sequence[Lag]
 ) -> Intervals:
-    """Intervals that include how well lags, stated masses and stated drive gains are known, which the estimate holds; from the
-    rows of each recording, and of all.
+    """Intervals that include how well lags, stated drive gains, masses, and centres of mass that are not estimated are known,
+    which the estimate holds; from the rows of each recording, and of all.
     """
     of, n, found = equations.unknowns, equations.problem.signals.robot.n, intervals_of(system, estimate)
     robot, torques = equations.problem.signals.robot, list[list[Array]]()  # by recording, of each half-width
     for m, motor in enumerate(robot.motors):
         if motor.drive_gain_half_width and m not in of.motors:
             torques.append([motor.drive_gain_half_width / robot.gain[m] * rows.E[:, m] for rows in each])
-    for carried in dict.fromkeys(arm.payload for arm in of.arms if arm.payload is not None):
-        if carried.payload.mass_half_width_kg and carried.payload.mass_kg:
-            known = carried.payload.mass_half_width_kg / carried.payload.mass_kg * carried.known
+    stated = [np.zeros(len(estimate.names))] * len(torques)  # moves of what is stated of x
+    for carried in of.payloads:
+        for known, x in carried.half_widths(estimate.names):
+            stated.append(x)
             pairs = zip(each, of.arms, strict=True)
             torques.append([rows.system.W @ (known * (arm.payload is carried)) for rows, arm in pairs])
     moved = [lag.moved for lag in lags]
     if torques:
         C = stacked_columns([np.transpose(of_recording) for of_recording in zip(*torques, strict=True)], n)
-        moved += list(np.abs(moves_of(system, C, estimate).T) / found.reach)
+        moved += list(np.abs(stated - moves_of(system, C, estimate).T) / found.reach)
     return intervals_from(estimate, np.hypot.reduce([found.sigma, *moved]), found.freedom)
 
 
@@ -166,7 +168,7 @@ def results_of(equations: Equations, evidence: FitData) -> dict[str, Any]:
     of, estimate, found = equations.unknowns, evidence.estimate, evidence.intervals
     base, robot = base_places(estimate.names), equations.problem.signals.robot
     payloads, motors, gains = [], [robot.motors[m] for m in of.motors], None
-    for one in dict.fromkeys(arm.payload for arm in of.arms if arm.payload is not None):
+    for one in of.payloads:
         own = np.array([estimate.names.index(name) for name in one.names if name in estimate.names], dtype=np.intp)
         covariance = found.covariance[np.ix_(own, own)] if len(own) == len(one.names) else None
         values, sigma, prior = one.nearest_body(estimate.values_of(one.names), covariance)

@@ -150,7 +150,8 @@ def _by_least_squares(equations: Equations, method: Literal["ols", "wls"], *, es
     if equations.reduced:
         each = equations.rows_about(x, candidates_of(equations, x))
     rows = equations.stacked(each) if each else equations.about(x)
-    full = solver_of(method)(rows.system) if each or equations.load else full  # of these very rows
+    if each or equations.load:  # of these very rows
+        full = equations.combined(rows.system, solver_of(method)(rows.system))
     ls = solve_least_squares(equations, full, rows, essential=essential)
     evidence = evidence_of(equations, method, ls, rows, each=each)
     ls = replace(ls, intervals=evidence.intervals)
@@ -214,7 +215,8 @@ def _solve_by_instruments(
     lab = closed_loops(equations, prior, gain_update=iteration.gain_update)
 
     def step(rows: Rows, Z: Array) -> Estimate:  # beta = (ZᵀW)⁻¹ ZᵀY
-        return instrumental_variables(rows.system.with_columns(fitted), Z[:, fitted], weights)
+        system = rows.system.with_columns(fitted)
+        return equations.combined(system, instrumental_variables(system, Z[:, fitted], weights))
 
     def one_pass(equations: Equations, z: Instruments, *, find_lags: bool) -> tuple[Equations, Pass]:
         try:
@@ -279,6 +281,7 @@ def _by_measured_motion(equations: Equations, x: Array, *, settled: bool, essent
     x[equations.unknowns.gains] = 1.0
     rows, Z = equations.about(x), measured_instruments(equations, x)
     estimate = instrumental_variables(rows.system, Z, joint_weights_of(rows.system, x))
+    estimate = equations.combined(rows.system, estimate)
     fixed, full = least_squares(equations.with_motors(()))
     ls = solve_least_squares(fixed, full, fixed.about(full.values_of(fixed.names)), essential=essential)
     without = "with these" if _default_method(equations)[0] == "iv" else "without a recorded reference"
@@ -307,7 +310,7 @@ def solve_least_squares(equations: Equations, full: Estimate, rows: Rows, *, ess
     reduction = essential_parameters(rows.system, full, correlation=autocorrelation(rho) or 0.0)
     estimate = full
     if essential:
-        estimate = reduction.estimate
+        estimate = equations.combined(rows.system, reduction.estimate)
         predicted = equations.predicted(estimate)
     return LeastSquares(
         estimate=estimate,

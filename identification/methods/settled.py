@@ -44,11 +44,12 @@ def least_squares(equations: Equations, method: Literal["ols", "wls"] = "wls") -
     """
     equations, solve = leave_out_collinear_terms(equations), solver_of(method)
     if equations.load is None:
-        return equations, solve(equations.about().system)
+        system = equations.about().system
+        return equations, equations.combined(system, solve(system))
     others = np.setdiff1d(np.arange(len(equations.names)), equations.load_places())
     x = solve(condensed(equations.about().system.with_columns(others))).values_of(equations.names)
     equations, x = leave_out_load(equations, x, solve)
-    return equations, settle(equations, x, lambda now: solve(now.system))[1]
+    return equations, settle(equations, x, lambda now: equations.combined(now.system, solve(now.system)))[1]
 
 
 def leave_out_load(equations: Equations, x: Array, solve: Callable[[System], Estimate]) -> tuple[Equations, Array]:

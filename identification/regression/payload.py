@@ -6,6 +6,7 @@ parameters beta = K chi: its columns are L = W K_n. What is weighed and measured
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,6 +48,30 @@ class PayloadColumns:
     columns: Array
     whole: Array
 
+    @cached_property
+    def stated(self) -> dict[str, tuple[float, float]]:
+        """First moments that are estimated though the centre of mass is stated, kg m: values and half-widths."""
+        payload, of = self.payload, {LINK[i]: i for i in MOMENTS}
+        if payload.mass_kg is None or payload.center_of_mass_m is None:
+            return {}
+        phi, half = payload_parameters(self.model, payload), payload.mass_kg * payload.center_half_width_m
+        by_name = {name: of.get(name.partition(":")[0]) for name in self.names}
+        return {name: (float(phi[i]), half) for name, i in by_name.items() if i is not None}
+
+    def half_widths(self, names: tuple[str, ...]) -> list[tuple[Array, Array]]:
+        """By the half-width of the mass, and of each coordinate of a centre of mass that is not estimated: moves of the base
+        parameters (b,), and of what is stated of the unknowns `names` (p,), which moves them too.
+        """
+        payload, moments = self.payload, {name: value for name, (value, _) in self.stated.items()}
+        mass, found = payload.mass_kg or 0.0, list[tuple[Array, Array]]()
+        if mass and payload.mass_half_width_kg:
+            own, x = (np.array([moments.get(name, 0.0) for name in some]) for some in (self.names, names))
+            share = payload.mass_half_width_kg / mass
+            found.append((share * (self.known + self.columns @ own), share * x))
+        if mass and payload.center_of_mass_m is not None and not moments:
+            found += [(mass * payload.center_half_width_m * self.whole[:, i], np.zeros(len(names))) for i in MOMENTS]
+        return found
+
     def values(self, estimate: Estimate) -> Array:
         """(b,) base parameters of the payload by an estimate."""
         return self.known + self.columns @ estimate.values_of(self.names)
@@ -83,8 +108,10 @@ class PayloadColumns:
         return found.chi, sigma, share > PRIOR_SHARE
 
 
-def payload_columns(problems: Sequence[Problem], labels: Sequence[str]) -> list[PayloadColumns | None]:
+def payload_columns(problems: Sequence[Problem], labels: Sequence[str], *, scale: bool) -> list[PayloadColumns | None]:
     """The payload of each recording, None for none; equal payloads have the same parameters.
+
+    A stated centre of mass of some half-width is estimated, unless the mass alone would not tell the `scale` of gains.
 
     If no recording is without payload, the unknown part of the lightest is left out: the base parameters are those of the
     robot that carries it.
@@ -96,22 +123,22 @@ def payload_columns(problems: Sequence[Problem], labels: Sequence[str]) -> list[
         lightest = min(stated, key=lambda payload: np.inf if payload.mass_kg is None else payload.mass_kg)
     for problem, payload, label in zip(problems, payloads, labels, strict=True):
         if payload is not None and payload not in found:
-            found[payload] = _columns(problem, payload, label, estimated=payload != lightest)
+            found[payload] = _columns(problem, payload, label, estimated=payload != lightest, scale=scale)
     return [None if payload is None else found[payload] for payload in payloads]
 
 
-def _columns(problem: Problem, payload: Payload, label: str, *, estimated: bool) -> PayloadColumns:
+def _columns(problem: Problem, payload: Payload, label: str, *, estimated: bool, scale: bool) -> PayloadColumns:
     model, base, fixed = problem.model, problem.base, np.zeros(len(LINK))
     P, known = base.K[:, link_columns(model)[-1]], list[int]()
     if payload.mass_kg is not None:
         known = [MASS, *(MOMENTS if payload.center_of_mass_m is not None else ())]
         fixed[known] = payload_parameters(model, payload)[known]
-    places, basis = list[int](), np.zeros((base.b, 0))
-    for place in ORDER if estimated else ():
-        rest = P[:, place] - basis @ (basis.T @ P[:, place])
-        if place not in known and np.linalg.norm(rest) > TOLERANCE * np.abs(P).max():
-            places.append(place)
-            basis = np.linalg.qr(P[:, places])[0]
+    places = _independent(P, [i for i in ORDER if i not in known]) if estimated else []
+    if estimated and len(known) > 1 and payload.center_half_width_m > 0:
+        free = _independent(P, [*places, *MOMENTS])  # last, so that nothing is regrouped into what is stated
+        if not scale or MASS in _independent(P, [*free, MASS]):
+            known, places = [i for i in known if i not in free], free
+            fixed[free] = 0.0
     grouping: Array = np.asarray(np.linalg.lstsq(P[:, places], P)[0]) if places else np.zeros((0, len(LINK)))
     grouping[np.abs(grouping) < TOLERANCE] = 0.0
     grouping[:, known] = 0.0
@@ -126,6 +153,17 @@ def _columns(problem: Problem, payload: Payload, label: str, *, estimated: bool)
         columns=P[:, places],
         whole=P,
     )
+
+
+def _independent(P: Array, places: Sequence[int]) -> list[int]:
+    """Those of `places` whose columns are no combination of the ones before."""
+    found, basis = list[int](), np.zeros((len(P), 0))
+    for place in places:
+        rest = P[:, place] - basis @ (basis.T @ P[:, place])
+        if np.linalg.norm(rest) > TOLERANCE * np.abs(P).max():
+            found.append(place)
+            basis = np.linalg.qr(P[:, found])[0]
+    return found
 
 
 def payload_of(problem: Problem) -> Array:

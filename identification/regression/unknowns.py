@@ -8,6 +8,7 @@ described gain: with the gain as an unknown its torque goes from Y to the column
 """
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -76,11 +77,13 @@ class Unknowns:
         names: (p,) of x.
         arms: by recording.
         motors: whose gains are unknown.
+        payloads: of the recordings, each once.
     """
 
     names: tuple[str, ...]
     arms: tuple[Arm, ...]
     motors: tuple[int, ...]
+    payloads: tuple[PayloadColumns, ...]
 
     @property
     def plain(self) -> bool:
@@ -133,20 +136,29 @@ class Unknowns:
         return x
 
 
-def make_unknowns(problems: Sequence[Problem], motors: tuple[int, ...] = ()) -> Unknowns:
-    """The unknowns of several recordings, by `own` of the first one's description, and the gains of `motors`.
+def make_unknowns(problems: Sequence[Problem], motors: tuple[int, ...] = (), friction: Sequence[str] = ()) -> Unknowns:
+    """The unknowns of several recordings, and the gains of `motors`. Own parameters are of the kinds that the first one's
+    description lists, or else of those of `friction` that stand alone.
 
     Raises `IdentificationError` for a kind that the robot lacks, or that gravity or other parameters absorb.
     """
     base, robot = problems[0].base, problems[0].signals.robot
-    own = _own_places(problems[0]) if len(problems) > 1 else []
+    own = list[int]()
+    if len(problems) > 1:
+        listed = robot.identification.own
+        for kind in friction if listed is None else listed:
+            with suppress(*[IdentificationError] * (listed is None)):
+                own += _own_places(problems[0], kind)
     labels = _labels([problem.signals.recording for problem in problems])
     of = [tuple(f"{n}@{label}" if i in own else n for i, n in enumerate(base.names)) for label in labels]
-    carried = payload_columns(problems, labels)
+    carried = payload_columns(problems, labels, scale=bool(motors))
     names = [name for i, name in enumerate(base.names) for name in ([one[i] for one in of] if i in own else [name])]
-    names += dict.fromkeys(name for one in carried if one is not None for name in one.names)
+    payloads = tuple(dict.fromkeys(one for one in carried if one is not None))
+    names += [name for one in payloads for name in one.names]
     x = (*names, *(f"K:{robot.motors[m].name}" for m in motors))
-    return Unknowns(names=x, arms=tuple(_arm(x, *one) for one in zip(of, carried, strict=True)), motors=motors)
+    return Unknowns(
+        names=x, arms=tuple(_arm(x, *one) for one in zip(of, carried, strict=True)), motors=motors, payloads=payloads
+    )
 
 
 def _arm(x: tuple[str, ...], names: tuple[str, ...], payload: PayloadColumns | None) -> Arm:
@@ -161,26 +173,25 @@ def _places(x: tuple[str, ...], names: Sequence[str]) -> NDArray[np.intp]:
     return np.array([x.index(name) for name in names], dtype=np.intp)
 
 
-def _own_places(problem: Problem) -> list[int]:
-    base, model, robot, found = problem.base, problem.model, problem.signals.robot, []
-    for kind in robot.identification.own:
-        columns = [c for c, s in enumerate(model.sources) if getattr(s, "kind", None) == KINDS[kind]]
-        if not columns:
-            expected = "offset = true of a joint" if kind == "Off" else "joints with this friction"
+def _own_places(problem: Problem, kind: str) -> list[int]:
+    base, model, place, found = problem.base, problem.model, f"robot {problem.signals.robot.name}", list[int]()
+    columns = [c for c, s in enumerate(model.sources) if getattr(s, "kind", None) == KINDS[kind]]
+    if not columns:
+        expected = "offset = true of a joint" if kind == "Off" else "joints with this friction"
+        raise IdentificationError(
+            "no joint has it", place=place, key="identification.own", value=kind, expected=expected
+        )
+    for c in columns:
+        alone = [i for i in range(base.b) if base.columns[i] == c and np.count_nonzero(base.K[i]) == 1]
+        if not alone:
             raise IdentificationError(
-                "no joint has it", place=f"robot {robot.name}", key="identification.own", value=kind, expected=expected
+                f"{model.names[c]} cannot be distinguished from other parameters (gravity absorbs an offset)",
+                place=place,
+                key="identification.own",
+                value=kind,
+                expected="a kind whose parameters stand alone in the base parameters",
             )
-        for c in columns:
-            alone = [i for i in range(base.b) if base.columns[i] == c and np.count_nonzero(base.K[i]) == 1]
-            if not alone:
-                raise IdentificationError(
-                    f"{model.names[c]} cannot be distinguished from other parameters (gravity absorbs an offset)",
-                    place=f"robot {robot.name}",
-                    key="identification.own",
-                    value=kind,
-                    expected="a kind whose parameters stand alone in the base parameters",
-                )
-            found += alone
+        found += alone
     return found
 
 

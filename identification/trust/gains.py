@@ -4,18 +4,21 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from ..arrays import Array
+from ..estimation import by_rows_alone, differs, intervals_of
 from ..report import Assumed, Level
 from .fit_data import FitData
 from .lines import Figure, TrustLine
 
 MAX_HALF_PERCENT = 10.0  # of a gain; with more it is not determined
 MAX_USABLE_PERCENT = 50.0  # the same of the best gain; with more no gain is usable
-MAX_SPREAD_PERCENT, MIN_FACTOR_PERCENT = 5.0, 10.0  # of gains that differ from the described ones by one factor
+MAX_SCATTERS = 3.0  # of the catalogue's own: by more the described gains are all off by one factor
+LEAST_FACTOR, SURE_FACTOR = 1.1, 1.6  # no smaller one is told; a larger one where 3 deviations of the median tell it
 MAX_OFF_ONE_PERCENT = 2.0  # of gains that are 1 N m/A, by themselves or with their ratio
 
 
 def gains_test(evidence: FitData) -> TrustLine | None:
-    """Whether identified gains are positive, determined, and not all off by one factor."""
+    """Whether identified gains are positive, determined, and not all off by one factor beyond the catalogue's own scatter."""
     if not evidence.gains:
         return None
     name, robot, names = "gains", evidence.problem.signals.robot, evidence.estimate.names
@@ -34,18 +37,24 @@ def gains_test(evidence: FitData) -> TrustLine | None:
     if (K < 0).all() and half.min() <= MAX_USABLE_PERCENT:
         text = "all drive gains are negative: the recordings are exchanged, the payload belongs to another"
         return line("do not use", text, "recordings exchanged")
+    wrong = [n for n, k, h in zip(labels, K, half, strict=True) if k < 0 and h <= MAX_USABLE_PERCENT]
+    if wrong and (half[K <= 0] <= MAX_USABLE_PERCENT).all():
+        finding = f"wrong sign of {' and '.join(wrong)}"
+        text = f"{finding}: its drive gain is negative, others are positive: check the sign of its effort and of its position"
+        return line("do not use", text, finding)
     if (K <= 0).any() or half.min() > MAX_USABLE_PERCENT:
         text = (
             f"no drive gain is usable ({', '.join(unsure) or 'one is negative'}): check which recording has the payload"
         )
         return line("do not use", text, "drive gains not determined")
-    factor = K / described
     if len(unsure) == len(motors):
         text = f"no drive gain is known to {MAX_HALF_PERCENT:g} % ({', '.join(unsure)}): use a heavier payload"
         return line("caution", text, "drive gains not determined")
-    same = np.ptp(factor) <= 0.01 * MAX_SPREAD_PERCENT * factor.mean() if np.isfinite(factor).all() else False
-    if len(motors) > 1 and same and abs(factor.mean() - 1) > 0.01 * MIN_FACTOR_PERCENT:
-        text = f"all drive gains are {factor.mean():.3g} times those described: check the payload's mass, or peak against rms"
+    if (common := _common_factor((K / described)[(half < MAX_HALF_PERCENT) & np.isfinite(described)])) is not None:
+        text = (
+            f"drive gains are {common[0]:.3g} times those described (median), which scatter by {100 * common[1]:.2g} %"
+        )
+        text += ": check the payload's mass, or peak against rms"
         return line("caution", text, "drive gains off by one factor")
     text = f"known to {half.min():.2g} to {worst:.2g} %"
     text += f"; not determined: {', '.join(unsure)}" if unsure else ""
@@ -53,6 +62,43 @@ def gains_test(evidence: FitData) -> TrustLine | None:
     if any((np.abs(np.abs(K * by) - 1) < 0.01 * MAX_OFF_ONE_PERCENT).all() for by in (np.ones(len(K)), ratios)):
         text += "; all are 1 N m per unit: the recorded effort is a torque already"
     return line("ok", text)
+
+
+def _common_factor(factors: Array) -> tuple[float, float] | None:
+    """Median of factors (m,) and their scatter, by robust deviations of logarithms; None if these tell no common factor."""
+    if len(factors) < 2:
+        return None
+    of = np.log(factors)
+    scatter = 1.4826 * float(np.median(np.abs(of - np.median(of))))
+    limit = np.clip(MAX_SCATTERS * scatter, np.log(LEAST_FACTOR), np.log(SURE_FACTOR))
+    off = abs(float(np.median(of)))
+    of_median = scatter * np.sqrt(0.5 * np.pi / len(of))  # its deviation
+    return (float(np.exp(np.median(of))), scatter) if off > max(limit, MAX_SCATTERS * of_median) else None
+
+
+def center_of_mass_test(evidence: FitData) -> TrustLine | None:
+    """How far the centre of mass by the recordings alone is from the stated one; the line of the worst payload."""
+    names, lines = evidence.estimate.names, list[TrustLine]()
+    for one in dict.fromkeys(arm.payload for arm in evidence.arms):
+        stated = {name: of for name, of in one.stated.items() if name in names} if one else {}
+        if not one or not stated or not one.payload.mass_kg:
+            continue
+        alone = by_rows_alone(evidence.estimate, evidence.W, evidence.Y)
+        found, at = intervals_of(evidence.observed.system, alone), [names.index(name) for name in stated]
+        value, half = np.array(list(stated.values())).T
+        off, C = alone.beta[at] - value, found.covariance[np.ix_(at, at)]
+        mm = 1e3 / one.payload.mass_kg
+        far, along = mm * float(np.linalg.norm(off)), off / max(float(np.linalg.norm(off)), 1e-300)
+        width = mm * found.reach * float(np.sqrt(along @ C @ along))
+        beyond = differs(off, C + np.diag((half / found.reach) ** 2), found.freedom)
+        text = f"centre of mass by the data {far:.2g} ± {width:.2g} mm from the stated one"
+        if beyond:
+            text += f", beyond its ± {1e3 * one.payload.center_half_width_m:g} mm, and not used: check centre, frame and mass"
+        figures = (Figure(name="distance", value=far, half_width=width, expected=0.0),)
+        level: Level = "caution" if beyond else "ok"
+        finding = "centre of mass differs" if beyond else ""
+        lines.append(TrustLine("centre of mass", level, text, far, finding=finding, figures=figures, unit="mm"))
+    return max(lines, key=lambda line: (line.level == "caution", line.value or 0.0), default=None)
 
 
 def payload_assumptions(evidence: FitData) -> Iterator[Assumed]:

@@ -26,7 +26,7 @@ from ..regression import Problem, base_name, base_places, standing_joints
 from ..report import Assumed
 from .columns import added_columns_test
 from .fit_data import FitData, Span
-from .gains import gains_test, payload_assumptions
+from .gains import center_of_mass_test, gains_test, payload_assumptions
 from .held_out import held_out_test
 from .lag import lag_test
 from .lines import LEVELS, Trust, TrustLine
@@ -143,8 +143,7 @@ def halves_test(evidence: FitData) -> TrustLine:
     parts = evidence.spans(2) if evidence.gains else [(slice(0, cut),), (slice(cut, T),)]
     first, second = (_solve_part(evidence, part) for part in parts)
     if first is None or second is None:
-        text = "not made: a half alone does not determine the parameters; record longer"
-        return TrustLine(name, "not made", text)
+        return TrustLine(name, "not made", "not made: a half alone does not determine the parameters; record longer")
     (beta_1, C_1, B_1), (beta_2, C_2, B_2) = first, second
     b, off = len(beta_1), beta_2 - beta_1
     sigma = np.sqrt(np.diag(C_1 + C_2))
@@ -189,10 +188,11 @@ def prewhitened_test(evidence: FitData) -> TrustLine | None:
     estimate = _solve_whitened(evidence)
     if isinstance(estimate, str):
         return TrustLine(name, "not made", estimate)
+    e = evidence.estimate  # what is stated holds it in both
+    moved = e.bread @ (e.Q.T @ (evidence.W @ estimate.beta - evidence.Y))
     with np.errstate(divide="ignore", invalid="ignore"):
-        apart = np.nan_to_num(np.abs(estimate.beta - evidence.estimate.beta) / evidence.intervals.sigma, nan=0.0)
-    worst = int(apart.argmax())
-    value = float(apart[worst])
+        apart = np.nan_to_num(np.abs(moved) / evidence.intervals.sigma, nan=0.0)
+    worst, value = int(apart.argmax()), float(apart.max())
     finding = (
         f"differs by {value:.2g} sigma with prewhitening (limit {MAX_PREWHITENED_SIGMA:g}), at {estimate.names[worst]}"
     )
@@ -316,7 +316,8 @@ def list_assumptions(evidence: FitData, lines: Mapping[str, TrustLine]) -> Itera
 
 # A test is a function of the fit's data, None where it does not apply. A new one is a line here.
 TESTS: tuple[Callable[[FitData], TrustLine | None], ...] = (
-    *(gains_test, fixed_point_test, physical_test, units_test, replay_test, prior_test, added_columns_test),
+    *(gains_test, center_of_mass_test, fixed_point_test, physical_test, units_test, replay_test),
+    *(prior_test, added_columns_test),
     *(lag_test, held_out_test, halves_test, consistent_test, ends_test, essential_test, instruments_test),
     *(prewhitened_test, position_noise_test, motion_test, effort_test, rows_test),
 )

@@ -1,0 +1,97 @@
+"""What is stated of a payload is known within limits: gains of an arm by MuJoCo hold, or the verdict names the cause."""
+
+from dataclasses import replace
+
+import mujoco_arm
+import numpy as np
+import pytest
+from gain_cases import GainCase, fit_with_gains
+from planned_pairs import planned_pair
+
+import identification
+from identification.data import Recordings
+from identification.estimation import Spans, System, combined, intervals_of, one_thread, weighted_least_squares
+from identification.regression import Overrides
+
+SCATTERED = np.exp([0.16, -0.14, 0.2, -0.05, 0.12, -0.18])  # of a catalogue: 15 %
+SCARA = GainCase(robot="scara", what="", duration_s=4.0, white=5.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("off_m", [(0.003, 0.0, 0.0), (0.0, 0.01, 0.0), (0.0, 0.0, 0.06)])
+def test_a_centre_of_mass_beside_the_stated_one_does_not_move_the_gains(off_m):
+    """Taken as exact, 3 mm would move the last gain by 2.8 half-widths."""
+    fit = one_thread(fit_with_gains)(*mujoco_arm.pair(mujoco_arm.GAINS, off_m=off_m))
+    assert (np.abs(fit.gains.values - mujoco_arm.GAINS) <= 2 * fit.gains.half).all()
+    assert (fit.gains.half < 0.01 * mujoco_arm.GAINS).all()
+    (line,) = [one for one in fit.trust.lines if one.test == "centre of mass"]
+    far, width = line.figures[0].value, line.figures[0].half_width
+    assert abs(far - 1e3 * np.linalg.norm(off_m)) <= 2 * width < 1.0
+    assert line.level == fit.trust.verdict.replace("trust", "ok") == ("ok" if max(off_m) < 0.005 else "caution")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("mass_kg", "verdict"), [(2.0, "trust"), (1.0, "caution")])
+def test_half_the_mass_is_told_from_a_catalogue_that_scatters(mass_kg, verdict):
+    fit = one_thread(fit_with_gains)(*mujoco_arm.pair(mujoco_arm.GAINS * SCATTERED, mass_kg=mass_kg))
+    line = fit.trust.line("gains")
+    assert (fit.trust.verdict, line.level) == (verdict, "ok" if verdict == "trust" else "caution")
+    assert ("check the payload's mass" in line.text) == (verdict == "caution")
+
+
+def test_a_stated_value_is_combined_by_variances():
+    """The minimum of both sums of squares, and the intervals of both."""
+    rng = np.random.default_rng(0)
+    W, names = rng.standard_normal((2, 300, 3)) @ np.triu(np.ones((3, 3))), ("a", "b", "c")
+    Y = W @ [1.0, 2.0, 3.0] + 0.3 * rng.standard_normal((2, 300))
+    system = System.whole(W.reshape(-1, 3), Y.reshape(-1), np.repeat([0, 1], 300), names)
+    system = replace(system, spans=(Spans(instants=300, count=300),))
+    free = weighted_least_squares(system)
+    found = intervals_of(system, free)
+    both = combined(system, free, {"b": (2.01, 0.02)})
+    information, sd = np.linalg.inv(found.covariance), 0.02 / found.reach
+    stated = np.diag([0.0, sd**-2, 0.0])
+    expected = np.linalg.solve(information + stated, information @ free.beta + stated @ [0.0, 2.01, 0.0])
+    np.testing.assert_allclose(both.beta, expected, rtol=1e-9)
+    np.testing.assert_allclose(both.stated[1], sd * np.linalg.inv(information + stated)[1, 1] / sd**2, rtol=1e-9)
+    assert (intervals_of(system, both).sigma <= found.sigma).all()
+    assert combined(system, free, {"b": (2.5, 0.02)}) is free  # the rows contradict it
+
+
+def test_a_narrow_statement_is_an_exact_one():
+    free, loaded = planned_pair(SCARA)
+    exact, narrow, wide = (
+        fit_with_gains(free, replace(loaded, payload=replace(loaded.payload, center_half_width_m=x))).gains
+        for x in (0.0, 1e-6, 0.005)
+    )
+    np.testing.assert_allclose(narrow.values, exact.values, rtol=1e-4)
+    np.testing.assert_allclose(narrow.half, exact.half, rtol=0.1)  # the cosines see other columns removed
+    assert (wide.half > exact.half).all()
+
+
+@pytest.mark.parametrize("motor", [0, 1])
+def test_one_motor_of_the_wrong_sign_is_named(motor):
+    turned = []
+    for one in planned_pair(SCARA):
+        current = one.robot.motor_effort(one.effort) * np.where(np.arange(2) == motor, -1.0, 1.0)
+        turned.append(replace(one, effort=one.robot.joint_effort(current)))
+    line = fit_with_gains(*turned).trust.line("gains")
+    assert line.level == "do not use"
+    assert line.text.startswith(f"wrong sign of motor_{motor + 1}: its drive gain is negative")
+
+
+@pytest.mark.parametrize("gains", [None, ("all",)])
+def test_friction_terms_of_a_pair_are_chosen_by_parts_of_both(gains):
+    found = identification.select_friction(Recordings(sources=planned_pair(SCARA)), Overrides(gains=gains))
+    assert found.held_out == tuple(f"fifth {k}" for k in range(1, 6))
+    assert found.recommended is found.usual
+    gain = found.robot.gain / SCARA.gains
+    assert (np.abs(gain - 1) < 0.05).all() == (gains is not None)
+
+
+def test_arrays_of_a_pair_give_its_gains():
+    free, loaded = planned_pair(SCARA)
+    both, rate_hz, payload = (free, loaded), free.sample_rate_hz, (None, "2@0.05,0.02,0")
+    arrays = [one.q for one in both], [one.effort for one in both], rate_hz, free.robot
+    fit = identification.fit(*arrays, payload=payload, gains=("all",), torque_lag_s=0.0)
+    assert (np.abs(fit.gains.values - SCARA.gains) <= 1.5 * fit.gains.half).all()
