@@ -1,6 +1,7 @@
 """Least squares, instrumental variables and their tests, on arrays; independent of robots."""
 
 from .confidence import (
+    LEVEL,
     Intervals,
     Scores,
     by_rows_alone,

@@ -71,11 +71,11 @@ def with_lags_found(equations: Equations, z: Instruments, weights: Array) -> Equ
     columns = by_group(rates, groups)
     for _ in range(MAX_LAG_STEPS):
         try:
-            steps, sd, reach = lags_in(equations.along(z), (z.Z, columns, fast), weights)
+            steps, sd, freedom = lags_in(equations.along(z), (z.Z, columns, fast), weights)
         except IdentificationError:
             break
         now = [equations.problems[group[0]].settings.torque_lag_s for group in groups]
-        found = [(float(at + step), float(s), reach) for at, step, s in zip(now, steps, sd, strict=True)]
+        found = [(float(at + step), float(s), freedom) for at, step, s in zip(now, steps, sd, strict=True)]
         lags = [combined_lag(prior, data) for prior, data in zip(known, found, strict=True)]
         equations = with_lags(equations, lags)
         last = max(abs(lag.value_s - at) for lag, at in zip(lags, now, strict=True))

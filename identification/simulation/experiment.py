@@ -6,7 +6,7 @@ and controller. All is computed block by block, like the rows: no whole motion o
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Literal
 
@@ -41,6 +41,8 @@ MIN_TRAVEL = 0.01  # of the largest travel of a joint of the same type: a joint 
 MIN_INSTANTS = 30  # of the controller
 MAX_STEPS = 2e7  # to simulate: more is a mistake in the description
 MIN_SATURATED_PERCENT = 5.0  # of saturated samples that explains a deviation from the reference
+# An effort leaves its peaks soon, but not a limit: shares of the samples in ranges of these widths, thousandths of the peak
+MIN_HELD, MIN_HELD_RATIO, HELD_WIDTHS = 0.01, 3.0, np.array([20, 40, 80])
 
 
 class Experiment:
@@ -248,22 +250,48 @@ def _refuse_foreign_reference(problem: Problem) -> None:
         if max(saturated_percents(problem).values(), default=0.0) > MIN_SATURATED_PERCENT:
             return  # a drive at its limit does not follow
         what = f"{error:.3g} {joint.position_unit} rms from the measured position, with a travel of {scale:.3g}"
-        place = f"{signals.recording}: reference of joint {joint.name}"
-        raise IdentificationError(what, place=place, expected="the reference of this recording")
+        place, expected = f"{signals.recording}: reference of joint {joint.name}", "the reference of this recording"
+        if unstated := unstated_limits(problem):
+            what, expected = "; ".join([what, *unstated]), "saturation of the motor in robot.toml"
+        raise IdentificationError(what, place=place, expected=expected)
 
 
 def saturated_percents(problem: Problem) -> dict[str, float]:
     """Percentage of the recorded samples at each motor's limit, by motor and limit; empty if none is stated."""
-    signals, settings, robot = problem.signals, problem.settings, problem.signals.robot
+    robot, settings = problem.signals.robot, problem.settings
     limits = {m: motor.saturation for m, motor in enumerate(robot.motors) if motor.saturation is not None}
     count = dict.fromkeys(limits, 0)
-    for a in range(settings.start, settings.stop, BLOCK_SAMPLES):
-        effort = robot.motor_effort(signals.effort[a : min(settings.stop, a + BLOCK_SAMPLES)])
+    for effort in _motor_efforts(problem):
         for m, limit in limits.items():
             count[m] += int((np.abs(effort[:, m]) >= 0.995 * limit).sum())
-        release_pages(signals.effort)
     N = settings.stop - settings.start
     return {
         f"{robot.motors[m].name} ({limits[m]:.4g} {robot.motors[m].recorded_unit})": 100.0 * k / N
         for m, k in count.items()
     }
+
+
+def unstated_limits(problem: Problem) -> list[str]:
+    """Drives that saturate, below a stated limit or without one, in words."""
+    found, motors, counts = list[str](), problem.signals.robot.motors, np.zeros(())
+    peaks = np.max([np.abs(effort).max(axis=0) for effort in _motor_efforts(problem)], axis=0)
+    for effort in _motor_efforts(problem):
+        each = zip(np.abs(effort).T, peaks, strict=True)
+        counts = counts + [np.histogram(x, 1000, (0, peak or 1.0))[0][::-1] for x, peak in each]
+    for motor, peak, share in zip(motors, peaks, counts / counts[0].sum(), strict=True):
+        held, *below = np.diff(np.r_[0.0, share.cumsum()][np.outer(range(4), HELD_WIDTHS)], axis=0)
+        ratio = held / np.maximum(np.max(below, axis=0), 1e-9) * (held > MIN_HELD) * (np.min(below, axis=0) > 0)
+        k = int(ratio.argmax())
+        limit = peak * (1 - 1e-3 * np.average(np.arange(HELD_WIDTHS[k]), weights=share[: HELD_WIDTHS[k]] + 1e-300))
+        if ratio[k] > MIN_HELD_RATIO and limit < 0.99 * (motor.saturation or math.inf):
+            at = f"{limit:.3g} {motor.recorded_unit} in {100 * held[k]:.2g} % of the rows"
+            found.append(f"drive of {motor.name} saturates at {at}")
+    return found
+
+
+def _motor_efforts(problem: Problem) -> Iterator[Array]:
+    """The recorded efforts (K, n) of the motors in the span used, in blocks."""
+    signals, settings = problem.signals, problem.settings
+    for a in range(settings.start, settings.stop, BLOCK_SAMPLES):
+        yield signals.robot.motor_effort(signals.effort[a : min(settings.stop, a + BLOCK_SAMPLES)])
+        release_pages(signals.effort)

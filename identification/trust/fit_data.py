@@ -25,7 +25,7 @@ class Lag:
     Attributes:
         value_s, sd_s: the lag and its deviation, which the intervals include; half a 95 % interval is `reach` deviations.
         source: where the value comes from; `prior`: the lag as known without a fit.
-        found: value, deviation and reach by the instruments alone; None where they do not determine it.
+        found: value, deviation and its degrees of freedom by the instruments alone; None where they do not determine it.
         delay_s: time from command to torque and half its interval, where the described controller was replayed.
         moved: (b,) shift of each parameter by one deviation of the lag.
         recordings: their names.
@@ -36,7 +36,7 @@ class Lag:
     reach: float
     source: str
     prior: KnownLag
-    found: tuple[float, float, float] | None
+    found: tuple[float, float, int] | None
     delay_s: tuple[float, float] | None = None
     moved: Array = field(default_factory=lambda: np.zeros(0))
     recordings: tuple[str, ...] = ()

@@ -16,14 +16,14 @@ from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..errors import IdentificationError
-from ..estimation import Estimate, System, instrumental_variables, intervals, whitened
+from ..estimation import LEVEL, Estimate, System, instrumental_variables, intervals, t_quantile, whitened
 from ..regression import LAG_ORDER, KnownLag, Problem, Rows, differentiate, fast_for_lag, weighted
 from ..report import Level
 from ..simulation import Replica
 from .fit_data import FitData, Lag
 from .lines import Figure, TrustLine
 
-MAX_DEVIATIONS_FROM_PRIOR = 3.0  # joint ones; beyond, only the data are used
+CHANCE = 0.003  # of data that a true prior differs from by more: only the data are used then
 MAX_DEVIATIONS_FROM_STATED = 4.0  # between the data and a lag that the user states
 MAX_EARLY_SAMPLES = 0.75  # of a torque before its command, besides the interval
 
@@ -32,8 +32,8 @@ Groups = Sequence[Sequence[int]]  # indices of recordings whose torques have one
 
 def lags_in(
     rows: Rows, along: tuple[Array, Array, Sequence[NDArray[np.bool_]]], weights: Array
-) -> tuple[Array, Array, float]:
-    """Lags (K,) of the torques in s besides those already corrected, deviations (K,), and deviations in half an interval.
+) -> tuple[Array, Array, int]:
+    """Lags (K,) of the torques in s besides those already corrected, deviations (K,) and their degrees of freedom.
 
     `along` the simulated motion: the instruments Z (r, b) of all parameters, the columns (r, K) of `by_group`, and by recording
     which rows (n, T) are fast. Raises `IdentificationError` where the instruments do not determine the lags.
@@ -52,7 +52,7 @@ def lags_in(
     found = instrumental_variables(system, Z, 1 / np.maximum(size, 1e-9 * size.max()))
     w = found.weights[system.joint_of_row] * system.used
     within = intervals(found, w * (system.Y - system.W @ found.beta), len(size), tuple(lengths))
-    return found.beta[b:], within.sigma[b:], within.reach
+    return found.beta[b:], within.sigma[b:], within.freedom
 
 
 def by_group(rates: Sequence[Array], groups: Groups) -> Array:
@@ -73,13 +73,17 @@ def simulated_rates(problem: Problem, replica: Replica) -> tuple[Array, NDArray[
     return weighted(problem, simulated.t_s, rate, decimation), fast
 
 
-def combined_lag(prior: KnownLag, found: tuple[float, float, float] | None) -> Lag:
-    """The lag of a group from its prior and the data, `found`: value and deviation in s, deviations in half an interval."""
+def combined_lag(prior: KnownLag, found: tuple[float, float, int] | None) -> Lag:
+    """The lag of a group from its prior and the data, `found`: value and deviation in s, degrees of freedom of the deviation.
+
+    They are compared by Student's t; the degrees of freedom of both deviations together are those of Welch (1947).
+    """
     counted, reach = prior, 2.0
     if found is not None and not prior.stated:
-        value, sd, reach = found
-        data = KnownLag(value_s=value, sd_s=sd, source="data")
-        far = abs(value - prior.value_s) > MAX_DEVIATIONS_FROM_PRIOR * np.hypot(sd, prior.sd_s)
+        value, sd, freedom = found
+        data, both = KnownLag(value_s=value, sd_s=sd, source="data"), float(np.hypot(sd, prior.sd_s))
+        reach = t_quantile(0.5 + LEVEL / 2, freedom)
+        far = abs(value - prior.value_s) > t_quantile(1 - CHANCE / 2, freedom * (both / sd) ** 4) * both
         counted = data if far else prior.with_other(data)
     value_s, sd_s, source = counted.value_s, counted.sd_s, counted.source
     return Lag(value_s=value_s, sd_s=sd_s, reach=reach, source=source, prior=prior, found=found)

@@ -25,6 +25,7 @@ from ..model import JointTerm
 from ..regression import Problem, base_name, base_places, standing_joints
 from ..report import Assumed
 from .columns import added_columns_test
+from .efforts import efforts_test, limits_test, positions_test, saturation_test
 from .fit_data import FitData, Span
 from .gains import center_of_mass_test, gains_test, payload_assumptions
 from .held_out import held_out_test
@@ -235,15 +236,6 @@ def motion_test(evidence: FitData) -> TrustLine | None:
     return TrustLine("motion", "caution", text, finding=f"{', '.join(names)} does not move")
 
 
-def effort_test(evidence: FitData) -> TrustLine | None:
-    """Recorded efforts beyond a limit of the description, which no drive gives."""
-    overloads = dict.fromkeys(text for problem in evidence.problems for text in problem.settings.overloads)
-    if not overloads:
-        return None
-    text = f"{'; '.join(overloads)}: check drive_gain, ratio and unit of the effort, or correct the limit"
-    return TrustLine("effort", "caution", text, finding="effort beyond its limit")
-
-
 def rows_test(e: FitData) -> TrustLine | None:
     """The recording with most missing or repeated rows; else one whose encoders are slower than the log."""
     every = [position_steps(problem.used_positions()) for problem in e.problems]
@@ -316,10 +308,10 @@ def list_assumptions(evidence: FitData, lines: Mapping[str, TrustLine]) -> Itera
 
 # A test is a function of the fit's data, None where it does not apply. A new one is a line here.
 TESTS: tuple[Callable[[FitData], TrustLine | None], ...] = (
-    *(gains_test, center_of_mass_test, fixed_point_test, physical_test, units_test, replay_test),
-    *(prior_test, added_columns_test),
-    *(lag_test, held_out_test, halves_test, consistent_test, ends_test, essential_test, instruments_test),
-    *(prewhitened_test, position_noise_test, motion_test, effort_test, rows_test),
+    *(efforts_test, saturation_test, positions_test, gains_test, center_of_mass_test, fixed_point_test),
+    *(physical_test, units_test, replay_test, prior_test, added_columns_test, lag_test),
+    *(held_out_test, halves_test, consistent_test, ends_test, essential_test, instruments_test),
+    *(prewhitened_test, position_noise_test, motion_test, limits_test, rows_test),
 )
 
 

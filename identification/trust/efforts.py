@@ -1,0 +1,122 @@
+"""Columns that are not what they are taken for: exchanged, of the wrong sign or unit, cut off by an unstated limit.
+
+A mistake S of the motors' columns, an exchange or a sign, is its own inverse. Undoing it makes of the drives' torques tau at the
+joints Rᵀ G S (Rᵀ G)⁻¹ tau, and of positions R⁻¹ S R q; a table of joint torques may have them exchanged by joint. Least squares
+tells which mistake fits. A wrong sign fits nearly as well, but its motor takes power from the robot: it brakes.
+"""
+
+from collections.abc import Iterator
+from itertools import combinations
+
+import numpy as np
+
+from ..arrays import Array
+from ..estimation import MOVING
+from ..model import poses_of
+from ..regression import Problem
+from ..simulation import unstated_limits
+from .fit_data import FitData
+from .lines import LEVELS, TrustLine
+
+MIN_BAD_PERCENT = 5.0  # torque error of a joint: below, nothing is tried unless a motor brakes
+MAX_RATIO, MAX_RATIO_OF_BRAKE = 0.5, 0.95  # of the torque errors with a mistake undone and with it
+MAX_SPAN_S, MAX_ROWS = 180.0, 3000  # of the first recording, that mistakes are tried on
+MAX_RANGE_SHARE = 0.02  # of a joint's range, that positions in a wrong unit use
+
+
+def efforts_test(evidence: FitData) -> TrustLine | None:
+    """Whether a mistake undone halves the torque error, or, as a sign of a motor that brakes, lowers it."""
+    rows, R = evidence.observed, evidence.problem.signals.robot.R
+    rho, size = (np.linalg.norm(x * rows.counts, axis=0) for x in (rows.tau - evidence.predicted, rows.tau))
+    power = rows.speed.T @ rows.tau  # of the speeds of joints and torques at joints
+    brakes = np.diag(R @ power @ np.linalg.inv(R)) < 0
+    if len(R) == 1 or not ((100 * rho > MIN_BAD_PERCENT * size).any() or brakes.any()):
+        return None
+    problem, one = evidence.problem.with_samples(), np.eye(len(R))
+    finding, error, least, factors = "", 0.0, np.inf, _factors(problem, one)
+    with_it = _error(factors, one)
+    for mistake, motor, A, B in _mistakes(problem):
+        tried = _error(factors if B is None else _factors(problem, B), A)
+        score = tried / (MAX_RATIO if motor is None or not brakes[motor] else MAX_RATIO_OF_BRAKE)
+        if score < min(least, with_it) and ((A if B is None else B.T @ A) * power).sum() > 0:
+            finding, error, least = mistake, tried, score
+    if not finding:
+        return None
+    text = f"{finding}: undone, the torque error is {100 * error:.2g} % in place of {100 * with_it:.2g} %"
+    return TrustLine("efforts", "do not use", f"{text}: check columns and signs of the recording", finding=finding)
+
+
+def _mistakes(problem: Problem) -> Iterator[tuple[str, int | None, Array, Array | None]]:
+    """Mistakes, the motor of a sign, and the maps (n, n) of torques at joints and of positions, None for that of efforts."""
+    robot, one = problem.signals.robot, np.eye(problem.signals.robot.n)
+    by_motors, to_motors = robot.R.T * robot.gain, np.linalg.inv(robot.R.T * robot.gain)
+    for i, j in combinations(range(robot.n), 2):
+        S = one[[j if k == i else i if k == j else k for k in range(robot.n)]]
+        for names, A in ((robot.motors, by_motors @ S @ to_motors), (robot.joints, S)):
+            yield f"the efforts of {names[i].name} and {names[j].name} are exchanged", None, A, None
+    for m, motor in enumerate(robot.motors):
+        S = one - 2 * np.diag(one[m])
+        yield f"the effort of {motor.name} has the wrong sign", m, by_motors @ S @ to_motors, None
+        yield f"the position of {motor.name} has the wrong sign", m, one, np.linalg.solve(robot.R, S @ robot.R)
+
+
+def _factors(problem: Problem, B: Array) -> Array:
+    """QR factors (n, k, b + n + 1) of each joint's columns at positions mapped by B, all drives' torques and the known one."""
+    settings, signals, zero = problem.settings, problem.signals, problem.signals.robot.zero
+    stop = min(settings.stop, settings.start + round(MAX_SPAN_S * signals.sample_rate_hz))
+    motion, decimation = problem.motion.between(settings.start, stop, settings.cutoff_hz), settings.decimator
+    few = slice(None, None, -(-decimation.rows(len(motion.q)) // MAX_ROWS))
+    q, dq, ddq = (decimation.kept(x)[few] for x in (motion.q, motion.dq, motion.ddq))
+    known = 0 * motion.tau if signals.known_torque is None else signals.known_torque[settings.start : stop]
+    drives, known = (decimation.filtered(x.T).T[few] for x in (motion.tau - known, known))
+    W = problem.model.regressor((q - zero) @ B.T + zero, dq @ B.T, ddq @ B.T)[:, :, problem.base.columns]
+    rows = np.concatenate([W, np.broadcast_to(drives[:, None], (*W.shape[:2], len(B))), known[..., None]], axis=2)
+    moving = np.abs(dq) > MOVING * np.abs(dq).max(axis=0)
+    return np.asarray(np.linalg.qr((rows * moving[..., None]).transpose(1, 0, 2), mode="r"))
+
+
+def _error(factors: Array, A: Array) -> float:
+    """Relative torque error of least squares where the drives' torques are mapped by A, each joint weighted by its torque."""
+    b = factors.shape[2] - len(A) - 1
+    Y = np.einsum("jkm,jm->jk", factors[..., b:], np.c_[A, np.ones(len(A))])
+    weight = 1 / np.maximum(np.linalg.norm(Y, axis=1, keepdims=True), 1e-300)
+    W, Y = (factors[..., :b] * weight[..., None]).reshape(-1, b), (Y * weight).ravel()
+    W = W / np.maximum(np.linalg.norm(W, axis=0), 1e-300)
+    return float(np.linalg.norm(Y - W @ np.linalg.lstsq(W, Y, rcond=1e-9)[0]) / np.linalg.norm(Y))
+
+
+def saturation_test(evidence: FitData) -> TrustLine | None:
+    """Whether drives saturate at a limit that is not stated, where controller or simulated robot are not confirmed."""
+    confirmed = evidence.fixed_point and evidence.unconfirmed is None
+    if confirmed and all(line.level not in LEVELS[:2] for line in evidence.replays):
+        return None
+    found = list(dict.fromkeys(text for one in evidence.problems for text in unstated_limits(one.with_samples())))
+    if not found:
+        return None
+    text, level = f"{'; '.join(found)}: state saturation of the motor", LEVELS[1 if evidence.fixed_point else 0]
+    return TrustLine("saturation", level, text, finding=found[0].split(" in ")[0])
+
+
+def positions_test(evidence: FitData) -> TrustLine | None:
+    """Whether joints use hardly any of their ranges, where 57 times as much would suit them: radians declared as degrees."""
+    q, joints = poses_of(evidence.problem.used_positions()), evidence.problem.signals.robot.joints
+    turning = [
+        (x, joint.si("position") or (0, 0)) for x, joint in zip(q.T, joints, strict=True) if joint.type == "revolute"
+    ]
+    share = max((np.ptp(x) / max(high - low, 1e-9) for x, (low, high) in turning), default=1.0)
+    within = all(low <= np.degrees(x).min() and np.degrees(x).max() <= high for x, (low, high) in turning)
+    if share > MAX_RANGE_SHARE or not within:
+        return None
+    text = (
+        f"positions use at most {100 * share:.2g} % of the ranges of the joints: are they radians, declared as degrees?"
+    )
+    return TrustLine("positions", "caution", text, finding="radians declared as degrees?")
+
+
+def limits_test(evidence: FitData) -> TrustLine | None:
+    """Recorded efforts beyond a limit of the description, which no drive gives."""
+    overloads = dict.fromkeys(text for problem in evidence.problems for text in problem.settings.overloads)
+    if not overloads:
+        return None
+    text = f"{'; '.join(overloads)}: check drive_gain, ratio and unit of the effort, or correct the limit"
+    return TrustLine("effort", "caution", text, finding="effort beyond its limit")
