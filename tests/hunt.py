@@ -8,7 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 from conftest import robot_named
-from hunt_kinds import CLEAN, CORRECTED, KINDS, Kind, SetUp, sound
+from hunt_kinds import ASSUMED, CLEAN, CORRECTED, KINDS, Kind, SetUp, sound
 
 from identification.data import Signals
 from identification.errors import IdentificationError
@@ -72,7 +72,7 @@ def outcome_of(fit_by, signals: Signals, name: str, kind: Kind) -> Outcome:
         test in ("", line.test) and part in line.text
         for test, part in kind.named
         for line in (lines if part == CORRECTED else bad)
-    )
+    ) or any((ASSUMED, one.what) in kind.named for one in fit.trust.assumed)
     first = [*(line.test for line in bad), ""][0]
     return Outcome(verdict=fit.trust.verdict, named=named, harmed=is_harmed(fit, name), first=first)
 

@@ -1,4 +1,4 @@
-"""The 29 kinds of fault of the hunt: what of a sound cell, recording or description is wrong, and which test should say so.
+"""The 32 kinds of fault of the hunt: what of a sound cell, recording or description is wrong, and which test should say so.
 
 A set-up is a robot in its cell, how it is recorded, and the description that a fit is given. A kind changes a sound one.
 """
@@ -283,11 +283,38 @@ def delayed(s: SetUp, rng: Rng) -> SetUp:
     return s.in_cell(actuation_delay_s=rng.uniform(1.0, 3.0) / s.controller.rate_hz)
 
 
+def denied_rotor(s: SetUp, rng: Rng) -> SetUp:
+    """Of the elbow, 30 % of its inertia: `rotor_inertia = false`."""
+    rotor = s.body.rotor.copy()
+    rotor[1, 1] += 0.3 * s.robot.parameters["ZZ2"]
+    return replace(s, body=replace(s.body, rotor=rotor))
+
+
+def zero_of_joint(s: SetUp, rng: Rng) -> SetUp:
+    """The elbow's position and reference are off by 2 degrees."""
+    off_by = np.deg2rad(2.0) * rng.choice([-1, 1]) * (np.arange(s.body.n) == 1)
+    return s.changed(lambda signals: replace(signals, q=signals.q + off_by, q_ref=signals.q_ref + off_by))
+
+
+def clocks_apart(s: SetUp, rng: Rng) -> SetUp:
+    """Efforts are sampled on a clock 0.1 % off."""
+    rate = 1 + 1e-3 * rng.choice([-1, 1])
+    return s.changed(lambda signals: replace(signals, effort=at_clock(signals.effort, rate)))
+
+
+def at_clock(x: Array, rate: float) -> Array:
+    """Samples x (N, n) at instants that run `rate` times as fast, both at one in the middle."""
+    k = np.arange(len(x))
+    at = (k - k.mean()) * rate + k.mean()
+    return np.stack([np.interp(at, k, column) for column in x.T], axis=1)
+
+
 def nothing(s: SetUp, rng: Rng) -> SetUp:
     return s
 
 
 BOTH = ("emps", "scara")
+ASSUMED = "assumed"  # named as what no test can tell
 CORRECTED = "corrected"  # in a line of any level: the fault was found, and cured
 LATE = (("lag", ""), ("lag", CORRECTED))
 
@@ -336,4 +363,7 @@ KINDS = {
     "DH length 1-6 %": Kind(change=length, robots=("scara",), unseen=("scara",)),
     "one joint held": Kind(change=held, robots=("scara",)),
     "delay 1-3 ticks behind the command": Kind(change=delayed, named=LATE),
+    "rotor denied": Kind(change=denied_rotor, named=(("added columns", "rotor"),), robots=("scara",)),
+    "zero of a joint 2°": Kind(change=zero_of_joint, named=((ASSUMED, "zeros"),), robots=("scara",), unseen=("scara",)),
+    "clocks 0.1 % apart": Kind(change=clocks_apart, named=(("added columns", "clock"),)),
 }

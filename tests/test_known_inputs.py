@@ -259,14 +259,20 @@ def test_rates_of_torques_are_those_of_the_drives():
 
 
 def test_a_spring_has_to_take_more_than_other_terms():
-    def found(kind, taken_percent):
+    def found(kind, taken_percent, least_percent=2.0):
         numbers = {"value": 1.0, "t": 6.0, "taken_percent": taken_percent, "together_percent": 5.0, "moves": 0.0}
         column = {"where": "", "unit": "", "advice": ""}
-        return MissingTerm(kind=kind, **column, **numbers).found
+        return MissingTerm(kind=kind, **column, **numbers, least_percent=least_percent).found
 
     assert found("offset", 5.0)
-    assert not found(SPRING, 5.0)
-    assert found(SPRING, 11.0)
+    assert not found(SPRING, 5.0, 10.0)
+    assert found(SPRING, 11.0, 10.0)
+    for name, least in (("emps", 10.0), ("scara", 10.0), ("tx40", 2.0)):  # without links that weigh, and with
+        problem = make_problem(load_signals(REPLAY / name / "session.mcap"), Overrides())
+        peak = np.ones(problem.signals.robot.n)
+        beta = described_parameters(problem.model, problem.base)
+        terms = Candidates(problem=problem, beta=beta, peak=peak, sliding=peak, simulated=False, gains=False).terms
+        assert {term.least_percent for term in terms if term.kind == SPRING} == {least}
 
 
 @cache

@@ -126,7 +126,7 @@ def test_what_nobody_checked_is_named(method):
     """Whatever stands under `assumed` may be wrong, and the verdict stays."""
     fit, _ = examined(method, "scara")
     assumed = {one.what: one for one in fit.trust.assumed}
-    both = {"drive gains", "ratios", "lengths", "sample rate"}
+    both = {"drive gains", "ratios", "lengths", "sample rate", "zeros", "rotors"}
     assert set(assumed) == (both if method == "iv" else both | {"encoder noise"})
     assert assumed["sample rate"].value == "1000 Hz"
     assert all(one.value and one.why for one in assumed.values())

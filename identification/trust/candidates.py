@@ -58,6 +58,11 @@ class MissingTerm:
             large = self.moves > 1 or (large and self.kind == CLOCKS)
         return abs(self.t) > MIN_T and large
 
+    @property
+    def finding(self) -> str:
+        """What is wrong, in a few words."""
+        return f"{self.kind} {self.where}{'' if self.kind in (TILT, LAG, DRIFT, ZERO, CLOCKS) else ' missing'}"
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Candidates:

@@ -18,7 +18,6 @@ from ..report import Assumed
 from .candidates import (
     ASYMMETRIC,
     CLOCKS,
-    DRIFT,
     LAG,
     MIN_T,
     MIN_TAKEN_PERCENT,
@@ -35,15 +34,13 @@ from .lines import TrustLine
 MAX_TIE_PERCENT = 2.0  # of the residual's square: kinds within this are indistinguishable
 MIN_INDEPENDENT_NORM = 0.01  # share of a column's norm outside the span of W, for a usable coefficient
 MIN_BIAS = 1e-6  # the same, and of a column's norm beside the torque's: below, it is rounding and biases nothing
-NAMES_THEMSELVES = (TILT, LAG, DRIFT, ZERO, CLOCKS)
 MARGIN_T = 2.0  # deviations above MIN_T, at which nearly every recording tells
 MAX_UNNOTICED = {"deg": 2.0, "mm": 10.0}  # error of a zero; a larger one that is not noticed is assumed away
 
 
 def added_columns_test(evidence: FitData) -> TrustLine:
-    """Whether the model lacks a term: friction, an offset, drift, a spring, a tilt of gravity, a gain or a lag."""
-    name = "added columns"
-    every = missing_terms(evidence)
+    """Whether the model lacks a term: friction, a rotor, an offset, a spring, a tilt, a zero, a gain, a lag, clocks."""
+    name, every = "added columns", missing_terms(evidence)
     assumed, terms = tuple(_assumed(every)), [term for term in every if np.isfinite(term.noticed)]
     if not terms:
         return TrustLine(name, "not made", "not made: the model has every term that is tried", assumed=assumed)
@@ -58,8 +55,8 @@ def added_columns_test(evidence: FitData) -> TrustLine:
         text = f"no missing term found ({len(terms)} tried; strongest: {strongest}){untried}"
         return TrustLine(name, "ok", text, first.t, assumed=assumed)
     more = f"; {len(found) - 1} more with t above {MIN_T:g}" if len(found) > 1 else ""
-    finding = f"{first.kind} {first.where}{'' if first.kind in NAMES_THEMSELVES else ' missing'}"
-    return TrustLine(name, "caution", f"{strongest}{more}: {first.advice}", first.t, finding=finding, assumed=assumed)
+    text = f"{strongest}{more}: {first.advice}"
+    return TrustLine(name, "caution", text, first.t, finding=first.finding, assumed=assumed)
 
 
 def _assumed(terms: Sequence[MissingTerm]) -> Iterator[Assumed]:
@@ -97,10 +94,9 @@ def missing_terms(evidence: FitData) -> tuple[MissingTerm, ...]:
     terms = _scored(evidence, evidence.candidates[0].terms, C)
     for k, term in terms.items():
         if term.kind == CLOCKS or (term.kind == LAG and abs(term.t) > MIN_T):
-            # In the rows of the column only: friction near reversals looks like a lag. And beside the common lag, which may be
-            # wrong by what is known of it.
-            rows, beside = (C[:, k] != 0) | ~acts[:, k], rate if term.kind == CLOCKS else rate[:, :0]
-            again = _scored(evidence, [term], C[:, [k]], rows, beside).get(0, term)
+            # In fast rows only: friction near reversals looks like a lag. And beside the common lag, which its prior holds.
+            among = (C[:, k] != 0) | ~acts[:, k], rate if term.kind == CLOCKS else rate[:, :0]
+            again = _scored(evidence, [term], C[:, [k]], among).get(0, replace(term, t=0.0))
             terms[k] = again if term.kind == CLOCKS or again.t * term.t > 0 else replace(term, t=0.0)
     together = dict[str, float]()
     for kind in {term.kind for term in terms.values()} - {CLOCKS}:
@@ -121,15 +117,12 @@ def _projected(C: Array, W: Array, Q: Array, bread: Array) -> tuple[Array, Array
 
 
 def _scored(
-    evidence: FitData,
-    terms: Sequence[MissingTerm],
-    C: Array,
-    rows: NDArray[np.bool_] | None = None,
-    beside: Array | None = None,
+    evidence: FitData, terms: Sequence[MissingTerm], C: Array, among: tuple[NDArray[np.bool_], Array] | None = None
 ) -> dict[int, MissingTerm]:
-    """Terms of columns C (r, k) by their places with their figures, in some of the rows (r,) and beside further columns."""
+    """Terms of columns C (r, k) by their places with their figures, `among` some of the rows (r,), and further columns."""
     W, Q, bread, rho = evidence.W, evidence.estimate.Q, evidence.estimate.bread, evidence.rho
-    if rows is not None:
+    if among:
+        rows, beside = among
         W, Q, C = np.c_[W, beside] * rows[:, None], np.linalg.qr(np.c_[Q, beside] * rows[:, None])[0], C * rows[:, None]
         bread = np.linalg.pinv(Q.T @ W, rcond=1e-12)
         rho = rows * evidence.Y - W @ (bread @ (Q.T @ evidence.Y))

@@ -303,7 +303,6 @@ def list_assumptions(evidence: FitData, lines: Mapping[str, TrustLine]) -> Itera
     if evidence.method != "iv":
         why = "position noise biases least squares; only the noise above the low-pass is tested"
         yield Assumed("encoder noise", "the same spectrum below and above the low-pass", why)
-    yield from (one for line in lines.values() for one in line.assumed)
 
 
 # A test is a function of the fit's data, None where it does not apply. A new one is a line here.
@@ -318,7 +317,7 @@ TESTS: tuple[Callable[[FitData], TrustLine | None], ...] = (
 def trust_in(evidence: FitData) -> Trust:
     """All tests of an estimate, worst first, and the assumptions."""
     lines = [line for test in TESTS if (line := test(evidence)) is not None]
-    assumptions = list_assumptions(evidence, {line.test: line for line in lines})
+    assumptions = [*list_assumptions(evidence, {x.test: x for x in lines}), *(one for x in lines for one in x.assumed)]
     return Trust(lines=worst_first(_combine_failures(lines)), assumed=tuple(assumptions))
 
 

@@ -1,0 +1,145 @@
+"""What the description denies or holds fixed: rotors, zeros of joints, one clock. Named as missing, or as assumed."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from conftest import REPLAY
+from hunt import fit_by_default
+from hunt_kinds import SetUp, clocks_apart, denied_rotor, sound
+from independent_robots import plant
+from independent_simulator import Imperfections, description, designed_pd, without_settings
+
+from identification.methods import Fit
+from identification.trust import columns
+from identification.trust.candidates import MissingTerm
+from identification.trust.columns import missing_terms
+
+
+def white(name: str) -> SetUp:
+    """A clean cell."""
+    cell = Imperfections(encoder_noise=1e-6 if name == "emps" else 1e-5, torque_noise_percent=2.0)
+    return replace(sound(name, np.random.default_rng(1)), cell=cell, timing="command")
+
+
+def arm() -> SetUp:
+    """The TX40, under a PD that is described."""
+    toml = REPLAY / "tx40" / "robot.toml"
+    body = plant(toml)
+    controller = designed_pd(body, 10.0, 500.0)
+    cell = Imperfections(encoder_noise=1e-5, torque_noise_percent=0.5)
+    return SetUp(
+        name="tx40", body=body, controller=controller, cell=cell,
+        robot=without_settings(description(toml, controller)), timing="command", duration_s=6.0,
+    )  # fmt: skip
+
+
+def turned(setup: SetUp, joint: int, degrees: float) -> SetUp:
+    """Positions and references of a joint that are too small by an angle."""
+    by = np.deg2rad(degrees) * (np.arange(setup.body.n) == joint)
+    return setup.changed(lambda signals: replace(signals, q=signals.q - by, q_ref=signals.q_ref - by))
+
+
+@cache
+def clean(name: str) -> Fit:
+    return fit_by_default((arm() if name == "tx40" else white(name)).recording(3))
+
+
+def assumed(fit: Fit) -> dict[str, str]:
+    return {one.what: one.value for one in fit.trust.assumed if one.what in ("zeros", "rotors")}
+
+
+def figures(fit: Fit, kind: str) -> list[tuple[str, float, float]]:
+    return [(x.where, x.value, x.t) for x in missing_terms(fit.data) if x.kind == kind]
+
+
+@pytest.mark.slow
+def test_a_rotor_that_the_description_denies_is_named_with_its_size():
+    setup = white("scara")
+    fit = fit_by_default(denied_rotor(setup, np.random.default_rng(1)).recording(3))
+    told = fit.trust.line("added columns")
+    assert (told.level, told.finding) == ("caution", "rotor of joint elbow missing")
+    ((_, value, t),) = figures(fit, "rotor")
+    assert value == pytest.approx(0.3 * setup.robot.parameters["ZZ2"], rel=0.15)
+    assert abs(t) > 10
+    assert "rotors" not in assumed(fit)
+    ((where, value, t),) = figures(clean("scara"), "rotor")  # that of the shoulder is a part of ZZ1R
+    assert where == "of joint elbow"
+    assert abs(t) < 4
+    assert clean("scara").trust.verdict == "trust"
+
+
+@pytest.mark.slow
+def test_zeros_and_rotors_that_no_column_tells_are_assumed_and_those_without_effect_are_not():
+    """The SCARA's last zero turns its link; its first and that of a level axis are nowhere in the torque."""
+    assert assumed(clean("scara")) == {"zeros": "right at elbow", "rotors": "none at elbow (rotor_inertia = false)"}
+    assert assumed(clean("emps")) == {}
+    off = fit_by_default(turned(white("scara"), 1, 2.0).recording(3))
+    moved = np.abs(off.estimate.beta - clean("scara").estimate.beta) / off.intervals.half
+    assert moved[off.estimate.names.index("MY2")] > 3
+    assert off.trust.line("added columns").level == "ok"
+    assert assumed(off)["zeros"] == "right at elbow"
+
+
+@pytest.mark.slow
+def test_the_zero_of_a_joint_is_named_in_degrees_or_assumed():
+    for joint in (1, 2, 3):
+        fit, name = fit_by_default(turned(arm(), joint, 2.0).recording(3)), f"joint_{joint + 1}"
+        value, t = {where: x for where, *x in figures(fit, "zero")}[f"of joint {name}"]
+        if name in assumed(fit).get("zeros", ""):
+            continue
+        assert abs(t) > 5
+        assert value == pytest.approx(2.0, abs=3 * abs(value / t))
+        assert fit.trust.line("added columns").level == "caution"
+    assert max(abs(t) for _, _, t in figures(clean("tx40"), "zero")) < 4
+    assert "joint_6" in assumed(clean("tx40"))["zeros"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["emps", "scara"])
+def test_clocks_that_run_apart_are_named(name):
+    fit = fit_by_default(clocks_apart(white(name), np.random.default_rng(0)).recording(3))
+    told = fit.trust.line("added columns")
+    assert (told.level, told.finding) == ("caution", "clock drift between positions and efforts")
+    ((_, value, t),) = figures(fit, "clock drift")
+    assert abs(value) == pytest.approx(0.1, rel=0.1)
+    assert abs(t) > 20
+    ((_, value, t),) = figures(clean(name), "clock drift")
+    assert abs(t) < 4
+
+
+@pytest.mark.slow
+def test_a_lag_is_named_only_where_fast_rows_alone_tell_it_too(monkeypatch):
+    """Of the elbow; the rows of the shoulder stay."""
+    data, scored, shares = clean("scara").data, columns._scored, []
+    fast = np.mean(np.abs(data.observed.speed[:, 1]) > 0.1 * np.abs(data.observed.speed[:, 1]).max())
+
+    def lag_of_elbow(in_fast_rows: float) -> MissingTerm:
+        def of_t(evidence, terms, C, among=None):
+            found = scored(evidence, terms, C, among)
+            if among is not None and terms[0].kind == "lag":
+                shares.append(among[0].reshape(2, -1).mean(axis=1))
+            t = 6.0 if among is None else in_fast_rows
+            return {k: replace(x, t=t, moves=2.0) if x.finding == "lag of joint elbow" else x for k, x in found.items()}
+
+        monkeypatch.setattr(columns, "_scored", of_t)
+        return next(x for x in missing_terms(data) if x.finding == "lag of joint elbow")
+
+    assert lag_of_elbow(5.5).found
+    assert not lag_of_elbow(4.0).found
+    assert not lag_of_elbow(-5.5).found
+    assert all(shoulder == 1.0 and elbow < fast for shoulder, elbow in shares)
+    assert len(shares) == 3
+
+
+@pytest.mark.slow
+def test_a_late_elbow_is_named():
+    def late(signals):
+        effort = signals.effort.copy()
+        effort[2:, 1] = effort[:-2, 1]
+        return replace(signals, effort=effort)
+
+    fit = fit_by_default(white("scara").changed(late).recording(3))
+    assert fit.trust.finding == "lag of joint elbow"
+    assert figures(fit, "lag")[1][1] == pytest.approx(2.0, abs=0.3)
