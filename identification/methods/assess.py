@@ -284,19 +284,13 @@ def _status(
 
 
 def why_by_reference(equations: Equations, passes: Sequence[Pass], best: Pass) -> str | None:
-    """Why the instruments have to be along the motion that the reference predicts; None where those of the simulated robot are
-    confirmed, its control law is described, or the reference is not recorded.
+    """Why instruments have to be along the motion that the reference predicts; None where those of the pass are enough, the
+    control law is described, or the reference is not recorded.
     """
-    if any(one.described or one.reference_kind != "recorded" for one in best.replicas):
-        return None
     status, why = _status(equations, passes, best, _tests(equations.along(best.z).system, best.estimate))
+    told = all(one.reference_kind == "recorded" and not one.described for one in best.replicas)
     text = f"by a simulated robot, whose control law is not described, {status}: {why}"
-    return None if status == "converged" else text
-
-
-def explains(equations: Equations, one: Pass) -> bool:
-    """Whether the instruments of a pass explain W."""
-    return _tests(equations.along(one.z).system, one.estimate).first_stage_F >= 1.0
+    return text if told and status != "converged" else None
 
 
 def _unconfirmed(equations: Equations, best: Pass) -> str | None:
