@@ -27,7 +27,7 @@ from ..regression import Overrides, Rows, base_places
 from ..report import Method
 from ..simulation import Further, Instruments
 from ..trust import covariance_of_all
-from .assess import assess_iv, candidates_of, evidence_of, fit_of, position_noise_of, why_by_reference
+from .assess import assess_iv, candidates_of, evidence_of, fit_of, position_noise_of
 from .equations import Equations, closed_loops, read_equations
 from .fit import Fit, LeastSquares, Pass
 from .gains import factors_of, joint_weights_of, measured_instruments, motors_of, solve_with_gains
@@ -41,6 +41,7 @@ from .iteration import (
     is_coarse,
     next_values,
     start_values,
+    why_by_reference,
 )
 from .observation import solver_of
 from .settled import least_squares, settle, with_best_ramps
