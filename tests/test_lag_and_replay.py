@@ -61,7 +61,9 @@ def known(signals: Signals, option: float | str | None = None) -> tuple[float, f
 @pytest.mark.parametrize("name", ["emps", "scara"])
 def test_the_lag_is_found_corrected_and_counted(name, lag):
     signals = recorded(name, lag=lag)
-    fit, stated = fitted(signals), fitted(signals, torque_lag_s=1e-3 * (lag - 0.5))
+    fit = fitted(signals)
+    # By the same ramps: those of a stated lag may be others, just as good.
+    stated = identify(signals, Overrides(torque_lag_s=1e-3 * (lag - 0.5), ramp_rows=fit.settings.ramp_rows))
     (found,) = fit.lags
     assert found.found is not None
     assert 1e3 * found.value_s == pytest.approx(lag - 0.5, abs=0.12)

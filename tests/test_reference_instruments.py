@@ -32,7 +32,7 @@ HELD = Overrides(torque_lag_s=-0.0005)  # the command of a tick, held until the 
 
 @pytest.fixture
 def unconfirmed(monkeypatch):
-    monkeypatch.setattr("identification.methods.assess.MAX_TRACKING_PERCENT", 0.0)
+    monkeypatch.setattr("identification.methods.iteration.MAX_TRACKING_PERCENT", 0.0)
 
 
 def axis_signals(seeds: range, *, law: bool = False) -> list[Signals]:

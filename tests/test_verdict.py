@@ -10,7 +10,7 @@ from conftest import REPLAY
 from identification.data import load_signals
 from identification.estimation import InstrumentTests
 from identification.methods import Iteration, Pass, identify_iv
-from identification.methods.assess import _status
+from identification.methods.iteration import status_of
 from identification.regression import Overrides
 from identification.report import DirectModelError
 
@@ -30,7 +30,7 @@ def verdict(tracking, errors, tests=GOOD):
     none = SimpleNamespace(
         problems=(), unknowns=SimpleNamespace(arms=()), tasks=list
     )  # whether M is positive is asked of each recording
-    return _status(none, (settled,), dataclasses.replace(settled, replicas=(replica,)), tests)
+    return status_of(none, (settled,), dataclasses.replace(settled, replicas=(replica,)), tests)
 
 
 def test_every_joint_has_to_track():

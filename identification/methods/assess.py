@@ -1,4 +1,4 @@
-"""Assesses a fit: torque errors, intervals, tests and warnings; with instruments also whether the passes converged."""
+"""Assesses a fit: torque errors, intervals, tests and warnings; with instruments also those and the status of the passes."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -9,26 +9,23 @@ from ..arrays import Array
 from ..estimation import (
     Estimate,
     InstrumentTests,
-    System,
     autocorrelation,
     f_tests,
-    instrument_tests,
     spans_of,
     torque_errors,
 )
-from ..model import direct_model, poses_of, why_not_positive
 from ..regression import ROWS, Problem, Rows, base_name, sample_weights
-from ..report import DirectModelError, FTest, Method, Status
-from ..simulation import Replica, join_reasons, max_or_none, saturated_percents
+from ..report import FTest, Method
+from ..simulation import Replica, saturated_percents
 from ..trust import Candidates, FitData, TrustLine, further_columns, held_out_parts, trust_in, with_prior
 from .equations import Equations
 from .fit import Fit, FittedRecording, InstrumentEvidence, LeastSquares, Pass, essential_names
 from .gains import held_and_counted, results_of
+from .iteration import direct_errors, largest, status_of, tests_of
 from .observation import position_noise_line
 from .recording_report import gain_warnings, recording_warnings
 from .timing import lags_of
 
-MAX_TRACKING_PERCENT = 20.0  # a larger error of the simulated position does not confirm the estimate
 MAX_SATURATED_PERCENT = 1.0  # of the samples: above, a warning
 MIN_FIRST_STAGE_F = 10.0
 
@@ -193,8 +190,8 @@ def assess_iv(
     evidence = evidence_of(equations, "iv", solved, equations.along(z), each=z.rows, replicas=replicas)
     if z.whitened:
         evidence = replace(evidence, whitened=equations.stacked(equations.rows_with(z.whitened)))
-    tests = _tests(evidence.observed.system, estimate)
-    status, reason = _status(equations, passes, best, tests)
+    tests = tests_of(evidence.observed.system, estimate)
+    status, reason = status_of(equations, passes, best, tests)
     if reason is not None and best.number != len(passes):
         reason += f"; pass {best.number} is returned: it tracks best"
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -212,8 +209,8 @@ def assess_iv(
         contrast=float(contrast.max()),
         contrast_at=estimate.names[int(contrast.argmax())],
         rows_used_percent=float(100 * evidence.observed.counts.mean()),
-        saturated_percent=_largest([max(one.values(), default=None) for one in saturated]),
-        direct=_direct_errors(replicas),
+        saturated_percent=largest([max(one.values(), default=None) for one in saturated]),
+        direct=direct_errors(replicas),
     )
     evidence = replace(
         evidence,
@@ -225,97 +222,6 @@ def assess_iv(
     fit = fit_of(equations, evidence, replace(solved, intervals=evidence.intervals), replicas)
     warnings = (*fit.warnings, *_iv_warnings(replicas, saturated, tests))
     return replace(fit, status=status, iv=iv, least_squares=ls.of_base(), warnings=warnings)
-
-
-def _tests(system: System, estimate: Estimate) -> InstrumentTests:
-    """Tests of the instruments of an estimate."""
-    indices = np.array([system.names.index(name) for name in estimate.names])
-    W, _ = system.with_columns(indices).weighted(estimate.weights)
-    return instrument_tests(estimate.Q, W, estimate.rows)
-
-
-def _direct_errors(replicas: Sequence[Replica]) -> tuple[DirectModelError, ...]:
-    """Largest errors of the simulated robot in any recording, by joint; none if one could not be simulated."""
-    if any(not one.direct for one in replicas):
-        return ()
-    return tuple(
-        DirectModelError(
-            name=joint[0].name,
-            position_error_percent=_largest([d.position_error_percent for d in joint]),
-            torque_error_percent=_largest([d.torque_error_percent for d in joint]),
-        )
-        for joint in zip(*(one.direct for one in replicas), strict=True)
-    )
-
-
-def _largest(percents: list[float | None]) -> float | None:
-    """The largest that is not None: a joint may stand in one recording, or have no torque."""
-    return max((x for x in percents if x is not None), default=None)
-
-
-def _status(
-    equations: Equations, passes: Sequence[Pass], best: Pass, tests: InstrumentTests
-) -> tuple[Status, str | None]:
-    """`converged` needs settled passes, simulated instruments that explain W, and a simulation that tracks the recording; or
-    instruments along the motion that the reference predicts which stand alone, and explain W.
-
-    Other settled passes are `not_confirmed`. Every joint has to track: the mean over the robot would hide a joint of small
-    travel.
-    """
-    last, unconfirmed = passes[-1], None if best.stands_alone else _unconfirmed(equations, best)
-    if last.failure is not None:
-        return "diverged", last.failure
-    if not tests.first_stage_F >= 1.0:
-        return "diverged", f"the instruments do not explain the regressor: first-stage F = {tests.first_stage_F:.2g}"
-    if best.stands_alone:
-        return "converged", f"instruments: reference; {best.z.reason}"
-    if last.is_last:
-        if unconfirmed is None and last.z.kind != "simulated":
-            unconfirmed = f"settled without simulated instruments: {last.z.reason}"
-        return ("converged", None) if unconfirmed is None else ("not_confirmed", unconfirmed)
-    if unconfirmed is not None:
-        return "diverged", unconfirmed
-    moving = []
-    if not last.parameters_settled:
-        moving.append(f"{last.changed} still changes by {last.change_sigma:.2g} sigma")
-    if not last.residual_settled:
-        moving.append(f"the residual norm still changes by {last.residual_percent:.2g} %")
-    still = " and ".join(moving) or "only the start is known"
-    return "max_iterations", f"after {len(passes)} passes {still}"
-
-
-def why_by_reference(equations: Equations, passes: Sequence[Pass], best: Pass) -> str | None:
-    """Why the instruments have to be along the motion that the reference predicts; None where those of the simulated robot are
-    confirmed, its control law is described, or the reference is not recorded.
-    """
-    if any(one.described or one.reference_kind != "recorded" for one in best.replicas):
-        return None
-    status, why = _status(equations, passes, best, _tests(equations.along(best.z).system, best.estimate))
-    text = f"by a simulated robot, whose control law is not described, {status}: {why}"
-    return None if status == "converged" else text
-
-
-def explains(equations: Equations, one: Pass) -> bool:
-    """Whether the instruments of a pass explain W."""
-    return _tests(equations.along(one.z).system, one.estimate).first_stage_F >= 1.0
-
-
-def _unconfirmed(equations: Equations, best: Pass) -> str | None:
-    """Why the simulation with the final estimate does not confirm it; None if it does."""
-    replicas, reasons = best.replicas, list[str | None]()
-    for problem, arm in zip(equations.tasks(), equations.unknowns.arms, strict=True):
-        chi = problem.base.standard_parameters(arm.values(best.estimate))
-        reasons.append(why_not_positive(direct_model(problem.model, chi).inertia(poses_of(problem.used_positions()))))
-    reason = join_reasons(reasons, [problem.signals.recording for problem in equations.problems])
-    if reason is not None:
-        return f"the final estimate cannot be simulated: {reason}"
-    tracking_percent = max_or_none([one.tracking_percent for one in replicas])
-    if tracking_percent is None or not tracking_percent <= MAX_TRACKING_PERCENT:
-        return "the simulated position does not follow the measured one"
-    for d in _direct_errors(replicas):
-        if d.position_error_percent is not None and not d.position_error_percent <= MAX_TRACKING_PERCENT:
-            return f"simulated joint {d.name} differs by {d.position_error_percent:.1f} % from the measured one"
-    return None
 
 
 def _iv_warnings(

@@ -27,7 +27,7 @@ from ..regression import Overrides, Rows, base_places
 from ..report import Method
 from ..simulation import Further, Instruments
 from ..trust import covariance_of_all
-from .assess import assess_iv, candidates_of, evidence_of, explains, fit_of, position_noise_of, why_by_reference
+from .assess import assess_iv, candidates_of, evidence_of, fit_of, position_noise_of
 from .equations import Equations, closed_loops, read_equations
 from .fit import Fit, LeastSquares, Pass
 from .gains import factors_of, joint_weights_of, measured_instruments, motors_of, solve_with_gains
@@ -41,6 +41,7 @@ from .iteration import (
     is_coarse,
     next_values,
     start_values,
+    why_by_reference,
 )
 from .observation import solver_of
 from .settled import least_squares, settle, with_best_ramps
@@ -218,25 +219,24 @@ def _solve_by_instruments(
         system = rows.system.with_columns(fitted)
         return equations.combined(system, instrumental_variables(system, Z[:, fitted], weights))
 
-    def one_pass(equations: Equations, z: Instruments, *, find_lags: bool) -> tuple[Equations, Pass]:
+    def one_pass(equations: Equations, z: Instruments) -> Pass:
+        W_and_Y = equations.along(z)
         try:
-            # Y(tau(t + L))
-            equations = with_lags_found(equations, z, weights) if find_lags else equations
-            W_and_Y = equations.along(z)
             estimate = step(W_and_Y, W_and_Y.Z)
         except IdentificationError as error:
             raise NoEstimateError(z.reason) from error
         # C = D R D
         after = covariance_of_all(names, estimate, intervals_of(W_and_Y.system, estimate), ls.full)
-        return equations, assess_pass(z, estimate, W_and_Y.system, (C, after), tolerance_percent=tolerance_percent)
+        return assess_pass(z, estimate, W_and_Y.system, (C, after), tolerance_percent=tolerance_percent)
 
     def next_pass(equations: Equations, number: int) -> tuple[Equations, Pass]:
         coarse = regular and is_coarse(equations.problem, number, most)
         # Z = IDM(q_sim, dq_sim, ddq_sim); a first pass of a long recording only starts the next ones
         further = further_of(equations, x) if number > 1 or most == 1 else ()
         z = lab.instruments(x, C, robot=robot, coarse=coarse, further=further)
-        equations, one = one_pass(equations, z, find_lags=not coarse and robot is None)
-        return equations, replace(one, number=number, coarse=coarse, robot=robot)
+        # Y(tau(t + L))
+        equations = equations if coarse or robot is not None else with_lags_found(equations, z, weights)
+        return equations, replace(one_pass(equations, z), number=number, coarse=coarse, robot=robot)
 
     given, first = equations, x
     ls, passes, regular = ls.without_rows(), list[Pass](), C is None
@@ -255,13 +255,11 @@ def _solve_by_instruments(
         x, robot = next_values(passes, names), None
     best = conclude(lab, passes, partial(further_of, equations), lambda z: step(rows := equations.along(z), rows.Z))
     if why := why_by_reference(equations, passes, best):
-        z = replace(
-            lab.along_reference(first, further=further_of(given, first)), reason=why
-        )  # Z = IDM(q^) of the reference
+        z = replace(lab.along_reference(first, further_of(given, first)), reason=why)
+        found = with_lags_found(given, z, weights)
         with suppress(NoEstimateError):
-            found, last = one_pass(given, z, find_lags=True)
-            last = replace(last, number=len(passes) + 1, stands_alone=True, replicas=z.replicas)
-            if explains(found, last):
+            last = replace(one_pass(found, z), number=len(passes) + 1, stands_alone=True, replicas=z.replicas)
+            if why_by_reference(found, [last], last) is None:
                 equations, passes, best = found, [*passes, last], last
     passes = [one.without_rows() for one in passes]
     if motors:

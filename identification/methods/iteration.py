@@ -1,4 +1,4 @@
-"""Iteration of the instrumental variable method: start, next values to simulate, end."""
+"""Iteration of the instrumental variable method: start, next values to simulate, end, and its status."""
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -8,15 +8,17 @@ import numpy as np
 
 from ..arrays import Array
 from ..errors import IdentificationError
-from ..estimation import Estimate, System, intervals_of
-from ..model import BaseParameters, InverseModel
+from ..estimation import Estimate, InstrumentTests, System, instrument_tests, intervals_of
+from ..model import BaseParameters, InverseModel, direct_model, poses_of, why_not_positive
 from ..regression import Problem
-from ..simulation import ClosedLoops, Further, Instruments
+from ..report import DirectModelError, Status
+from ..simulation import ClosedLoops, Further, Instruments, Replica, join_reasons, max_or_none
 from ..trust import covariance_of_all
 from .equations import Equations
 from .fit import LeastSquares, Pass
 from .settled import least_squares
 
+MAX_TRACKING_PERCENT = 20.0  # a larger error of the simulated position does not confirm the estimate
 MAX_FULL_STEPS = 4  # passes; later ones simulate the mean of the last two values, which damps oscillation
 
 
@@ -151,6 +153,91 @@ def _tracking(z: Instruments) -> float:
         return np.inf
     joints = [joint.position_error_percent for one in z.replicas for joint in one.direct]
     return max((x for x in joints if x is not None), default=0.0)
+
+
+def status_of(
+    equations: Equations, passes: Sequence[Pass], best: Pass, tests: InstrumentTests
+) -> tuple[Status, str | None]:
+    """`converged` needs settled passes, simulated instruments that explain W, and a simulation that tracks the recording; or
+    instruments along the motion that the reference predicts which stand alone, and explain W.
+
+    Other settled passes are `not_confirmed`. Every joint has to track: the mean over the robot would hide a joint of small
+    travel.
+    """
+    last, unconfirmed = passes[-1], None if best.stands_alone else _unconfirmed(equations, best)
+    if last.failure is not None:
+        return "diverged", last.failure
+    if not tests.first_stage_F >= 1.0:
+        return "diverged", f"the instruments do not explain the regressor: first-stage F = {tests.first_stage_F:.2g}"
+    if best.stands_alone:
+        return "converged", f"instruments: reference; {best.z.reason}"
+    if last.is_last:
+        if unconfirmed is None and last.z.kind != "simulated":
+            unconfirmed = f"settled without simulated instruments: {last.z.reason}"
+        return ("converged", None) if unconfirmed is None else ("not_confirmed", unconfirmed)
+    if unconfirmed is not None:
+        return "diverged", unconfirmed
+    moving = []
+    if not last.parameters_settled:
+        moving.append(f"{last.changed} still changes by {last.change_sigma:.2g} sigma")
+    if not last.residual_settled:
+        moving.append(f"the residual norm still changes by {last.residual_percent:.2g} %")
+    still = " and ".join(moving) or "only the start is known"
+    return "max_iterations", f"after {len(passes)} passes {still}"
+
+
+def why_by_reference(equations: Equations, passes: Sequence[Pass], best: Pass) -> str | None:
+    """Why instruments have to be along the motion that the reference predicts; None where those of the pass are enough, the
+    control law is described, or the reference is not recorded.
+    """
+    status, why = status_of(equations, passes, best, tests_of(equations.along(best.z).system, best.estimate))
+    told = all(one.reference_kind == "recorded" and not one.described for one in best.replicas)
+    text = f"by a simulated robot, whose control law is not described, {status}: {why}"
+    return text if told and status != "converged" else None
+
+
+def _unconfirmed(equations: Equations, best: Pass) -> str | None:
+    """Why the simulation with the final estimate does not confirm it; None if it does."""
+    replicas, reasons = best.replicas, list[str | None]()
+    for problem, arm in zip(equations.tasks(), equations.unknowns.arms, strict=True):
+        chi = problem.base.standard_parameters(arm.values(best.estimate))
+        reasons.append(why_not_positive(direct_model(problem.model, chi).inertia(poses_of(problem.used_positions()))))
+    reason = join_reasons(reasons, [problem.signals.recording for problem in equations.problems])
+    if reason is not None:
+        return f"the final estimate cannot be simulated: {reason}"
+    tracking_percent = max_or_none([one.tracking_percent for one in replicas])
+    if tracking_percent is None or not tracking_percent <= MAX_TRACKING_PERCENT:
+        return "the simulated position does not follow the measured one"
+    for d in direct_errors(replicas):
+        if d.position_error_percent is not None and not d.position_error_percent <= MAX_TRACKING_PERCENT:
+            return f"simulated joint {d.name} differs by {d.position_error_percent:.1f} % from the measured one"
+    return None
+
+
+def tests_of(system: System, estimate: Estimate) -> InstrumentTests:
+    """Tests of the instruments of an estimate."""
+    indices = np.array([system.names.index(name) for name in estimate.names])
+    W, _ = system.with_columns(indices).weighted(estimate.weights)
+    return instrument_tests(estimate.Q, W, estimate.rows)
+
+
+def direct_errors(replicas: Sequence[Replica]) -> tuple[DirectModelError, ...]:
+    """Largest errors of the simulated robot in any recording, by joint; none if one could not be simulated."""
+    if any(not one.direct for one in replicas):
+        return ()
+    return tuple(
+        DirectModelError(
+            name=joint[0].name,
+            position_error_percent=largest([d.position_error_percent for d in joint]),
+            torque_error_percent=largest([d.torque_error_percent for d in joint]),
+        )
+        for joint in zip(*(one.direct for one in replicas), strict=True)
+    )
+
+
+def largest(percents: list[float | None]) -> float | None:
+    """The largest that is not None: a joint may stand in one recording, or have no torque."""
+    return max((x for x in percents if x is not None), default=None)
 
 
 def inertia_prior(equations: Equations, ls: LeastSquares) -> Array:

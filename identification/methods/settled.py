@@ -181,7 +181,7 @@ def _half_widths(equations: Equations, *, instruments: bool) -> dict[str, float]
         estimate = weighted_least_squares(system.with_columns(columns))
         if instruments:
             beta = estimate.values_of(system.names)
-            Z = closed_loops(equations, beta, gain_update=False).along_reference(beta, coarse=True).Z
+            Z = closed_loops(equations, beta, gain_update=False).along_reference(beta).Z
             estimate = instrumental_variables(system.with_columns(columns), Z[:, columns], estimate.weights)
         half = intervals_of(system.with_columns(columns), estimate).half
         return {name: float(x) for name, x in zip(estimate.names, half, strict=True) if x > 0}

@@ -201,9 +201,9 @@ class Simulation:
         return simulate_instruments(self.at(rate_per_bandwidth), *given)
 
     @one_thread
-    def along_reference(self, rate_per_bandwidth: float, x: Array, further: Further | None = None) -> Instruments:
-        """Instruments along the motion that the reference predicts, without a simulation, about x (b,)."""
-        e = self.at(rate_per_bandwidth)
+    def along_reference(self, x: Array, further: Further | None = None) -> Instruments:
+        """Instruments along the motion that the reference predicts, without a simulation, coarsely, about x (b,)."""
+        e = self.at(EARLY_RATE_PER_BANDWIDTH)
         return _along(e, reference_blocks(e, x), x, simulated=False, further=further)
 
 
@@ -236,10 +236,10 @@ class ClosedLoops:
             tasks.append((one, rate, self.unknowns.beta(x, k), beta, C, carried, more))
         return self._stacked(list(self.work.run(Simulation.instruments, tasks)), x)
 
-    def along_reference(self, x: Array, *, coarse: bool = False, further: Sequence[Further] = ()) -> Instruments:
+    def along_reference(self, x: Array, further: Sequence[Further] = ()) -> Instruments:
         """Instruments of all recordings along the motions that their references predict about x."""
-        rate, each = EARLY_RATE_PER_BANDWIDTH if coarse else RATE_PER_BANDWIDTH, enumerate(self.simulations)
-        tasks = [(one, rate, self.unknowns.beta(x, k), further[k] if further else None) for k, one in each]
+        each = enumerate(self.simulations)
+        tasks = [(one, self.unknowns.beta(x, k), further[k] if further else None) for k, one in each]
         return self._stacked(list(self.work.run(Simulation.along_reference, tasks)), x)
 
     def _stacked(self, each: Sequence[Instruments], x: Array) -> Instruments:

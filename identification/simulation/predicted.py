@@ -3,7 +3,7 @@
 The error q - r of a controlled robot is gravity, inertia and friction through its unknown loop. It is regressed on what these
 are made of, of the reference alone: 1; sin and cos of the joints' angles and of sums of consecutive ones; dr, ddr; friction,
 tanh(dr / 5 % of its peak); dr^3; each also late, which stands for the loop's lags. q^ = r + that has no noise of the position,
-so instruments along it are exogenous by construction. What sticks is not predicted: intervals are wider.
+so instruments along it are exogenous by construction. What sticks is not predicted: there they are less efficient.
 """
 
 from dataclasses import replace
@@ -15,7 +15,7 @@ from acquisition.files import allocate, release_pages
 
 from ..arrays import Array
 from ..estimation import r_factor
-from ..regression import BLOCK_SAMPLES, FilteredMotion, Problem, differentiate, lowpass_reach, rule_cutoff_hz
+from ..regression import FilteredMotion, Problem, differentiate, lowpass_reach, rule_cutoff_hz
 
 DELAYS_S = (0.0, 0.02, 0.05, 0.1)
 SMOOTH = 0.05  # of the peak speed
@@ -37,30 +37,23 @@ def predicted_motion(problem: Problem) -> FilteredMotion:
 
 def _predicted_positions(q: Array, r: Array, problem: Problem, span: tuple[int, int]) -> Array:
     """q^ (N, n) at all samples of a recording, by the errors within its span and the reach of the low-pass."""
-    fs, N = problem.signals.sample_rate_hz, len(q)
-    reach = lowpass_reach(rule_cutoff_hz(problem.signals), fs)
+    fs, (N, n), found = problem.signals.sample_rate_hz, r.shape, allocate(r.shape)
+    reach, late = lowpass_reach(rule_cutoff_hz(problem.signals), fs), [round(delay_s * fs) for delay_s in DELAYS_S]
     start, stop = max(0, span[0] - reach), min(N, span[1] + reach)
-    late, peak = [round(delay_s * fs) for delay_s in DELAYS_S], np.full(r.shape[1], np.finfo(float).tiny)
+    every = -(-(stop - start) // MOST_SAMPLES)
+    peak = np.abs(differentiate(r[start:stop:every], fs / every)).max(axis=0)
 
-    def columns(at: NDArray[np.intp]) -> Array:
-        """(K, p) at samples `at` (K,), in order."""
+    def columns(at: NDArray[np.intp]) -> Array:  # (K, p) at samples (K,), in order
         low = max(0, at[0] - late[-1] - EDGE)
         now = _terms(r[low : at[-1] + 1 + EDGE], peak, fs)
         return np.concatenate([np.ones((len(at), 1)), *(now[np.maximum(at - d, 0) - low] for d in late)], axis=1)
 
-    for a in range(start, stop, BLOCK_SAMPLES):
-        speed = np.abs(differentiate(r[a : min(stop, a + BLOCK_SAMPLES)], fs))
-        peak = np.maximum(peak, speed.max(axis=0))
-    every, n, factors = -(-(stop - start) // MOST_SAMPLES), r.shape[1], list[Array]()
-    for a in range(start, stop, DESIGN_SAMPLES * every):
-        at = np.arange(a, min(stop, a + DESIGN_SAMPLES * every), every)
-        factors.append(r_factor(np.c_[columns(at), q[at] - r[at]]))
-    factor = r_factor(np.concatenate(factors))
-    size = np.maximum(np.linalg.norm(factor[:, :-n], axis=0), np.finfo(float).tiny)
-    effects = np.linalg.lstsq(factor[:, :-n] / size, factor[:, -n:], rcond=MIN_SINGULAR)[0] / size[:, None]
-    found = allocate(q.shape)
-    for a in range(0, N, DESIGN_SAMPLES):
-        at = np.arange(a, min(N, a + DESIGN_SAMPLES))
+    R, block = np.zeros((0, columns(np.array([start])).shape[1] + n)), max(1, DESIGN_SAMPLES // every) * every
+    for at in (np.arange(a, min(stop, a + block), every) for a in range(start, stop, block)):
+        R = r_factor(np.concatenate([R, np.c_[columns(at), q[at] - r[at]]]))
+    size = np.maximum(np.linalg.norm(R[:, :-n], axis=0), np.finfo(float).tiny)
+    effects = np.linalg.lstsq(R[:, :-n] / size, R[:, -n:], rcond=MIN_SINGULAR)[0] / size[:, None]
+    for at in (np.arange(a, min(N, a + DESIGN_SAMPLES)) for a in range(0, N, DESIGN_SAMPLES)):
         found[at] = r[at] + columns(at) @ effects
         for x in (q, r, found):
             release_pages(x)
@@ -72,4 +65,7 @@ def _terms(r: Array, peak: Array, sample_rate_hz: float) -> Array:
     dr, n = differentiate(r, sample_rate_hz), r.shape[1]
     sums = np.stack([r[:, i:j].sum(axis=1) for i in range(n) for j in range(i + 1, n + 1)], axis=1)
     ddr = differentiate(dr, sample_rate_hz)
-    return np.concatenate([np.sin(sums), np.cos(sums), dr, ddr, np.tanh(dr / (SMOOTH * peak)), dr**3], axis=1)
+    return np.concatenate(
+        [np.sin(sums), np.cos(sums), dr, ddr, np.tanh(dr / np.maximum(SMOOTH * peak, np.finfo(float).tiny)), dr**3],
+        axis=1,
+    )

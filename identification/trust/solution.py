@@ -1,7 +1,4 @@
-"""Tests of the solution: fixed point, instruments, parts of the rows; and the whole trust block.
-
-Nothing is simulated again.
-"""
+"""Tests of the solution: fixed point, instruments, parts of the rows; and the whole trust block. Nothing is simulated again."""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
@@ -61,12 +58,10 @@ def fixed_point_test(evidence: FitData) -> TrustLine:
         if evidence.gains:
             advice = "record the reference, check [controller]"
         return TrustLine(name, "caution", f"{why}: {advice}")
-    if evidence.method != "iv":
-        return TrustLine(name, "ok", "least squares has one solution")
+    by_iv = "converged, and the simulated robot confirms it"
     if evidence.by_reference is not None:
-        text = "one solution, that no simulation confirms or has to; wider intervals than with a described control law"
-        return TrustLine(name, "ok", f"{evidence.by_reference}: {text}")
-    return TrustLine(name, "ok", "converged, and the simulated robot confirms it")
+        by_iv = f"{evidence.by_reference}: one solution, less efficient where joints stick"
+    return TrustLine(name, "ok", by_iv if evidence.method == "iv" else "least squares has one solution")
 
 
 def instruments_test(evidence: FitData) -> TrustLine | None:
@@ -292,7 +287,7 @@ def list_assumptions(evidence: FitData, lines: Mapping[str, TrustLine]) -> Itera
     if several:
         yield Assumed("lengths", "dh" if robot.urdf is None else "urdf", "link parameters absorb an error of a length")
     yield Assumed("sample rate", f"{signals.sample_rate_hz:g} Hz", "speeds and accelerations scale with it")
-    if evidence.method == "iv" and evidence.by_reference is None and lines["replay"].level == "not made":
+    if evidence.method == "iv" and not evidence.by_reference and lines["replay"].level == "not made":
         law = robot.controller.structure or f"a {robot.bandwidth_hz:g} Hz PD"
         yield Assumed("control law", law, lines["replay"].text.removeprefix("not made: "))
     if evidence.lags and evidence.lags[0].prior.stated:
