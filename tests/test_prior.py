@@ -1,4 +1,4 @@
-"""The links of a URDF as a witness of a recording: arms of a simulator of its own, with one fault in recording or description."""
+"""The links of a URDF as a witness of a recording: arms of a simulator of its own, with a fault in recording or description."""
 
 import json
 from dataclasses import replace
@@ -78,7 +78,8 @@ def test_the_prior_is_the_torque_of_the_links_where_no_rotor_is_regrouped():
     model = InverseModel(still)
     base = base_parameters(model)
     found, source = prior_of_base(model, base)
-    assert source == "URDF" and set(found) == {name for name, of in zip(base.names, base.links, strict=True) if of}
+    assert source == "URDF"
+    assert set(found) == {name for name, of in zip(base.names, base.links, strict=True) if of}
     q, dq, ddq = np.random.default_rng(2).uniform(-2, 2, (3, 20, 6))
     W = model.regressor(q, dq, ddq)[..., base.columns]
     M, bias = arm_of(text)[0].rigid(q, dq)
@@ -94,7 +95,8 @@ def test_the_prior_is_the_torque_of_the_links_where_no_rotor_is_regrouped():
     # a link without inertials leaves out whatever it is regrouped into
     without = InverseModel(robot_of(six_joints((1, 1, 1, 1, 1, 0)), NAMES))
     left = prior_of_base(without, base_parameters(without))[0]
-    assert left and not any("6" in expressions[name] for name in left)
+    assert left
+    assert not any("6" in expressions[name] for name in left)
 
 
 @pytest.mark.parametrize("run", range(RUNS))
@@ -135,9 +137,11 @@ def test_radians_declared_as_degrees_are_named(run):
 def test_a_prior_that_is_off_everywhere_is_no_fault_of_the_recording():
     fit, line = told(replace(recorded(0), robot=robot_of(six_joints((0.05, 9, 9, 0.02, 0.02, 0.02)), NAMES)))
     assert fit.trust.verdict == "trust", line.text
-    assert line.level == "cannot tell" and "the prior is off everywhere" in line.text
+    assert line.level == "cannot tell"
+    assert "the prior is off everywhere" in line.text
     fit, line = told(replace(recorded(0), robot=robot_of(six_joints((0.2,) * 6), NAMES)))
-    assert line.level == "caution" and "torques of all joints are 4" in line.text
+    assert line.level == "caution"
+    assert "torques of all joints are 4" in line.text
 
 
 def test_a_stated_payload_counts():
@@ -156,7 +160,8 @@ def test_without_gains_or_inertials_there_is_no_prior():
         assert not any(line.test == "prior" for line in fit.trust.lines)
         assert "prior" not in to_markdown(fit_document(recorded(0), fit)).replace("a-priori", "")
         stored = fit_file(fit)
-        assert not stored.prior_source and not any(one.prior for one in stored.parameters)
+        assert not stored.prior_source
+        assert not any(one.prior for one in stored.parameters)
 
 
 def test_the_held_out_error_is_that_of_these_links_with_all_else_fitted_to_the_other_blocks():
@@ -197,7 +202,8 @@ def written(tmp_path_factory):
 
 def test_the_report_and_the_file_have_the_prior(written):
     stored = json.loads((written / "fit.json").read_text())
-    assert stored["prior_source"] == "URDF" and stored["prior_held_out_error_percent"] > 1
+    assert stored["prior_source"] == "URDF"
+    assert stored["prior_held_out_error_percent"] > 1
     prior = {one["name"]: one["prior"] for one in stored["parameters"] if "prior" in one}
     model = InverseModel(recorded(0).robot)
     assert prior == pytest.approx(prior_of_base(model, base_parameters(model))[0])
@@ -225,4 +231,5 @@ def test_a_fit_is_compared_with_a_urdf(written, capsys):
     }.items():
         assert main(["compare", fit, str(written / f"{name}.urdf")]) == 1
         error = capsys.readouterr().err
-        assert words in error and error.count("\n") == 1
+        assert words in error
+        assert error.count("\n") == 1
