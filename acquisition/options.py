@@ -29,7 +29,7 @@ class RecordOptions:
     ] = None
     payload: Annotated[
         str | None,
-        option("the mass that the robot carries, in kg, and its centre of mass in m", "KG[@X,Y,Z]", str),
+        option("mass that the robot carries, kg, and centre of mass, m (+-0.005 after it)", "KG[@X,Y,Z]", str),
     ] = None
     passive: Annotated[bool, option("never send anything, because another master owns the bus")] = False
     dry_run: Annotated[bool, option("use simulated drives, without a bus")] = False

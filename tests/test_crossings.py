@@ -122,12 +122,12 @@ def test_two_recordings_are_fitted_with_what_they_have(concerns, columns, tmp_pa
     assert bits(fitted(paths, concerns, Work(2))) == bits(fit)
     assert fit.status == ("converged" if "reference" in columns else "solved")
     assert (off(fit) < 1.5).all()
-    assert (fit.own is not None) == ("own" in concerns)
+    assert (fit.own is not None) == bool({"own", "gains"} & concerns)
     assert (fit.gains is not None) == ("gains" in concerns)
     if fit.gains:
-        assert abs(fit.gains.values[0] - TRUE[1]) < 2 * fit.gains.half[0] < 0.2
+        assert abs(fit.gains.values[0] - TRUE[1]) < 2 * fit.gains.half[0] < 0.25
     # The mean of own parameters is validated, and load friction where the fit has it linearised.
-    tolerance = 0.02 if "own" in concerns else 1e-4 if "load" in concerns else 1e-9
+    tolerance = 0.06 if "gains" in concerns else 0.02 if "own" in concerns else 1e-4 if "load" in concerns else 1e-9
     for one, path in zip(fit.recordings, paths, strict=True):
         again = validate(fit, path)
         assert again.relative_error_percent == pytest.approx(one.errors[-1].relative_error_percent, rel=tolerance)

@@ -626,7 +626,9 @@ def test_a_reference_for_a_payload_keeps_the_efforts_with_and_without_it():
     assert without < carrying
     assert 0.9 * 32 < carrying <= 0.8 * 40
     expected, limits = excitation_document(found).sections
-    assert expected.lines[-1].startswith("drive gains by a run without and a run with 2 kg at 0.03, 0.02, 0.08 m")
+    assert expected.lines[-1].startswith(
+        "drive gains by a run without and a run with 2 kg at 0.03, 0.02, 0.08 ± 0.005 m"
+    )
     assert [row[0] for row in limits.table.rows][-2:] == ["shoulder with the payload", "elbow with the payload"]
 
 
@@ -651,8 +653,9 @@ def test_the_half_widths_of_gains_are_those_of_a_fit():
     found = 1.96 * information.gain_deviations(
         motion, (arm, carried), Payload(2.0)
     )  # as the fit, without centre of mass
-    ratio = fit.gains.half / fit.gains.values / found  # the fit leaves out slow rows, and counts correlation
-    assert ((ratio > 1.0) & (ratio < 1.3)).all()
+    # the fit leaves out slow rows, counts correlation, and has friction of each run
+    ratio = fit.gains.half / fit.gains.values / found
+    assert ((ratio > 1.0) & (ratio < 1.4)).all()
     known = information.gain_deviations(motion, (arm, carried), Payload(2.0, CENTRE["scara"]))
     assert (known < found / 1.96).all()
 

@@ -133,8 +133,8 @@ STATED = "2@0.05,0.02,0"
     ("names", "options", "status", "words"),
     [
         ("free loaded", ["--payload", f"free={STATED}", "--payload", "loaded=none"], 3, "all drive gains are negative: the r"),
-        ("free_true loaded_true", ["--payload", "loaded_true=1"], 0, "caution: gains: drive gains are 0.5"),
-        ("free_true loaded_true", ["--payload", "loaded_true=1@0.05,0.02,0"], 0, "gains: drive gains are 0.5"),
+        ("free_true loaded_true", ["--payload", "loaded_true=1"], 0, "caution: gains: drive gains are 0.49"),
+        ("free_true loaded_true", ["--payload", "loaded_true=1@0.05,0.02,0"], 0, "gains: drive gains are 0.49"),
         ("free free2", ["--payload", f"free2={STATED}"], 3, "do not use: gains: no drive gain is usable"),
         ("axis_free axis_free2", ["--payload", "axis_free2=2@0.3,0.02,0"], 3, "do not use: gains: no drive gain is usable"),
         ("light_free light_loaded", [], 3, "do not use: gains: no drive gain is usable (motor_1 ±"),
@@ -315,7 +315,8 @@ def test_a_payload_that_a_fit_found_is_that_of_its_recording(folder, tmp_path, n
     ]
     stated = options if "--payload" in options else []
     error, _ = validated(folder, name, out, *stated)
-    assert error == pytest.approx(of_fit, rel=1e-6)
+    # with gains the recording has friction of its own, of which another one takes the mean
+    assert error == pytest.approx(of_fit, rel=0.05 if "--gains" in options else 1e-6)
     for other in (f"{name}=none", f"{name}=1.5@0.05,0.02,0"):
         assert validated(folder, name, out, "--payload", other)[0] > 1.5 * of_fit
 
@@ -465,7 +466,7 @@ def test_gains_of_long_recordings_are_those_of_held_rows(pair, monkeypatch):
     monkeypatch.setattr("identification.regression.equations._MAX_NUMBERS", 100)
     fit = fit_with_gains(*pair)
     assert (np.abs(fit.gains.values - held.gains.values) < 0.3 * held.gains.half).all()
-    assert (np.abs(fit.beta - held.beta) < 0.3 * held.intervals.half).all()
+    assert (np.abs(fit.estimate.beta - held.estimate.beta) < 0.3 * held.intervals.half).all()
 
 
 @pytest.mark.parametrize("negative", [False, True])

@@ -9,6 +9,7 @@ from ..arrays import Array
 from ..errors import IdentificationError
 from ..methods import Known, consistent_set, refuse_unknown_gain, stored_beta, stored_robot
 from ..model import InverseModel, base_parameters
+from ..regression import base_name
 from ..report import Document, FitFile, Section
 from .exported_model import ExportedModel, split_parameters
 from .exporting import export_model, write_models
@@ -74,22 +75,16 @@ def _make_consistent(stored: FitFile, model: InverseModel, place: str) -> tuple[
         expected = "a new fit, preferably with --consistent"
         raise IdentificationError(problem, place=place, key="covariance", value=None, expected=expected)
     names, values = stored.covariance.names, np.array(stored.covariance.values)
-    single = [name for name in names if name not in base.names]
-    if single:
-        problem = "has parameters of single recordings: the fit is not consistent, and cannot be made so with them"
-        expected = "a new fit with --consistent"
-        raise IdentificationError(
-            problem, place=place, key="covariance", value=", ".join(single[:5]), expected=expected
-        )
+    shared = [base_name(name) for name in names]
     left_out = {p.name: p.sigma for p in stored.left_out or ()}
-    missing = [name for name in base.names if name not in names and name not in left_out]
+    missing = [name for name in base.names if name not in shared and name not in left_out]
     if missing or values.shape != (len(names), len(names)):
         raise IdentificationError(
             place=place, key="covariance", value=", ".join(missing[:5]) or None, expected="one row per parameter"
         )
-    index = [base.names.index(name) for name in names]
-    covariance = np.diag([left_out.get(name, 0.0) ** 2 for name in base.names])
-    covariance[np.ix_(index, index)] = values
+    # of parameters of single recordings the mean, as in `stored_beta`
+    mean = np.array([[(own == name) / shared.count(own) for own in shared] for name in base.names])
+    covariance = np.diag([left_out.get(name, 0.0) ** 2 for name in base.names]) + mean @ values @ mean.T
     sigma = dict(zip(names, np.sqrt(np.diag(values)), strict=True))
     reach = float(np.median([p.half / sigma[p.name] for p in stored.parameters if sigma.get(p.name)] or [1.0]))
     c = consistent_set(model, base, Known(beta=beta, covariance=covariance, reach=reach))
