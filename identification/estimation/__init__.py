@@ -39,6 +39,7 @@ from .diagnostics import (
     whitening_order,
 )
 from .estimators import (
+    MIN_COLUMN_NORM,
     Estimate,
     Reduction,
     essential_parameters,

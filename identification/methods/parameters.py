@@ -15,7 +15,7 @@ from ..arrays import Array
 from ..data import Signals, check_one_robot, load_signals
 from ..errors import IdentificationError
 from ..estimation import Estimate, Intervals, one_thread, torque_errors
-from ..model import BaseParameters, InverseModel, base_parameters, prior_of_base
+from ..model import BaseParameters, InverseModel, base_parameters, base_prior
 from ..regression import Overrides, Problem, base_name, make_problem, payload_of, torque_of_recording
 from ..report import FitFile, Parameter, ParameterSet, TorqueError
 from .consistent import read_prior, refuse_unknown_gain
@@ -65,7 +65,7 @@ def prior_file(stored: FitFile, place: str, prior: Path) -> FitFile:
         raise IdentificationError(place=place, key="description", value=None, expected="a fit with its robot.toml")
     refuse_unknown_gain(robot)
     base = base_parameters(model := InverseModel(robot))
-    values, _ = prior_of_base(model, base, InverseModel(read_prior(prior, robot)))
+    values, _ = base_prior(model, base, InverseModel(read_prior(prior, robot)))
     if not values:
         raise IdentificationError(place=str(prior), key="inertials", value=None, expected="those of the links")
     known = true_parameters(base, np.array([values.get(name, 0.0) for name in base.names])).parameters

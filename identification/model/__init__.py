@@ -18,6 +18,7 @@ from .obstacles import Obstacles, obstacles_of
 from .payload import add_payload, payload_parameters
 from .physical import (
     RESISTING,
+    base_prior,
     expected_links,
     friction_alone,
     friction_power,
@@ -25,7 +26,6 @@ from .physical import (
     link_columns,
     nearest_consistent,
     physical_parameters,
-    prior_of_base,
     requirements,
     shaped_states,
 )

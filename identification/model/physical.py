@@ -50,7 +50,7 @@ def expected_links(idm: InverseModel, prior: InverseModel | None = None) -> tupl
     return links, tuple(source for _, source in found)
 
 
-def prior_of_base(
+def base_prior(
     idm: InverseModel, base: BaseParameters, prior: InverseModel | None = None
 ) -> tuple[dict[str, float], str]:
     """A-priori base parameters K chi of links alone, by name, as `expected_links` without plausible values; their source."""

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..errors import IdentificationError
-from ..estimation import Estimate, instrumental_variables, intervals_of
-from ..model import direct_model, prior_of_base
+from ..estimation import MIN_COLUMN_NORM, Estimate, instrumental_variables, intervals_of
+from ..model import base_prior, direct_model
 from ..regression import base_name, row_states
 from .fit_data import FitData
 from .held_out import Predict, held_out_parts, held_out_test
@@ -30,7 +30,6 @@ MIN_EXPLAINED = (
 )
 MIN_ALIKE = 0.9  # the same; below, other causes than a factor are looked for
 MIN_LEFT = 0.01  # smallest share of a joint's square left by the prior's links that counts
-MIN_SHARED_NORM = 1e-9  # of a column's norm over all joints: less at a joint is rounding
 MIN_CAUSE = 1.5  # fall of the sum of the logarithms of these shares by which a cause is named
 UNITS = {"position of {} in rad declared as degrees": 180 / np.pi, "sign of the position of {}": -1.0}
 
@@ -38,7 +37,7 @@ UNITS = {"position of {} in rad declared as degrees": 180 / np.pi, "sign of the 
 def with_prior(evidence: FitData, predict: Predict) -> FitData:
     """The same with the prior and the held-out error of its links: all else is fitted to the other blocks, or recordings."""
     problem, system = evidence.problem, evidence.observed.system
-    values, source = prior_of_base(problem.model, problem.base)
+    values, source = base_prior(problem.model, problem.base)
     if not values or not problem.signals.robot.gain_known:
         return evidence
     evidence = replace(evidence, prior=values, prior_source=source)
@@ -64,24 +63,25 @@ def prior_test(evidence: FitData) -> TrustLine | None:
     if not evidence.prior or evidence.gains:
         return None
     links, names = f"the {evidence.prior_source}'s links", [one.name for one in evidence.problem.signals.robot.joints]
-    factor, half, explained, needed = np.array([_factor(evidence, j) for j in range(len(names))]).T
-    told = np.flatnonzero(explained > MIN_EXPLAINED).tolist()
+    factor, half, explained, needed = zip(*(_factor(evidence, j) for j in range(len(names))), strict=True)
+    told = [j for j, share in enumerate(explained) if share > MIN_EXPLAINED]
     outside = [j for j in told if factor[j] + half[j] < MIN_FACTOR or factor[j] - half[j] > MAX_FACTOR]
     figures = (Figure(name=names[j], value=factor[j], half_width=half[j], expected=1.0) for j in told)
     line = TrustLine("prior", "ok", f"no torque is like that of {links}", figures=tuple(figures))
-    unlike = (needed > MIN_LEFT) & (explained < MIN_ALIKE)
-    if (outside or unlike.any()) and (cause := _cause(evidence)):
+    unlike = any(share > MIN_LEFT and by < MIN_ALIKE for share, by in zip(needed, explained, strict=True))
+    if (outside or unlike) and (cause := _cause(evidence)):
         return replace(line, level="caution", text=f"{cause}? {links} then need the recorded torques", finding=cause)
     if not told:
         return line
-    low, high = min(factor[outside or told]), max(factor[outside or told])
-    between, everywhere = f"{low:.2g} to {high:.2g} times what {links} need", len(outside) == len(told) > 1
+    values, everywhere = sorted(factor[j] for j in outside or told), len(outside) == len(told) > 1
+    between = " to ".join(dict.fromkeys(f"{x:.2g}" for x in (values[0], values[-1])))
+    text = f"torques are {between} times what {links} need"
     if not outside:
-        return replace(line, text=f"torques are {between}")
-    if everywhere and high > max(MAX_SPREAD * low, 0.0):
-        return replace(line, level="cannot tell", text=f"the prior is off everywhere: torques are {between}")
+        return replace(line, text=text)
+    if everywhere and values[-1] > max(MAX_SPREAD * values[0], 0.0):
+        return replace(line, level="cannot tell", text=f"the prior is off everywhere: {text}")
     each = ", ".join(f"torque of {names[j]} is {factor[j]:.2g} times" for j in outside)
-    text = f"torques of all joints are {between}" if everywhere else f"{each} what {links} need"
+    text = text if everywhere else f"{each} what {links} need"
     return replace(line, level="caution", text=f"{text}: drive_gain, ratio, unit, or the prior?", finding=text)
 
 
@@ -100,7 +100,7 @@ def _factor(evidence: FitData, j: int) -> tuple[float, float, float, float]:
     system, (known, free) = evidence.observed.system, _known_and_free(evidence)
     own = system.joint_of_row == j
     W, Y = (x[own] for x in system.weighted(np.ones(len(system.rows))))
-    acts = np.linalg.norm(W, axis=0) > MIN_SHARED_NORM * np.linalg.norm(system.W, axis=0)
+    acts = np.linalg.norm(W, axis=0) > MIN_COLUMN_NORM * np.linalg.norm(system.W, axis=0)
     columns = np.c_[known, np.eye(len(known))[:, free[acts[free]]]]
     J, Z = W @ columns, (W if evidence.Z is None else evidence.Z[own]) @ columns
     both = np.c_[Y, J[:, 0]]

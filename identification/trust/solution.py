@@ -9,6 +9,7 @@ from ..arrays import Array
 from ..data import PositionSteps, position_steps
 from ..errors import IdentificationError
 from ..estimation import (
+    MIN_COLUMN_NORM,
     Estimate,
     are_moving,
     estimate_deviations,
@@ -38,7 +39,6 @@ MAX_ROBUST_DEVIATIONS = 6.0  # above: an outlier
 MAX_END_DEVIATIONS = 30.0  # of a row at an end; above: caution
 MAX_END_RATIO = 2.0  # of the largest deviation at an end over the largest elsewhere
 END_ROWS = 5  # rows at each end that a bad edge affects
-MIN_SHARED_NORM = 1e-9  # of a column's norm over all joints: less at a joint is rounding
 MIN_FIRST_STAGE_F, MAX_FIRST_STAGE_F = 10.0, 1e10  # below, weak; above, the instruments are W itself
 MAX_MISSING_PERCENT = 0.1  # of the moving rows
 MAX_HELD_RATIO = 0.3  # of missing or repeated rows over held rows
@@ -85,7 +85,7 @@ def units_test(evidence: FitData) -> TrustLine:
         return TrustLine(name, "ok", "torques of all joints are in known units")
     rows = evidence.observed.system
     by_joint = np.stack([np.linalg.norm(rows.W[rows.joint_of_row == j], axis=0) for j in range(robot.n)])
-    acts = by_joint > MIN_SHARED_NORM * np.linalg.norm(by_joint, axis=0)
+    acts = by_joint > MIN_COLUMN_NORM * np.linalg.norm(by_joint, axis=0)
     shared = [name for name, own in zip(rows.names, acts.T, strict=True) if own.sum() > 1]
     if not shared:
         return TrustLine(name, "ok", "drive gains are not known, but no joints share a parameter")
