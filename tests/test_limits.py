@@ -66,7 +66,8 @@ def test_degrees_read_as_radians_are_refused():
     told = refusal(np.degrees(moving()))
     assert "joint joint_1 at " in told
     assert "limits -180 deg and 180 deg" in told
-    assert "degrees read as radians" in told
+    assert "are they degrees, declared as radians?" in told
+    assert "degrees" not in refusal(100 * np.degrees(moving())).split("expected")[1]
     # A motion so small that it stays within the limits is too fast.
     told = refusal(np.degrees(0.04 * np.sin(2 * np.pi * 2 * T)[:, None] * np.ones(6)))
     assert "speed" in told
