@@ -156,11 +156,8 @@ def _position(joint: Joint, stamp_s: Array, x: Array, place: Place) -> list[str]
     if beyond[k] <= MAX_RANGE_EXCESS * (high - low):
         return [text]
     causes = "a wrong unit, ratio, zero or sign, a counter that wrapped"
-    if (
-        joint.type == "revolute"
-        and low <= math.radians(x.min())
-        and 5 * max(-low, high) < np.abs(x).max() <= math.degrees(high)
-    ):
+    far = joint.type == "revolute" and np.abs(x).max() > 5 * max(-low, high)
+    if far and low <= math.radians(x.min()) and math.radians(x.max()) <= high:
         causes = "are they degrees, declared as radians? Else a wrong ratio"
     place.refuse(text=text, expected=f"a position within them: {causes}, or {joint.key('position')} of robot.toml")
 

@@ -21,7 +21,6 @@ from .lines import LEVELS, TrustLine
 MIN_BAD_PERCENT = 5.0  # torque error of a joint: below, nothing is tried unless a motor brakes
 MAX_RATIO, MAX_RATIO_OF_BRAKE = 0.5, 0.95  # of the torque errors with a mistake undone and with it
 MAX_SPAN_S = 180.0  # of the first recording, that mistakes are tried on
-MAX_RANGE_SHARE = 0.02  # of a joint's range, that positions in a wrong unit use
 
 
 def efforts_test(evidence: FitData) -> TrustLine | None:
@@ -33,11 +32,12 @@ def efforts_test(evidence: FitData) -> TrustLine | None:
     if len(R) == 1 or not ((100 * rho > MIN_BAD_PERCENT * size).any() or brakes.any()):
         return None
     problem, one = evidence.problem.with_samples(), np.eye(len(R))
-    settings, most = problem.settings, round(MAX_SPAN_S * problem.signals.sample_rate_hz)
-    problem = problem.until(min(settings.stop, settings.start + most))
-    problem = problem.corrected(settings.known_lag.value_s)  # the lag found has the mistake in it
-    finding, error, least, factors = "", 0.0, np.inf, _factors(problem, one)
-    with_it = _error(factors, one)
+    s, most = problem.settings, round(MAX_SPAN_S * problem.signals.sample_rate_hz)
+    problem = problem.until(min(s.stop, s.start + most)).corrected(
+        s.known_lag.value_s
+    )  # a lag found has the mistake in it
+    factors = _factors(problem, one)
+    finding, error, least, with_it = "", 0.0, np.inf, _error(factors, one)
     for mistake, motor, A, B in _mistakes(problem):
         tried = _error(factors if B is None else _factors(problem, B), A)
         score = tried / (MAX_RATIO if motor is None or not brakes[motor] else MAX_RATIO_OF_BRAKE)
@@ -64,18 +64,13 @@ def _mistakes(problem: Problem) -> Iterator[tuple[str, int | None, Array, Array 
 
 
 def _factors(problem: Problem, B: Array) -> Array:
-    """QR factors (n, k, b + n + 1) of each joint's rows at positions mapped by B, with all drives' torques and the known one."""
+    """QR factors (n, k, b + n + 1) of each joint's rows, positions mapped by B: columns, all drives' torques, the known one."""
     signals, settings, zero = problem.signals, problem.settings, problem.signals.robot.zero
-    mapped = replace(signals, q=(signals.q - zero) @ B.T + zero)
-    problem, used = (
-        replace(problem, signals=mapped, motion=FilteredMotion(mapped)),
-        slice(settings.start, settings.stop),
-    )
+    mapped, used = replace(signals, q=(signals.q - zero) @ B.T + zero), slice(settings.start, settings.stop)
+    problem = replace(problem, signals=mapped, motion=FilteredMotion(mapped))
     W = rows_of_recording(problem, most=HELD).system.W.reshape(len(B), -1, problem.base.b)
-    known = 0 * signals.effort[used] if signals.known_torque is None else signals.known_torque[used]
-    torques = np.concatenate(
-        [np.broadcast_to(signals.effort[used].T, (len(B), *known.T.shape)), known.T[:, None]], axis=1
-    )
+    known = np.zeros_like(signals.q) if signals.known_torque is None else signals.known_torque
+    torques = np.stack([np.c_[signals.effort, of_joint][used].T for of_joint in known.T])
     w = weights_at(problem, np.arange(used.start, used.stop) / signals.sample_rate_hz)
     rows = settings.decimator.filtered(w[:, None] * torques).transpose(0, 2, 1)
     return np.asarray(np.linalg.qr(np.concatenate([W, rows], axis=2), mode="r"))
@@ -105,17 +100,11 @@ def saturation_test(evidence: FitData) -> TrustLine | None:
 
 def positions_test(evidence: FitData) -> TrustLine | None:
     """Whether joints use hardly any of their ranges, where 57 times as much would suit them: radians declared as degrees."""
-    q, joints = poses_of(evidence.problem.used_positions()), evidence.problem.signals.robot.joints
-    turning = [
-        (x, joint.si("position") or (0, 0)) for x, joint in zip(q.T, joints, strict=True) if joint.type == "revolute"
-    ]
-    share = max((np.ptp(x) / max(high - low, 1e-9) for x, (low, high) in turning), default=1.0)
-    within = all(low <= np.degrees(x).min() and np.degrees(x).max() <= high for x, (low, high) in turning)
-    if share > MAX_RANGE_SHARE or not within:
+    q, joints = np.degrees(poses_of(evidence.problem.used_positions())), evidence.problem.signals.robot.joints
+    turning = [(x, joint.si("position")) for x, joint in zip(q.T, joints, strict=True) if joint.type == "revolute"]
+    if not turning or any(limits is None or x.min() < limits[0] or x.max() > limits[1] for x, limits in turning):
         return None
-    text = (
-        f"positions use at most {100 * share:.2g} % of the ranges of the joints: are they radians, declared as degrees?"
-    )
+    text = "joints move within a 57th of their limits: are positions radians, declared as degrees?"
     return TrustLine("positions", "caution", text, finding="radians declared as degrees?")
 
 
