@@ -11,6 +11,7 @@ from conftest import REPLAY, needs_data, robot_named
 from acquisition.errors import AcquisitionError
 from acquisition.importing import import_tables
 from acquisition.robot import (
+    RADIANS_AS_DEGREES,
     check_recorded_efforts,
     check_recorded_positions,
     effort_limits,
@@ -287,3 +288,9 @@ def test_the_limit_of_a_urdf_counts_and_gains_that_are_looked_for_are_not_judged
     low = dataclasses.replace(signals, robot=dataclasses.replace(signals.robot, joints=joints))
     assert len(make_settings(low, Overrides()).overloads) == 2
     assert make_problem(low, Overrides(gains=("all",))).settings.overloads == ()
+
+
+def test_radians_read_as_degrees_are_asked_for_where_a_joint_moves():
+    assert check_recorded_positions(TX40, T, np.radians(moving()), "log") == (RADIANS_AS_DEGREES,)
+    assert check_recorded_positions(TX40, T, moving(), "log") == ()
+    assert check_recorded_positions(TX40, T, 0.01 * np.radians(moving()), "log") == ()  # it stands

@@ -11,8 +11,9 @@ from itertools import combinations
 
 import numpy as np
 
+from acquisition.robot import RADIANS_AS_DEGREES
+
 from ..arrays import Array
-from ..model import poses_of
 from ..regression import HELD, FilteredMotion, Problem, rows_of_recording, weights_at
 from ..simulation import unstated_limits
 from .fit_data import FitData
@@ -99,13 +100,10 @@ def saturation_test(evidence: FitData) -> TrustLine | None:
 
 
 def positions_test(evidence: FitData) -> TrustLine | None:
-    """Whether joints use hardly any of their ranges, where 57 times as much would suit them: radians declared as degrees."""
-    q, joints = np.degrees(poses_of(evidence.problem.used_positions())), evidence.problem.signals.robot.joints
-    turning = [(x, joint.si("position")) for x, joint in zip(q.T, joints, strict=True) if joint.type == "revolute"]
-    if not turning or any(limits is None or x.min() < limits[0] or x.max() > limits[1] for x, limits in turning):
+    """Whether positions look like radians that were declared as degrees."""
+    if all(RADIANS_AS_DEGREES not in problem.settings.warnings for problem in evidence.problems):
         return None
-    text = "joints move within a 57th of their limits: are positions radians, declared as degrees?"
-    return TrustLine("positions", "caution", text, finding="radians declared as degrees?")
+    return TrustLine("positions", "caution", RADIANS_AS_DEGREES, finding="radians declared as degrees?")
 
 
 def limits_test(evidence: FitData) -> TrustLine | None:
