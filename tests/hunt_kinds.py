@@ -16,6 +16,7 @@ from independent_simulator import (
     at_rate,
     described_controller,
     description,
+    designed_pd,
     references,
     simulate,
     timing_not_stated,
@@ -30,7 +31,7 @@ from identification.data import Signals
 
 Array = np.ndarray
 Rng = np.random.Generator
-UNIT = {"emps": 1e-6, "scara": 1e-5}  # a small noise of the position, m or rad
+UNIT = {"emps": 1e-6, "scara": 1e-5, "tx40": 1e-5}  # a small noise of the position, m or rad
 SMOOTH = 0.005  # v0 of friction in parts of the speed limit
 
 
@@ -97,13 +98,16 @@ def sound(name: str, rng: Rng) -> SetUp:
     """
     toml = REPLAY / name / "robot.toml"
     body = plant(toml, smooth=SMOOTH)
+    law = (
+        described_controller(body) if "structure" in body.description["controller"] else designed_pd(body, 10.0, 500.0)
+    )
     noise = "coloured_noise_percent" if rng.random() < 1 / 3 else "torque_noise_percent"
     return SetUp(
         name=name,
         body=body,
-        controller=described_controller(body),
+        controller=law,
         cell=Imperfections(encoder_noise=UNIT[name] * rng.uniform(0.5, 3.0), **{noise: rng.uniform(1.0, 2.0)}),
-        robot=without_settings(description(toml)),
+        robot=without_settings(description(toml, None if "structure" in body.description["controller"] else law)),
         timing=timing_not_stated() if rng.random() < 1 / 2 else "command",
     )
 
@@ -141,6 +145,34 @@ def drive_gain(s: SetUp, rng: Rng) -> SetUp:
 def sign(s: SetUp, rng: Rng) -> SetUp:
     factor = of_a_joint(s, rng, -1.0) if rng.random() < 1 / 2 else -np.ones(s.body.n)
     return s.changed(times_effort(factor))
+
+
+def of_motors(change: Callable[[Array], Array]) -> Callable[[Signals], Signals]:
+    """A change of the motors' efforts (N, n), in their recorded units."""
+
+    def changed(signals: Signals) -> Signals:
+        robot = signals.robot
+        return replace(signals, effort=robot.joint_effort(change(robot.motor_effort(signals.effort))))
+
+    return changed
+
+
+def exchanged(s: SetUp, rng: Rng) -> SetUp:
+    """The efforts of two motors."""
+    i, j = rng.choice(s.body.n, 2, replace=False)
+    order = np.arange(s.body.n)
+    order[[i, j]] = j, i
+    return s.changed(of_motors(lambda efforts: efforts[:, order]))
+
+
+def sign_of_wrist(s: SetUp, rng: Rng) -> SetUp:
+    """Of one of the two motors that are coupled."""
+    factor = np.where(np.arange(s.body.n) == rng.integers(s.body.n - 2, s.body.n), -1.0, 1.0)
+    return s.changed(of_motors(lambda efforts: factor * efforts))
+
+
+def radians_as_degrees(s: SetUp, rng: Rng) -> SetUp:
+    return s.changed(lambda x: replace(x, q=np.radians(x.q), q_ref=np.radians(x.q_ref)))
 
 
 def late(s: SetUp, rng: Rng) -> SetUp:
@@ -336,11 +368,18 @@ CLEAN = Kind(change=nothing)
 KINDS = {
     "gain of the record ±5-50 %": Kind(change=gain_of_record, named=(("replay", ""),)),
     "described drive gain ±5-50 %": Kind(change=drive_gain, named=(("added columns", "gain"),), unseen=("emps",)),
-    "sign": Kind(change=sign, named=(("physical", "sign"), ("replay", "sign"))),
+    "sign": Kind(change=sign, named=(("physical", "sign"), ("replay", "sign"), ("efforts", "sign"))),
+    "efforts of two motors exchanged": Kind(
+        change=exchanged, named=(("efforts", "are exchanged"),), robots=("scara", "tx40")
+    ),
+    "sign of a coupled motor": Kind(change=sign_of_wrist, named=(("efforts", "wrong sign"),), robots=("tx40",)),
+    "radians declared as degrees": Kind(
+        change=radians_as_degrees, named=(("positions", "radians"),), robots=("scara",)
+    ),
     "torque 1-5 samples late": Kind(change=late, named=LATE),
     "mean said to be held": Kind(change=mean_for_command, named=LATE),
     "described ratio ±2-30 %": Kind(change=ratio, unseen=BOTH),
-    "saturated at 50-90 %": Kind(change=saturated, named=(("replay", ""), ("", "saturat"))),
+    "saturated at 50-90 %": Kind(change=saturated, named=(("", "saturates"),)),
     "asymmetric friction 20-50 %": Kind(change=asymmetric, named=(("added columns", "asymmetric"),)),
     "Stribeck 50 %": Kind(change=stribeck, named=(("added columns", "Stribeck"),)),
     "cogging": Kind(change=cogging),

@@ -77,9 +77,10 @@ def test_a_reference_that_saturation_made_the_robot_leave_is_no_foreign_one():
     share = 100 * (np.abs(signals.effort[:, 0]) > 0.995 * limits[0]).mean()
     assert fit.iv.saturated_percent == pytest.approx(share, abs=5)  # those between first and last motion count
     assert f"motor_1 (38 N m) in {fit.iv.saturated_percent:.1f} % of the samples" in " ".join(fit.warnings)
-    # Where no limit is stated, the drives cannot be known to be at it.
-    unknown = dataclasses.replace(signals, robot=scara())
-    assert "expected the reference of this recording" in refusal(unknown)
+    # A limit that is not stated is found, but the simulated drives would not have it.
+    unknown = refusal(dataclasses.replace(signals, robot=scara()))
+    assert "drive of motor_1 saturates at 38" in unknown
+    assert "expected saturation of the motor" in unknown
 
 
 @pytest.mark.slow

@@ -11,6 +11,7 @@ from conftest import REPLAY, needs_data, robot_named
 from acquisition.errors import AcquisitionError
 from acquisition.importing import import_tables
 from acquisition.robot import (
+    RADIANS_AS_DEGREES,
     check_recorded_efforts,
     check_recorded_positions,
     effort_limits,
@@ -66,7 +67,8 @@ def test_degrees_read_as_radians_are_refused():
     told = refusal(np.degrees(moving()))
     assert "joint joint_1 at " in told
     assert "limits -180 deg and 180 deg" in told
-    assert "degrees read as radians" in told
+    assert "are they degrees, declared as radians?" in told
+    assert "degrees" not in refusal(100 * np.degrees(moving())).split("expected")[1]
     # A motion so small that it stays within the limits is too fast.
     told = refusal(np.degrees(0.04 * np.sin(2 * np.pi * 2 * T)[:, None] * np.ones(6)))
     assert "speed" in told
@@ -286,3 +288,9 @@ def test_the_limit_of_a_urdf_counts_and_gains_that_are_looked_for_are_not_judged
     low = dataclasses.replace(signals, robot=dataclasses.replace(signals.robot, joints=joints))
     assert len(make_settings(low, Overrides()).overloads) == 2
     assert make_problem(low, Overrides(gains=("all",))).settings.overloads == ()
+
+
+def test_radians_read_as_degrees_are_asked_for_where_a_joint_moves():
+    assert check_recorded_positions(TX40, T, np.radians(moving()), "log") == (RADIANS_AS_DEGREES,)
+    assert check_recorded_positions(TX40, T, moving(), "log") == ()
+    assert check_recorded_positions(TX40, T, 0.01 * np.radians(moving()), "log") == ()  # it stands

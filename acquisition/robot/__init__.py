@@ -13,6 +13,7 @@ from .drives import (
     refuse_out_of_range,
 )
 from .limits import (
+    RADIANS_AS_DEGREES,
     EffortLimits,
     check_recorded_efforts,
     check_recorded_positions,

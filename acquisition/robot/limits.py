@@ -24,6 +24,8 @@ SPEED_WINDOW_S = 0.05  # over which positions and speeds are compared, to reduce
 MIN_TRAVEL_STEPS, MIN_TRAVEL_RATIO = 50.0, 25.0  # typical steps, squares of noise: a joint that moves less is at rest
 MAX_SPEED_DEVIATION = 0.1  # of the change of position; above it there is a warning
 MAX_SPEED_GAIN = 2.0  # a factor that only a wrong unit, sign or column explains
+MIN_USED_RANGE = 0.1  # of a joint: less, if radians were degrees, is no motion
+RADIANS_AS_DEGREES = "joints move within a 57th of their limits: are positions radians, declared as degrees?"
 _MIN_JUMP_RATIO = 3.0  # times the steps before and after: a single jump
 
 
@@ -78,7 +80,8 @@ def effort_limits(robot: Robot) -> EffortLimits:
 
 
 def check_recorded_positions(robot: Robot, stamp_s: Array, q: Array, place: str) -> tuple[str, ...]:
-    """Warnings about joint positions q (N, n) in rad or m at the times stamp_s (N,): small overshoots of limits.
+    """Warnings about joint positions q (N, n) in rad or m at the times stamp_s (N,): small overshoots of limits, or 57 times as
+    much would suit them.
 
     Raises `AcquisitionError` with `place`, joint, time, value, limit and the remedy, if a position exceeds its limits by over
     half the joint's range, or a joint is over three times as fast as its limit; noise of samples is subtracted.
@@ -87,6 +90,12 @@ def check_recorded_positions(robot: Robot, stamp_s: Array, q: Array, place: str)
     for joint, x in zip(robot.joints, q.T, strict=True):
         overshoots += _position(joint, stamp_s, x, at)
         overshoots += _speed(joint, stamp_s, x, at)
+    turning = [
+        (np.degrees(x), j.si("position")) for x, j in zip(q.T, robot.joints, strict=True) if j.type == "revolute"
+    ]
+    within = all(by and by[0] <= x.min(initial=0.0) and x.max(initial=0.0) <= by[1] for x, by in turning)
+    if within and any(np.ptp(x) > MIN_USED_RANGE * (by[1] - by[0]) for x, by in turning if len(x)):
+        overshoots.append(RADIANS_AS_DEGREES)
     return tuple(overshoots)
 
 
@@ -155,7 +164,10 @@ def _position(joint: Joint, stamp_s: Array, x: Array, place: Place) -> list[str]
     )
     if beyond[k] <= MAX_RANGE_EXCESS * (high - low):
         return [text]
-    causes = "a wrong unit (degrees read as radians), ratio, zero or sign, a counter that wrapped"
+    causes = "a wrong unit, ratio, zero or sign, a counter that wrapped"
+    far = joint.type == "revolute" and np.abs(x).max() > 5 * max(-low, high)
+    if far and low <= math.radians(x.min()) and math.radians(x.max()) <= high:
+        causes = "are they degrees, declared as radians? Else a wrong ratio"
     place.refuse(text=text, expected=f"a position within them: {causes}, or {joint.key('position')} of robot.toml")
 
 

@@ -29,6 +29,7 @@ CUTOFF_PER_BANDWIDTH = 5.0  # w_fq >= 5 w_dyn, section 2.3 of Janot2014
 DECIMATED_PER_BANDWIDTH = 2.0  # w_fp >= 2 w_dyn
 CUT_PERIODS = 5.0  # border of 5 periods of the cut-off: 50 samples at 1 kHz and 100 Hz
 STANDSTILL_SPEED = 0.01  # of the peak speed of the fastest joint: a joint that never exceeds it shows only noise
+MIN_RATE_HZ = 1.0  # of samples that follow a robot
 MAX_CUTOFF_SHARE = 0.4  # of the sample rate, of the rule's cut-off
 ROWS = -1.0  # in place of L: no weights, but the rows in which the joint moves
 RAMPS = (2.0, 0.5, 0.0, ROWS)  # L in rows; short moves need short ramps
@@ -118,6 +119,10 @@ def make_settings(signals: Signals, overrides: Overrides, motion: FilteredMotion
     release_pages(signals.q)
     release_pages(signals.effort)
     bandwidth_hz = signals.robot.bandwidth_hz
+    least_hz = MIN_RATE_HZ if signals.motion_hz else max(MIN_RATE_HZ, 2 * bandwidth_hz)
+    if fs <= least_hz:
+        expected = f"above {least_hz:g} Hz, twice the bandwidth of the position loop: a rate in Hz, not a period"
+        raise IdentificationError(place=signals.recording, key="sample_rate_hz", value=fs, expected=expected)
     highest_hz = signals.motion_hz or CUTOFF_PER_BANDWIDTH * bandwidth_hz
     cutoff_hz: float | None = highest_hz
     for choice in (stored.cutoff_hz, overrides.cutoff_hz):

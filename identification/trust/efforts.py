@@ -1,27 +1,27 @@
 """Columns that are not what they are taken for: exchanged, of the wrong sign or unit, cut off by an unstated limit.
 
-A mistake S of the motors' columns, an exchange or a sign, is its own inverse. Undoing it makes of the drives' torques tau at
-the joints Rᵀ G S (Rᵀ G)⁻¹ tau, and of positions R⁻¹ S R q; a table of joint torques may have them exchanged by joint. Least squares
+A mistake S of the motors' columns, an exchange or a sign, is its own inverse. Undoing it makes of the drives' torques at joints
+Rᵀ G S (Rᵀ G)⁻¹ tau, and of positions R⁻¹ S R q; a table of joint torques may have them exchanged by joint. Least squares
 tells which mistake fits. A wrong sign fits nearly as well, but its motor takes power from the robot: it brakes.
 """
 
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 
+from acquisition.robot import RADIANS_AS_DEGREES
+
 from ..arrays import Array
-from ..estimation import MOVING
-from ..model import poses_of
-from ..regression import Problem
+from ..regression import HELD, FilteredMotion, Problem, rows_of_recording, weights_at
 from ..simulation import unstated_limits
 from .fit_data import FitData
 from .lines import LEVELS, TrustLine
 
 MIN_BAD_PERCENT = 5.0  # torque error of a joint: below, nothing is tried unless a motor brakes
 MAX_RATIO, MAX_RATIO_OF_BRAKE = 0.5, 0.95  # of the torque errors with a mistake undone and with it
-MAX_SPAN_S, MAX_ROWS = 180.0, 3000  # of the first recording, that mistakes are tried on
-MAX_RANGE_SHARE = 0.02  # of a joint's range, that positions in a wrong unit use
+MAX_SPAN_S = 180.0  # of the first recording, that mistakes are tried on
 
 
 def efforts_test(evidence: FitData) -> TrustLine | None:
@@ -33,8 +33,12 @@ def efforts_test(evidence: FitData) -> TrustLine | None:
     if len(R) == 1 or not ((100 * rho > MIN_BAD_PERCENT * size).any() or brakes.any()):
         return None
     problem, one = evidence.problem.with_samples(), np.eye(len(R))
-    finding, error, least, factors = "", 0.0, np.inf, _factors(problem, one)
-    with_it = _error(factors, one)
+    s, most = problem.settings, round(MAX_SPAN_S * problem.signals.sample_rate_hz)
+    problem = problem.until(min(s.stop, s.start + most)).corrected(
+        s.known_lag.value_s
+    )  # a lag found has the mistake in it
+    factors = _factors(problem, one)
+    finding, error, least, with_it = "", 0.0, np.inf, _error(factors, one)
     for mistake, motor, A, B in _mistakes(problem):
         tried = _error(factors if B is None else _factors(problem, B), A)
         score = tried / (MAX_RATIO if motor is None or not brakes[motor] else MAX_RATIO_OF_BRAKE)
@@ -42,7 +46,7 @@ def efforts_test(evidence: FitData) -> TrustLine | None:
             finding, error, least = mistake, tried, score
     if not finding:
         return None
-    text = f"{finding}: undone, the torque error is {100 * error:.2g} % in place of {100 * with_it:.2g} %"
+    text = f"{finding}: undone, the torque errors of joints are {100 * error:.2g} % (rms) in place of {100 * with_it:.2g} %"
     return TrustLine("efforts", "do not use", f"{text}: check columns and signs of the recording", finding=finding)
 
 
@@ -61,22 +65,20 @@ def _mistakes(problem: Problem) -> Iterator[tuple[str, int | None, Array, Array 
 
 
 def _factors(problem: Problem, B: Array) -> Array:
-    """QR factors (n, k, b + n + 1) of each joint's columns at positions mapped by B, all drives' torques and the known one."""
-    settings, signals, zero = problem.settings, problem.signals, problem.signals.robot.zero
-    stop = min(settings.stop, settings.start + round(MAX_SPAN_S * signals.sample_rate_hz))
-    motion, decimation = problem.motion.between(settings.start, stop, settings.cutoff_hz), settings.decimator
-    few = slice(None, None, -(-decimation.rows(len(motion.q)) // MAX_ROWS))
-    q, dq, ddq = (decimation.kept(x)[few] for x in (motion.q, motion.dq, motion.ddq))
-    known = 0 * motion.tau if signals.known_torque is None else signals.known_torque[settings.start : stop]
-    drives, known = (decimation.filtered(x.T).T[few] for x in (motion.tau - known, known))
-    W = problem.model.regressor((q - zero) @ B.T + zero, dq @ B.T, ddq @ B.T)[:, :, problem.base.columns]
-    rows = np.concatenate([W, np.broadcast_to(drives[:, None], (*W.shape[:2], len(B))), known[..., None]], axis=2)
-    moving = np.abs(dq) > MOVING * np.abs(dq).max(axis=0)
-    return np.asarray(np.linalg.qr((rows * moving[..., None]).transpose(1, 0, 2), mode="r"))
+    """QR factors (n, k, b + n + 1) of each joint's rows, positions mapped by B: columns, all drives' torques, the known one."""
+    signals, settings, zero = problem.signals, problem.settings, problem.signals.robot.zero
+    mapped, used = replace(signals, q=(signals.q - zero) @ B.T + zero), slice(settings.start, settings.stop)
+    problem = replace(problem, signals=mapped, motion=FilteredMotion(mapped))
+    W = rows_of_recording(problem, most=HELD).system.W.reshape(len(B), -1, problem.base.b)
+    known = np.zeros_like(signals.q) if signals.known_torque is None else signals.known_torque
+    torques = np.stack([np.c_[signals.effort, of_joint][used].T for of_joint in known.T])
+    w = weights_at(problem, np.arange(used.start, used.stop) / signals.sample_rate_hz)
+    rows = settings.decimator.filtered(w[:, None] * torques).transpose(0, 2, 1)
+    return np.asarray(np.linalg.qr(np.concatenate([W, rows], axis=2), mode="r"))
 
 
 def _error(factors: Array, A: Array) -> float:
-    """Relative torque error of least squares where the drives' torques are mapped by A, each joint weighted by its torque."""
+    """Relative torque error, rms of the joints, of least squares weighted by it, where the drives' torques are mapped by A."""
     b = factors.shape[2] - len(A) - 1
     Y = np.einsum("jkm,jm->jk", factors[..., b:], np.c_[A, np.ones(len(A))])
     weight = 1 / np.maximum(np.linalg.norm(Y, axis=1, keepdims=True), 1e-300)
@@ -98,19 +100,10 @@ def saturation_test(evidence: FitData) -> TrustLine | None:
 
 
 def positions_test(evidence: FitData) -> TrustLine | None:
-    """Whether joints use hardly any of their ranges, where 57 times as much would suit them: radians declared as degrees."""
-    q, joints = poses_of(evidence.problem.used_positions()), evidence.problem.signals.robot.joints
-    turning = [
-        (x, joint.si("position") or (0, 0)) for x, joint in zip(q.T, joints, strict=True) if joint.type == "revolute"
-    ]
-    share = max((np.ptp(x) / max(high - low, 1e-9) for x, (low, high) in turning), default=1.0)
-    within = all(low <= np.degrees(x).min() and np.degrees(x).max() <= high for x, (low, high) in turning)
-    if share > MAX_RANGE_SHARE or not within:
+    """Whether positions look like radians that were declared as degrees."""
+    if all(RADIANS_AS_DEGREES not in problem.settings.warnings for problem in evidence.problems):
         return None
-    text = (
-        f"positions use at most {100 * share:.2g} % of the ranges of the joints: are they radians, declared as degrees?"
-    )
-    return TrustLine("positions", "caution", text, finding="radians declared as degrees?")
+    return TrustLine("positions", "caution", RADIANS_AS_DEGREES, finding="radians declared as degrees?")
 
 
 def limits_test(evidence: FitData) -> TrustLine | None:

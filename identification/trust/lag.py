@@ -74,10 +74,7 @@ def simulated_rates(problem: Problem, replica: Replica) -> tuple[Array, NDArray[
 
 
 def combined_lag(prior: KnownLag, found: tuple[float, float, int] | None) -> Lag:
-    """The lag of a group from its prior and the data, `found`: value and deviation in s, degrees of freedom of the deviation.
-
-    They are compared by Student's t; the degrees of freedom of both deviations together are those of Welch (1947).
-    """
+    """The lag of a group from its prior and the data, `found` as in `Lag`, compared by Student's t as of Welch (1947)."""
     counted, reach = prior, 2.0
     if found is not None and not prior.stated:
         value, sd, freedom = found
