@@ -15,7 +15,7 @@ from identification.commands import main
 PACKAGES = ("acquisition", "identification")
 MOST_LINES = 31_705
 ROOMS = {"acquisition": 9, "identification": 13}
-MOST_RECORDS, MOST_VISITS = 48, 461
+MOST_RECORDS, MOST_VISITS = 48, 467
 LONGEST_CYCLE = 8  # rooms that a loop goes through again and again: counted once
 
 
