@@ -13,9 +13,9 @@ from conftest import REPLAY, ROOT
 from identification.commands import main
 
 PACKAGES = ("acquisition", "identification")
-MOST_LINES = 31_507
+MOST_LINES = 31_610
 ROOMS = {"acquisition": 9, "identification": 13}
-MOST_RECORDS, MOST_VISITS = 48, 461
+MOST_RECORDS, MOST_VISITS = 48, 491
 LONGEST_CYCLE = 8  # rooms that a loop goes through again and again: counted once
 
 
