@@ -190,10 +190,12 @@ def why_by_reference(equations: Equations, passes: Sequence[Pass], best: Pass) -
     """Why instruments have to be along the motion that the reference predicts; None where those of the pass are enough, the
     control law is described, or the reference is not recorded.
     """
+    if any(one.reference_kind != "recorded" or one.described for one in best.replicas):
+        return None
     status, why = status_of(equations, passes, best, tests_of(equations.along(best.z).system, best.estimate))
-    told = all(one.reference_kind == "recorded" and not one.described for one in best.replicas)
-    text = f"by a simulated robot, whose control law is not described, {status}: {why}"
-    return text if told and status != "converged" else None
+    return (
+        None if status == "converged" else f"by a simulated robot, whose control law is not described, {status}: {why}"
+    )
 
 
 def _unconfirmed(equations: Equations, best: Pass) -> str | None:

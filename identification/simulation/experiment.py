@@ -55,6 +55,7 @@ class Experiment:
         loop: the description's control loop, or None: a PD of the stated bandwidth is used instead.
         reference_kind: `surrogate` for the measured position low-passed without phase shift.
         blocks: of the rows; `decimation` leads from the instruments to the rows.
+        cutoff_hz: of the rule, of the measured and the predicted motion.
         start: measured position and speed, filtered, (n,) each, at the first instant.
         bound: (n,) maximum deviation of a simulation from the reference; `held` (n,), which joints the reference holds;
             `fastest` (c,) its maximum speeds along the `directions` (c, n) of Coulomb friction.
@@ -83,7 +84,7 @@ class Experiment:
         self.problem, self.gain_update, self.spans = problem, gain_update, spans
         self.directions, self.bandwidth_hz = problem.model.coulomb_directions, robot.bandwidth_hz
         self.reference_kind: Literal["recorded", "surrogate"] = "surrogate" if signals.q_ref is None else "recorded"
-        self._cutoff_hz = rule_cutoff_hz(signals)
+        self.cutoff_hz = rule_cutoff_hz(signals)
         self.loop = recorded_loop(robot)
         if self.loop is not None and signals.q_ref is None:
             self.loop = replace(self.loop, gravity=not self.loop.gravity_at_q)
@@ -165,13 +166,9 @@ class Experiment:
         return self.motion(at, self.problem.motion).q[:: self.stride]
 
     def motion(self, at: slice, of: FilteredMotion) -> Motion:
-        """A motion at all recorded samples from the first to the last of these instrument samples, low-passed as `filtered`."""
+        """A motion at all recorded samples from the first to the last of these instrument samples, low-passed by the rule."""
         first, last = (self.first + self.stride * place for place in (at.start, at.stop - 1))
-        return of.between(first, last + 1, self._cutoff_hz)
-
-    def filtered(self, start: int, stop: int) -> Motion:
-        """The measured motion at recorded samples, low-passed at the rule's cut-off."""
-        return self.problem.motion.between(start, stop, self._cutoff_hz)
+        return of.between(first, last + 1, self.cutoff_hz)
 
     def t_s(self, at: slice) -> Array:
         """Times of instrument samples, s."""
@@ -207,7 +204,7 @@ def _reference(e: Experiment, at: Array) -> Reference:
     known = None if signals.known_torque is None else sampled_at(at, signals.known_torque[near])
     if signals.q_ref is None:
         # The measured motion already contains the effect of the feed-forward.
-        measured = e.filtered(low, high)
+        measured = e.problem.motion.between(low, high, e.cutoff_hz)
         return Reference(*(sampled_at(at, x) for x in (measured.q, measured.dq, measured.ddq)), known_torque=known)
     q_ref = np.array(signals.q_ref[near])
     release_pages(signals.q_ref)
