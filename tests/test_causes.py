@@ -73,6 +73,11 @@ def test_of_a_coupled_wrist_the_motor_is_named():
     for motor in (4, 5):
         found = first(fit_by_least_squares(with_sign(signals, motor)))
         assert found == ("do not use", f"the effort of motor_{motor + 1} has the wrong sign")
+    R, zero = signals.robot.R, signals.robot.zero
+    turn = np.linalg.solve(R, np.diag([1.0, 1, 1, 1, -1, 1]) @ R)
+    q, q_ref = ((x - zero) @ turn.T + zero for x in (signals.q, signals.q_ref))
+    found = first(fit_by_least_squares(replace(signals, q=q, q_ref=q_ref)))
+    assert found == ("do not use", "the position of motor_5 has the wrong sign")
     order = [0, 1, 2, 4, 3, 5]
     fit = fit_by_least_squares(of_motors(lambda efforts: efforts[:, order])(signals))
     assert first(fit) == ("do not use", "the efforts of motor_4 and motor_5 are exchanged")
