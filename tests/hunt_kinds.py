@@ -368,11 +368,11 @@ CLEAN = Kind(change=nothing)
 KINDS = {
     "gain of the record ±5-50 %": Kind(change=gain_of_record, named=(("replay", ""),)),
     "described drive gain ±5-50 %": Kind(change=drive_gain, named=(("added columns", "gain"),), unseen=("emps",)),
-    "sign": Kind(change=sign, named=(("physical", "sign"), ("replay", "sign"), ("efforts", "sign"))),
+    "sign": Kind(change=sign, named=(("physical", "sign"), ("replay", "sign"), ("signs and order", "sign"))),
     "efforts of two motors exchanged": Kind(
-        change=exchanged, named=(("efforts", "are exchanged"),), robots=("scara", "tx40")
+        change=exchanged, named=(("signs and order", "are exchanged"),), robots=("scara", "tx40")
     ),
-    "sign of a coupled motor": Kind(change=sign_of_wrist, named=(("efforts", "wrong sign"),), robots=("tx40",)),
+    "sign of a coupled motor": Kind(change=sign_of_wrist, named=(("signs and order", "wrong sign"),), robots=("tx40",)),
     "radians declared as degrees": Kind(
         change=radians_as_degrees, named=(("positions", "radians"),), robots=("scara",)
     ),

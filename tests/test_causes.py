@@ -38,7 +38,7 @@ def test_exchanged_efforts_are_named_and_what_is_left_without(fit_by):
     signals = setup("scara", 2).recording(2)
     fit = fit_by(replace(signals, effort=signals.effort[:, ::-1]))
     assert first(fit) == ("do not use", "the efforts of motor_1 and motor_2 are exchanged")
-    error = fit.trust.line("efforts").text.split("torque errors of joints are ")[1]
+    error = fit.trust.line("signs and order").text.split("torque errors of joints are ")[1]
     left, with_it = (float(text.split(" %")[0]) for text in error.split(" in place of "))
     sound_errors = [joint.moving_relative_error_percent for joint in fit_by(signals).errors[:-1]]
     assert left == pytest.approx(np.sqrt(np.mean(np.square(sound_errors))), rel=0.2)
@@ -67,12 +67,17 @@ def test_of_all_signs_no_motor_is_named():
 @pytest.mark.slow
 def test_of_a_coupled_wrist_the_motor_is_named():
     signals = setup("tx40", 1, 8.0).recording(1)
-    assert not {"efforts", "saturation", "positions"} & {
+    assert not {"signs and order", "saturation", "positions"} & {
         line.test for line in fit_by_least_squares(signals).trust.lines
     }
     for motor in (4, 5):
         found = first(fit_by_least_squares(with_sign(signals, motor)))
         assert found == ("do not use", f"the effort of motor_{motor + 1} has the wrong sign")
+    R, zero = signals.robot.R, signals.robot.zero
+    turn = np.linalg.solve(R, np.diag([1.0, 1, 1, 1, -1, 1]) @ R)
+    q, q_ref = ((x - zero) @ turn.T + zero for x in (signals.q, signals.q_ref))
+    found = first(fit_by_least_squares(replace(signals, q=q, q_ref=q_ref)))
+    assert found == ("do not use", "the position of motor_5 has the wrong sign")
     order = [0, 1, 2, 4, 3, 5]
     fit = fit_by_least_squares(of_motors(lambda efforts: efforts[:, order])(signals))
     assert first(fit) == ("do not use", "the efforts of motor_4 and motor_5 are exchanged")

@@ -27,7 +27,7 @@ def fit():
 
 @pytest.mark.slow
 def test_kinds_are_named_by_tests_that_there_are(fit):
-    where_found = {"rows", "efforts", "positions"}  # lines where there is something to say
+    where_found = {"rows", "signs and order", "positions"}  # lines where there is something to say
     named = {test for kind in KINDS.values() for test, _ in kind.named} - where_found
     assert named - {"", ASSUMED} <= {line.test for line in fit.trust.lines}
     assert CLEAN.named == ()

@@ -24,7 +24,7 @@ MAX_RATIO, MAX_RATIO_OF_BRAKE = 0.5, 0.95  # of the torque errors with a mistake
 MAX_SPAN_S = 180.0  # of the first recording, that mistakes are tried on
 
 
-def efforts_test(evidence: FitData) -> TrustLine | None:
+def signs_and_order_test(evidence: FitData) -> TrustLine | None:
     """Whether a mistake undone halves the torque error, or, as a sign of a motor that brakes, lowers it."""
     rows, R = evidence.observed, evidence.problem.signals.robot.R
     rho, size = (np.linalg.norm(x * rows.counts, axis=0) for x in (rows.tau - evidence.predicted, rows.tau))
@@ -47,7 +47,9 @@ def efforts_test(evidence: FitData) -> TrustLine | None:
     if not finding:
         return None
     text = f"{finding}: undone, the torque errors of joints are {100 * error:.2g} % (rms) in place of {100 * with_it:.2g} %"
-    return TrustLine("efforts", "do not use", f"{text}: check columns and signs of the recording", finding=finding)
+    return TrustLine(
+        "signs and order", "do not use", f"{text}: check columns and signs of the recording", finding=finding
+    )
 
 
 def _mistakes(problem: Problem) -> Iterator[tuple[str, int | None, Array, Array | None]]:
@@ -106,7 +108,7 @@ def positions_test(evidence: FitData) -> TrustLine | None:
     return TrustLine("positions", "caution", RADIANS_AS_DEGREES, finding="radians declared as degrees?")
 
 
-def limits_test(evidence: FitData) -> TrustLine | None:
+def effort_test(evidence: FitData) -> TrustLine | None:
     """Recorded efforts beyond a limit of the description, which no drive gives."""
     overloads = dict.fromkeys(text for problem in evidence.problems for text in problem.settings.overloads)
     if not overloads:
