@@ -76,7 +76,7 @@ def _common_factor(factors: Array) -> tuple[float, float] | None:
     return (float(np.exp(np.median(of))), scatter) if off > max(limit, MAX_SCATTERS * of_median) else None
 
 
-def center_of_mass_test(evidence: FitData) -> TrustLine | None:
+def centre_of_mass_test(evidence: FitData) -> TrustLine | None:
     """How far the centre of mass by the recordings alone is from the stated one; the line of the worst payload."""
     names, lines = evidence.estimate.names, list[TrustLine]()
     for one in dict.fromkeys(arm.payload for arm in evidence.arms):

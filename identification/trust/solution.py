@@ -25,7 +25,7 @@ from ..report import Assumed
 from .columns import added_columns_test
 from .efforts import effort_test, positions_test, saturation_test, signs_and_order_test
 from .fit_data import FitData, Span
-from .gains import center_of_mass_test, gains_test, payload_assumptions
+from .gains import centre_of_mass_test, gains_test, payload_assumptions
 from .held_out import held_out_test
 from .lag import lag_test
 from .lines import LEVELS, Trust, TrustLine
@@ -302,7 +302,7 @@ def list_assumptions(evidence: FitData, lines: Mapping[str, TrustLine]) -> Itera
 
 # A test is a function of the fit's data, None where it does not apply. A new one is a line here.
 TESTS: tuple[Callable[[FitData], TrustLine | None], ...] = (
-    *(signs_and_order_test, saturation_test, positions_test, gains_test, center_of_mass_test, fixed_point_test),
+    *(signs_and_order_test, saturation_test, positions_test, gains_test, centre_of_mass_test, fixed_point_test),
     *(physical_test, units_test, replay_test, prior_test, added_columns_test, lag_test),
     *(held_out_test, halves_test, consistent_test, ends_test, essential_test, instruments_test),
     *(prewhitened_test, position_noise_test, motion_test, effort_test, rows_test),
