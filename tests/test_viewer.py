@@ -221,7 +221,7 @@ def test_a_fit_by_instruments_shows_the_simulated_robot(case, written):
 @pytest.mark.slow
 def test_a_robot_that_cannot_be_simulated_has_no_ghost(written):
     fit = fitted_iv(made_up())
-    assert (fit.status, fit.replica.motion) == ("not_confirmed", None)
+    assert (fit.status, fit.replica.direct) == ("not_confirmed", ())
     file = written(made_up(), fit)
     assert file.is_complete()
     assert not any("simulated" in path for path in [*file.curves, *file.moving])
