@@ -15,7 +15,7 @@ from identification.commands import main
 PACKAGES = ("acquisition", "identification")
 MOST_LINES = 32_281
 ROOMS = {"acquisition": 9, "identification": 13}
-MOST_RECORDS, MOST_VISITS = 48, 507
+MOST_RECORDS, MOST_VISITS = 48, 497
 LONGEST_CYCLE = 8  # rooms that a loop goes through again and again: counted once
 
 
