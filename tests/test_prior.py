@@ -190,7 +190,7 @@ def written(tmp_path_factory):
     """A folder with a recording, its fit, and URDFs."""
     there = tmp_path_factory.mktemp("prior")
     write_signals(there / "log.mcap", recorded(0), source="independent simulator")
-    (there / "arm.urdf").write_text(six_joints())
+    (there / "arm.urdf").write_text(six_joints((2.0,) * 6))
     (there / "other.urdf").write_text(six_joints().replace("elbow", "knee"))
     (there / "longer.urdf").write_text(six_joints().replace("0.3922", "0.4"))
     (there / "empty.urdf").write_text(six_joints((0,) * 6))
@@ -220,7 +220,8 @@ def test_a_fit_is_compared_with_a_urdf(written, capsys):
     assert next(line for line in out if "value" in line).split() == ["name", "unit", "value", "±95%", "prior", "ratio"]
     cells = next(line.split() for line in out if line.strip().startswith("MZ2R"))
     value, _, prior, ratio = map(float, cells[-4:])
-    assert ratio == pytest.approx(value / prior, rel=0.01) == pytest.approx(1, abs=0.02)  # the URDF of the arm
+    assert ratio == pytest.approx(value / prior, rel=0.01)
+    assert ratio == pytest.approx(0.5, rel=0.02)  # the URDF has twice the links of the arm
     compared = json.loads((written / "compared.json").read_text())
     assert (compared["a"], compared["b"]) == ("fit", "arm")
     for name, words in {
