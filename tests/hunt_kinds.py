@@ -366,9 +366,9 @@ class Kind:
 
 CLEAN = Kind(change=nothing)
 KINDS = {
-    "gain of the record ±5-50 %": Kind(change=gain_of_record, named=(("replay", ""),)),
+    "gain of the record ±5-50 %": Kind(change=gain_of_record, named=(("control law", ""),)),
     "described drive gain ±5-50 %": Kind(change=drive_gain, named=(("added columns", "gain"),), unseen=("emps",)),
-    "sign": Kind(change=sign, named=(("physical", "sign"), ("replay", "sign"), ("signs and order", "sign"))),
+    "sign": Kind(change=sign, named=(("physical", "sign"), ("control law", "sign"), ("signs and order", "sign"))),
     "efforts of two motors exchanged": Kind(
         change=exchanged, named=(("signs and order", "are exchanged"),), robots=("scara", "tx40")
     ),
@@ -384,9 +384,9 @@ KINDS = {
     "Stribeck 50 %": Kind(change=stribeck, named=(("added columns", "Stribeck"),)),
     "cogging": Kind(change=cogging),
     "friction drifts 20-40 %": Kind(change=friction_drifts, named=(("halves", ""), ("added columns", "drift"))),
-    "rate 1 %": Kind(change=rate, named=(("replay", ""),), unseen=BOTH),
-    "controller gains × 0.5-2": Kind(change=controller_gains, named=(("replay", ""),)),
-    "PI said to be P": Kind(change=undescribed_integral, named=(("replay", ""),)),
+    "rate 1 %": Kind(change=rate, named=(("control law", ""),), unseen=BOTH),
+    "controller gains × 0.5-2": Kind(change=controller_gains, named=(("control law", ""),)),
+    "PI said to be P": Kind(change=undescribed_integral, named=(("control law", ""),)),
     "0.2-2 % of rows lost": Kind(change=lost_rows, named=(("rows", "missing"),)),
     "12 bit over the range": Kind(change=twelve_bits),
     "slow motion": Kind(change=slow),

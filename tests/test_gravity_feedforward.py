@@ -85,7 +85,7 @@ def described(**keys: object) -> Signals:
 
 def of_test(signals: Signals, **options: object):
     fit = identify(signals, Overrides(), **options)
-    return fit, next(line for line in fit.trust.lines if line.test == "replay")
+    return fit, next(line for line in fit.trust.lines if line.test == "control law")
 
 
 def test_the_replay_subtracts_gravity_and_says_so():

@@ -87,7 +87,7 @@ def test_with_both_the_truth_is_in_the_intervals(method):
     doubted = [x.test for x in fit.trust.lines if x.level == "caution"]
     assert doubted == ([] if method == "iv" else ["lag"]), "least squares cannot find the lag"
     assert fit.errors[-1].moving_relative_error_percent < 2.0
-    assert line(fit, "replay").figures[0].value == pytest.approx(1.0, abs=0.002)
+    assert line(fit, "control law").figures[0].value == pytest.approx(1.0, abs=0.002)
     assert line(fit, "lag").figures[0].value == pytest.approx(-0.5, abs=0.1)
     if fit.iv:
         assert fit.status == "converged"
@@ -115,7 +115,7 @@ def test_without_the_spring_the_fit_says_caution(method):
 def test_without_the_pulses_the_fit_says_caution(method):
     fit = fitted(without("feedforward"), method)
     assert fit.trust.verdict == "caution"
-    found = line(fit, "replay")
+    found = line(fit, "control law")
     assert found.level == "caution"
     assert found.value < 0.97
     if fit.iv:

@@ -419,7 +419,7 @@ def test_lag_columns_do_not_cross_recordings():
     late = not_stated(replace(recorded(2), effort=np.roll(recorded(2).effort, 2, axis=0)))
     fit = identify_iv(several(not_stated(recorded(1)), late), Overrides(), Iteration())
     assert fit.trust.line("lag").value == pytest.approx(1.0, abs=0.6)
-    assert [line.test for line in fit.data.replays] == ["replay", "replay"]
+    assert [line.test for line in fit.data.replays] == ["control law", "control law"]
 
 
 def with_offsets(kinds: tuple[str, ...], offsets: tuple[float, ...] = (0.2, -0.1, 0.05)) -> list[Signals]:
@@ -554,7 +554,7 @@ def test_lags_are_in_samples_of_the_first_recording():
 
 def test_the_replay_is_that_of_the_worst_recording():
     loud = replace(recorded(2), effort=1.2 * recorded(2).effort)
-    line = identify_ls(several(recorded(1), loud, recorded(3)), Overrides()).trust.line("replay")
+    line = identify_ls(several(recorded(1), loud, recorded(3)), Overrides()).trust.line("control law")
     assert (line.level, line.text.partition(":")[0]) == ("caution", "r2.mcap")
     assert line.value == pytest.approx(1.2, abs=0.02)
 

@@ -49,7 +49,7 @@ OF_ALL = {
     "physical",
     "units",
     "lag",
-    "replay",
+    "control law",
     "added columns",
     "held-out blocks",
     "halves",

@@ -201,7 +201,7 @@ def assess_iv(
     iv = InstrumentEvidence(
         start=start,
         reference="recorded" if all(one.reference_kind == "recorded" for one in replicas) else "surrogate",
-        controller="described" if all(one.described for one in replicas) else "surrogate",
+        controller=max((one.controller for one in replicas), key=("described", "found", "surrogate").index),
         passes=tuple(passes),
         returned=best.number,
         reason=reason,
@@ -233,9 +233,9 @@ def _iv_warnings(
             "surrogate reference: none recorded, the measured position is used instead; the instruments are not "
             "strictly exogenous"
         )
-    if without := [one.bandwidth_hz for one in replicas if not one.described]:
+    if without := [one.bandwidth_hz for one in replicas if one.controller == "surrogate"]:
         warnings.append(f"no controller described: simulated with a {without[0]:g} Hz PD instead")
-    if unknown := [one.bandwidth_hz for one in replicas if one.described and not one.J_known]:
+    if unknown := [one.bandwidth_hz for one in replicas if one.controller != "surrogate" and not one.J_known]:
         warnings.append(
             "least squares gives no positive inertias: the gain update uses those that suit the described gains at "
             f"{unknown[0]:g} Hz"

@@ -90,7 +90,7 @@ class InstrumentEvidence:
 
     start: str
     reference: Literal["recorded", "surrogate"]
-    controller: Literal["described", "surrogate"]
+    controller: Literal["described", "found", "surrogate"]
     passes: tuple[Pass, ...]
     returned: int
     reason: str | None

@@ -190,7 +190,7 @@ def why_by_reference(equations: Equations, passes: Sequence[Pass], best: Pass) -
     """Why instruments have to be along the motion that the reference predicts; None where those of the pass are enough, the
     control law is described, or the reference is not recorded.
     """
-    if any(one.reference_kind != "recorded" or one.described for one in best.replicas):
+    if any(one.reference_kind != "recorded" or one.controller == "described" for one in best.replicas):
         return None
     status, why = status_of(equations, passes, best, tests_of(equations.along(best.z).system, best.estimate))
     return (

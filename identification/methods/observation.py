@@ -19,6 +19,7 @@ from ..regression import (
     Rows,
     Settings,
     base_name,
+    law_of,
     make_problem,
     make_settings,
     most_numbers,
@@ -26,11 +27,11 @@ from ..regression import (
     sample_weights,
 )
 from ..report import Method
-from ..trust import TrustLine, replay_line
+from ..trust import TrustLine, law_line
 from .fit import LeastSquares
 
 Say = Callable[[str], None]
-Replayed = tuple[TrustLine, KnownLag | None]  # the line of `replay`, and the lag of the torque by it
+Replayed = tuple[TrustLine, KnownLag | None]  # the line of its control law, and the lag of the torque by it
 Observed = tuple[Problem, Rows, Replayed]  # a recording, without samples where it is one of several long ones
 
 SPAN_S = 180.0  # of a long recording, for tests that need rows
@@ -51,8 +52,9 @@ def observe(source: Signals | RecordingFile, overrides: Overrides, most: float) 
 
 
 def observation_of(problem: Problem, most: float | None, say: Say = lambda text: None) -> Observed:
-    """The rows of a recording, and the replay of its control law; `most` as of `rows_of_recording`."""
-    rows, replayed = rows_of_recording(problem, say, most=most), replay_line(problem)
+    """The rows of a recording, and its control law; `most` as of `rows_of_recording`."""
+    problem = problem if problem.law is not None else replace(problem, law=law_of(problem))
+    rows, replayed = rows_of_recording(problem, say, most=most), law_line(problem)
     return problem.without_samples() if most is not None and rows.reduced else problem, rows, replayed
 
 

@@ -86,13 +86,18 @@ def sampled_at(at: Array, x: Array) -> Array:
     picks = np.rint(at).astype(np.intp)
     if np.abs(at - picks).max() < 1e-6:
         return x[picks]
+    return on_spline(at, spline_coefficients(x))
+
+
+def on_spline(at: Array, c: Array) -> Array:
+    """The cubic spline of coefficients c (N + 3, n) at places (K,) from 0 to N - 1."""
     i, u = np.divmod(at, 1.0)
-    c, i, u = _spline_coefficients(x), i.astype(np.intp), u[:, None]
+    i, u = i.astype(np.intp), u[:, None]
     weights = ((1 - u) ** 3, 4 - 6 * u**2 + 3 * u**3, 1 + 3 * u + 3 * u**2 - 3 * u**3, u**3)
     return np.asarray(sum(weight * c[i + k] for k, weight in enumerate(weights)) / 6)
 
 
-def _spline_coefficients(x: Array) -> Array:
+def spline_coefficients(x: Array) -> Array:
     """Coefficients (N + 3, n) of the cubic B-splines about the samples -1 to N + 1 that go through x (N, n).
 
     Unser, Aldroubi, Eden, IEEE Trans. Signal Processing 41 (1993): the inverse of the filter (1, 4, 1)/6 falls by 2 - sqrt(3)

@@ -14,6 +14,7 @@ from ..errors import IdentificationError
 from ..model import BaseParameters, InverseModel, JointTerm, base_parameters
 from .bandwidth import with_bandwidth
 from .filtering import decimation_reach
+from .law import Law
 from .motion import FilteredMotion, Motion, later
 from .settings import Overrides, Settings, make_settings, rule_cutoff_hz
 
@@ -30,6 +31,7 @@ class Problem:
         signals: the recording with corrected torque lag; `recorded`: as recorded.
         motion: low-passed motion of the recording.
         source: where a task reads the recording, if the samples are left out.
+        law: the control law of its drives, once looked for.
         gains: (n,) factors on the described drive gains, in `signals`; 1 in `recorded`; None for those described.
     """
 
@@ -41,6 +43,7 @@ class Problem:
     motion: FilteredMotion
     source: Signals | RecordingFile | None = None
     gains: Array | None = None
+    law: Law | None = None
 
     @cached_property
     def series(self) -> int:

@@ -32,7 +32,7 @@ from ..regression import (
     rule_cutoff_hz,
     sampled_at,
 )
-from .control_law import Reference, recorded_loop
+from .control_law import Reference, found_loop, recorded_loop
 
 RATE_PER_BANDWIDTH = 100.0  # instrument samples per period of the bandwidth, at least
 EARLY_RATE_PER_BANDWIDTH = 25.0  # the same in early passes, whose estimate only starts the next ones
@@ -52,7 +52,8 @@ class Experiment:
     controller has `instants`, `period_s` apart, from the same sample on, each with `substeps` simulated steps.
 
     Attributes:
-        loop: the description's control loop, or None: a PD of the stated bandwidth is used instead.
+        loop: the control loop of the description or of the recording, or None: a PD of the stated bandwidth is used instead.
+        delay_s: after which the reference acts.
         reference_kind: `surrogate` for the measured position low-passed without phase shift.
         blocks: of the rows; `decimation` leads from the instruments to the rows.
         cutoff_hz: of the rule, of the measured and the predicted motion.
@@ -85,7 +86,13 @@ class Experiment:
         self.directions, self.bandwidth_hz = problem.model.coulomb_directions, robot.bandwidth_hz
         self.reference_kind: Literal["recorded", "surrogate"] = "surrogate" if signals.q_ref is None else "recorded"
         self.cutoff_hz = rule_cutoff_hz(signals)
-        self.loop = recorded_loop(robot)
+        self.loop, law = recorded_loop(robot), problem.law
+        if self.loop is None and law is not None and law.reason is None:
+            self.loop = found_loop(law, robot)
+        self.delay_s = law.common_delay_s if law is not None else 0.0
+        self.controller: Literal["described", "found", "surrogate"] = "surrogate"
+        if self.loop is not None:
+            self.controller = "found" if recorded_loop(robot) is None else "described"
         if self.loop is not None and signals.q_ref is None:
             self.loop = replace(self.loop, gravity=not self.loop.gravity_at_q)
         _refuse_foreign_reference(problem)
@@ -209,7 +216,8 @@ def _reference(e: Experiment, at: Array) -> Reference:
     q_ref = np.array(signals.q_ref[near])
     release_pages(signals.q_ref)
     dq_ref = differentiate(q_ref, signals.sample_rate_hz)
-    paths = (sampled_at(at, x) for x in (q_ref, dq_ref, differentiate(dq_ref, signals.sample_rate_hz)))
+    given = at - e.delay_s * signals.sample_rate_hz  # before the span the reference stands
+    paths = (sampled_at(given, x) for x in (q_ref, dq_ref, differentiate(dq_ref, signals.sample_rate_hz)))
     feedforward = None
     if signals.feedforward is not None:  # held between samples: a cubic would overshoot at steps
         feedforward = signals.feedforward[near][np.floor(np.clip(at, 0, len(q_ref) - 1) + 1e-6).astype(np.intp)]

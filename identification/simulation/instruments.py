@@ -137,7 +137,7 @@ def _along(
         tracking_percent=error.percent if simulated else None,
         direct=error.by_joint if simulated else (),
         reference_kind=e.reference_kind,
-        described=e.loop is not None,
+        controller=e.controller,
         J_known=e.J_known,
         bandwidth_hz=e.bandwidth_hz,
     )

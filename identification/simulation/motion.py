@@ -35,7 +35,7 @@ class Replica:
         q: measured positions at the same instants; `decimation` leads from there to the rows.
         tracking_percent: |q_sim - q| in percent of |q - mean|, all joints that move; `direct` by joint; None and empty if it
             could not be simulated.
-        reference_kind, J_known, bandwidth_hz: as in `Experiment`; `described`: the description has the control law.
+        reference_kind, J_known, controller, bandwidth_hz: as in `Experiment`.
     """
 
     motion: Motion | None
@@ -44,7 +44,7 @@ class Replica:
     tracking_percent: float | None
     direct: tuple[DirectModelError, ...]
     reference_kind: Literal["recorded", "surrogate"]
-    described: bool
+    controller: Literal["described", "found", "surrogate"]
     J_known: bool
     bandwidth_hz: float
 

@@ -23,6 +23,7 @@ from ..model import JointTerm
 from ..regression import Problem, base_name, base_places, standing_joints
 from ..report import Assumed
 from .columns import added_columns_test
+from .control_law import control_law_test
 from .efforts import effort_test, positions_test, saturation_test, signs_and_order_test
 from .fit_data import FitData, Span
 from .gains import centre_of_mass_test, gains_test, payload_assumptions
@@ -31,7 +32,6 @@ from .lag import lag_test
 from .lines import LEVELS, Trust, TrustLine
 from .physical import consistent_test, physical_test
 from .prior import prior_test
-from .replay import replay_test
 
 HALVES_LEVEL = 0.001  # of the Wald test
 MIN_SQUARE_OF_HALF = 1e-10  # of a direction of Q in a half; below, it is undetermined
@@ -287,9 +287,9 @@ def list_assumptions(evidence: FitData, lines: Mapping[str, TrustLine]) -> Itera
     if several:
         yield Assumed("lengths", "dh" if robot.urdf is None else "urdf", "link parameters absorb an error of a length")
     yield Assumed("sample rate", f"{signals.sample_rate_hz:g} Hz", "speeds and accelerations scale with it")
-    if evidence.method == "iv" and not evidence.by_reference and lines["replay"].level == "not made":
+    if evidence.method == "iv" and not evidence.by_reference and lines["control law"].level == "not made":
         law = robot.controller.structure or f"a {robot.bandwidth_hz:g} Hz PD"
-        yield Assumed("control law", law, lines["replay"].text.removeprefix("not made: "))
+        yield Assumed("control law", law, lines["control law"].text.removeprefix("not made: "))
     if evidence.lags and evidence.lags[0].prior.stated:
         yield Assumed("lag", f"{evidence.lags[0].value_s:g} s", "stated by torque_lag_s")
     if (duration_s := len(evidence.observed.tau) * settings.decimation / signals.sample_rate_hz) > MAX_SHORT_S:
@@ -303,7 +303,7 @@ def list_assumptions(evidence: FitData, lines: Mapping[str, TrustLine]) -> Itera
 # A test is a function of the fit's data, None where it does not apply. A new one is a line here.
 TESTS: tuple[Callable[[FitData], TrustLine | None], ...] = (
     *(signs_and_order_test, saturation_test, positions_test, gains_test, centre_of_mass_test, fixed_point_test),
-    *(physical_test, units_test, replay_test, prior_test, added_columns_test, lag_test),
+    *(physical_test, units_test, control_law_test, prior_test, added_columns_test, lag_test),
     *(held_out_test, halves_test, consistent_test, ends_test, essential_test, instruments_test),
     *(prewhitened_test, position_noise_test, motion_test, effort_test, rows_test),
 )

@@ -1,4 +1,4 @@
-"""Lag of the torque and replay of the described controller, on recordings of the independent simulator and the real EMPS."""
+"""Lag of the torque and control law, on recordings of the independent simulator and the real EMPS."""
 
 from dataclasses import replace
 from functools import cache
@@ -16,9 +16,8 @@ from identification.estimation import System, whitened
 from identification.methods import Fit, identify, identify_ls, read_equations
 from identification.methods.timing import known_lags
 from identification.regression import Overrides, make_problem, sampled_at
-from identification.simulation import recorded_loop
+from identification.regression.law import law_of
 from identification.trust import TrustLine, trust_in
-from identification.trust.replay import replay
 
 
 @cache
@@ -190,7 +189,7 @@ def test_what_is_known_of_a_lag(timing, rate_hz, stated, option, expected):
 
 
 @pytest.mark.slow
-def test_a_replay_tells_the_lag_of_a_command():
+def test_the_described_law_tells_the_lag_of_a_command():
     signals = recorded("emps", lag=3, noise=2e-5)
     (group,) = known_lags(read_equations(signals, Overrides(), lambda text: None))
     assert 1e3 * group.value_s == pytest.approx(2.5, abs=0.1)
@@ -223,43 +222,43 @@ def test_an_autoregression_is_taken_out():
     assert white.used[:2].sum() == 0
 
 
-# Replay
+# Control law
 
 
-def replayed(signals: Signals) -> TrustLine:
-    return line(fitted(signals, method="wls"), "replay")
+def law_line_of(signals: Signals) -> TrustLine:
+    return line(fitted(signals, method="wls"), "control law")
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["emps", "scara"])
 def test_the_right_controller_is_confirmed_and_faults_are_named(name):
     signals = recorded(name)
-    right = replayed(signals)
+    right = law_line_of(signals)
     assert right.level == "ok"
-    assert right.value == pytest.approx(1.0, abs=1e-3)
-    scaled = replayed(replace(signals, effort=1.1 * signals.effort))
-    assert (scaled.level, scaled.value) == ("caution", pytest.approx(1.1, abs=1e-3))
+    assert right.value == pytest.approx(1.0, abs=0.01)
+    scaled = law_line_of(replace(signals, effort=1.1 * signals.effort))
+    assert (scaled.level, scaled.value) == ("caution", pytest.approx(1.1, abs=0.01))
     sign = np.ones(signals.robot.n)
     sign[-1] = -1
-    wrong = replayed(replace(signals, effort=signals.effort * sign))
-    assert (wrong.level, wrong.value) == ("do not use", pytest.approx(-1.0, abs=1e-3))
-    assert f"joint {signals.robot.joints[-1].name}:" in wrong.text
+    wrong = law_line_of(replace(signals, effort=signals.effort * sign))
+    assert (wrong.level, wrong.value) == ("do not use", pytest.approx(-1.0, abs=0.01))
+    assert f"motor {signals.robot.motors[-1].name}:" in wrong.text
     assert signals.q_ref is not None
-    ratio = replayed(replace(signals, q=1.05 * signals.q, q_ref=1.05 * signals.q_ref, effort=signals.effort / 1.05))
-    assert (ratio.level, ratio.value) == ("caution", pytest.approx(1 / 1.05**2, abs=1e-3))
-    weak = replayed(recorded(name, gain_factor=2.0))
-    assert (weak.level, weak.value) == ("caution", pytest.approx(2.0, abs=2e-3))
+    ratio = law_line_of(replace(signals, q=1.05 * signals.q, q_ref=1.05 * signals.q_ref, effort=signals.effort / 1.05))
+    assert (ratio.level, ratio.value) == ("caution", pytest.approx(1 / 1.05**2, abs=0.01))
+    weak = law_line_of(recorded(name, gain_factor=2.0))
+    assert (weak.level, weak.value) == ("caution", pytest.approx(2.0, abs=0.02))
 
 
 @pytest.mark.slow
 def test_a_rate_one_percent_wrong_shows_where_a_speed_is_fed_back():
     signals = recorded("emps")
-    found = replayed(replace(signals, sample_rate_hz=1010.0, t_s=signals.t_s / 1.01))
+    found = law_line_of(replace(signals, sample_rate_hz=1010.0, t_s=signals.t_s / 1.01))
     assert found.level == "caution"
 
 
 @pytest.mark.slow
-def test_an_integral_is_replayed_and_missed_where_it_is_not_described():
+def test_an_integral_is_found_and_missed_where_it_is_not_described():
     toml = REPLAY / "scara" / "robot.toml"
     body = plant(toml, smooth=0.002)
     c = described_controller(body)
@@ -274,47 +273,44 @@ def test_an_integral_is_replayed_and_missed_where_it_is_not_described():
         position_gain=tuple(c.position_gain),
         integral_gain=(20.0, 20.0),
     )
-    assert replayed(signals).level == "ok"
-    assert replayed(with_controller(signals, structure="cascade_p_p", integral_gain=None)).level == "caution"
+    assert law_line_of(signals).level == "ok"
+    assert law_line_of(with_controller(signals, structure="cascade_p_p", integral_gain=None)).level == "caution"
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("lag", [0, 3])
-def test_a_replay_tells_a_lag_of_noisy_commands(lag):
+def test_the_described_gains_tell_a_lag_of_noisy_commands(lag):
     signals = recorded("emps", lag=lag, noise=2e-5)
-    _, lags, _, error_percent, _ = replay(make_problem(signals, Overrides()), recorded_loop(signals.robot))
-    assert lags[0] == pytest.approx(lag, abs=0.1)
-    assert error_percent[0] < 1.1
-    corrected = replay(make_problem(signals, Overrides(torque_lag_s=0.002)), recorded_loop(signals.robot))
-    assert corrected[1, 0] == pytest.approx(lags[0], abs=0.02), "of the effort as it was recorded"
+    law = law_of(make_problem(signals, Overrides()))
+    assert law.lag_s[0] * signals.sample_rate_hz == pytest.approx(lag, abs=0.1)
+    assert law.residual_percent[0] < 1.1
+    corrected = law_of(make_problem(signals, Overrides(torque_lag_s=0.002)))
+    assert corrected.lag_s[0] == pytest.approx(law.lag_s[0], abs=2e-5), "of the effort as it was recorded"
 
 
 @pytest.mark.slow
-def test_a_replay_that_cannot_be_made_says_why_and_the_law_is_assumed():
+def test_a_law_that_cannot_be_looked_for_says_why_and_one_that_is_found_is_used():
     signals = recorded("scara")
     bare = with_controller(signals, **NO_LAW)
-    part = with_controller(signals, velocity_gain=None)
     torque = with_controller(signals, structure="computed_torque")
     for one, why in (
         (replace(signals, q_ref=None), "no reference"),
-        (bare, "describes no control law"),
-        (part, "not all of it"),
         (torque, "own model"),
     ):
-        found = line(identify_ls(one, Overrides()), "replay")
+        found = line(identify_ls(one, Overrides()), "control law")
         assert found.level == "not made"
         assert why in found.text
     fit = identify(bare, Overrides())
     assert fit.trust.verdict == "trust"
-    (law,) = (x for x in fit.trust.assumed if x.what == "control law")
-    assert "describes no control law" in law.why
+    assert fit.iv.controller == "found"
+    assert not [x for x in fit.trust.assumed if x.what == "control law"]
 
 
 @pytest.mark.slow
 def test_the_real_emps(emps):
     """Controller confirmed. The volts are 0.75 to 0.8 ms early: half a period of hold, and 0.25 ms of the amplifier."""
     fit = identify(load_signals(emps), Overrides())
-    found = line(fit, "replay")
+    found = line(fit, "control law")
     assert found.level == "ok"
     assert found.value == pytest.approx(1.0, abs=1e-3)
     (lag,) = fit.lags

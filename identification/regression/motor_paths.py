@@ -1,0 +1,150 @@
+"""The columns of a motor's control law along the recorded reference and position, and its least squares."""
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..arrays import Array
+from .filtering import lowpass
+from .motion import differentiate, on_spline, spline_coefficients
+from .settings import KnownLag
+
+if TYPE_CHECKING:
+    from .problem import Problem
+
+FIRST_STEPS, STEPS, MAX_STEP, MIN_STEP = 3, 12, 2.0, 1e-2  # Gauss-Newton steps; samples of one
+PRIOR_WEIGHT = 5.0  # deviations of the residual, more than one: it is not white
+PASSBAND, SAMPLES_PER_ROW, EDGE_ROWS = 0.3, 8, 10  # low-pass over the rate of rows; of the paths; rows cut at each end
+SATURATED, MAX_SATURATED, SATURATED_ROWS = 0.995, 0.01, 3  # of a motor's limit; share of the samples this near to a row
+MAX_USED_S, MAX_ROWS, MAX_DELAY_S = 120.0, 600, 0.02
+HOPELESS_PERCENT = 20.0  # after the first steps
+MAX_RESIDUAL_PERCENT = 2.0  # of the effort's variation
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LawSolution:
+    """The law of a motor by some columns: values x of these, of the offset and others; d, L in s; the Jacobian [x d L]."""
+
+    x: Array
+    d: float
+    L: float
+    J: Array
+    rho: Array
+    percent: float
+
+
+class MotorPaths:
+    """Reference and position of a motor as smooth paths, and the rows at which its effort is compared."""
+
+    def __init__(self, paths: tuple[Array, Array], u: Array, rest: Array, at: Array, most: float) -> None:
+        """`paths`: spline coefficients of r and q, each with two derivatives and the integral, at places `at`; `rest`: columns
+        beside them; `most`: delay. Times are in samples of the paths.
+        """
+        (self._r, self._q), self.u, self._rest, self._at, self._most = paths, u, rest, at, most
+        self._size = max(float(np.linalg.norm(u - u.mean())) if len(u) else 0.0, 1e-300)
+
+    def solve(self, letters: str, known: KnownLag, clock: tuple[float, float]) -> LawSolution:
+        """Least squares by the columns `letters`; `clock`: delay of the speed, period of the controller."""
+        found = list[LawSolution]()
+        for by in ("i", "e") if "i" in letters else ("e",):
+            found.append(self._refine(letters, self._first_delay(letters, by, known, clock), known, clock))
+            if found[-1].percent < MAX_RESIDUAL_PERCENT:
+                break
+        return min(found, key=lambda one: one.percent)
+
+    def _columns(self, letters: str, at: tuple[float, float], clock: tuple[float, float]) -> tuple[Array, ...]:
+        """Columns (rows, k) at d and L, and their derivatives by d and by L."""
+        t = self._at - at[1]
+        r, dr, ddr, ir = on_spline(t - at[0], self._r).T
+        q, dq, _, iq = on_spline(t, self._q).T
+        _, v, dv, _ = on_spline(t - clock[0], self._q).T
+        e, de, none, half = r - q, dr - dq, np.zeros_like(r), 0.5 * clock[1]
+        found = {
+            "e": (e, -dr, -de),
+            "f": (dr - v, -ddr, dv - ddr),
+            "v": (-v, none, dv),
+            "w": (dr, -ddr, -ddr),
+            "i": (ir - iq + half * e, -r - half * dr, -e - half * de),
+            "q": (-q, none, dq),
+        }
+        return tuple(np.column_stack(x) for x in zip(*(found[one] for one in letters), strict=True))
+
+    def _first_delay(self, letters: str, by: str, known: KnownLag, clock: tuple[float, float]) -> float:
+        """The delay by columns of what it adds to the error, -d dr, or to its integral, -d r, which grows without bound."""
+        d, letter = 0.0, "w" if by == "e" and "w" in letters else by
+        for _ in range(FIRST_STEPS):
+            c, by_d, _ = self._columns(letters, (d, known.value_s), clock)
+            added = [by_d[:, letters.index(one)] for one in dict.fromkeys((letter if by == "e" else "e", letter))]
+            x = scaled_solution(np.column_stack([c, self._rest, *added]), self.u)
+            gain = x[letters.index(letter)]
+            d = float(np.clip(d + x[-1] / gain, -self._most, self._most)) if gain else d
+        return d
+
+    def _refine(self, letters: str, d: float, known: KnownLag, clock: tuple[float, float]) -> LawSolution:
+        """Gauss-Newton steps of the values, d and L, which is known within limits; a law far from the effort is left."""
+        L, step, k = known.value_s, np.inf, len(letters)
+        for number in range(STEPS):
+            c, by_d, by_L = self._columns(letters, (d, L), clock)
+            c = np.c_[c, self._rest]
+            x = np.asarray(scaled_solution(c, self.u))
+            rho, J = self.u - c @ x, np.column_stack([c, by_d @ x[:k], by_L @ x[:k]])
+            percent = 100 * float(np.linalg.norm(rho)) / self._size
+            if step < MIN_STEP or (number == FIRST_STEPS and percent > HOPELESS_PERCENT):
+                break
+            weight = PRIOR_WEIGHT * rho.std() / max(known.sd_s, self._most / 10)
+            A = np.vstack([J, np.r_[np.zeros(J.shape[1] - 1), weight]])
+            moves = np.clip(scaled_solution(A, np.r_[self.u, weight * (known.value_s - L)])[-2:], -MAX_STEP, MAX_STEP)
+            (d, L), step = np.clip([d + moves[0], L + moves[1]], -self._most, self._most).tolist(), np.abs(moves).max()
+        return LawSolution(x=x, d=d, L=L, J=J, rho=rho, percent=percent)
+
+
+def scaled_solution(A: Array, y: Array) -> Array:
+    """Least squares by columns of norm one."""
+    scale = np.maximum(np.linalg.norm(A, axis=0), 1e-300)
+    Q, R = np.linalg.qr(A / scale)
+    return np.asarray(np.linalg.lstsq(R, Q.T @ y)[0] / scale)
+
+
+def motor_paths(problem: "Problem") -> tuple[list[MotorPaths], float]:
+    """The motors of a recording, and the rate of their paths."""
+    s, settings, R = problem.recorded, problem.settings, problem.recorded.robot.R
+    fs, n_d = s.sample_rate_hz, settings.decimation
+    stop, step = min(settings.stop, settings.start + round(MAX_USED_S * fs)), max(1, n_d // SAMPLES_PER_ROW)
+    used = slice(settings.start, stop)
+    assert s.q_ref is not None
+    u, first = s.robot.motor_effort(s.effort[used]), s.q_ref[used.start] @ R.T
+    limits = np.array([np.inf if m.saturation is None else SATURATED * m.saturation for m in s.robot.motors])
+    saturated = np.cumsum(np.abs(u) >= limits, axis=0)
+    u = u if s.feedforward is None else u - s.feedforward[used]
+    r, q, u = (lowpass(x, PASSBAND * fs / n_d, fs) for x in (s.q_ref[used] @ R.T - first, s.q[used] @ R.T - first, u))
+    edge = EDGE_ROWS * n_d + math.ceil(MAX_DELAY_S * fs)
+    apart = max(n_d, (len(u) - 2 * edge) // MAX_ROWS)
+    at = np.arange(edge - edge % step, len(u) - edge, max(step, apart - apart % step))
+    ends = [np.clip(at + way * SATURATED_ROWS * n_d, 0, len(u) - 1) for way in (1, -1)]
+    near: NDArray[np.intp] = np.asarray(saturated[ends[0]] - saturated[ends[1]])
+    free = near <= MAX_SATURATED * 2 * SATURATED_ROWS * n_d
+    paths = [_paths(x, step) for x in (r, q)]
+    held = np.zeros((len(at), s.robot.n, 0))
+    if s.robot.controller.gravity_feedforward:
+        inverse = np.linalg.inv(R)
+        still = problem.model.regressor((q[at] + first) @ inverse.T, 0 * q[at], 0 * q[at])[..., problem.base.columns]
+        held = np.einsum("jm,ajp->amp", inverse, still)
+    found = []
+    for j in range(s.robot.n):
+        own = held[:, j][:, held[:, j].any(axis=0)]
+        rest = np.c_[np.ones(len(at)), own][free[:, j]]
+        places = at[free[:, j]] / step
+        found.append(
+            MotorPaths((paths[0][j], paths[1][j]), u[at, j][free[:, j]], rest, places, MAX_DELAY_S * fs / step)
+        )
+    return found, fs / step
+
+
+def _paths(x: Array, step: int) -> list[Array]:
+    """By motor the spline coefficients of a path (N, n), of its two derivatives and its integral; times in its samples."""
+    dx = differentiate(x, step)
+    series = np.stack([x, dx, differentiate(dx, step), (np.cumsum(x, axis=0) - 0.5 * x) / step], axis=-1)[::step]
+    return [spline_coefficients(series[:, j]) for j in range(x.shape[1])]
