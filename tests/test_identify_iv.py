@@ -377,7 +377,8 @@ def test_a_study_in_which_nothing_converges_says_so(capsys, tmp_path):
     )
 
 
-def test_robot_without_controller_uses_a_surrogate_and_says_so(capsys):
+def test_robot_whose_law_nobody_tells_uses_a_surrogate_and_says_so(monkeypatch):
+    monkeypatch.setattr("identification.methods.observation.law_of", lambda problem: None)
     robot = load_robot(REPLAY / "scara" / "robot.toml")
     bare = msgspec.structs.replace(
         robot.controller, structure=None, position_gain=None, velocity_gain=None, sample_rate_hz=None

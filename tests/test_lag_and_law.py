@@ -1,7 +1,7 @@
 """Lag of the torque and control law, on recordings of the independent simulator and the real EMPS."""
 
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 
 import msgspec
 import numpy as np
@@ -79,8 +79,9 @@ def test_the_lag_is_found_corrected_and_counted(name, lag):
 @pytest.mark.slow
 def test_what_a_lag_moves_is_the_difference_of_two_fits():
     signals = recorded("scara")
-    fits = [fitted(signals, method="wls", torque_lag_s=lag_s) for lag_s in (-1e-4, 1e-4)]
-    lag = fitted(signals, method="wls").lags[0]
+    by = partial(Overrides, ramp_rows=2.0)
+    fits = [identify(signals, by(torque_lag_s=lag_s), method="wls") for lag_s in (-1e-4, 1e-4)]
+    lag = identify(signals, by(), method="wls").lags[0]
     moves, half = np.abs(fits[1].beta - fits[0].beta) / 2e-4, fits[0].intervals.half
     # Of a millisecond; the fits differ in the weights of their joints too.
     np.testing.assert_array_less(1e-3 * np.abs(lag.moved / lag.sd_s - moves), np.maximum(0.2 * half, 2e-5 * moves))

@@ -240,7 +240,7 @@ def test_the_lines_of_the_readme_run(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     exec(compile(block, "README", "exec"), {})
     told = capsys.readouterr().out
-    assert told.startswith("Fit(SCARA, arrays, iv, converged, verdict caution: 8 parameters, ")
+    assert told.startswith("Fit(SCARA, arrays, iv, converged, verdict trust: 8 parameters, ")
     assert "'ZZ1R': " in told
 
 

@@ -34,7 +34,7 @@ def test_the_verdict_comes_first_and_is_of_the_rows_that_move():
         f"2 of 8 parameters determined, half of them to ±{(a + b) / 2:.2g} %, the worst (ZZ2) to ±{b:.2g} %"
     )
     verdict = document.sections[0]
-    assert verdict.lines[0] == "assumed: drive gains, ratios, lengths, sample rate, control law, zeros, rotors"
+    assert verdict.lines[0] == "assumed: drive gains, ratios, lengths, sample rate, rotors"
     assert verdict.lines[1] == "status: converged"
     assert verdict.lines[2].startswith(f"relative torque error: {moving:.3g} % of moving rows")
     assert verdict.lines[2].endswith(f"{every:.3g} % of all rows")

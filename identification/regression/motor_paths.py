@@ -102,8 +102,9 @@ class MotorPaths:
 
 
 def scaled_solution(A: Array, y: Array) -> Array:
-    """Least squares by columns of norm one."""
-    scale = np.maximum(np.linalg.norm(A, axis=0), 1e-300)
+    """Least squares by columns of norm one; of a column of zeros the value is zero."""
+    norm = np.linalg.norm(A, axis=0)
+    scale = np.where(norm > 0, norm, 1.0)
     Q, R = np.linalg.qr(A / scale)
     return np.asarray(np.linalg.lstsq(R, Q.T @ y)[0] / scale)
 
