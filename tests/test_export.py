@@ -14,7 +14,9 @@ import pytest
 import urdfs
 from conftest import REPLAY, robot_named
 from fits_of_records import ls_of
+from loops import simulate
 from random_arms import set_own
+from scipy.interpolate import CubicSpline
 
 from acquisition.robot import load_robot, robot_from_files
 from identification.commands import main
@@ -24,8 +26,9 @@ from identification.export import export_model, make_urdf, model_of_fit, split_p
 from identification.export.exporting import replace_parameters
 from identification.export.formats import quaternion, roll_pitch_yaw
 from identification.methods import fit_file, stored_robot, with_consistent
-from identification.model import InverseModel, JointTerm, base_parameters, physical_parameters
+from identification.model import InverseModel, JointTerm, base_parameters, direct_model, physical_parameters
 from identification.report import Covariance, LeftOut, read_fit, write_json
+from identification.simulation import Reference, recorded_loop
 from identification.study import study_truth
 
 SCARA = REPLAY / "scara" / "session.mcap"
@@ -161,7 +164,7 @@ def test_an_mjcf_has_the_torques_of_links_rotors_and_viscous_friction(name, tmp_
     found, loaded = inverse_in_mujoco(texts["mjcf"], q, dq, ddq, friction=False)
     expected = torque(model, chi, q, dq, ddq, without=["coulomb", "offset"])
     np.testing.assert_allclose(found, expected, atol=1e-9)
-    assert (loaded.ntendon, loaded.nu) == (1 if name == "tx40" else 0, robot.n)
+    assert (loaded.ntendon, loaded.nu) == (1 if name == "tx40" else 0, 4 if name == "scara" else robot.n)
     if name == "tx40":
         without = torque(model, chi, q, dq, ddq, without=["rotor", "coulomb", "offset"])
         assert (np.abs(expected - without).max(axis=0) > 0.1).all()
@@ -528,3 +531,73 @@ def test_a_toml_has_the_drive_gains_that_are_determined_or_that_nobody_describes
     assert "[[motor]]  # shoulder\n" in text
     assert "\n\n# the elbow\n[[motor]]\n" in text
     assert f"{said} ± 0.4 N m/A" in " ".join(capsys.readouterr().out.split())
+
+
+def under_law(name, structure):
+    """A robot under a law at its motors of 6 Hz, its values, and a reference of 5 s that begins at rest."""
+    robot = robot_named(name)
+    model = InverseModel(robot)
+    chi = values_of(model)
+    t, w = np.linspace(0.0, 5.0, 5001), 2 * np.pi * 6.0
+    rng = np.random.default_rng(3)
+    f, amplitude = rng.uniform(0.2, 0.6, (2, robot.n)), rng.uniform(0.1, 0.4, robot.n)
+    shape = np.minimum(t, 1.0)[:, None] ** 2 * amplitude
+    q_ref = shape * (np.sin(2 * np.pi * t[:, None] * f[0]) + np.sin(2 * np.pi * t[:, None] * f[1]))
+    J, ratio = np.diag(direct_model(model, chi).inertia(q_ref[:1])[0]), np.diag(robot.R)
+    kp, kd = J * w**2 / ratio**2 / robot.gain, 1.6 * J * w / ratio**2 / robot.gain
+    position = kp / kd if structure.startswith("cascade") else kp
+    law = msgspec.structs.replace(
+        robot.controller, structure=structure, sample_rate_hz=1000.0, position_gain=tuple(position),
+        velocity_gain=tuple(kd), integral_gain=None, velocity_estimate="exact",
+    )  # fmt: skip
+    robot = dataclasses.replace(robot, controller=law)
+    return InverseModel(robot), chi, t, q_ref
+
+
+@pytest.mark.parametrize("structure", ["pd", "cascade_p_p", "pd_velocity_feedforward"])
+@pytest.mark.parametrize("name", ["scara", "tx40"])
+def test_actuators_move_mujocos_robot_as_the_law_moves_the_simulated_one(name, structure, tmp_path):
+    """Without Coulomb friction and offsets, which MuJoCo has softly or not at all; the wrist of the TX40 is coupled."""
+    mujoco = pytest.importorskip("mujoco", reason="mujoco, of the extra `test`, is not installed")
+    model, chi, t, q_ref = under_law(name, structure)
+    chi[[isinstance(s, JointTerm) and s.kind in ("coulomb", "offset") for s in model.sources]] = 0.0
+    texts, document = exported(model, chi, tmp_path, urdf=False, toml=False)
+    told = [line for section in document.sections for line in section.lines]
+    assert f"actuators follow positions by {structure}, without its sampling" in told
+    loaded = mujoco.MjModel.from_xml_string(texts["mjcf"])
+    loaded.opt.timestep, loaded.opt.integrator = 5e-4, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    data, n = mujoco.MjData(loaded), model.robot.n
+    path = CubicSpline(t, q_ref)
+    data.qpos[:], moved = q_ref[0], []
+    # The place of an actuator is its joint's, or the sum along its tendon.
+    rows = np.eye(n)
+    if loaded.ntendon:
+        rows[-1] = [0, 0, 0, 0, 1, 1]
+    for k in range(2 * (len(t) - 1)):
+        if k % 2 == 0:
+            moved.append(data.qpos.copy())
+        r, dr = rows @ path(data.time), rows @ path(data.time, 1)
+        data.ctrl[:] = np.column_stack([r, dr]).ravel() if loaded.nu == 2 * n else r
+        mujoco.mj_step(loaded, data)
+    reference = Reference(q_ref, path(t, 1), path(t, 2))
+    simulated = simulate(direct_model(model, chi), recorded_loop(model.robot), reference, substeps=2)
+    assert simulated.reason is None
+    q, given = simulated.q[: 2 * len(moved) : 2], q_ref[: len(moved)]
+    off, behind = (np.abs(q - other).max(axis=0) / np.ptp(q, axis=0) for other in (np.array(moved), given))
+    print(np.round(100 * off, 3), np.round(100 * behind, 1))
+    assert off.max() < 0.02
+    assert behind.max() > 0.02
+
+
+@pytest.mark.parametrize("name", ["tx40", "scara"])
+def test_a_found_law_is_written_where_the_description_has_none(name, tmp_path):
+    """The description of the TX40 has a bandwidth alone, that of the SCARA a law, which stays."""
+    stored, toml = read_fit(REPLAY / name / "fit.json"), tmp_path / "new.toml"
+    assert main(["export", str(REPLAY / name / "fit.json"), "--toml", str(toml)]) == 0
+    described, now = (robot_named(name).controller, load_robot(toml).controller)
+    found = stored.law.controller
+    for key, value in found.items():
+        expected = value if name == "tx40" else getattr(described, key)
+        assert getattr(now, key) == (tuple(expected) if isinstance(expected, list) else expected)
+    assert now.bandwidth_hz == described.bandwidth_hz
+    assert (found["structure"], len(stored.law.motors)) == (("pid", 6) if name == "tx40" else (now.structure, 2))

@@ -16,7 +16,7 @@ from acquisition.files import atomic_write, format_numbers
 from ..errors import IdentificationError
 from ..report import Cell, Document, Number, Section, Table, columns
 from .exported_model import STATES, ExportedModel, Losses, representable
-from .formats import mjcf_text, urdf_text
+from .formats import mjcf_text, servo_loop, urdf_text
 
 URDF_GRAVITY = (0.0, 0.0, -9.81)  # the default of URDF readers: a URDF has no gravity
 SOFT_FRICTION = "MuJoCo's frictionloss is a soft constraint: a moving joint has dry friction, a joint near rest creeps"
@@ -58,6 +58,12 @@ def export_model(
         represented, losses = representable(m, motors=True)
         texts[mjcf] = mjcf_text(represented)
         notes = (SOFT_FRICTION,) if m.frictionloss.any() else ()
+        if (loop := servo_loop(represented)) is not None:
+            integral = ", integral" if loop.Ki.any() else ""
+            gravity = ", gravity feed-forward" if loop.gravity_at_q else ""
+            notes += (
+                f"actuators follow positions by {robot.controller.structure}, without its sampling{integral}{gravity}",
+            )
         sections.append(_make_section(m, f"{mjcf}", "an MJCF", losses, notes))
     if toml is not None:
         texts[toml], notes = _make_toml(m, toml, urdf, source)

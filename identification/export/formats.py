@@ -20,6 +20,7 @@ from acquisition.robot import Robot, effort_limits
 from ..arrays import Array
 from ..estimation import link_parameters, pseudo_inertia
 from ..model import InverseModel, is_a_body
+from ..simulation import ControlLaw, recorded_loop
 from .chain import INERTIA
 from .exported_model import MIN_EIGENVALUE, ExportedModel, about_com
 
@@ -71,11 +72,35 @@ def mjcf_text(m: ExportedModel) -> str:
             for joint, coefficient in zip(robot.joints, m.rows[k], strict=True):
                 if coefficient:
                     ET.SubElement(fixed, "joint", joint=joint.name, coef=format_numbers(coefficient))
-    actuators = ET.SubElement(root, "actuator")
-    for joint in robot.joints:
+    actuators, loop = ET.SubElement(root, "actuator"), servo_loop(m)
+    for joint in () if loop else robot.joints:
         ET.SubElement(actuators, "motor", name=joint.name, joint=joint.name)
+    for j, motor in enumerate(robot.motors if loop else ()):
+        turned = np.flatnonzero(robot.R[j])
+        k = m.names.index(motor.name, robot.n) if motor.name in m.names[robot.n :] else turned[0]
+        ratio = robot.R[j, turned[0]] / m.rows[k][turned[0]]
+        on = {"tendon" if k >= robot.n else "joint": m.names[k]}
+        # Kp R² G, N m per rad of the joint, or of the tendon, whose length is the motor's angle by its ratio.
+        kp, kv = (float(ratio**2 * loop.G[j] * gains[j]) for gains in (loop.Kp, loop.Kd))
+        most = abs(ratio * loop.G[j]) * loop.saturation[j]
+        limits = {"forcerange": format_numbers(-most, most)} if math.isfinite(most) else {}
+        own = {"name": motor.name, "kp": format_numbers(kp), "kv": format_numbers(0 if loop.feedforward else kv)}
+        ET.SubElement(actuators, "position", own | on | limits)
+        if loop.feedforward:
+            ET.SubElement(
+                actuators, "velocity", {"name": f"{motor.name}_speed", "kv": format_numbers(kv)} | on | limits
+            )
     ET.indent(root)
     return ET.tostring(root, encoding="unicode") + "\n"
+
+
+def servo_loop(m: ExportedModel) -> ControlLaw | None:
+    """The loop of `[controller]` that actuators can have: of motors' positions, each a joint's or a tendon's of the model."""
+    robot = m.model.robot
+    several = {motor.name for motor, row in zip(robot.motors, robot.R, strict=True) if np.count_nonzero(row) > 1}
+    if robot.controller.structure in (None, "computed_torque") or several - {*m.names[robot.n :]}:
+        return None
+    return recorded_loop(robot)
 
 
 def quaternion(R: Array) -> Array:

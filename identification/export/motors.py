@@ -1,8 +1,13 @@
-"""Identified drive gains in the description of a fit: keys of its [[motor]] tables."""
+"""Identified drive gains and a found control law in the description of a fit: keys of its [[motor]] tables and [controller]."""
+
+import json
+import re
+import tomllib
 
 import msgspec
 from msgspec import UNSET
 
+from ..errors import IdentificationError
 from ..report import DriveGain, FitFile
 from .tables import replace_in_tables
 
@@ -24,6 +29,23 @@ def with_gains(stored: FitFile, place: str) -> tuple[FitFile, tuple[str, ...]]:
             done += ", since none is described" * (gain.described is None) + "; not determined"
         lines.append(f"drive gain of {gain.motor} {done}: {gain.value:.4g} ± {gain.half_width:.2g} {gain.unit}")
     return msgspec.structs.replace(stored, description={**stored.description, "robot.toml": text}), tuple(lines)
+
+
+def with_law(stored: FitFile, place: str) -> tuple[FitFile, tuple[str, ...]]:
+    """The fit with the control law of its recording in its description, which has none, and a line on it."""
+    text = stored.description.get("robot.toml", "")
+    described = tomllib.loads(text).get("controller", {})
+    if not text or stored.law is UNSET or stored.law.controller is None or "structure" in described:
+        return stored, ()
+    keys = {key: value for key, value in stored.law.controller.items() if key not in described}
+    lines = "".join(f"\n{key} = {json.dumps(value)}" for key, value in keys.items())
+    header = r"(?m)^[ \t]*\[[ \t]*controller[ \t]*\].*$"
+    text = re.sub(header, rf"\g<0>{lines}", text) if described else f"{text}\n[controller]{lines}\n"
+    if tomllib.loads(text)["controller"] != described | keys:
+        problem, expected = "cannot be completed", "a line [controller], then a line per key"
+        raise IdentificationError(problem, place=f"the robot.toml in {place}", key="[controller]", expected=expected)
+    law = msgspec.structs.replace(stored, description={**stored.description, "robot.toml": text})
+    return law, (f"control law of the recording: {stored.law.structure}",)
 
 
 def _keys(gain: DriveGain) -> dict[str, object]:

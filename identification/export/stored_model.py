@@ -13,7 +13,7 @@ from ..regression import base_name
 from ..report import Document, FitFile, Section
 from .exported_model import ExportedModel, split_parameters
 from .exporting import export_model, write_models
-from .motors import with_gains
+from .motors import with_gains, with_law
 
 
 def export_fit(stored: FitFile, place: str, *, untrusted: bool = False, **outputs: Path | None) -> Document:
@@ -44,6 +44,7 @@ def model_of_fit(stored: FitFile, place: str) -> tuple[ExportedModel, tuple[str,
     Raises `IdentificationError`: a fit in A or V, without a description or a covariance, or with impossible parameters.
     """
     stored, of_gains = with_gains(stored, place)
+    stored, of_law = with_law(stored, place)
     robot = stored_robot(stored, place)
     if robot is None:
         expected = "a fit as `robot-identify fit --json` writes it"
@@ -52,13 +53,13 @@ def model_of_fit(stored: FitFile, place: str) -> tuple[ExportedModel, tuple[str,
     model = InverseModel(robot)
     if stored.standard_parameters is UNSET:
         chi, line = _make_consistent(stored, model, place)
-        return split_parameters(model, chi, place), (*of_gains, line)
+        return split_parameters(model, chi, place), (*of_gains, *of_law, line)
     parameters, names = stored.standard_parameters, list(zip(model.names, model.units, strict=True))
     if [(p.name, p.unit) for p in parameters] != names:
         other = next((f"{p.name} in {p.unit}" for p in parameters if (p.name, p.unit) not in names), None)
         expected = f"the {len(names)} of the description"
         raise IdentificationError(place=place, key="standard_parameters", value=other, expected=expected)
-    lines = list(of_gains)
+    lines = [*of_gains, *of_law]
     if (c := stored.consistent) is not UNSET:
         lines.append(
             f"the consistent parameters of {place}: prior {c.prior}, weight {c.prior_weight:g}; chi² {c.chi2:.3g}, largest "

@@ -8,9 +8,11 @@ import msgspec
 import numpy as np
 from msgspec import UNSET
 
+from acquisition.robot import Controller, Robot
+
 from ..data import Signals
 from ..model import LINK
-from ..regression import Settings, forward_backward_3db_hz
+from ..regression import Law, Settings, forward_backward_3db_hz
 from ..report import (
     ConsistentFile,
     Covariance,
@@ -19,7 +21,9 @@ from ..report import (
     FTest,
     KnownLagFile,
     LagFile,
+    LawFile,
     LeftOut,
+    MotorLaw,
     PassFile,
     PayloadOfFit,
     PhysicalWarning,
@@ -85,6 +89,7 @@ def fit_file(fit: Fit) -> FitFile:
         ],
         gains=_gains(fit.gains) if fit.gains else UNSET,
         payloads=[_payload(one, fit) for one in fit.payloads] or UNSET,
+        law=_law(fit.problem.law, signals.robot) if fit.problem.law else UNSET,
         **consistent_keys(fit),
         essential=FTest(
             names=fit.essential_names,
@@ -112,6 +117,28 @@ def _gains(g: Gains) -> list[DriveGain]:
         )
         for motor, unit, described, value, half, determined in columns
     ]
+
+
+def _law(law: Law, robot: Robot) -> LawFile:
+    stated = msgspec.structs.asdict(law.controller(Controller())) if law.reason is None else {}
+    half = zip(law.gains.tolist(), law.gains_half.tolist(), strict=True)
+    gains = [list(zip(*pair, strict=True)) for pair in half]
+    return LawFile(
+        structure=law.structure,
+        reason=law.reason,
+        controller={key: value for key, value in stated.items() if value} or None,
+        motors=[
+            MotorLaw(
+                motor=motor.name,
+                gains={letter: row[j] for letter, row in zip(("Kp", "Kd", "Ki"), gains, strict=True)},
+                delay_s=float(law.delay_s[j]),
+                delay_half_width_s=float(law.delay_half_s[j]),
+                residual_percent=float(law.residual_percent[j]),
+                clear=bool(law.clear[j]),
+            )
+            for j, motor in enumerate(robot.motors)
+        ],
+    )
 
 
 def _payload(one: EstimatedPayload, fit: Fit) -> PayloadOfFit:

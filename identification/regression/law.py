@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from msgspec.structs import replace as replace_keys
 from numpy.typing import NDArray
 
 from acquisition.robot import Controller
@@ -73,6 +74,20 @@ class Law:
     clear: NDArray[np.bool_]
     described: Array | None
 
+    def controller(self, described: Controller) -> Controller:
+        """`[controller]` with this law."""
+        Kp, Kd, Ki = self.gains
+        kp, ki = (Kp / Kd, Ki / Kd) if self.structure.startswith("cascade") else (Kp, Ki)
+        return replace_keys(
+            described,
+            structure=self.structure,
+            sample_rate_hz=1 / self.period_s,
+            position_gain=tuple(kp.tolist()),
+            velocity_gain=tuple(Kd.tolist()),
+            integral_gain=tuple(ki.tolist()) if "i" in STRUCTURES[self.structure] else None,
+            velocity_estimate=self.velocity_estimate,
+        )
+
     @property
     def common_delay_s(self) -> float:
         """The delay of the reference, the median of the motors, s; 0 if it may be 0, or the law does not fit."""
@@ -118,7 +133,7 @@ def _told(problem: "Problem", motors: list[MotorPaths], rate_hz: float, describe
     percent = {name: np.min([_percents(one) for one in of.values()], axis=0) for name, of in tried.items()}
     valid = {name: percent[name] <= MAX_RESIDUAL_PERCENT for name in LAWS}
     for name in STRUCTURES:
-        valid[name] = valid[name] & np.array([(one.x[:2] > 0).all() for one in tried[name]["exact"]])
+        valid[name] = valid[name] & np.array([(one.x[: len(LAWS[name])] > 0).all() for one in tried[name]["exact"]])
     clear = {name: valid[name] & _is_clear(name, percent) for name in LAWS}
     best = max(LAWS, key=lambda name: (clear[name].sum(), valid[name].sum(), -float(percent[name].max())))
     name = described or (best if best in STRUCTURES else "pd")

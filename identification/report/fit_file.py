@@ -19,6 +19,7 @@ from .parameters import (
     ConsistentFile,
     Covariance,
     DriveGain,
+    LawFile,
     LeftOut,
     Parameter,
     PayloadOfFit,
@@ -217,6 +218,7 @@ class FitFile(OnRecording, frozen=True, kw_only=True):
     own_parameters: FTest | UnsetType = UNSET
     gains: list[DriveGain] | UnsetType = UNSET
     payloads: list[PayloadOfFit] | UnsetType = UNSET
+    law: LawFile | UnsetType = UNSET
     reason: str | UnsetType | None = UNSET
     pass_returned: int | UnsetType = UNSET
     start: str | UnsetType = UNSET

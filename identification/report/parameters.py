@@ -101,6 +101,28 @@ class DriveGain(msgspec.Struct, frozen=True, kw_only=True):
     determined: bool
 
 
+class MotorLaw(msgspec.Struct, frozen=True, kw_only=True):
+    """The law u = Kp (r - q) + Kd (phi dr - dq) + Ki integral + offset of a motor, with half-widths of 95 % intervals: in
+    recorded effort per motor rad (or m); `clear` if this motor alone tells the structure.
+    """
+
+    motor: str
+    gains: dict[str, tuple[float | None, float | None]]
+    delay_s: float | None
+    delay_half_width_s: float | None
+    residual_percent: float | None
+    clear: bool
+
+
+class LawFile(msgspec.Struct, frozen=True, kw_only=True):
+    """The control law of the recording: keys of `[controller]`, null if the recording does not tell one, for the `reason`."""
+
+    structure: str
+    reason: str | None
+    controller: dict[str, str | float | list[float]] | None
+    motors: list[MotorLaw]
+
+
 class PayloadOfFit(msgspec.Struct, frozen=True, kw_only=True):
     """A payload as `stated`, its nearest body, and its share of the base parameters; `recording`: the first with it."""
 

@@ -32,7 +32,6 @@ from acquisition.robot import Robot
 from ..arrays import Array
 from ..errors import IdentificationError
 from ..model import DirectModel
-from ..regression import Law
 
 SURROGATE_DAMPING = 0.8
 
@@ -136,25 +135,6 @@ def recorded_loop(robot: Robot) -> ControlLaw | None:
         velocity_estimate=c.velocity_estimate or "backward_difference",
         computed_torque=structure == "computed_torque",
         gravity_at_q=c.gravity_feedforward,
-    )
-
-
-def found_loop(law: Law, robot: Robot) -> ControlLaw:
-    """The loop of a law that a recording tells, for gains (n,) by motor as there."""
-    Kp, Kd, Ki = law.gains
-    cascade = law.structure == "cascade_p_pi"
-    return ControlLaw(
-        period_s=law.period_s,
-        R=robot.R,
-        G=robot.gain,
-        Kp=Kp,
-        Kd=Kd,
-        Ki=Ki,
-        position_share=Kp / Kd if cascade else np.ones(robot.n),
-        feedforward=0.0 if cascade or law.structure == "pd" else 1.0,
-        saturation=np.array([m.saturation if m.saturation is not None else np.inf for m in robot.motors]),
-        velocity_estimate=law.velocity_estimate,
-        computed_torque=False,
     )
 
 

@@ -32,7 +32,7 @@ from ..regression import (
     rule_cutoff_hz,
     sampled_at,
 )
-from .control_law import Reference, found_loop, recorded_loop
+from .control_law import Reference, recorded_loop
 
 RATE_PER_BANDWIDTH = 100.0  # instrument samples per period of the bandwidth, at least
 EARLY_RATE_PER_BANDWIDTH = 25.0  # the same in early passes, whose estimate only starts the next ones
@@ -88,7 +88,7 @@ class Experiment:
         self.cutoff_hz = rule_cutoff_hz(signals)
         self.loop, law = recorded_loop(robot), problem.law
         if self.loop is None and law is not None and law.reason is None:
-            self.loop = found_loop(law, robot)
+            self.loop = recorded_loop(replace(robot, controller=law.controller(robot.controller)))
         self.delay_s = law.common_delay_s if law is not None else 0.0
         self.controller: Literal["described", "found", "surrogate"] = "surrogate"
         if self.loop is not None:
