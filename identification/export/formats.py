@@ -73,23 +73,11 @@ def mjcf_text(m: ExportedModel) -> str:
                 if coefficient:
                     ET.SubElement(fixed, "joint", joint=joint.name, coef=format_numbers(coefficient))
     actuators, loop = ET.SubElement(root, "actuator"), servo_loop(m)
-    for joint in () if loop else robot.joints:
-        ET.SubElement(actuators, "motor", name=joint.name, joint=joint.name)
-    for j, motor in enumerate(robot.motors if loop else ()):
-        turned = np.flatnonzero(robot.R[j])
-        k = m.names.index(motor.name, robot.n) if motor.name in m.names[robot.n :] else turned[0]
-        ratio = robot.R[j, turned[0]] / m.rows[k][turned[0]]
-        on = {"tendon" if k >= robot.n else "joint": m.names[k]}
-        # Kp R² G, N m per rad of the joint, or of the tendon, whose length is the motor's angle by its ratio.
-        kp, kv = (float(ratio**2 * loop.G[j] * gains[j]) for gains in (loop.Kp, loop.Kd))
-        most = abs(ratio * loop.G[j]) * loop.saturation[j]
-        limits = {"forcerange": format_numbers(-most, most)} if math.isfinite(most) else {}
-        own = {"name": motor.name, "kp": format_numbers(kp), "kv": format_numbers(0 if loop.feedforward else kv)}
-        ET.SubElement(actuators, "position", own | on | limits)
-        if loop.feedforward:
-            ET.SubElement(
-                actuators, "velocity", {"name": f"{motor.name}_speed", "kv": format_numbers(kv)} | on | limits
-            )
+    if loop is not None:
+        _servos(actuators, m, loop)
+    else:
+        for joint in robot.joints:
+            ET.SubElement(actuators, "motor", name=joint.name, joint=joint.name)
     ET.indent(root)
     return ET.tostring(root, encoding="unicode") + "\n"
 
@@ -101,6 +89,23 @@ def servo_loop(m: ExportedModel) -> ControlLaw | None:
     if robot.controller.structure in (None, "computed_torque") or several - {*m.names[robot.n :]}:
         return None
     return recorded_loop(robot)
+
+
+def _servos(actuators: ET.Element, m: ExportedModel, loop: ControlLaw) -> None:
+    """Actuators of the motors' angles, kp = Kp R² G in N m per rad of the joint, or of the tendon; a second one for speeds."""
+    robot, several = m.model.robot, m.names[m.model.robot.n :]
+    for j, motor in enumerate(robot.motors):
+        first = int(np.flatnonzero(robot.R[j])[0])
+        k = robot.n + several.index(motor.name) if motor.name in several else first
+        ratio = robot.R[j, first] / m.rows[k][first]
+        kp, kv = (format_numbers(float(ratio**2 * loop.G[j] * gains[j])) for gains in (loop.Kp, loop.Kd))
+        on = {"tendon" if k >= robot.n else "joint": m.names[k]}
+        if math.isfinite(most := float(abs(ratio * loop.G[j]) * loop.saturation[j])):
+            on["forcerange"] = format_numbers(-most, most)
+        own = {"name": motor.name, "kp": kp, "kv": "0" if loop.feedforward else kv}
+        ET.SubElement(actuators, "position", own | on)
+        if loop.feedforward:
+            ET.SubElement(actuators, "velocity", {"name": f"{motor.name}_speed", "kv": kv} | on)
 
 
 def quaternion(R: Array) -> Array:

@@ -126,7 +126,7 @@ def _law(law: Law, robot: Robot) -> LawFile:
     return LawFile(
         structure=law.structure,
         reason=law.reason,
-        controller={key: value for key, value in stated.items() if value} or None,
+        controller={k: list(x) if isinstance(x, tuple) else x for k, x in stated.items() if x} or None,
         motors=[
             MotorLaw(
                 motor=motor.name,
