@@ -131,3 +131,13 @@ def test_the_drives_of_the_shipped_sessions(name, structure):
     assert law.delay_s * signals.sample_rate_hz == pytest.approx(0.0 if name == "emps" else 0.75, abs=0.1)
     bare = replace(signals, robot=replace(signals.robot, controller=Controller(bandwidth_hz=described.bandwidth_hz)))
     assert told(bare).structure == structure
+
+
+def test_the_law_of_the_real_axis_is_the_published_one(emps):
+    law = law_of(make_problem(load_signals(emps), Overrides()))
+    off = np.abs(law.gains - law.described)[:2]
+    assert (law.structure, law.reason, law.rival) == ("pd", None, None)
+    assert (off < 1e-3 * law.described[:2]).all()
+    assert (off < law.gains_half[:2]).all()
+    assert (law.gains_half[:2] < 2e-3 * law.described[:2]).all()
+    assert abs(law.delay_s[0]) < 1e-5

@@ -41,6 +41,7 @@ SPEED_DELAYS = {
 LEAST_RESIDUAL_PERCENT = 0.1  # of the effort's variation; below, all are equal
 MIN_RATIO = 1.5  # of residuals, for one structure to be better than another
 MIN_ROWS = 60
+LEAST_LAG_SD = 4e-3  # samples: no instant of a record is known better; those of the real EMPS are off by 0.006
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -226,6 +227,7 @@ def _values(one: LawSolution, known: KnownLag, name: str, rate_hz: float) -> tup
     with suppress(IdentificationError):
         free = ordinary_least_squares(System.whole(one.J, one.rho, rows, names))
         sd_L = 1 / math.hypot(1 / intervals(free, one.rho, 1).sigma[-1], 1 / max(known.sd_s, 1e-9))
+        sd_L = math.hypot(sd_L, LEAST_LAG_SD)
         held = ordinary_least_squares(System.whole(one.J[:, :-1], one.rho, rows, names[:-1]))
         within = intervals(held, one.rho, 1)
         # An unknown lag widens all; an unknown period of the sum of rectangles widens Kp.

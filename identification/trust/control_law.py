@@ -92,6 +92,9 @@ def _line(law: Law, motors: list[str]) -> TrustLine:
     )
     value = float(factor[int(np.argmax(off[:, j])), j])
     text = f"motor {motors[j]}: {_gains(law, j, used)}; {error[j]:.2g} % left; {delays}"
+    if law.reason is not None and not mirrored[j] and (factor[:, j] < 0).any():
+        text = f"{law.reason}, {error[j]:.2g} % left: a feed-forward that is not recorded, or another law?"
+        return TrustLine(NAME, "caution", text, None)
     if mirrored.any():
         return TrustLine(NAME, "do not use", f"{text}: check the sign of its effort", value, figures=figures)
     if law.rival is not None:
