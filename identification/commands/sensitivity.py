@@ -1,4 +1,4 @@
-"""`robot-identify sensitivity`: how LS and IV of a recording depend on filter, decimation, position noise and start."""
+"""`robot-identify sensitivity`: how LS and IV depend on filter, decimation, position noise, start and gain update."""
 
 import argparse
 from hashlib import sha256
@@ -13,8 +13,8 @@ def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_path(parser, "recordings", "LOG.mcap", "the recording", nargs=1)
     add_path(parser, "--robot", "ROBOT.toml", "use this description instead of the recording's own")
-    text = "white noise to add to the recorded position, rad or m rms (default: 1e-6,1e-5,2e-5)"
-    parser.add_argument("--position-noise", type=list_of_factors, metavar="A,B", default=(1e-6, 1e-5, 2e-5), help=text)
+    text = "white noise to add to the recorded position, rad or m rms (default: by the travel)"
+    parser.add_argument("--position-noise", type=list_of_factors, metavar="A,B", help=text)
     add_flag(parser, "--all", "also print the values and intervals of all fits")
     add_report(parser)
     add_work(parser)
@@ -26,7 +26,7 @@ def run(options: argparse.Namespace) -> None:
     with Progress("fitting"):
         from ..study import sensitivity_document, vary
 
-        work = work_of(options, len(options.position_noise) + 8)
+        work = work_of(options, len(options.position_noise or "abc") + 9)
         fits = vary(sources(options)[0], options.position_noise, work)
         document = sensitivity_document(options.recordings[0].name, fits)
     try:

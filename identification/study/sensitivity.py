@@ -1,4 +1,4 @@
-"""How estimates from one recording depend on filter, decimation, position noise and start: the question of Janot2014.
+"""How estimates depend on filter, decimation, position noise, start and gain update: the question of Janot2014.
 
 Each variant changes one of them, and is fitted by least squares and by instrumental variables.
 """
@@ -18,6 +18,7 @@ from ..report import Document, Number, Row, Section, Table, columns, value_form
 
 CUTOFFS = {"2.5 x bandwidth": 2.5, "10 x bandwidth": 10.0, "none": 0.0}  # times the bandwidth
 DECIMATIONS = (0.5, 2.0)  # times that of the rules
+NOISES = (4e-6, 4e-5, 8e-5)  # of the position, times the travel of the joint that travels least
 STARTS = (0.001, 1000.0)  # inertias of the first pass, kg m² or kg
 Values = tuple[float, float, float, float]  # LS and its half-width of the 95 % interval, IV and its half-width
 
@@ -27,7 +28,7 @@ class Variant:
     """A fit by the rules in which one thing is `changed`, to the value `to`.
 
     `noise` is white noise, rad or m rms, that is added to the recorded position after the control loop; `start` are the
-    inertias of the first pass, kg m² or kg.
+    inertias of the first pass, kg m² or kg. Without `gain_update` the simulated robot keeps the recorded gains.
     """
 
     changed: str
@@ -35,25 +36,31 @@ class Variant:
     overrides: Overrides = field(default_factory=Overrides)
     noise: float = 0.0
     start: float = 1.0
+    gain_update: bool = True
 
 
 @dataclass(frozen=True, kw_only=True)
 class VariedFit:
-    """The `values` of a variant by parameter, empty without a fit; `ended` is the status of iv, or why there is no fit."""
+    """The `values` of a variant by parameter, empty without a fit; `ended` is the status of iv after so many `passes`, or why
+    there is no fit.
+    """
 
     variant: Variant
     ended: str
+    passes: int = 0
     values: Mapping[str, Values] = field(default_factory=dict)
     essential: tuple[str, ...] = ()
 
 
-def vary(source: RecordingFile, noises: Sequence[float], work: Work) -> list[VariedFit]:
-    """The fit by the rules, and a fit per variant; `noises` of the position are in rad or m rms.
+def vary(source: RecordingFile, noises: Sequence[float] | None, work: Work) -> list[VariedFit]:
+    """The fit by the rules, and a fit per variant; `noises` of the position are in rad or m rms, None by the travel.
 
     Raises `IdentificationError`: the recording cannot be fitted by the rules.
     """
     signals = source.load()
     robot, decimation = signals.robot, make_settings(signals, Overrides()).decimation
+    if noises is None:
+        noises = [float(f"{part * np.ptp(signals.q, axis=0).min():.1g}") for part in NOISES]
     variants = [Variant(changed="none", to="the rules")]
     for to, factor in CUTOFFS.items():
         overrides = Overrides(cutoff_hz=factor * robot.bandwidth_hz)
@@ -64,6 +71,7 @@ def vary(source: RecordingFile, noises: Sequence[float], work: Work) -> list[Var
     units = " or ".join({"rad" if joint.type == "revolute" else "m": None for joint in robot.joints})
     variants += [Variant(changed="position noise", to=f"{x:g} {units} rms", noise=x) for x in noises]
     variants += [Variant(changed="start", to=f"{x:g}", start=x) for x in STARTS]
+    variants.append(Variant(changed="gain update", to="off", gain_update=False))
     fits = list(work.run(fit_variant, [(source, variant) for variant in variants]))
     if not fits[0].values:
         raise IdentificationError(fits[0].ended)
@@ -77,48 +85,53 @@ def fit_variant(source: RecordingFile, variant: Variant) -> VariedFit:
     noise = np.random.default_rng(0).standard_normal(signals.q.shape)
     signals = replace(signals, q=signals.q + variant.noise * noise)
     try:
-        iteration = Iteration(inertias=np.full(signals.robot.n, variant.start))
+        iteration = Iteration(inertias=np.full(signals.robot.n, variant.start), gain_update=variant.gain_update)
         fit = identify_iv(signals, variant.overrides, iteration)
     except IdentificationError as error:
         return VariedFit(variant=variant, ended=str(error))
     ls = fit.least_squares
     numbers = (ls.estimate.beta, ls.intervals.half, fit.estimate.beta, fit.intervals.half)
     values = dict(zip(fit.estimate.names, zip(*(x.tolist() for x in numbers), strict=True), strict=True))
-    return VariedFit(variant=variant, ended=fit.status, values=values, essential=fit.essential_names)
+    passes = len(fit.iv.passes) if fit.iv else 0
+    return VariedFit(variant=variant, ended=fit.status, passes=passes, values=values, essential=fit.essential_names)
 
 
 def moves_of(fits: Sequence[VariedFit], name: str) -> Array:
-    """(fits, 2) moves of LS and of IV from the fit by the rules, in half-widths of IV there; NaN without a fit."""
+    """(fits, 4) moves of LS and of IV from the fit by the rules, in half-widths of IV there, and in their own; NaN without."""
     ls, _, iv, half = fits[0].values[name]
     none = (np.nan,) * 4
     values = np.array([fit.values.get(name, none) for fit in fits])
-    return np.asarray(np.abs(values[:, [0, 2]] - [ls, iv]) / half)
+    moved = np.abs(values[:, [0, 2]] - [ls, iv])
+    return np.asarray(np.c_[moved / half, moved / values[:, [1, 3]]])
 
 
 def sensitivity_document(recording: str, fits: Sequence[VariedFit]) -> Document:
     """The largest moves of both methods by variant, and all values; the title says where least squares moves most."""
     names = fits[0].essential or tuple(fits[0].values)
-    moves = np.nan_to_num([moves_of(fits, name) for name in names])  # (parameters, fits, methods)
+    moves = np.nan_to_num([moves_of(fits, name) for name in names])  # (parameters, fits, both methods twice)
     largest, of = moves.max(axis=0), moves.argmax(axis=0)
     rows, values = list[Row](), list[Row]()
     for k, fit in enumerate(fits):
         what = (fit.variant.changed, fit.variant.to)
-        cells = [x for m in (0, 1) for x in (Number(largest[k, m] if fit.values else None, ".2g"), names[of[k, m]])]
-        rows += [(*what, *cells, fit.ended)] if k else []
+        shown = [Number(x if fit.values else None, ".2g") for x in largest[k]]
+        cells = [x for m in (0, 1) for x in (shown[m], names[of[k, m]], shown[m + 2])]
+        rows += [(*what, *cells, Number(fit.passes or None, "d"), fit.ended)] if k else []
         for name in names:
             if name in fit.values:
                 form = value_form(fit.values[name][3] / 2)
                 values.append((name, *what, *(Number(x, form) for x in fit.values[name])))
     worst = fits[k := int(largest[:, 0].argmax())].variant
-    ls, iv = (f"{x:.2g}" for x in largest[k])
+    ls, iv = (f"{x:.2g}" for x in largest[k, :2])
     title = f"{recording}: LS moves by up to {ls} half-widths with {worst.changed} {worst.to}, IV by {iv}"
-    heads = columns("changed", "to", numbers=("LS moves",)) + columns("at", numbers=("IV moves",))
+    heads = columns("changed", "to", numbers=("LS moves",)) + columns("at", numbers=("own", "IV moves"))
     lines = (
         f"moves from the fit by the rules, in half-widths of its 95 % interval of IV: the largest of {len(names)} essential "
-        "parameters",
+        "parameters; own: in half-widths of the variant's own interval of the method",
         "position noise is added to the recording, after the control loop; start: inertias of the first pass",
     )
-    moves_table = Table(columns=heads + columns("at", "iv ended"), rows=tuple(rows))
+    moves_table = Table(
+        columns=heads + columns("at", numbers=("own", "passes")) + columns("iv ended"), rows=tuple(rows)
+    )
     whole = columns("parameter", "changed", "to", numbers=("LS", "±95%", "IV", "±95%"))
     table = Table(columns=whole, rows=tuple(values))
     sections = Section(table=moves_table, lines=lines), Section(title="values", table=table, short=Section())
