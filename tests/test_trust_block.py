@@ -34,7 +34,6 @@ from identification.trust.fit_data import measured_motion
 from identification.trust.solution import (
     TESTS,
     _combine_failures,
-    _solve_whitened,
     essential_test,
     fixed_point_test,
     halves_test,
@@ -115,7 +114,7 @@ def test_a_clean_recording_is_trusted(method):
     """Least squares cannot find the lag, and half a millisecond more or less is much of the shoulder's small friction."""
     fit, _ = looked_at(method, recorded("scara"), torque_lag_s=None if method == "iv" else -0.5e-3)
     lines = {x.test: x for x in fit.trust.lines}
-    assert set(lines) == OF_ALL | ({"instruments", "prewhitened"} if method == "iv" else {"position noise"})
+    assert set(lines) == OF_ALL | ({"instruments"} if method == "iv" else {"position noise"})
     assert {x.level for x in lines.values()} == {"ok"}
     assert (fit.distrust, fit.trust.verdict) == ((), "trust")
 
@@ -454,24 +453,6 @@ def test_an_autoregression_is_found_despite_gaps():
     np.testing.assert_allclose(autoregression(rho * used, 4), [0.7, -0.2, 0.0, 0.0], atol=0.03)
 
 
-def test_prewhitened_rows_are_those_of_the_filter():
-    """W, Y and Z filtered by scipy, rows that follow a gap left out, solved by hand."""
-    _, evidence = examined("iv", "scara")
-    n, T, order = 2, len(evidence.observed.tau), 12
-    system, weight = evidence.observed.system, evidence.estimate.weights[evidence.observed.system.joint_of_row]
-    order = min(order, T // 20)
-    parts = []
-    for j in range(n):
-        rows = slice(j * T, (j + 1) * T)
-        used = system.used[rows]
-        taps = np.r_[1.0, -autoregression(evidence.rho[rows] * used, order)]
-        counts = lfilter(np.ones(order + 1), [1.0], used) == order + 1
-        stack = np.c_[system.W, evidence.Z, system.Y][rows]
-        parts.append((lfilter(taps, [1.0], stack, axis=0) * weight[rows, None])[counts])
-    W, Z, Y = np.split(np.concatenate(parts), [8, 16], axis=1)
-    np.testing.assert_allclose(_solve_whitened(evidence).beta, np.linalg.solve(Z.T @ W, Z.T @ Y)[:, 0], rtol=1e-6)
-
-
 # Long recordings
 
 
@@ -557,9 +538,8 @@ def test_a_long_recording_has_every_test(method):
     assert [x.test for x in long.trust.lines if x.level == "not made"] == [
         x.test for x in fit.trust.lines if x.level == "not made"
     ]
-    for test in ("added columns", "prewhitened")[: 1 + (method == "iv")]:
-        told, wanted = (x.trust.line(test) for x in (long, fit))
-        assert (told.level, told.value) == (wanted.level, pytest.approx(wanted.value, rel=0.05))
+    told, wanted = (x.trust.line("added columns") for x in (long, fit))
+    assert (told.level, told.value) == (wanted.level, pytest.approx(wanted.value, rel=0.05))
     lag, other = long.lags[0], fit.lags[0]
     assert lag.value_s == pytest.approx(other.value_s, abs=2e-5)
     np.testing.assert_allclose(lag.moved, other.moved, rtol=0.2, atol=0.5 * fit.intervals.half.max())

@@ -27,7 +27,6 @@ from .diagnostics import (
     InstrumentTests,
     are_moving,
     autocorrelation,
-    autoregression,
     chi_squared_quantile,
     f_tail,
     f_tests,
@@ -36,7 +35,6 @@ from .diagnostics import (
     t_quantile,
     torque_errors,
     whitened,
-    whitening_order,
 )
 from .estimators import (
     MIN_COLUMN_NORM,
@@ -53,7 +51,6 @@ from .system import (
     SpanFactors,
     Spans,
     System,
-    WhitenedFactors,
     condensed,
     r_factor,
     spans_of,

@@ -14,7 +14,6 @@ from ..arrays import Array
 from ..report import TorqueError
 from .system import System, orthonormal, spans_of
 
-MAX_ORDER = 12  # of the filter that whitens a joint's rows
 MOVING = 0.02  # of a joint's peak speed: below, it stands
 _MAX_TERMS = 500  # of the continued fraction; about max(10, sqrt(degrees of freedom)) are needed
 
@@ -87,11 +86,6 @@ def instrument_tests(Q: Array, W: Array, rows: float) -> InstrumentTests:
     strength = float(min(1.0, np.linalg.svd(Q.T @ Qw, compute_uv=False)[-1]))
     first_stage = strength**2 / max(1e-300, 1 - strength**2) * (rows - b) / b
     return InstrumentTests(strength=strength, first_stage_F=float(first_stage))
-
-
-def whitening_order(rows: int) -> int:
-    """Order of the filter that whitens so many rows of a joint."""
-    return min(MAX_ORDER, rows // 20)
 
 
 def whitened(

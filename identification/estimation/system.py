@@ -144,27 +144,6 @@ class SpanFactors:
         }
 
 
-class WhitenedFactors:
-    """`factors` of rows filtered along time, joint by joint, by `filters` (n, order + 1): those that count with all before."""
-
-    def __init__(self, factors: SpanFactors, filters: Array) -> None:
-        self.factors, self._filters = factors, filters
-        self._columns, self._share = np.zeros((len(filters), 0, 0)), np.zeros((0, len(filters)))
-
-    def add(self, first: int, columns: Array, share: Array) -> None:
-        """Add instants as to `SpanFactors`, in sequence."""
-        order, rows = self._filters.shape[1] - 1, columns.shape[2]
-        if first == 0:
-            self._columns, self._share = np.zeros((*columns.shape[:2], order)), np.zeros((order, len(columns)))
-        columns, share = np.concatenate([self._columns, columns], axis=2), np.concatenate([self._share, share])
-        filtered, counts = np.zeros((*columns.shape[:2], rows)), share[order:].copy()
-        for k in range(order + 1):
-            filtered += self._filters[:, k, None, None] * columns[..., order - k : order - k + rows]
-            counts *= share[order - k : order - k + rows] > 0
-        self.factors.add(first, filtered, counts)
-        self._columns, self._share = columns[..., rows:].copy(), share[rows:].copy()
-
-
 def stacked_columns(each: Sequence[Array], n: int) -> Array:
     """Columns (r, k) of several recordings, whose rows (r_i, k) are by joint of n, stacked joint by joint."""
     if len(each) == 1:

@@ -188,8 +188,6 @@ def assess_iv(
     estimate, replicas, z = best.estimate, best.replicas, best.z
     solved = replace(ls, estimate=estimate, tau_predicted=equations.predicted(estimate))
     evidence = evidence_of(equations, "iv", solved, equations.along(z), each=z.rows, replicas=replicas)
-    if z.whitened:
-        evidence = replace(evidence, whitened=equations.stacked(equations.rows_with(z.whitened)))
     tests = tests_of(evidence.observed.system, estimate)
     status, reason = status_of(equations, passes, best, tests)
     if reason is not None and best.number != len(passes):

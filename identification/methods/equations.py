@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ..arrays import Array
 from ..data import RecordingFile, Recordings, Signals, check_one_robot
 from ..errors import IdentificationError
-from ..estimation import Estimate, System, autoregression, combined, stacked, stacked_columns, whitening_order
+from ..estimation import Estimate, System, combined, stacked, stacked_columns
 from ..regression import (
     HELD,
     REDUCED,
@@ -27,7 +27,6 @@ from ..regression import (
     make_unknowns,
     most_numbers,
     refuse_standing_joints,
-    residual_of_recording,
     rows_again,
     rule_cutoff_hz,
     torque_of_recording,
@@ -236,18 +235,6 @@ class Equations:
         for payload in self.unknowns.payloads:
             estimate = combined(system, estimate, payload.stated)
         return estimate
-
-    def whitening(self, x: Array) -> Array:
-        """(n, order + 1) filters that whiten each joint's residual of x, in its torque by the gains in x."""
-        of, problems, factors = self.unknowns, self.tasks(), np.ones(self.problem.signals.robot.n)
-        if of.motors:
-            factors[list(of.motors)] = x[of.gains]
-            problems = [problem.with_gains(factors) for problem in problems]
-        tasks = [(problem, of.beta(x, k)) for k, problem in enumerate(problems)]
-        rho = np.concatenate(list(self.recordings.work.run(residual_of_recording, tasks)), axis=1)
-        rho *= np.concatenate([rows.counts for rows in self.rows]).T
-        order = whitening_order(rho.shape[1])
-        return np.stack([np.r_[1.0, -autoregression(own, order)] for own in rho])
 
     def predicted(self, *estimates: Estimate, by_recording: bool = False) -> Array:
         """Decimated torque (rows, n) of an estimate; of several, each in equal spans of a recording, or in one recording."""

@@ -23,9 +23,9 @@ from ..estimation import (
     intervals_of,
     one_thread,
 )
-from ..regression import Overrides, Rows, base_places
+from ..regression import Overrides, Rows, Term, base_places
 from ..report import Method
-from ..simulation import Further, Instruments
+from ..simulation import Instruments
 from ..trust import covariance_of_all
 from .assess import assess_iv, candidates_of, evidence_of, fit_of, position_noise_of
 from .equations import Equations, closed_loops, read_equations
@@ -232,7 +232,7 @@ def _solve_by_instruments(
     def next_pass(equations: Equations, number: int) -> tuple[Equations, Pass]:
         coarse = regular and is_coarse(equations.problem, number, most)
         # Z = IDM(q_sim, dq_sim, ddq_sim); a first pass of a long recording only starts the next ones
-        further = further_of(equations, x) if number > 1 or most == 1 else ()
+        further = terms_of_long(equations, x) if number > 1 or most == 1 else ()
         z = lab.instruments(x, C, robot=robot, coarse=coarse, further=further)
         # Y(tau(t + L))
         equations = equations if coarse or robot is not None else with_lags_found(equations, z, weights)
@@ -253,9 +253,9 @@ def _solve_by_instruments(
             break
         passes, C = [*passes, last], last.covariance
         x, robot = next_values(passes, names), None
-    best = conclude(lab, passes, partial(further_of, equations), lambda z: step(rows := equations.along(z), rows.Z))
+    best = conclude(lab, passes, partial(terms_of_long, equations), lambda z: step(rows := equations.along(z), rows.Z))
     if why := why_by_reference(equations, passes, best):
-        z = replace(lab.along_reference(first, further_of(given, first)), reason=why)
+        z = replace(lab.along_reference(first, terms_of_long(given, first)), reason=why)
         found = with_lags_found(given, z, weights)
         with suppress(NoEstimateError):
             last = replace(one_pass(found, z), number=len(passes) + 1, stands_alone=True, replicas=z.replicas)
@@ -293,12 +293,9 @@ def _by_measured_motion(equations: Equations, x: Array, *, settled: bool, essent
     return replace(fit_of(equations, evidence, solved), least_squares=ls.of_base())
 
 
-def further_of(equations: Equations, x: Array) -> list[Further]:
+def terms_of_long(equations: Equations, x: Array) -> tuple[Term, ...]:
     """What the rows of long recordings have beside the equations about x; nothing for rows that are held."""
-    if not equations.reduced:
-        return []
-    filters = equations.whitening(x)
-    return [(terms, filters) for terms in candidates_of(equations, x, None)]
+    return candidates_of(equations, x, None) if equations.reduced else ()
 
 
 def solve_least_squares(equations: Equations, full: Estimate, rows: Rows, *, essential: bool) -> LeastSquares:

@@ -10,9 +10,9 @@ from ..arrays import Array
 from ..errors import IdentificationError
 from ..estimation import Estimate, InstrumentTests, System, instrument_tests, intervals_of
 from ..model import BaseParameters, InverseModel, direct_model, poses_of, why_not_positive
-from ..regression import Problem
+from ..regression import Problem, Term
 from ..report import DirectModelError, Status
-from ..simulation import ClosedLoops, Further, Instruments, Replica, join_reasons, max_or_none
+from ..simulation import ClosedLoops, Instruments, Replica, join_reasons, max_or_none
 from ..trust import covariance_of_all
 from .equations import Equations
 from .fit import LeastSquares, Pass
@@ -124,7 +124,7 @@ def failed(passes: list[Pass], error: NoEstimateError, recordings: Sequence[str]
 def conclude(
     lab: ClosedLoops,
     passes: Sequence[Pass],
-    further: Callable[[Array], Sequence[Further]],
+    further: Callable[[Array], Sequence[Term]],
     solve: Callable[[Instruments], Estimate],
 ) -> Pass:
     """The last pass if it settled; else the one whose estimate, simulated in the next pass, tracks best at its worst joint.

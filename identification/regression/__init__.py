@@ -12,7 +12,6 @@ from .equations import (
     most_numbers,
     predicted_drives,
     predicted_torque,
-    residual_of_recording,
     rows_again,
     rows_of_factors,
     rows_of_recording,

@@ -187,16 +187,6 @@ def torque_of_recording(problem: Problem, *betas: Array) -> tuple[Array, Array, 
 
 
 @one_thread
-def residual_of_recording(problem: Problem, beta: Array) -> Array:
-    """Residual (n, rows) of base parameters beta (b,), weighted before decimation, as rows are."""
-    problem, parts = problem.with_samples(), list[Array]()
-    for motion, inside, _ in motion_blocks(problem):
-        rho = motion.tau - torque_of_model(problem, motion, beta)
-        parts.append(weighted(problem, motion.t_s, rho, problem.settings.decimator)[:, inside])
-    return np.concatenate(parts, axis=1)
-
-
-@one_thread
 def with_torque(problem: Problem, rows: Rows) -> Rows:
     """The rows of a recording, columns of load friction zero, with the torque of `problem`, of another lag or gains."""
     problem = problem.with_samples()

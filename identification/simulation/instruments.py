@@ -8,7 +8,7 @@ import numpy as np
 
 from ..arrays import Array
 from ..data import Work
-from ..estimation import SpanFactors, WhitenedFactors, one_thread, stacked_columns
+from ..estimation import SpanFactors, one_thread, stacked_columns
 from ..model import why_not_positive
 from ..regression import (
     Motion,
@@ -36,8 +36,6 @@ from .motion import (
 )
 
 InstrumentKind = Literal["simulated", "consistent", "reference"]
-# Of the rows of a long recording: terms that are not in the model, and by joint the filter (n, order + 1) that whitens them.
-Further = tuple[Term, Array]
 WORST_FIRST: tuple[InstrumentKind, ...] = ("reference", "consistent", "simulated")
 
 
@@ -49,7 +47,6 @@ class Instruments:
         x: values about which the columns are: (b,) base parameters of one recording, or all unknowns of several.
         Z: (r, b + n) instruments of base parameters and drives, or (r, p) of all unknowns; empty for long recordings.
         rows: of long recordings [C Z W E Y] of each about x, as QR factors by span; else none.
-        whitened: of long recordings the same without C, each joint's rows filtered in time.
         kind, reason: as in `methods.Pass`.
         gains: factors on the controllers' gains, n for each recording.
         tracking_percent: error of the simulated position, None if nothing was simulated.
@@ -59,7 +56,6 @@ class Instruments:
     x: Array
     Z: Array
     rows: tuple[Rows, ...]
-    whitened: tuple[Rows, ...]
     kind: InstrumentKind
     reason: str | None
     gains: Array
@@ -69,7 +65,7 @@ class Instruments:
     def without_rows(self) -> "Instruments":
         """The same without arrays of a recording's length."""
         replicas = tuple(replace(one, motion=None, q=one.q[:0]) for one in self.replicas)
-        return replace(self, Z=self.Z[:0].copy(), rows=(), whitened=(), replicas=replicas)
+        return replace(self, Z=self.Z[:0].copy(), rows=(), replicas=replicas)
 
 
 def simulate_instruments(
@@ -78,7 +74,7 @@ def simulate_instruments(
     robot: Array,
     covariance: Array | None,
     payload: Array | float = 0.0,
-    further: Further | None = None,
+    further: Term | None = None,
 ) -> Instruments:
     """Instruments about the base parameters `x` (b,), along the closed loop of the physically consistent robot nearest to
     parameters `robot` (b,) of this covariance (b, b); without a covariance that robot itself is simulated. `payload` (b,) is
@@ -102,13 +98,12 @@ def simulate_instruments(
 
 
 def _along(
-    e: Experiment, blocks: MotionBlocks, x: Array, *, simulated: bool, further: Further | None = None
+    e: Experiment, blocks: MotionBlocks, x: Array, *, simulated: bool, further: Term | None = None
 ) -> Instruments:
     """Instruments about x (b,) along a motion, of kind `reference`."""
     problem, n, T = e.problem, e.problem.signals.robot.n, e.blocks[0].rows
     share, width = sample_weights(problem).of_rows, problem.base.b + n * problem.needs_drives
     factors = SpanFactors(T, n, e.spans) if e.spans else None
-    white = WhitenedFactors(SpanFactors(T, n, e.spans), further[1]) if further else None
     error, parts, motions = TrackingError(e), list[Array](), list[tuple[Array, ...]]()
     for at, motion in blocks:
         inside, q = error.add(at, motion)
@@ -124,9 +119,8 @@ def _along(
             parts.append(Z)
             continue
         Z = np.concatenate([Z, columns_of_block(problem, at, x)], axis=1)
-        if further is not None and white is not None:
-            white.add(at.first, Z, share[rows])
-            Z = np.concatenate([further[0].columns(problem, motion, e.decimation)[..., at.inside], Z], axis=1)
+        if further is not None:
+            Z = np.concatenate([further.columns(problem, motion, e.decimation)[..., at.inside], Z], axis=1)
         factors.add(at.first, Z, share[rows])
     held = np.concatenate(parts, axis=-1).transpose(0, 2, 1).reshape(-1, width) if parts else np.zeros((0, width))
     t_s, measured, *moved = (np.concatenate(series) for series in zip(*motions, strict=True))
@@ -145,7 +139,6 @@ def _along(
         x=x,
         Z=held,
         rows=(rows_of_factors(problem, factors, width),) if factors else (),
-        whitened=(rows_of_factors(problem, white.factors, width),) if white else (),
         kind="reference",
         reason=None,
         gains=np.ones(n),
@@ -201,7 +194,7 @@ class Simulation:
         return simulate_instruments(self.at(rate_per_bandwidth), *given)
 
     @one_thread
-    def along_reference(self, x: Array, further: Further | None = None) -> Instruments:
+    def along_reference(self, x: Array, further: Term | None = None) -> Instruments:
         """Instruments along the motion that the reference predicts, without a simulation, coarsely, about x (b,)."""
         e = self.at(EARLY_RATE_PER_BANDWIDTH)
         return _along(e, reference_blocks(e, x), x, simulated=False, further=further)
@@ -226,7 +219,7 @@ class ClosedLoops:
         *,
         robot: Array | None = None,
         coarse: bool = False,
-        further: Sequence[Further] = (),
+        further: Sequence[Term] = (),
     ) -> Instruments:
         """Instruments of all recordings about x, as `simulate_instruments`; `robot` is simulated in place of x."""
         rate, tasks = EARLY_RATE_PER_BANDWIDTH if coarse else RATE_PER_BANDWIDTH, []
@@ -236,7 +229,7 @@ class ClosedLoops:
             tasks.append((one, rate, self.unknowns.beta(x, k), beta, C, carried, more))
         return self._stacked(list(self.work.run(Simulation.instruments, tasks)), x)
 
-    def along_reference(self, x: Array, further: Sequence[Further] = ()) -> Instruments:
+    def along_reference(self, x: Array, further: Sequence[Term] = ()) -> Instruments:
         """Instruments of all recordings along the motions that their references predict about x."""
         each = enumerate(self.simulations)
         tasks = [(one, self.unknowns.beta(x, k), further[k] if further else None) for k, one in each]
@@ -249,7 +242,6 @@ class ClosedLoops:
             x=x,
             Z=Z,
             rows=tuple(rows for one in each for rows in one.rows),
-            whitened=tuple(rows for one in each for rows in one.whitened),
             kind=min((one.kind for one in each), key=WORST_FIRST.index),
             reason=join_reasons([one.reason for one in each], self.names),
             gains=np.concatenate([one.gains for one in each]),

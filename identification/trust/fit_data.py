@@ -63,7 +63,6 @@ class FitData:
         least_squares: weighted least squares of all base parameters on the same recordings.
         candidates: terms that are not in the model, by recording.
         replicas: the robot simulated in each recording; empty after least squares.
-        whitened: of long recordings, rows filtered in time; None of others.
         position_noise: whether position noise biases least squares; None for instrumental variables.
         lags: one per group of recordings of equal timing.
         essential: names of the parameters that the recordings determine well.
@@ -84,7 +83,6 @@ class FitData:
     least_squares: Estimate
     candidates: tuple[Candidates, ...] = ()
     replicas: tuple[Replica, ...] = ()
-    whitened: Rows | None = None
     first_stage_F: float | None = None
     unconfirmed: str | None = None
     by_reference: str | None = None

@@ -7,17 +7,12 @@ import numpy as np
 
 from ..arrays import Array
 from ..data import PositionSteps, position_steps
-from ..errors import IdentificationError
 from ..estimation import (
     MIN_COLUMN_NORM,
-    Estimate,
     are_moving,
     estimate_deviations,
     f_tail,
-    instrumental_variables,
     spans_of,
-    whitened,
-    whitening_order,
 )
 from ..model import JointTerm
 from ..regression import Problem, base_name, base_places, standing_joints
@@ -44,7 +39,6 @@ MAX_MISSING_PERCENT = 0.1  # of the moving rows
 MAX_HELD_RATIO = 0.3  # of missing or repeated rows over held rows
 MAX_COARSE_PERCENT = 0.4  # of a joint's moving steps that are double or zero: a slow encoder
 MAX_SHORT_S = 100.0  # of motion: beyond, the error of the filters is as large as that of noise
-MAX_PREWHITENED_SIGMA = 15.0  # between plain and prewhitened IV; coloured noise alone gives up to 11
 
 
 def fixed_point_test(evidence: FitData) -> TrustLine:
@@ -176,47 +170,6 @@ def _solve_part(evidence: FitData, part: Span) -> tuple[Array, Array, int] | Non
     return beta, C * np.outer(sigma / formula, sigma / formula), freedom
 
 
-def prewhitened_test(evidence: FitData) -> TrustLine | None:
-    """How far the estimate moves when each joint's residual is whitened: model error moves it, white noise does not."""
-    name = "prewhitened"
-    if evidence.Z is None:
-        return None
-    estimate = _solve_whitened(evidence)
-    if isinstance(estimate, str):
-        return TrustLine(name, "not made", estimate)
-    e = evidence.estimate  # what is stated holds it in both
-    moved = e.bread @ (e.Q.T @ (evidence.W @ estimate.beta - evidence.Y))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        apart = np.nan_to_num(np.abs(moved) / evidence.intervals.sigma, nan=0.0)
-    worst, value = int(apart.argmax()), float(apart.max())
-    finding = (
-        f"differs by {value:.2g} sigma with prewhitening (limit {MAX_PREWHITENED_SIGMA:g}), at {estimate.names[worst]}"
-    )
-    if value > MAX_PREWHITENED_SIGMA:
-        text = f"{finding}: a term is missing in the model: see added columns"
-        return TrustLine(name, "caution", text, value, limit=MAX_PREWHITENED_SIGMA)
-    return TrustLine(name, "ok", finding, value, limit=MAX_PREWHITENED_SIGMA)
-
-
-def _solve_whitened(evidence: FitData) -> Estimate | str:
-    """Instrumental variables of W, Y, Z filtered by each joint's own autoregression; or why it is not made."""
-    assert evidence.Z is not None
-    names = evidence.estimate.names
-    indices = np.array([evidence.observed.system.names.index(name) for name in names])
-    system = evidence.observed.system.with_columns(indices)
-    if evidence.whitened is not None:
-        system, Z = evidence.whitened.system.with_columns(indices), evidence.whitened.Z[:, indices]
-    else:
-        order = whitening_order(len(evidence.observed.tau))
-        system, Z = whitened(system, evidence.Z[:, indices], evidence.rho, order, evidence.observed.parts)
-    if (count := round(system.rows.sum())) <= 4 * len(names):
-        return f"not made: {count} consecutive rows for {len(names)} parameters; record longer"
-    try:
-        return instrumental_variables(system, Z, evidence.estimate.weights)
-    except IdentificationError as error:
-        return f"not made: {error}"
-
-
 def position_noise_test(evidence: FitData) -> TrustLine | None:
     """Whether position noise biases least squares; made while the recording is read."""
     return evidence.position_noise
@@ -305,7 +258,7 @@ TESTS: tuple[Callable[[FitData], TrustLine | None], ...] = (
     *(signs_and_order_test, saturation_test, positions_test, gains_test, centre_of_mass_test, fixed_point_test),
     *(physical_test, units_test, control_law_test, prior_test, added_columns_test, lag_test),
     *(held_out_test, halves_test, consistent_test, ends_test, essential_test, instruments_test),
-    *(prewhitened_test, position_noise_test, motion_test, effort_test, rows_test),
+    *(position_noise_test, motion_test, effort_test, rows_test),
 )
 
 
