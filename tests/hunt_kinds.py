@@ -1,4 +1,4 @@
-"""The 32 kinds of fault of the hunt: what of a sound cell, recording or description is wrong, and which test should say so.
+"""The 35 kinds of fault of the hunt: what of a sound cell, recording or description is wrong, and which test should say so.
 
 A set-up is a robot in its cell, how it is recorded, and the description that a fit is given. A kind changes a sound one.
 """
