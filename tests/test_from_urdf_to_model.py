@@ -99,7 +99,8 @@ def test_the_exported_urdf_has_the_rigid_body_of_the_robot(loop):
 @pytest.mark.slow
 def test_the_exported_description_is_simulated_and_studied(loop, monkeypatch, capsys):
     monkeypatch.chdir(loop)
-    short = ["--duration-s", "2", "--rate-hz", "500"]
+    rate_hz = load_robot(loop / "out.toml").controller.sample_rate_hz or 500  # of the law that the fit found
+    short = ["--duration-s", "2", "--rate-hz", f"{rate_hz:g}"]
     assert identify(["simulate", "out.toml", *short, "-o", "again.mcap"]) == 0
     assert identify(["study", "out.toml", *short, "--runs", "1", "--json", "study.json"]) == 0
     assert capsys.readouterr().err == ""
