@@ -119,7 +119,7 @@ class Fit(methods.Fit):
         return report.to_markdown(export.export_fit(stored, name, untrusted=allow_untrusted, **paths))
 
     def _repr_html_(self) -> str:
-        return report.to_html(methods.fit_document(self.problem.signals, self))
+        return report.to_html(methods.fit_document(self.problem.signals, self).short)
 
 
 def _of_user(found: methods.Fit) -> Fit:

@@ -33,6 +33,8 @@ def fit_document(signals: Signals, fit: Fit) -> Document:
     several = [recordings_section(fit.recordings, fit.own)] if len(fit.recordings) > 1 else []
     return Document(
         title=f"{signals.robot.name}: {first_line(fit)}",
+        badge=fit.trust.verdict,
+        figures=_figures(fit),
         sections=(
             _verdict_section(fit),
             _trust_section(fit),
@@ -62,16 +64,33 @@ def first_line(fit: Fit) -> str:
     )
 
 
+def _percents(fit: Fit) -> dict[str, float]:
+    """Half-widths of the essential parameters in percent."""
+    found = zip(fit.estimate.names, fit.intervals.half, np.abs(fit.estimate.beta), strict=True)
+    return {name: 100 * float(half / value) for name, half, value in found if name in set(fit.essential_names)}
+
+
 def _determined(fit: Fit) -> str:
     """How many parameters the recordings determine, and how closely."""
-    e, essential = fit.estimate, set(fit.essential_names)
-    found = zip(e.names, fit.intervals.half, np.abs(e.beta), strict=True)
-    percents = {name: 100 * float(half / value) for name, half, value in found if name in essential}
+    percents = _percents(fit)
     text = f"{len(percents)} of {len(fit.least_squares.full.names)} parameters determined"
     if not percents:
         return text
     middle, worst = np.median(list(percents.values())), max(percents, key=percents.__getitem__)
     return f"{text}, half of them to ±{middle:.2g} %, the worst ({worst}) to ±{percents[worst]:.2g} %"
+
+
+def _figures(fit: Fit) -> tuple[tuple[str, str], ...]:
+    """The figures to read first, by what they are."""
+    percents, held = _percents(fit), fit.trust.line("held-out blocks").value
+    figures = {"torque error of moving rows": fit.errors[-1].moving_relative_error_percent, "held out": held}
+    figures[f"held out, links of the {fit.data.prior_source}"] = fit.data.prior_error_percent
+    shown = {what: f"{value:.2g} %" for what, value in figures.items() if value is not None}
+    if percents:
+        worst = max(percents, key=percents.__getitem__)
+        shown[f"half of the {len(percents)} determined parameters"] = f"±{np.median(list(percents.values())):.2g} %"
+        shown[f"the worst, {worst}"] = f"±{percents[worst]:.2g} %"
+    return tuple(shown.items())
 
 
 def _verdict_section(fit: Fit) -> Section:

@@ -144,19 +144,21 @@ def error_line(errors: tuple[TorqueError, ...]) -> str:
 
 def errors_section(errors: tuple[TorqueError, ...], units: tuple[str, ...]) -> Section:
     """Relative torque errors by joint: whole, moving, standing; all joints together last."""
-    title, heads = "relative torque error, %", columns("joint", "unit", numbers=ERROR_COLUMNS)
+    heads = columns("joint", "unit", numbers=ERROR_COLUMNS)
     rows: list[Row] = [
         (error.name, unit, *_error_cells(error)) for error, unit in zip(errors, (*units, ""), strict=True)
     ]
+    each = [f"{error.name} {Number(error.moving_relative_error_percent, '.2g').text} %" for error in errors[:-1]]
     more = [
         (Number(e.moving_rows, "d"), Number(e.standing_rows, "d"), Number(e.autocorrelation, ".2f")) for e in errors
     ]
     wide = heads + columns(numbers=("rows moving", "rows standing", "residual lag-1"))
     whole = tuple((*row, *cells) for row, cells in zip(rows, more, strict=True))
     return Section(
-        title=title,
+        title="relative torque error, %",
         table=Table(columns=wide, rows=whole, total=True),
-        short=Section(title=title, table=Table(columns=heads, rows=tuple(rows[:-1]))),  # a line above has all joints
+        # a line above has all joints
+        short=Section(lines=(f"torque error of moving rows by joint: {', '.join(each)}",) if len(each) > 1 else ()),
     )
 
 

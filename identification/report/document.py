@@ -83,10 +83,12 @@ class Section:
 
 @dataclass(frozen=True, kw_only=True)
 class Document:
-    """A report: a headline and sections in reading order."""
+    """A report: a headline and sections in reading order; of a fit its verdict as `badge`, and figures by what they are."""
 
     title: str
     sections: tuple[Section, ...]
+    badge: str = ""
+    figures: tuple[tuple[str, str], ...] = ()
 
     @property
     def short(self) -> "Document":

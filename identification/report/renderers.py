@@ -20,6 +20,7 @@ from .document import Document, Section, Table, cell_text
 
 _MAX_WORD = 16  # characters; longer words, such as a file's name, are broken
 _MAX_WIDTH = 10_000  # characters, for measuring
+BADGES = {"trust": "#007a59", "caution": "#946200", "do not use": "#b0301c"}  # with white text, 4.5 : 1
 SHORT_WIDTH = 120  # characters of a line of a short report in a pipe
 
 
@@ -129,7 +130,8 @@ def _plain(text: str) -> str:
 
 def to_html(document: Document, *, heading: int = 3, figures: str = "") -> str:
     """The report as HTML, with its text escaped; `figures` follow the first sections that have no table."""
-    parts, sections = [_element(f"h{heading}", document.title)], list(document.sections)
+    title = document.title.split("; ")[0] if document.badge else document.title  # the tiles have the figures
+    parts, sections = [_element(f"h{heading}", title), *_tiles(document)], list(document.sections)
     first = next((k for k, section in enumerate(sections) if section.table), len(sections))
     for section in sections[:first]:
         parts += _html_section(section, heading + 1)
@@ -137,6 +139,17 @@ def to_html(document: Document, *, heading: int = 3, figures: str = "") -> str:
     for section in sections[first:]:
         parts += _html_section(section, heading + 1)
     return "\n".join(parts)
+
+
+def _tiles(document: Document) -> list[str]:
+    """The badge and the figures of a report, styled here since a notebook has no style sheet."""
+    if not document.badge:
+        return []
+    badge = f"color:#fff;background:{BADGES[document.badge]};padding:.2em .8em;border-radius:1em;font-weight:700"
+    tiles = [f'<span style="{badge}">{escape(document.badge)}</span>']
+    for what, text in document.figures:
+        tiles.append(f'<span><b style="font-size:1.4em">{escape(text)}</b><br>{escape(what)}</span>')
+    return [f'<div style="display:flex;flex-wrap:wrap;gap:.6em 2em;align-items:center">{"".join(tiles)}</div>']
 
 
 def _html_section(section: Section, heading: int) -> list[str]:

@@ -148,6 +148,12 @@ def torque_plots(signals: Signals, lines: Lines) -> list[Plot]:
     return [_plot(signals, lines, "torque", j) for j in range(signals.robot.n)]
 
 
+def with_residual(torque: Plot, residual: Plot) -> Plot:
+    """A plot of a torque that shows what is measured and what is left of it; curves of models would hide each other."""
+    shown = (replace(curve, visible=curve.key == "measured") for curve in torque.curves)
+    return replace(torque, curves=(*shown, *(replace(curve, name="measured - model") for curve in residual.curves)))
+
+
 def motion_plots(signals: Signals, lines: Lines, j: int) -> list[Plot]:
     """Position, speed and acceleration of joint j; no position if the first page has it, noisy derivatives hidden."""
     first_has_position = not any(quantity == "error" for _, quantity in lines)

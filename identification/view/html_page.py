@@ -1,5 +1,6 @@
 """Write a picture as one HTML file without scripts and requests, to be mailed, read on any screen, and printed."""
 
+from dataclasses import replace
 from html import escape
 from importlib.resources import files
 from pathlib import Path
@@ -23,12 +24,17 @@ def write_html(path: Path, picture: Picture) -> None:
     """
     style = files(__package__).joinpath("report.css").read_text(encoding="utf-8")
     pages = [text for page in picture.pages if (text := _page(page))]
+    first = f'<div class="first">{_figure(picture.first)}</div>' if picture.first else ""
+    whole = replace(picture.document, title="The whole report", badge="")
     parts = [
         '<!doctype html><html lang="en"><head><meta charset="utf-8">',
         f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">',
         '<meta name="viewport" content="width=device-width, initial-scale=1"><meta name="color-scheme" content="light dark">',
         f"<title>{escape(one_line(picture.name))}</title><style>{style}</style></head><body><main>",
-        to_html(picture.document, heading=1, figures="\n".join(pages)),
+        to_html(picture.document.short, heading=1, figures=first),
+        "<details><summary>The whole report: tests, parameters, settings, charts</summary>",
+        to_html(whole, heading=1, figures="\n".join(pages)),
+        "</details>",
         f"<footer><h2>made with</h2><p>{', '.join(f'{name} {number}' for name, number in versions().items())}</p>",
         *(f"<p>{escape(one_line(name))}: sha256 <code>{code}</code></p>" for name, code in picture.sha256.items()),
         "</footer></main></body></html>\n",

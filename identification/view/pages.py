@@ -17,10 +17,10 @@ from ..methods import (
     true_parameters,
 )
 from ..regression import Overrides, Settings, make_settings, with_bandwidth
-from ..report import Document, ParameterSet, comparison_section
+from ..report import Document, ParameterSet, Section, comparison_section
 from ..study import Run, VariedFit
 from . import charts, curves
-from .panels import Page, Panel, Picture
+from .panels import Page, Panel, Picture, Plot
 from .robot_drawing import excitation_scene, robot_scene
 from .signal_panels import event_logs, health_plots, numbers_of_plots, spectrum_charts
 
@@ -38,16 +38,20 @@ def draw_fit(signals: Signals, fit: Fit, *, truth: Array | None = None) -> Pictu
     others = [least_squares_parameters(fit)] if fit.iv else []
     others += [true_parameters(fit.base, truth)] if truth is not None else []
     compared = (comparison_section(own, other) for other in others)
-    document = fit_document(signals, fit).followed_by(numbers_of_plots(signals, fit), *compared)
+    more = (replace(section, short=Section()) for section in (numbers_of_plots(signals, fit), *compared))
+    document = fit_document(signals, fit).followed_by(*more)
     overview, *of_signals = _signal_pages(signals, fit.settings, fit)
+    _, residual = curves.row_plots(signals.robot, fit.t_s, fit.tau, fit.tau_predicted, "")
+    torque = [curves.with_residual(*both) for both in zip(overview.groups["torque"], residual, strict=False)]
+    errors = [error.moving_relative_error_percent or 0.0 for error in fit.errors[:-1]]
     parameters: dict[str, Sequence[Panel]] = {"deviations": charts.deviation_charts(own, others)}
     parameters["gains"] = [charts.gains_chart(fit.gains)] if fit.gains else []
-    _, residual = curves.row_plots(signals.robot, fit.t_s, fit.tau, fit.tau_predicted, "")
     return Picture(
         name=f"{signals.robot.name}, {signals.recording}, {fit.method.upper()}",
+        first=_largest(signals, torque, errors),
         document=document,
         pages=(
-            overview,
+            replace(overview, groups={**overview.groups, "torque": torque or overview.groups["torque"]}),
             Page(name="trust", groups={"tests": charts.trust_charts(fit.trust)}),
             Page(name="parameters", groups=parameters),
             Page(name="residual", groups={"residual": residual}),
@@ -56,6 +60,15 @@ def draw_fit(signals: Signals, fit: Fit, *, truth: Array | None = None) -> Pictu
         ),
         sha256={one.problem.signals.recording: one.problem.signals.sha256 for one in fit.recordings},
     )
+
+
+def _largest(signals: Signals, torque: Sequence[Plot], errors: Sequence[float]) -> Plot | None:
+    """The plot of the joint with the largest error."""
+    if not torque:
+        return None
+    j = errors.index(max(errors))
+    text = f"torque of {signals.robot.joints[j].name}, which has the largest error [{signals.robot.effort_units[j]}]"
+    return replace(torque[j], title=text, legend=True)
 
 
 def draw_friction(before: Fit, after: Fit, document: Document) -> Picture:

@@ -133,9 +133,10 @@ class Page:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Picture:
-    """A result: its name, report and pages; `sha256` are those of its files by name."""
+    """A result: its name, report and pages; `sha256` are those of its files by name, `first` is the panel to look at first."""
 
     name: str
     document: Document
     pages: tuple[Page, ...]
     sha256: Mapping[str, str]
+    first: Panel | None = None
