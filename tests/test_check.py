@@ -37,7 +37,7 @@ def test_where_no_drive_answers_at_all(run):
     findings = check_drives(run, run.drives.bus)
     (row,) = [line for line in table(findings) if "state" in line]
     assert "1, 2, 3" in row
-    assert refusal(findings).startswith("no go: no drive answers at all: interface? try --dry-run")
+    assert refusal(findings).startswith("no go: no drive answers; without hardware:")
 
 
 def test_what_only_track_needs():

@@ -144,7 +144,7 @@ def test_check_and_report_note_the_ripple_where_it_matters(monkeypatch):
 def test_one_demand_a_sync_is_noted_in_the_report_and_no_warning(demand_tx40):
     """The demo's drives record the mean since the SYNC before: no note either. Noise is 0, the ripple 0.5 % at most."""
     signals = load_signals(demand_tx40 / "log.mcap")
-    fit, told = identify_ls(signals, Overrides(low_speed_percent=20.0)), "effort (6074) is sampled at one phase"
+    fit, told = identify_ls(signals, Overrides(low_speed_percent=20.0)), "torque (6074) is read once per SYNC"
     assert fit.warnings == ()
     assert [note[: len(told)] for note in fit.notes] == [told]
     verdict = fit_document(signals, fit).sections[0]

@@ -43,7 +43,7 @@ def test_a_table_in_place_of_a_recording(capsys, tmp_path):
 def test_written_files_are_told_with_how_to_open_them(capsys, tmp_path):
     report, picture = tmp_path / "a.html", tmp_path / "a.rrd"
     said = answer(capsys, "fit", SCARA, "--method", "wls", "--report", report, "--rrd", picture)
-    assert said.endswith(f"read it: open {report} in a browser\nlook at it: rerun --bind 127.0.0.1 {picture}\n")
+    assert said.endswith(f"open the report: {report} in a browser\nopen the plots: rerun --bind 127.0.0.1 {picture}\n")
 
 
 def test_a_study_says_how_long_a_run_took_and_what_is_zero(capsys, tmp_path):

@@ -37,7 +37,7 @@ def test_fit_prints_a_table_and_writes_json(capsys, tmp_path):
     assert out.startswith("SCARA: IV (reference recorded), converged, trust; 0.")
     assert (tmp_path / "fit.md").read_text().startswith(f"# {out.splitlines()[0]}")
     assert "fit.txt: ending = '.txt'" in refused(capsys, "fit", SESSION, "--report", tmp_path / "fit.txt")
-    assert "the 8 largest of 8 essential parameters" in out
+    assert "the 8 that move the torque most, of 8 determined" in out
     fit = json.loads((tmp_path / "fit.json").read_text())
     assert [p["name"] for p in fit["parameters"]] == ["ZZ1R", "Fv1", "Fc1", "ZZ2", "MX2", "MY2", "Fv2", "Fc2"]
     assert fit["parameters"][0]["expression"] == "ZZ1 + 0.25 M2"

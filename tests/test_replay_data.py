@@ -57,7 +57,7 @@ def test_demo_goes_from_the_bus_to_the_picture(capsys, tmp_path):
     out = capsys.readouterr().out
     assert "TX40: IV (asked for), converged, trust; " in out
     compare_with_readme(out)
-    within = int(out.split("iv: ")[1].split(" of 60 in their 95 % interval")[0])
+    within = int(out.split("iv: ")[1].split(" of 60 true values inside")[0])
     assert within >= 56
     names = {p.name for p in (tmp_path / "out").iterdir()}
     assert names == {"session.mcap", "ls.json", "iv.json", "truth.json", "demo.rrd"}
@@ -88,7 +88,7 @@ def test_demo_finds_the_gains_of_drives_in_amperes(capsys, tmp_path):
         assert gain["described"] == pytest.approx(stated)
         assert abs(gain["value"] - stated * factor) < 1.5 * gain["half_width"]
         assert gain["half_width"] < 0.02 * gain["value"]
-    within = int(re.search(r"(\d) of 6 in their 95 % interval; verdict of the fit: trust", out)[1])
+    within = int(re.search(r"(\d) of 6 true values inside; verdict of the fit: trust", out)[1])
     assert within >= 4
     signals = [load_signals(tmp_path / f"{name}.mcap") for name in ("free", "loaded")]
     assert [one.payload for one in signals] == [None, PAYLOAD]

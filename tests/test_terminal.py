@@ -75,7 +75,7 @@ def test_every_command_prints_at_most_a_screen(name, tmp_path, monkeypatch, caps
     command = f"robot-identify demo --robot {name} --out session"
     lines = printed(capsys, command)
     found.append(check(command, lines))
-    assert "look at it: rerun --bind 127.0.0.1 session/demo.rrd" in lines
+    assert "open the plots: rerun --bind 127.0.0.1 session/demo.rrd" in lines
     assert any("robot-identify fit log.mcap" in line for line in lines), "what to do next"
     print("\n".join(found))
 
@@ -95,23 +95,23 @@ WIDE = Document(
             lines=("word " * 60, f"/a/{LONG}/log.mcap in a sentence of some words"),
             warnings=tuple(f"{'a' * k} {MANY}" for k in range(5)),
         ),
-        Section(title="hidden", lines=("only with --all",), short=Section(lines=("3 tests ok (--all)",))),
+        Section(title="hidden", lines=("only with --all",), short=Section(lines=("3 of 3 checks passed (--all)",))),
         Section(table=Table(columns=columns("name"), rows=((LONG,),))),
     ),
 )
 
 
 def test_lines_of_a_short_report_are_broken_between_words_and_no_name_is_cut(capsys):
-    print_whole(WIDE, f"look at it: rerun /a b/{LONG} {LONG}", short=True)
+    print_whole(WIDE, f"open the plots: rerun /a b/{LONG} {LONG}", short=True)
     out = capsys.readouterr().out
     lines = out.splitlines()
     assert out.count(LONG) == 4
     assert max(len(line.strip()) for line in lines if LONG not in line and "─" not in line) <= MAX_WIDTH
-    assert f"look at it: rerun /a b/{LONG} {LONG}" in lines, "a command is one line"
+    assert f"open the plots: rerun /a b/{LONG} {LONG}" in lines, "a command is one line"
     assert out.count("word") == 60 + 12 + 1
     assert not any(line.strip().startswith("%") for line in lines), "a number and its unit stay together"
     assert "only with --all" not in out
-    assert "3 tests ok (--all)" in lines
+    assert "3 of 3 checks passed (--all)" in lines
     assert not set("┃│") & set(out)
 
 
@@ -120,7 +120,7 @@ def test_with_all_lines_are_whole_and_nothing_is_hidden(capsys):
     lines = capsys.readouterr().out.splitlines()
     assert ("word " * 60).strip() in lines
     assert "only with --all" in lines
-    assert "3 tests ok (--all)" not in lines
+    assert "3 of 3 checks passed (--all)" not in lines
 
 
 def test_all_prints_what_the_short_report_hides(capsys, tmp_path, monkeypatch):
@@ -130,7 +130,7 @@ def test_all_prints_what_the_short_report_hides(capsys, tmp_path, monkeypatch):
     assert len(short) < len(whole)
     assert sum(line.startswith("ok: ") for line in short) == 0
     oks = sum(line.startswith("ok: ") for line in whole)
-    assert any(line.startswith(f"{oks} tests ok") and line.endswith("(--all)") for line in short)
+    assert any(line.startswith(f"{oks} of ") and line.endswith("(--all)") for line in short)
     for hidden in ("regrouped parameters", "settings and tests"):
         assert hidden in whole
         assert hidden not in short

@@ -384,7 +384,7 @@ def test_commands_view_and_compare(capsys, tmp_path):
     assert f"rerun --bind 127.0.0.1 {tmp_path / 'view.rrd'}" in out
     assert Written(tmp_path / "view.rrd").is_complete()
     status, out, _ = run(capsys, "view", SESSION, "-o", tmp_path / "view.html")
-    assert (status, out) == (0, f"read it: open {tmp_path / 'view.html'} in a browser\n")
+    assert (status, out) == (0, f"open the report: {tmp_path / 'view.html'} in a browser\n")
     assert "position [rad/√Hz] over frequency [Hz]" in (tmp_path / "view.html").read_text()
     status, _, err = run(capsys, "view", SESSION, "--follow", "-o", tmp_path / "live.html")
     assert (status, err.count("\n")) == (1, 1)

@@ -31,7 +31,7 @@ from ..session import DEVIATIONS, real_time_scheduling, sync_jitter
 SCALES = {0x608F: "encoder increments per turns", 0x6091: "gear", 0x6092: "feed", 0x60A8: "position unit"}
 MAX_OFF_SHARE = 0.01  # of SYNC intervals that deviate by more than half a period
 OTHER_NODES = "other nodes"
-NO_ANSWER = "no drive answers at all: interface? try --dry-run of `robot-acquire record`"
+NO_ANSWER = "no drive answers; without hardware: `robot-acquire record --dry-run`"
 
 
 @dataclass(frozen=True)

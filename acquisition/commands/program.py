@@ -11,7 +11,7 @@ PROGRAM = Program(
         "scan": "find the drives of an unknown bus, by listening and SDO reads only",
         "check": "check which drives answer, and whether they match the description",
         "record": "record drives; nothing moves without --track",
-        "mark": "note a text in a recording while another terminal records it",
+        "mark": "add a note to the recording in progress",
         "disable": "stop and disable all drives, even if another program enabled them; never refused",
         "emulate": "simulated drives that any CANopen master can use",
         "import": "make a recording from tables, a ROS 2 bag, a CAN log, or the frames of a recording, which may be cut off",

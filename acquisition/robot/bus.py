@@ -193,8 +193,8 @@ def ripple_notes(bus: BusFile | None, bandwidth_hz: float | None) -> tuple[str, 
         return ()
     ripple = demand_ripple(bandwidth_hz, bus.sync_period_s)
     text = (
-        f"effort (6074) is sampled at one phase of the SYNC period: up to {100 * ripple:.1f} % of the inertia, (w T)²/3, if "
-        "drives interpolate linearly: shorten sync_period_s, or record an averaged object"
+        f"torque (6074) is read once per SYNC: inertia may be off by {100 * ripple:.1f} % if drives interpolate linearly: "
+        "shorten sync_period_s, or record an averaged object"
     )
     return (text,) if ripple > MAX_DEMAND_RIPPLE else ()
 

@@ -69,7 +69,7 @@ def run(options: argparse.Namespace) -> None:
     else:  # the true values in place of the table of parameters
         sections = (compared.sections[0] if s.title == PARAMETERS else s for s in reports[-1].sections)
         print_results(replace(reports[-1], sections=tuple(sections)), everything=False)
-    print_results(f"look at it: rerun --bind 127.0.0.1 {out / 'demo.rrd'}", *NEXT)
+    print_results(f"open the plots: rerun --bind 127.0.0.1 {out / 'demo.rrd'}", *NEXT)
 
 
 def _identify_gains(options: argparse.Namespace) -> None:

@@ -96,10 +96,10 @@ def run(options: argparse.Namespace) -> int:
         print_results(document, everything=options.all)
     if options.report:
         print_results(
-            f"read it: open {options.report} in {'a browser' if options.report.suffix == '.html' else 'an editor'}"
+            f"open the report: {options.report} in {'a browser' if options.report.suffix == '.html' else 'an editor'}"
         )
     if pictures:
-        print_results(f"look at it: rerun --bind 127.0.0.1 {' '.join(map(str, pictures))}")
+        print_results(f"open the plots: rerun --bind 127.0.0.1 {' '.join(map(str, pictures))}")
     if options.robot is None:
         print_results(*edited_descriptions(fit, options.recordings))
     verdict, reasons = fit.trust.verdict, fit.distrust

@@ -50,7 +50,9 @@ def run(options: argparse.Namespace) -> None:
             progress.say("drawing")
             (write_html if is_page else write_rrd)(out, draw_recording(signals, from_options(Overrides, options)))
     names = " ".join(map(str, outs))
-    print_results(f"read it: open {names} in a browser" if is_page else f"look at it: rerun --bind 127.0.0.1 {names}")
+    print_results(
+        f"open the report: {names} in a browser" if is_page else f"open the plots: rerun --bind 127.0.0.1 {names}"
+    )
 
 
 def _follow(options: argparse.Namespace) -> None:

@@ -113,13 +113,13 @@ def _trust_section(fit: Fit) -> Section:
     lines = tuple(f"{line.level}: {line.test}: {line.text.removeprefix('not made: ')}" for line in fit.trust.lines)
     levels = [line.level for line in fit.trust.lines]
     found = levels.count("do not use") + levels.count("caution")
-    others = {
-        "ok": levels.count("ok"),
-        "cannot tell": levels.count("cannot tell"),
-        "not made": levels.count("not made"),
-    }
-    counts = ", ".join(f"{count} {level}" for level, count in others.items() if count)
-    short = Section(lines=(*lines[:found], f"{counts.replace(' ', ' tests ', 1)} (--all)"))
+    ok, told = levels.count("ok"), sum(level != "not made" for level in levels)
+    rest = [
+        f"{count} {what}"
+        for what, count in (("cannot tell", levels.count("cannot tell")), ("not possible", len(levels) - told))
+        if count
+    ]
+    short = Section(lines=(*lines[:found], f"{', '.join([f'{ok} of {told} checks passed', *rest])} (--all)"))
     return Section(title=f"verdict: {fit.trust.verdict}", lines=lines, short=short)
 
 
@@ -205,7 +205,8 @@ def _parameters(fit: Fit) -> Section:
         unit, mark = units[base_name(name)], "yes" if name in essential else ""
         rows.append((name, *numbers, unit, Number(sigma, form), mark))
     heads = columns("parameter", numbers=("value", "±95%", "in %", *["prior"] * bool(prior))) + columns("unit")
-    places = sorted(range(len(rows)), key=lambda k: (e.names[k] not in essential, -abs(float(e.beta[k]))))
+    torque = np.abs(e.beta) * np.linalg.norm(fit.data.W, axis=0)
+    places = sorted(range(len(rows)), key=lambda k: (e.names[k] not in essential, -float(torque[k])))
     places = sorted(places[: min(MAX_SHORT_PARAMETERS, len(essential))])
     left_out = f"; {len(rows) - len(places)} others: --all" if len(places) < len(rows) else ""
     meaning = "±95%: half-width of the 95 % interval"
@@ -217,7 +218,7 @@ def _parameters(fit: Fit) -> Section:
         table=Table(columns=heads + columns(numbers=("sigma",)) + columns("essential"), rows=tuple(rows)),
         lines=(meaning, "sigma assumes a white residual, the interval does not"),
         short=Section(
-            title=f"the {len(places)} largest of {len(essential)} essential parameters",
+            title=f"the {len(places)} that move the torque most, of {len(essential)} determined",
             table=Table(columns=heads, rows=tuple(rows[k][: len(heads)] for k in places)),
             lines=(meaning + left_out,),
         ),
@@ -245,9 +246,8 @@ def _consistent(fit: Fit) -> list[Section]:
         f"added chi² {c.chi_squared:.3g} on {len(c.beta)} parameters; largest move {c.largest_move:.2g} half-widths of the "
         f"95 % interval, of {c.moved_most}",
         *([f"moved by more than one half-width: {', '.join(left)}"] if left else []),
-        f"relative torque error {_percent(free)} → {_percent(held)} of all rows; certificate {c.certificate:.1e} "
-        "(Newton decrement)",
-        f"{int(c.from_prior.sum())} of {len(c.names)} values come from the prior",
+        f"relative torque error {_percent(free)} → {_percent(held)} of all rows",
+        f"{int(c.from_prior.sum())} of {len(c.names)} values are the prior's: the torques say nothing about them",
     )
     heads = columns("parameter", numbers=("value", "±95%")) + columns("unit", "mostly from")
     title = "physically consistent standard parameters"
@@ -255,6 +255,7 @@ def _consistent(fit: Fit) -> list[Section]:
     of_base = (c.base_names, c.beta.tolist(), c.base_half.tolist(), fit.base.units, c.base_from_prior.tolist())
     moved = [(*cells, Number(move, "+.2g")) for cells, move in zip(map(row, *of_base), c.moves.tolist(), strict=True)]
     base = Table(columns=heads + columns(numbers=("moved, half-widths",)), rows=tuple(moved))
+    lines += (f"certificate {c.certificate:.1e} (Newton decrement)",)
     return [
         Section(title=title, table=table, lines=lines, short=short),
         Section(title="physically consistent base parameters", table=base, short=HIDDEN),

@@ -168,7 +168,10 @@ def status_of(
     if last.failure is not None:
         return "diverged", last.failure
     if not tests.first_stage_F >= 1.0:
-        return "diverged", f"the instruments do not explain the regressor: first-stage F = {tests.first_stage_F:.2g}"
+        return (
+            "diverged",
+            f"the simulated motion does not resemble the measured one: first-stage F = {tests.first_stage_F:.2g}",
+        )
     if best.stands_alone:
         return "converged", f"instruments: reference; {best.z.reason}"
     if last.is_last:

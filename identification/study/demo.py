@@ -125,9 +125,10 @@ def truth_document(robot: str, fits: Sequence[Fit], true: Array) -> Document:
         within = int((np.abs(fit.beta - true) <= half).sum())
         error = 100 * np.linalg.norm(fit.beta - true) / np.linalg.norm(true)
         lines.append(
-            f"{fit.method}: {within} of {len(true)} in their 95 % interval; |beta - true| = {error:.2f} % of |true|"
+            f"{fit.method}: {within} of {len(true)} true values inside ({0.95 * len(true):.0f} expected); "
+            f"total error {error:.2f} %"
         )
-    headings = (heading for fit in fits for heading in (fit.method, "±95%", "off by,\n±95%"))
+    headings = (heading for fit in fits for heading in (fit.method, "±95%", "error /\n±95%"))
     table = Table(columns=columns("parameter", numbers=("true", *headings)), rows=tuple(rows))
     section = Section(title="compared with the simulated values", table=table, lines=tuple(lines))
     essential = np.isin(fits[-1].base.names, fits[-1].essential_names)
@@ -149,9 +150,9 @@ def gains_document(fit: Fit, true: Sequence[float]) -> Document:
     within = int((np.abs(g.values - true) <= g.half).sum())
     names = ", ".join(one.problem.signals.recording for one in fit.recordings)
     lines = (
-        f"{within} of {len(true)} in their 95 % interval; verdict of the fit: {fit.trust.verdict}",
+        f"{within} of {len(true)} true values inside; verdict of the fit: {fit.trust.verdict}",
         f"loaded: {fit.payloads[0].payload}",
     )
-    headings = ("catalogue", "true", "identified", "±95%", "off by,\n±95%")
+    headings = ("catalogue", "true", "identified", "±95%", "error /\n±95%")
     table = Table(columns=columns("motor", numbers=headings) + columns("unit"), rows=tuple(rows))
     return Document(title=f"drive gains of {names}", sections=(Section(table=table, lines=lines),))

@@ -158,7 +158,7 @@ def _inertia_findings(
     finding += f"; {lowest[worst]:.3g} ± {half[worst]:.2g} about joint {joint})"
     if (lowest < -MAX_HALF_WIDTHS * half).any():
         return [("do not use", f"{finding}: {_advice(joint)}")], least
-    return [("caution", f"{finding}, possibly by chance: simulating it needs a consistent set")], least
+    return [("caution", f"{finding}, which may be noise; before simulating run fit --consistent")], least
 
 
 def _gravity_findings(evidence: FitData) -> list[Finding]:
