@@ -64,33 +64,30 @@ def first_line(fit: Fit) -> str:
     )
 
 
-def _percents(fit: Fit) -> dict[str, float]:
-    """Half-widths of the essential parameters in percent."""
+def _spread(fit: Fit) -> tuple[str, str, str]:
+    """Of the essential parameters the median half-width in percent, the largest, and whose it is; empty without any."""
     found = zip(fit.estimate.names, fit.intervals.half, np.abs(fit.estimate.beta), strict=True)
-    return {name: 100 * float(half / value) for name, half, value in found if name in set(fit.essential_names)}
+    percents = [(100 * float(half / value), name) for name, half, value in found if name in set(fit.essential_names)]
+    worst, name = max(percents, default=(0.0, ""))
+    return (f"±{np.median([x for x, _ in percents]):.2g} %", f"±{worst:.2g} %", name) if percents else ("", "", "")
 
 
 def _determined(fit: Fit) -> str:
     """How many parameters the recordings determine, and how closely."""
-    percents = _percents(fit)
-    text = f"{len(percents)} of {len(fit.least_squares.full.names)} parameters determined"
-    if not percents:
-        return text
-    middle, worst = np.median(list(percents.values())), max(percents, key=percents.__getitem__)
-    return f"{text}, half of them to ±{middle:.2g} %, the worst ({worst}) to ±{percents[worst]:.2g} %"
+    text = f"{len(fit.essential_names)} of {len(fit.least_squares.full.names)} parameters determined"
+    middle, largest, name = _spread(fit)
+    return f"{text}, half of them to {middle}, the worst ({name}) to {largest}" if name else text
 
 
 def _figures(fit: Fit) -> tuple[tuple[str, str], ...]:
     """The figures to read first, by what they are."""
-    percents, held = _percents(fit), fit.trust.line("held-out blocks").value
-    figures = {"torque error of moving rows": fit.errors[-1].moving_relative_error_percent, "held out": held}
+    figures = {"torque error of moving rows": fit.errors[-1].moving_relative_error_percent}
+    figures["held out"] = fit.trust.line("held-out blocks").value
     figures[f"held out, links of the {fit.data.prior_source}"] = fit.data.prior_error_percent
+    middle, largest, name = _spread(fit)
     shown = {what: f"{value:.2g} %" for what, value in figures.items() if value is not None}
-    if percents:
-        worst = max(percents, key=percents.__getitem__)
-        shown[f"half of the {len(percents)} determined parameters"] = f"±{np.median(list(percents.values())):.2g} %"
-        shown[f"the worst, {worst}"] = f"±{percents[worst]:.2g} %"
-    return tuple(shown.items())
+    shown |= {f"half of the {len(fit.essential_names)} determined parameters": middle, f"the worst, {name}": largest}
+    return tuple((what, text) for what, text in shown.items() if text)
 
 
 def _verdict_section(fit: Fit) -> Section:
@@ -113,13 +110,10 @@ def _trust_section(fit: Fit) -> Section:
     lines = tuple(f"{line.level}: {line.test}: {line.text.removeprefix('not made: ')}" for line in fit.trust.lines)
     levels = [line.level for line in fit.trust.lines]
     found = levels.count("do not use") + levels.count("caution")
-    ok, told = levels.count("ok"), sum(level != "not made" for level in levels)
-    rest = [
-        f"{count} {what}"
-        for what, count in (("cannot tell", levels.count("cannot tell")), ("not possible", len(levels) - told))
-        if count
-    ]
-    short = Section(lines=(*lines[:found], f"{', '.join([f'{ok} of {told} checks passed', *rest])} (--all)"))
+    told = sum(level != "not made" for level in levels)
+    counts = {"cannot tell": levels.count("cannot tell"), "not possible": len(levels) - told}
+    passed = [f"{levels.count('ok')} of {told} checks passed", *(f"{n} {what}" for what, n in counts.items() if n)]
+    short = Section(lines=(*lines[:found], f"{', '.join(passed)} (--all)"))
     return Section(title=f"verdict: {fit.trust.verdict}", lines=lines, short=short)
 
 
@@ -255,9 +249,9 @@ def _consistent(fit: Fit) -> list[Section]:
     of_base = (c.base_names, c.beta.tolist(), c.base_half.tolist(), fit.base.units, c.base_from_prior.tolist())
     moved = [(*cells, Number(move, "+.2g")) for cells, move in zip(map(row, *of_base), c.moves.tolist(), strict=True)]
     base = Table(columns=heads + columns(numbers=("moved, half-widths",)), rows=tuple(moved))
-    lines += (f"certificate {c.certificate:.1e} (Newton decrement)",)
+    whole = (*lines, f"certificate {c.certificate:.1e} (Newton decrement)")
     return [
-        Section(title=title, table=table, lines=lines, short=short),
+        Section(title=title, table=table, lines=whole, short=short),
         Section(title="physically consistent base parameters", table=base, short=HIDDEN),
     ]
 

@@ -20,7 +20,7 @@ from ..regression import Overrides, Settings, make_settings, with_bandwidth
 from ..report import Document, ParameterSet, Section, comparison_section
 from ..study import Run, VariedFit
 from . import charts, curves
-from .panels import Page, Panel, Picture, Plot
+from .panels import Page, Panel, Picture
 from .robot_drawing import excitation_scene, robot_scene
 from .signal_panels import event_logs, health_plots, numbers_of_plots, spectrum_charts
 
@@ -42,16 +42,14 @@ def draw_fit(signals: Signals, fit: Fit, *, truth: Array | None = None) -> Pictu
     document = fit_document(signals, fit).followed_by(*more)
     overview, *of_signals = _signal_pages(signals, fit.settings, fit)
     _, residual = curves.row_plots(signals.robot, fit.t_s, fit.tau, fit.tau_predicted, "")
-    torque = [curves.with_residual(*both) for both in zip(overview.groups["torque"], residual, strict=False)]
-    errors = [error.moving_relative_error_percent or 0.0 for error in fit.errors[:-1]]
     parameters: dict[str, Sequence[Panel]] = {"deviations": charts.deviation_charts(own, others)}
     parameters["gains"] = [charts.gains_chart(fit.gains)] if fit.gains else []
     return Picture(
         name=f"{signals.robot.name}, {signals.recording}, {fit.method.upper()}",
-        first=_largest(signals, torque, errors),
+        first=_largest(signals, overview.groups["torque"], fit),
         document=document,
         pages=(
-            replace(overview, groups={**overview.groups, "torque": torque or overview.groups["torque"]}),
+            overview,
             Page(name="trust", groups={"tests": charts.trust_charts(fit.trust)}),
             Page(name="parameters", groups=parameters),
             Page(name="residual", groups={"residual": residual}),
@@ -62,13 +60,12 @@ def draw_fit(signals: Signals, fit: Fit, *, truth: Array | None = None) -> Pictu
     )
 
 
-def _largest(signals: Signals, torque: Sequence[Plot], errors: Sequence[float]) -> Plot | None:
+def _largest(signals: Signals, torque: Sequence[Panel], fit: Fit) -> Panel:
     """The plot of the joint with the largest error."""
-    if not torque:
-        return None
+    errors = [error.moving_relative_error_percent or 0.0 for error in fit.errors[:-1]]
     j = errors.index(max(errors))
     text = f"torque of {signals.robot.joints[j].name}, which has the largest error [{signals.robot.effort_units[j]}]"
-    return replace(torque[j], title=text, legend=True)
+    return replace(torque[j], title=text)
 
 
 def draw_friction(before: Fit, after: Fit, document: Document) -> Picture:
@@ -146,9 +143,13 @@ def draw_excitation(excitation: Excitation, document: Document) -> Picture:
 def _signal_pages(signals: Signals, settings: Settings | None, fit: Fit | None) -> list[Page]:
     """The pages of a recording with or without a fit: overview, signal quality, motion."""
     lines = curves.lines_of(signals, settings, fit)
+    torque = curves.torque_plots(signals, lines)
+    if fit is not None:
+        _, residual = curves.row_plots(signals.robot, fit.t_s, fit.tau, fit.tau_predicted, "")
+        torque = [curves.with_residual(*both) for both in zip(torque, residual, strict=True)] if residual else torque
     overview: dict[str, Sequence[Panel]] = {
         "position": curves.position_plots(signals, lines),
-        "torque": curves.torque_plots(signals, lines),
+        "torque": torque,
         "robot": [robot_scene(signals, fit)],
     }
     signal: dict[str, Sequence[Panel]] = {
