@@ -65,7 +65,7 @@ def run(options: argparse.Namespace) -> int:
         write_json(options.json, methods.validation_file(validated, name, errors, warnings, of_set))
     digests = {name: sha256(options.fit.read_bytes()).hexdigest()}
     write_pictures(options, document, lambda view: [view.draw_validation(validated, document, digests)])
-    print_results(document)
+    print_results(document, everything=False)
     error, limit = (of_set or errors)[-1].relative_error_percent, options.max_error_percent
     if limit is None or (error is not None and error <= limit):
         return 0

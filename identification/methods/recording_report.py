@@ -83,8 +83,8 @@ def validation_document(
                 warnings=warnings,
             ),
             *([each] if len(recordings) > 1 else []),
-            errors_section(errors, units),
-            *([replace(errors_section(consistent, units), title=title)] if consistent else []),
+            replace(errors_section(errors, units), short=None),
+            *([replace(errors_section(consistent, units), title=title, short=None)] if consistent else []),
             Section(title="settings", lines=tuple(lines)),
         ),
     )
