@@ -93,6 +93,21 @@ def test_the_file_stands_alone_and_is_small(record, tmp_path):
     assert "passes from start" in said
 
 
+def test_the_result_stands_before_the_appendix(tmp_path):
+    write_html(tmp_path / "report.html", picture(TX40))
+    text = (tmp_path / "report.html").read_text(encoding="utf-8")
+    result, appendix = text.split("<details>")
+    assert result.count("<figure") == result.count("<table>") == 1
+    assert result.count("<tr>") == 1 + 10
+    fit = iv_of(TX40)
+    worst = max(fit.errors[:-1], key=lambda error: error.moving_relative_error_percent)
+    assert f"torque of {worst.name}, which has the largest error" in result
+    badge = result.split("border-radius")[1].split("</span>")[0]
+    assert badge.endswith(f">{fit.trust.verdict}")
+    assert f"{fit.errors[-1].moving_relative_error_percent:.2g} %" in result
+    assert appendix.count("<figure") > 20
+
+
 def test_rerun_shows_what_is_over_time_and_html_all_but_the_robot(tmp_path):
     drawn = picture(SCARA)
     write_rrd(tmp_path / "fit.rrd", drawn)
@@ -205,7 +220,8 @@ def test_chromium_shows_it_without_requests_messages_or_sideways_scroll(record, 
             ground = "return getComputedStyle(document.body).backgroundColor"
             assert window.run(ground) == {"light": "rgb(255, 255, 255)", "dark": "rgb(18, 18, 18)"}[scheme]
             assert "NaN" not in window.run("return document.documentElement.outerHTML")
-        assert window.pdf().startswith(b"%PDF")
+        pages = len(re.findall(rb"/Type\s*/Page\b[^s]", window.pdf()))
+        assert 4 <= pages <= 22, "at most two of the result, then the appendix, which is opened in print"
         window.cdp("Emulation.setEmulatedMedia", media="print")
         inside = "return [...document.querySelectorAll('figure')].map(f => getComputedStyle(f).breakInside)"
         assert set(window.run(inside)) == {"avoid"}

@@ -98,6 +98,8 @@ def run(options: argparse.Namespace) -> int:
         print_results(
             f"open the report: {options.report} in {'a browser' if options.report.suffix == '.html' else 'an editor'}"
         )
+    else:
+        print_results(f"report with charts: --report {options.recordings[0].stem}.html")
     if pictures:
         print_results(f"open the plots: rerun --bind 127.0.0.1 {' '.join(map(str, pictures))}")
     if options.robot is None:

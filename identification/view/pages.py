@@ -20,7 +20,7 @@ from ..regression import Overrides, Settings, make_settings, with_bandwidth
 from ..report import Document, ParameterSet, Section, comparison_section
 from ..study import Run, VariedFit
 from . import charts, curves
-from .panels import Page, Panel, Picture
+from .panels import Page, Panel, Picture, Plot
 from .robot_drawing import excitation_scene, robot_scene
 from .signal_panels import event_logs, health_plots, numbers_of_plots, spectrum_charts
 
@@ -60,12 +60,13 @@ def draw_fit(signals: Signals, fit: Fit, *, truth: Array | None = None) -> Pictu
     )
 
 
-def _largest(signals: Signals, torque: Sequence[Panel], fit: Fit) -> Panel:
+def _largest(signals: Signals, torque: Sequence[Panel], fit: Fit) -> Plot:
     """The plot of the joint with the largest error."""
     errors = [error.moving_relative_error_percent or 0.0 for error in fit.errors[:-1]]
-    j = errors.index(max(errors))
+    plot = torque[j := errors.index(max(errors))]
+    assert isinstance(plot, Plot)
     text = f"torque of {signals.robot.joints[j].name}, which has the largest error [{signals.robot.effort_units[j]}]"
-    return replace(torque[j], title=text)
+    return replace(plot, title=text, legend=True)
 
 
 def draw_friction(before: Fit, after: Fit, document: Document) -> Picture:
