@@ -49,7 +49,9 @@ def test_every_line_fits_a_terminal_and_is_in_words_of_users(name, tmp_path, mon
         if (what == "demo" and name != "scara") or (what in ("check", "dry run") and name == "emps"):
             continue
         program, *arguments = command.split()
-        {"robot-identify": PROGRAMS["identification"], "robot-acquire": PROGRAMS["acquisition"]}[program].main(arguments)
+        {"robot-identify": PROGRAMS["identification"], "robot-acquire": PROGRAMS["acquisition"]}[program].main(
+            arguments
+        )
         printed = capsys.readouterr()
         lines = [*printed.out.splitlines(), *printed.err.splitlines()]
         assert lines, command

@@ -199,8 +199,8 @@ def _parameters(fit: Fit) -> Section:
         unit, mark = units[base_name(name)], "yes" if name in essential else ""
         rows.append((name, *numbers, unit, Number(sigma, form), mark))
     heads = columns("parameter", numbers=("value", "±95%", "in %", *["prior"] * bool(prior))) + columns("unit")
-    torque = np.abs(e.beta) * np.linalg.norm(fit.data.W, axis=0)
-    places = sorted(range(len(rows)), key=lambda k: (e.names[k] not in essential, -float(torque[k])))
+    torque = dict(zip(fit.data.estimate.names, np.linalg.norm(fit.data.W, axis=0).tolist(), strict=True))
+    places = sorted(range(len(rows)), key=lambda k: (e.names[k] not in essential, -abs(e.beta[k]) * torque[e.names[k]]))
     places = sorted(places[: min(MAX_SHORT_PARAMETERS, len(essential))])
     left_out = f"; {len(rows) - len(places)} others: --all" if len(places) < len(rows) else ""
     meaning = "±95%: half-width of the 95 % interval"
