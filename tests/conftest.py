@@ -1,7 +1,9 @@
 """Robots, recordings and the real data that tests share."""
 
 import os
+from collections.abc import Generator
 from pathlib import Path
+from typing import Any
 
 import hypothesis
 import numpy as np
@@ -92,3 +94,26 @@ def tx40(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("tx40") / "tx40.mcap"
     import_tables(tables, robot_named("tx40"), REPLAY / "tx40" / "map.toml", out)
     return out
+
+
+def _cpu_s() -> float:
+    """CPU time of this process and of those that have ended, s."""
+    return sum(os.times()[:4])
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item: pytest.Item) -> Generator[None, Any, Any]:
+    began = _cpu_s()
+    try:
+        return (yield)
+    finally:
+        item.user_properties.append(("cpu_s", _cpu_s() - began))
+
+
+def pytest_terminal_summary(terminalreporter: Any) -> None:
+    """With TEST_CPU=FILE the CPU time of every test."""
+    if (path := os.environ.get("TEST_CPU")) is None:
+        return
+    found = [report for name in ("passed", "failed") for report in terminalreporter.stats.get(name, [])]
+    lines = [f"{dict(one.user_properties)['cpu_s']:.3f} {one.nodeid}" for one in found if one.when == "call"]
+    Path(path).write_text("\n".join(sorted(lines, reverse=True)) + "\n")
