@@ -4,6 +4,7 @@ import io
 import re
 import warnings
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -83,7 +84,30 @@ def write_columns(path: Path, names: Sequence[str], parts: Iterable[Array]) -> N
             np.savetxt(file, values, delimiter=",", fmt="%.17g")
 
 
-def _csv(data: bytes, columns: Sequence[str | int], place: Place) -> tuple[Array, list[str]]:
+@dataclass(frozen=True, kw_only=True)
+class CsvTable:
+    """A CSV file: names of the columns, rows with the numbers of their lines, first rows as numbers (NaN for text).
+
+    A separator of None stands for blanks; decimal commas have become points.
+    """
+
+    names: list[str]
+    has_header: bool
+    separator: str | None
+    rows: list[tuple[int, str]]
+    values: Array
+
+
+def read_csv_head(path: Path, rows: int) -> CsvTable:
+    """A CSV file with the values of its first `rows` rows. Raises `AcquisitionError` as `read_columns`."""
+    place = Place(str(path))
+    try:
+        return _parse_csv(path.read_bytes(), place, rows)
+    except OSError as error:
+        place.refuse(text=f"cannot be read: {error.strerror}")
+
+
+def _parse_csv(data: bytes, place: Place, head: int) -> CsvTable:
     text = data.decode("utf-8-sig", errors="replace").replace('"', "")
     lines = [(k, line) for k, line in enumerate(text.splitlines(), 1) if line.strip()]
     if not lines:
@@ -96,7 +120,6 @@ def _csv(data: bytes, columns: Sequence[str | int], place: Place) -> tuple[Array
     has_header = any(_number(cell) is None for cell in names)
     if not has_header:
         names = [f"column {k}" for k in range(1, len(names) + 1)]
-    chosen = [_index(column, names, has_header, place) for column in columns]
     rows = [(k, line) for k, line in lines[has_header:] if not line.startswith("#")]
     for k, line in rows:
         found = len(line.split()) if separator is None else line.count(separator) + 1
@@ -104,6 +127,18 @@ def _csv(data: bytes, columns: Sequence[str | int], place: Place) -> tuple[Array
             Place(f"{place}: line {k}").refuse(text=f"{found} cells", expected=str(len(names)))
     if not rows:
         place.refuse(text="has no rows", expected="numbers below the header")
+    comma = separator != "," and any("," in line for _, line in rows)
+    if comma and not any("." in cell and _number(cell) is not None for cell in rows[0][1].split(separator)):
+        rows = [(k, line.replace(",", ".")) for k, line in rows]
+    cells = [[_number(cell) for cell in line.split(separator)] for _, line in rows[:head]]
+    values = np.array(cells, dtype=np.float64).reshape(-1, len(names))
+    return CsvTable(names=names, has_header=has_header, separator=separator, rows=rows, values=values)
+
+
+def _csv(data: bytes, columns: Sequence[str | int], place: Place) -> tuple[Array, list[str]]:
+    table = _parse_csv(data, place, 0)
+    names, separator, rows = table.names, table.separator, table.rows
+    chosen = [_index(column, names, table.has_header, place) for column in columns]
     labels = [names[k] for k in chosen]
     try:
         values = np.loadtxt([line for _, line in rows], delimiter=separator, usecols=chosen, ndmin=2, comments=None)
