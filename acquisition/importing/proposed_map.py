@@ -31,9 +31,9 @@ _WORDS = {
     "consigna riferimento referencia 目标 目標 指令 期望 给定",
     "measured": "act actual ist istwert feedback fb fbk meas measured msr present mesure mesuree reale real 实际 実際 测量",
     "time": "t time timestamp stamp zeit temps tiempo tempo duration 时间 時間",
-    "motor": "motor motors mot moteur motore encoder enc 电机",
+    "motor": "m motor motors mot moteur motore encoder enc 电机",
     "joint": "joint joints j axis axes axe achse gelenk asse eje articulation 关节 関節 轴",
-    "": "a m state states robot data value values joint_states controller trajectory nc to plc field header",
+    "": "a state states robot data value values joint_states controller trajectory nc to plc field header",
 }
 _KIND = {word: kind for kind, words in _WORDS.items() for word in words.split()}
 _AT_JOINT = {"q", "qpos", "jpos", "angle", "angles", "theta", "winkel", "angolo", "angulo", "角度"}
@@ -85,7 +85,7 @@ def propose_map(table: Path, robot: Robot | None) -> ProposedMap:
     groups = _groups(columns, robot)
     position, why = _only(groups, ["position"])
     size = len(position)
-    effort, why_effort = _only(groups, ["current" if ur and ("current", "measured") in groups else x for x in _EFFORTS], size)
+    effort, why_effort = _only(groups, _EFFORTS[1:2] if ur else _EFFORTS, size)
     time, time_s = _time(table, columns)
     unit, side = _position_unit(position, robot, maker), _side(position, robot, maker)
     lines = [f"# Proposed by robot-acquire import for {table.name}. {FILL_IN} marks what the table does not say."]
@@ -93,8 +93,8 @@ def propose_map(table: Path, robot: Robot | None) -> ProposedMap:
     reference, why = _only(groups, ["position"], size, "reference")
     q = np.column_stack([c.x for c in position]) if position else np.empty((0, 0))
     if reference or why:
-        follows = reference and position and _follows(np.column_stack([c.x for c in reference]), q)
-        why = why if follows else why or f"is it a reference? It is far from the position: {_keys(reference)}"
+        follows = not position or not reference or _follows(np.column_stack([c.x for c in reference]), q)
+        why = why if follows else f"is it a reference? It is far from the position: {_keys(reference)}"
         lines += ["[reference]", _listed(reference if follows else [], why), _stated(reference, unit), side]
     velocity, why = _only(groups, ["velocity"], size)
     if velocity and position:
@@ -177,7 +177,8 @@ def _only(
     """The only group of these kinds that is measured or does not say so, else why there is none; `size`: of the position."""
     sources = ("reference", "reference motor") if source == "reference" else ("measured", "", "measured motor", " motor")
     found = [group for kind in kinds for x in sources if (group := groups.get((kind, x)))]
-    if len(found) == 1 and isinstance(found[0], list) and len(found[0]) in (size, size or len(found[0])):
+    found = [x for x in found if isinstance(x, list) and len(x) == (size or len(x))] or found
+    if len(found) == 1 and isinstance(found[0], list):
         return found[0], ""
     return [], " or ".join(x if isinstance(x, str) else _keys(x) for x in found)
 
@@ -188,7 +189,7 @@ def _keys(columns: Sequence[_Column]) -> str:
 
 def _listed(columns: Sequence[_Column], why: str) -> str:
     words = ", ".join(dict.fromkeys(word for c in columns for kind, word in c.words.items() if kind))
-    return f"columns = {_keys(columns)} # by the names: {words}" if columns else f'columns = ["{FILL_IN}"] # {why}'
+    return f"columns = {_keys(columns)} # by the names: {words}" if columns else f'columns = ["{FILL_IN}"] # {why or "no names that say it"}'
 
 
 def _stated(columns: Sequence[_Column], otherwise: str) -> str:
@@ -236,7 +237,7 @@ def _effort_lines(columns: Sequence[_Column], ur: bool, franka: bool) -> list[st
         return ['unit = "N m" # libfranka', 'side = "joint" # libfranka: torque sensors behind the gears']
     unit = _stated(columns, f'unit = "{FILL_IN}" # N m, A, mA, %, ... as the manual says')
     motor = re.match(r'unit = "(m?[AV]|%|per mille)"', unit) or "current" in kinds
-    side = 'side = "motor" # a current is of the motor' if motor else f'side = "{FILL_IN}" # motor or joint'
+    side = 'side = "motor" # as all currents, voltages and percentages of a rating' if motor else f'side = "{FILL_IN}" # motor or joint'
     return [unit, side]
 
 

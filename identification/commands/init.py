@@ -1,10 +1,12 @@
 """`robot-identify init`: a robot.toml from a URDF; missing values are marked."""
 
 import argparse
+import json
 import os
+from dataclasses import replace
 from pathlib import Path
 
-from acquisition.commands import add_path
+from acquisition.commands import add_flag, add_path
 from acquisition.errors import one_line
 
 from ..errors import IdentificationError
@@ -18,6 +20,10 @@ _URDF_OPTIONS = {
     "--following-error": ("Q", "maximum following error, rad or m"),
     "--bandwidth-hz": ("F", "bandwidth of the position loop in Hz; if several are given, the lowest is used"),
 }
+_MOTOR_OPTIONS = {
+    "--ratio": "with --effort: motor rad (or m) per joint rad (or m), sign included",
+    "--drive-gain": "with --effort A or %%: motor torque in N m (or force in N) per unit of effort",
+}
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -30,8 +36,14 @@ def add(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--joints", type=list_of_names, metavar="A,B", help=text)
     for option, (metavar, text) in _URDF_OPTIONS.items():
         group.add_argument(option, type=list_of_values, metavar=metavar, help=text)
+    group.add_argument("--effort", choices=["A", "N m", "%"], help="unit of the recorded efforts (%%: of the rated torque)")
+    for option, text in _MOTOR_OPTIONS.items():
+        group.add_argument(option, type=list_of_values, metavar="X", help=text)
+    text = "the efforts are those of torque sensors between gears and links, which do not see the rotors"
+    add_flag(group, "--torque-sensor", text)
     add_path(parser, "--bus", "BUS.toml", "the [bus] that `robot-acquire scan` wrote, instead of example drives")
     add_path(parser, "-o --out", "ROBOT.toml", "the description to write (default: standard output)")
+    add_flag(parser, "--overwrite", "replace an existing description")
 
 
 def run(options: argparse.Namespace) -> None:
@@ -42,15 +54,18 @@ def run(options: argparse.Namespace) -> None:
 
     out: Path | None = options.out
     refuse_outputs([path for path in (options.robot, options.bus) if path is not None], out)
-    if out is not None and out.exists():
-        expected = "a new name; descriptions are not replaced"
+    if out is not None and out.exists() and not options.overwrite:
+        expected = "a new name, or --overwrite"
         raise IdentificationError("already exists", place=str(out), expected=expected)
     if (options.robot is None) == (options.dh is None) or (options.dh and options.joints):
         expected = "ROBOT.urdf, or --dh with a letter for each joint and without --joints"
         raise IdentificationError(key="--dh", value=options.dh, expected=expected)
     chain = chain_of_letters(options.dh) if options.dh else read_chain(options.robot, options.joints or ())
-    given = {option: getattr(options, option.removeprefix("--").replace("-", "_")) for option in _URDF_OPTIONS}
-    chain = chain.with_options({option: values for option, values in given.items() if values is not None})
+    both = (*_URDF_OPTIONS, *_MOTOR_OPTIONS)
+    given = {option: getattr(options, option.removeprefix("--").replace("-", "_")) for option in both}
+    given = {option: values for option, values in given.items() if values is not None}
+    _refuse_motor_options(options)
+    chain = replace(chain.with_options(given), effort_unit=options.effort or "", torque_sensors=options.torque_sensor)
     folder = Path.cwd() if out is None else out.absolute().parent
     bus = "" if options.bus is None else _bus_of(options.bus, len(chain.joints))
     urdf = options.robot and os.path.relpath(options.robot.absolute(), folder)
@@ -64,9 +79,30 @@ def run(options: argparse.Namespace) -> None:
     lines += [f"joint {j + 1}: {joint.name}, {joint.type}" for j, joint in enumerate(chain.joints)]
     lines += [f"locked at zero: {locked}" for locked in chain.locked]
     lines += [f"note: {note}" for note in chain.notes]
+    if chain.torque_sensors:
+        lines += [
+            "rotor_inertia = false: torque sensors behind the gears do not see the rotors; not so for a motor's torque "
+            "referred to the joint, which also accelerates its rotor"
+        ]
     missing = sum(FILL_IN in line for line in text.splitlines()[1:])
     for line in [*lines, f"to be filled in: {missing} lines with {FILL_IN}"]:
         print(one_line(line))
+
+
+def _refuse_motor_options(options: argparse.Namespace) -> None:
+    """Refuse options of motors that do not go together."""
+    for option, value, units in (
+        ("--ratio", options.ratio, ("A", "N m", "%")),
+        ("--drive-gain", options.drive_gain, ("A", "%")),
+        ("--torque-sensor", options.torque_sensor or None, ("N m",)),
+    ):
+        if value is not None and (options.effort not in units or (options.torque_sensor and option == "--ratio")):
+            expected = " or ".join(f"--effort {json.dumps(unit)}" for unit in units)
+            expected += ", and no --torque-sensor" * (option == "--ratio")
+            raise IdentificationError(key=option, value=value, expected=expected)
+    for value in (*(options.ratio or ()), *(options.drive_gain or ())):
+        if not value or (value < 0 and value in (options.drive_gain or ())):
+            raise IdentificationError(key="--ratio, --drive-gain", value=value, expected="not 0; a gain above 0")
 
 
 def _bus_of(path: Path, joints: int) -> str:

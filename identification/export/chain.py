@@ -31,14 +31,17 @@ _OPTION_FIELDS = {
     "--speed": "speed",
     "--acceleration": "acceleration",
     "--following-error": "following_error",
+    "--ratio": "ratio",
+    "--drive-gain": "drive_gain",
 }
+_OF_A_HAND = re.compile("finger|gripper|knuckle", re.I)
 
 
 @dataclass(frozen=True, kw_only=True)
 class UrdfJoint:
     """A joint of the chain, SI: rad or m, N m or N. Missing values are None; missing damping and friction are 0.
 
-    Acceleration and following error come from options: a URDF has none.
+    Acceleration, following error, ratio and drive gain (motor N m or N per unit of effort) come from options.
     """
 
     name: str
@@ -51,6 +54,8 @@ class UrdfJoint:
     friction: float
     acceleration: float | None = None
     following_error: float | None = None
+    ratio: float | None = None
+    drive_gain: float | None = None
 
     @property
     def unit(self) -> str:
@@ -69,6 +74,8 @@ class Chain:
         rigid: for each joint of the chain, the links that move with it as one body.
         notes: links whose inertia is impossible for a rigid body, though its numbers are not negative.
         bandwidth_hz: of the position loops; not part of a URDF.
+        effort_unit: of the recorded efforts, A, N m or %; empty: N m or N at the joints.
+        torque_sensors: whether efforts are those of torque sensors between the gears and the links.
     """
 
     place: str
@@ -79,6 +86,8 @@ class Chain:
     rigid: tuple[tuple[str, ...], ...]
     notes: tuple[str, ...]
     bandwidth_hz: float | None = None
+    effort_unit: str = ""
+    torque_sensors: bool = False
 
     def with_options(self, options: Mapping[str, Sequence[float]]) -> "Chain":
         """Apply options in rad or m (per s, s²) and Hz: one value for all joints, or one for each.
@@ -213,6 +222,13 @@ class _Tree:
         """Revolute, continuous and prismatic joints that mimic no other joint."""
         return [name for name, j in self.joints.items() if j.get("type") in _MOVABLE and j.find("mimic") is None]
 
+    @property
+    def of_the_arm(self) -> set[str]:
+        """The movable joints but those of a hand: by their names, or as another joint mimics them."""
+        mimicked = {_text(joint, "mimic", "joint") for joint in self.joints.values()}
+        arm = {name for name in self.movable if name not in mimicked and not _OF_A_HAND.search(name)}
+        return arm or {*self.movable}
+
 
 def _by_name(robot: ET.Element, tag: str, place: str) -> dict[str, ET.Element]:
     elements: dict[str, ET.Element] = {}
@@ -248,11 +264,11 @@ def _number(text: str | None, place: str, key: str) -> float:
 
 
 def _find_longest(tree: _Tree) -> list[str]:
-    free = set(tree.movable)
+    free = tree.of_the_arm
     if not free:
         expected = f"joints of the types {', '.join(_MOVABLE)}"
         raise IdentificationError("no joint moves", place=tree.place, expected=expected)
-    chains = {name: [joint for joint in tree.path(name) if joint in free] for name in tree.movable}
+    chains = {name: [joint for joint in tree.path(name) if joint in free] for name in tree.movable if name in free}
     most = max(map(len, chains.values()))
     last = [name for name, chain in chains.items() if len(chain) == most]
     if len(last) > 1:
