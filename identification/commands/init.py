@@ -80,10 +80,7 @@ def run(options: argparse.Namespace) -> None:
     lines += [f"locked at zero: {locked}" for locked in chain.locked]
     lines += [f"note: {note}" for note in chain.notes]
     if chain.torque_sensors:
-        lines += [
-            "rotor_inertia = false: torque sensors behind the gears do not see the rotors; not so for a motor's torque "
-            "referred to the joint, which also accelerates its rotor"
-        ]
+        lines += ["rotor_inertia = false: torque sensors do not see the rotors; a motor's torque referred to the joint does"]
     missing = sum(FILL_IN in line for line in text.splitlines()[1:])
     for line in [*lines, f"to be filled in: {missing} lines with {FILL_IN}"]:
         print(one_line(line))

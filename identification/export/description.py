@@ -63,8 +63,9 @@ def describe(chain: Chain, urdf: str, bus: str = "") -> str:
     head = "\n".join([*_head(chain, urdf), *(line for j in range(len(chain.joints)) for line in _joint(chain, j))])
     head += "\n".join(_motors_and_controller(chain))
     drives = [f"# {FILL_IN}: the drives. Replace every number by those of the real drives."]
-    example = [] if chain.effort_unit in ("A", "%") else [*_drives(chain)]  # it records torques
-    drives = [bus.rstrip()] if bus else drives + [_EXAMPLE + line for line in example]
+    drives = [bus.rstrip()] if bus else drives + [_EXAMPLE + line for line in _drives(chain)]
+    if not bus and (chain.effort_unit in ("A", "%") or any(joint.ratio for joint in chain.joints)):
+        drives = []  # those of the example record the torque at the joint
     return "\n".join([head, *_parameters(chain, _load_robot(head, chain)), "", *drives, ""])
 
 
