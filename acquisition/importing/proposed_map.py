@@ -18,7 +18,7 @@ from .time_base import roundest_rate_hz
 ROWS = 1000  # that the proposal looks at
 MIN_RATE_HZ, MAX_RATE_HZ = 10.0, 12_000.0  # of controllers: less than a factor of 1000 from ms to s, but for a narrow band
 MAX_TURN_DEG = 720.0  # of a joint; positions beyond it are a motor's, or counts
-MAX_OFF, MIN_MOTION = 0.25, 1e-2  # of a reference from the position, over its range; range of a position that moves
+MIN_MOTION = 1e-2  # of a position that moves, in any unit
 _WORDS = {
     "position": "q qpos jpos pos posn position positions angle angles theta winkel lage stellung posizione posizioni angolo "
     "posicion angulo posicao 位置 角度",
@@ -91,20 +91,24 @@ def propose_map(table: Path, robot: Robot | None) -> ProposedMap:
     lines = [f"# Proposed by robot-acquire import for {table.name}. {FILL_IN} marks what the table does not say."]
     lines += [*time, "[position]", _listed(position, why), unit, side]
     reference, why = _only(groups, ["position"], size, "reference")
-    q = np.column_stack([c.x for c in position]) if position else np.empty((0, 0))
+    q = _values(position)
     if reference or why:
-        follows = not position or not reference or _follows(np.column_stack([c.x for c in reference]), q)
-        why = why if follows else f"is it a reference? It is far from the position: {_keys(reference)}"
+        follows = not position or not reference or _moves_as(_values(reference), q)
+        why = why if follows else f"is it a reference? It does not move as the position: {_keys(reference)}"
         lines += ["[reference]", _listed(reference if follows else [], why), _stated(reference, unit), side]
     velocity, why = _only(groups, ["velocity"], size)
     if velocity and position:
-        fits = _is_speed(np.column_stack([c.x for c in velocity]), q, time_s)
+        fits = time_s is None or _moves_as(_integral(_values(velocity), time_s), q)
         own = _stated(velocity, re.sub(r'"(rad|deg|m|mm)"', r'"\1/s"', unit))
         lines += ["[velocity]", _listed(velocity, why), own, side] if fits else []
         lines += [] if fits else [f"# left out, is not the derivative of the position: {_keys(velocity)}"]
     lines += ["[effort]", _listed(effort, why_effort), *_effort_lines(effort, ur, franka)]
     text = "\n".join([*lines, ""])
     return ProposedMap(text=text, torque_sensor=franka, amperes=bool(re.search(r'^unit = "m?A"', text, re.M)))
+
+
+def _values(columns: Sequence[_Column]) -> Array:
+    return np.column_stack([c.x for c in columns]) if columns else np.empty((0, 0))
 
 
 def _columns(head: CsvTable, franka: bool) -> list[_Column]:
@@ -264,16 +268,11 @@ def _time(table: Path, columns: Sequence[_Column]) -> tuple[list[str], Array | N
     return [*lines, f'unit = "{FILL_IN}" # s, ms, us or ns'], None
 
 
-def _follows(reference: Array, q: Array) -> bool:
-    """Whether a reference (N, n) stays near the position."""
-    size = np.maximum(np.ptp(q, axis=0), MIN_MOTION * np.maximum(np.abs(q).max(axis=0), 1))
-    return bool((np.abs(reference - q).mean(axis=0) < MAX_OFF * size).all())
+def _moves_as(x: Array, q: Array) -> bool:
+    """Whether changes of x (N, n) are those of q within a factor of 2; true where nothing moves, as a table may begin at rest."""
+    x, q = x - x.mean(axis=0), q - q.mean(axis=0)
+    return bool(np.abs(q).max() < MIN_MOTION or 0.5 < (x * q).sum() / max((x**2).sum(), 1e-300) < 2)
 
 
-def _is_speed(v: Array, q: Array, time_s: Array | None) -> bool:
-    """Whether v (N, n) is the derivative of q within a factor of 2; true if nothing moves or the time is not known."""
-    if time_s is None or np.ptp(q) < MIN_MOTION:
-        return True
-    rise = np.vstack([np.zeros(v.shape[1]), np.cumsum((v[1:] + v[:-1]) / 2 * np.diff(time_s)[:, None], axis=0)])
-    moved, rise = q - q.mean(axis=0), rise - rise.mean(axis=0)
-    return bool(0.5 < (moved * rise).sum() / max((rise**2).sum(), 1e-300) < 2)
+def _integral(v: Array, time_s: Array) -> Array:
+    return np.asarray(np.cumsum(v * np.gradient(time_s)[:, None], axis=0))

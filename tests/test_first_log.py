@@ -1,0 +1,83 @@
+"""From the first own table and a URDF to the report: three commands, none of which refuses."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from independent_simulator import Imperfections, designed_pd, references, simulate
+from independent_urdf import arm_of
+from urdfs import SIX, six_joints
+
+from acquisition.commands import main as acquire
+from identification.commands import main as identify
+
+RATIO, GAINS = 101.0, (0.13, 0.13, 0.13, 0.09, 0.09, 0.09)
+CELL = Imperfections(encoder_noise=1e-5, torque_noise_percent=1.0, recorded="mean")
+FINGERS = """<joint name="{0}" type="prismatic"><parent link="{2}"/><child link="{1}"/><axis xyz="0 1 0"/>
+<limit lower="0" upper="0.04" velocity="0.2" effort="20"/></joint><link name="{1}"><inertial><mass value="0.015"/>
+<inertia ixx="1e-6" iyy="1e-6" izz="1e-6" ixy="0" ixz="0" iyz="0"/></inertial></link>"""
+
+
+def write(path: Path, header: str, separator: str, columns: list[np.ndarray]) -> None:
+    rows = [separator.join(f"{x:.9g}" for x in row) for row in np.column_stack(columns)]
+    path.write_text("\n".join([header, *rows, ""]))
+
+
+def indexed(pattern: str, n: int) -> list[str]:
+    return [pattern.format(j) for j in range(n)]
+
+
+def run(urdf: str, rate_hz: float, duration_s: float) -> tuple[np.ndarray, ...]:
+    """Times, positions, reference, torques of the motors, and those behind the rotors, which a sensor there measures."""
+    body, _ = arm_of(urdf)
+    given = references(body, [1], duration_s=duration_s, rate_hz=rate_hz)
+    runs = simulate(body, designed_pd(body, 6.0, rate_hz), given, CELL, seed=1)
+    rotors = np.gradient(runs.dq_true[0], 1 / rate_hz, axis=0) @ body.rotor
+    return np.arange(runs.q.shape[1]) / rate_hz, runs.q[0], runs.q_ref[0], runs.effort[0], runs.effort[0] - rotors
+
+
+def test_a_ur5_in_the_format_of_rtde(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    Path("ur5.urdf").write_text(six_joints())
+    t, q, ref, tau, _ = run(six_joints(), 250.0, 8.0)
+    kinds = ("target_q", "target_qd", "target_current", "actual_q", "actual_qd", "actual_current", "actual_TCP_pose")
+    header = " ".join(["timestamp", *(name for kind in kinds for name in indexed(kind + "_{}", 6))])
+    speed, current = np.gradient(q, 0.004, axis=0), tau / (RATIO * np.array(GAINS))
+    write(Path("ur5.csv"), header, " ", [1234.5 + t, ref, speed, 0 * q, q, speed, current, 0.3 + 0 * q])
+    gains = ",".join(map(str, GAINS))
+    assert identify(["init", "ur5.urdf", "--effort", "A", "--ratio", str(RATIO), "--drive-gain", gains, "-o", "robot.toml"]) == 0
+    assert acquire(["import", "ur5.csv", "--robot", "robot.toml"]) == 0
+    out, err = capsys.readouterr()
+    assert "ur5.map.toml: proposed; complete\n" in out
+    assert "ur5.mcap: six, 2001 samples at 250 Hz, effort in N m, with reference, with velocity\n" in out
+    assert err == ""
+    assert identify(["fit", "ur5.mcap", "--report", "report.html"]) in (0, 3)
+    out, _ = capsys.readouterr()
+    assert "six: IV (reference recorded), converged" in out
+    assert Path("report.html").stat().st_size > 10_000
+    print(out)
+
+
+def test_a_panda_with_torque_sensors_and_fingers(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    arm = six_joints()
+    last = SIX[-1][0] + "_link"
+    hand = FINGERS.format("panda_finger_joint1", "left", last) + FINGERS.format("panda_finger_joint2", "right", last)
+    Path("panda.urdf").write_text(arm.replace("</robot>", hand + "</robot>"))
+    t, q, ref, _, tau = run(arm, 1000.0, 6.0)
+    kinds = ("q", "q_d", "dq", "dq_d", "tau_J", "tau_ext_hat_filtered")
+    header = ",".join(["time", "success_rate", *(f"state.{kind}[{j}]" for kind in kinds for j in range(6)), *indexed("cmd.q_d[{}]", 6)])
+    speed = np.gradient(q, 0.001, axis=0)
+    write(Path("panda.csv"), header, ",", [1000 * t, 1 + 0 * t, q, ref, speed, speed, tau, 0 * q, ref])
+    assert identify(["init", "panda.urdf", "--effort", "N m", "--torque-sensor", "-o", "robot.toml"]) == 0
+    out = capsys.readouterr().out
+    assert "locked at zero: panda_finger_joint1: prismatic" in out
+    assert acquire(["import", "panda.csv", "--robot", "robot.toml", "-o", "log.mcap"]) == 0
+    out, err = capsys.readouterr()
+    assert "panda.map.toml: proposed; complete\n" in out
+    assert "rotor_inertia" not in out
+    assert err == ""
+    assert identify(["fit", "log.mcap", "--report", "report.html"]) in (0, 3)
+    out, _ = capsys.readouterr()
+    assert "IV (reference recorded), converged" in out
+    print(out)
