@@ -45,7 +45,12 @@ def test_a_ur5_in_the_format_of_rtde(tmp_path, monkeypatch, capsys):
     speed, current = np.gradient(q, 0.004, axis=0), tau / (RATIO * np.array(GAINS))
     write(Path("ur5.csv"), header, " ", [1234.5 + t, ref, speed, 0 * q, q, speed, current, 0.3 + 0 * q])
     gains = ",".join(map(str, GAINS))
-    assert identify(["init", "ur5.urdf", "--effort", "A", "--ratio", str(RATIO), "--drive-gain", gains, "-o", "robot.toml"]) == 0
+    assert (
+        identify(
+            ["init", "ur5.urdf", "--effort", "A", "--ratio", str(RATIO), "--drive-gain", gains, "-o", "robot.toml"]
+        )
+        == 0
+    )
     assert acquire(["import", "ur5.csv", "--robot", "robot.toml"]) == 0
     out, err = capsys.readouterr()
     assert "ur5.map.toml: proposed; complete\n" in out
@@ -66,7 +71,14 @@ def test_a_panda_with_torque_sensors_and_fingers(tmp_path, monkeypatch, capsys):
     Path("panda.urdf").write_text(arm.replace("</robot>", hand + "</robot>"))
     t, q, ref, _, tau = run(arm, 1000.0, 6.0)
     kinds = ("q", "q_d", "dq", "dq_d", "tau_J", "tau_ext_hat_filtered")
-    header = ",".join(["time", "success_rate", *(f"state.{kind}[{j}]" for kind in kinds for j in range(6)), *indexed("cmd.q_d[{}]", 6)])
+    header = ",".join(
+        [
+            "time",
+            "success_rate",
+            *(f"state.{kind}[{j}]" for kind in kinds for j in range(6)),
+            *indexed("cmd.q_d[{}]", 6),
+        ]
+    )
     speed = np.gradient(q, 0.001, axis=0)
     write(Path("panda.csv"), header, ",", [1000 * t, 1 + 0 * t, q, ref, speed, speed, tau, 0 * q, ref])
     assert identify(["init", "panda.urdf", "--effort", "N m", "--torque-sensor", "-o", "robot.toml"]) == 0

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from acquisition.commands import main as acquire
 from acquisition.importing import propose_map
 from acquisition.robot import FILL_IN, Robot, robot_from_files
 
@@ -177,7 +176,9 @@ def values(header: Header, rows: int = 600) -> dict[str, np.ndarray]:
     ref = 1.3 * np.sin(np.outer(t + 0.001 * length, w) + k)
     noise = np.random.default_rng(5)
     given = {"q": header.scale * q, "ref": header.scale * ref, "v": header.scale * v, "vref": 1.01 * header.scale * v}
-    others = {name: noise.normal(size=q.shape) * size for name, size in (("i", 3), ("tau", 40), ("acc", 9), ("other", 77))}
+    others = {
+        name: noise.normal(size=q.shape) * size for name, size in (("i", 3), ("tau", 40), ("acc", 9), ("other", 77))
+    }
     return given | others | {"t": (header.step * np.arange(rows))[:, None] + 17 * header.step}
 
 
@@ -191,7 +192,10 @@ def write(path: Path, header: Header, rows: int = 600) -> list[str]:
             what.append(f"{quantity} {j}")
             columns.append(found[:, j])
     comma = header.separator == ";"
-    lines = [header.separator.join(f"{x:.9g}".replace(".", "," if comma else ".") for x in row) for row in zip(*columns, strict=True)]
+    lines = [
+        header.separator.join(f"{x:.9g}".replace(".", "," if comma else ".") for x in row)
+        for row in zip(*columns, strict=True)
+    ]
     path.write_text("\n".join([header.separator.join(names), *lines, ""]), encoding="utf-8")
     return what
 
@@ -199,7 +203,10 @@ def write(path: Path, header: Header, rows: int = 600) -> list[str]:
 def robot_of(header: Header) -> Robot:
     joints = [NAMES[j] if any("{n}" in name for name in header.columns) else f"j{j + 1}" for j in range(header.joints)]
     row = "dh = { alpha_deg = 0, d_m = 0, theta_deg = 0, r_m = 0 }\n"
-    text = "".join(f'[[joint]]\nname = "{name}"\ntype = "revolute"\n{row}[[motor]]\nname = "m_{name}"\neffort_unit = "A"\n' for name in joints)
+    text = "".join(
+        f'[[joint]]\nname = "{name}"\ntype = "revolute"\n{row}[[motor]]\nname = "m_{name}"\neffort_unit = "A"\n'
+        for name in joints
+    )
     return robot_from_files({"robot.toml": f'name = "arm"\n{text}[controller]\n'.encode()}, "robot.toml")
 
 
@@ -208,8 +215,11 @@ def robot_of(header: Header) -> Robot:
 def test_no_column_is_in_a_wrong_table_and_no_unit_is_wrong(tmp_path, header, described):
     what = write(tmp_path / "x.csv", header)
     robot = robot_of(header) if described else None
-    proposed = tomllib.loads(propose_map(tmp_path / "x.csv", robot).text)
-    names = [x.strip() for x in (tmp_path / "x.csv").read_text().splitlines()[0].split(header.separator.strip() or header.separator)]
+    proposed = tomllib.loads(propose_map(tmp_path / "x.csv", robot))
+    names = [
+        x.strip()
+        for x in (tmp_path / "x.csv").read_text().splitlines()[0].split(header.separator.strip() or header.separator)
+    ]
     for table in (POSITION, REFERENCE, VELOCITY, EFFORT):
         found = proposed.get(table, {"columns": [FILL_IN], "unit": FILL_IN})
         if found["columns"] != [FILL_IN]:
@@ -224,7 +234,11 @@ def test_no_column_is_in_a_wrong_table_and_no_unit_is_wrong(tmp_path, header, de
 
 def is_complete(proposed: dict, header: Header) -> bool:
     """Whether all columns that there are have been found: units, and the side of efforts, are left."""
-    expected = {k for k, x in (("position", "q"), ("reference", "ref"), ("effort", "i"), ("effort", "tau")) if x in header.columns.values()}
+    expected = {
+        k
+        for k, x in (("position", "q"), ("reference", "ref"), ("effort", "i"), ("effort", "tau"))
+        if x in header.columns.values()
+    }
     return "time" in proposed and all(proposed.get(k, {"columns": [FILL_IN]})["columns"] != [FILL_IN] for k in expected)
 
 
@@ -232,7 +246,7 @@ def test_most_maps_are_complete_but_for_units(tmp_path):
     incomplete = []
     for header in HEADERS:
         write(tmp_path / "x.csv", header)
-        if not is_complete(tomllib.loads(propose_map(tmp_path / "x.csv", robot_of(header)).text), header):
+        if not is_complete(tomllib.loads(propose_map(tmp_path / "x.csv", robot_of(header))), header):
             incomplete.append(header.tool)
     print(incomplete)
     assert len(HEADERS) >= 20

@@ -25,7 +25,12 @@ def add(parser: argparse.ArgumentParser) -> None:
     )
     add_path(inputs, "tables", "FILE", text, nargs="+")
     add_path(inputs, "--robot", "ROBOT.toml", "the robot's description; a recording has its own")
-    add_path(inputs, "--map", "MAP.toml", "meaning of the columns (default: FILE.map.toml, proposed by the table if it does not exist)")
+    add_path(
+        inputs,
+        "--map",
+        "MAP.toml",
+        "meaning of the columns (default: FILE.map.toml, proposed by the table if it does not exist)",
+    )
     add_options(inputs, RecordOptions, "payload")
     bag = parser.add_argument_group("ROS 2 bag")
     bag.add_argument("--topic", metavar="NAME", help="topic of sensor_msgs/msg/JointState, such as /joint_states")
@@ -93,7 +98,7 @@ def _print(found: "ImportSummary", warnings: TextIO) -> None:
 def _propose(options: argparse.Namespace, robot: "Robot | None") -> bool:
     """Use the map of one CSV table, after it was proposed if there is none; whether the user has to go on."""
     from ..files import atomic_write
-    from ..importing import is_bag, is_log, lines_to_fill_in, propose_map
+    from ..importing import TORQUE_SENSORS, is_bag, is_log, lines_to_fill_in, propose_map
 
     table: Path = options.tables[0]
     if len(options.tables) > 1 or is_bag(table) or is_log(table) or table.suffix.lower() == ".mat":
@@ -101,20 +106,20 @@ def _propose(options: argparse.Namespace, robot: "Robot | None") -> bool:
     options.map = table.with_suffix(".map.toml")
     if options.map.exists():
         return False
-    proposed = propose_map(table, robot)
+    text = propose_map(table, robot)
     with atomic_write(options.map) as partial:
-        partial.write_text(proposed.text, encoding="utf-8")
-    missing = lines_to_fill_in(proposed.text.encode())
+        partial.write_text(text, encoding="utf-8")
+    missing, sensors = lines_to_fill_in(text.encode()), TORQUE_SENSORS in text
     print(one_line(f"{options.map}: proposed; {f'to be filled in: lines {missing}' if missing else 'complete'}"))
-    sensed = robot is not None and any(joint.rotor_inertia for joint in robot.joints)
-    if proposed.torque_sensor and sensed:
-        print(f"note: torque sensors do not see the rotors: rotor_inertia = false in {options.robot}")
+    if robot is not None and sensors and any(joint.rotor_inertia for joint in robot.joints):
+        print(one_line(f"note: {TORQUE_SENSORS} do not see the rotors: state rotor_inertia = false in {options.robot}"))
     if robot is None:
-        effort = '"N m" --torque-sensor' if proposed.torque_sensor else "A --ratio R --drive-gain K" if proposed.amperes else "UNIT"
+        effort = '"N m" --torque-sensor' if sensors else "A --ratio R --drive-gain K" if '"A"' in text else "UNIT"
         print(f"without a robot.toml: robot-identify init ARM.urdf --effort {effort} -o robot.toml")
     if robot is None or missing:
-        known = options.robot or "robot.toml"
-        print(one_line(f"next: robot-acquire import {table} --robot {known} -o {options.output}"))
+        print(
+            one_line(f"next: robot-acquire import {table} --robot {options.robot or 'robot.toml'} -o {options.output}")
+        )
     return robot is None or bool(missing)
 
 

@@ -4,7 +4,6 @@ import io
 import re
 import warnings
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +16,8 @@ from .atomic import atomic_write
 MAX_ROUNDING = 1e-18  # SI: masses, lengths and inertias of robots are larger
 # `data.q`, `q(:,2)`, `data.q(1:6,:)`: a variable or a field, with optional columns or rows in MATLAB's notation.
 _NAME = re.compile(r"(?P<path>[^()\s]+)(?:\(\s*(?P<rows>:|\d+(?::\d+)?)\s*,\s*(?P<columns>:|\d+(?::\d+)?)\s*\))?")
+# A cell with a decimal point: commas in the same table are no decimal ones.
+_POINT = re.compile(r"(?:^|[;\t ])[-+]?\d*\.\d+(?:e[-+]?\d+)?(?:[;\t ]|$)", re.IGNORECASE)
 
 
 def format_numbers(*values: float) -> str:
@@ -30,7 +31,7 @@ def read_columns(path: Path, columns: Sequence[str | int], count: int) -> Array:
     Parameters
     ----------
     path : CSV or MAT file (version 7 or older). CSV cells are separated by comma, semicolon, tab or blanks, as in the first
-        line. Lines that begin with # are skipped, but the last one above the numbers may be the header.
+        line; decimal commas are read where the comma does not separate. Lines that begin with # are skipped, but the last one above the numbers may be the header.
     columns : of a CSV file, names in the header line or numbers from 1. Of a MAT file, variables, or fields of structs by
         dotted name; `(:,k)`, `(:,k:l)`, `(k,:)` or `(k:l,:)` after a name selects columns or rows,
         and one name may give several columns.
@@ -84,30 +85,18 @@ def write_columns(path: Path, names: Sequence[str], parts: Iterable[Array]) -> N
             np.savetxt(file, values, delimiter=",", fmt="%.17g")
 
 
-@dataclass(frozen=True, kw_only=True)
-class CsvTable:
-    """A CSV file: names of the columns, rows with the numbers of their lines, first rows as numbers (NaN for text).
-
-    A separator of None stands for blanks; decimal commas have become points.
-    """
-
-    names: list[str]
-    has_header: bool
-    separator: str | None
-    rows: list[tuple[int, str]]
-    values: Array
-
-
-def read_csv_head(path: Path, rows: int) -> CsvTable:
-    """A CSV file with the values of its first `rows` rows. Raises `AcquisitionError` as `read_columns`."""
-    place = Place(str(path))
+def read_csv_head(path: Path, rows: int) -> tuple[list[str], bool, Array]:
+    """Names of the columns of a CSV file, whether they are those of a header, and its first `rows` rows; NaN for text."""
     try:
-        return _parse_csv(path.read_bytes(), place, rows)
+        names, has_header, separator, lines = _parse_csv(path.read_bytes(), Place(str(path)))
     except OSError as error:
-        place.refuse(text=f"cannot be read: {error.strerror}")
+        Place(str(path)).refuse(text=f"cannot be read: {error.strerror}")
+    cells = [[_number(cell) for cell in line.split(separator)] for _, line in lines[:rows]]
+    return names, has_header, np.array(cells, dtype=np.float64)
 
 
-def _parse_csv(data: bytes, place: Place, head: int) -> CsvTable:
+def _parse_csv(data: bytes, place: Place) -> tuple[list[str], bool, str | None, list[tuple[int, str]]]:
+    """Names, whether there is a header, separator (None: blanks), rows with their line numbers, decimal commas as points."""
     text = data.decode("utf-8-sig", errors="replace").replace('"', "")
     lines = [(k, line) for k, line in enumerate(text.splitlines(), 1) if line.strip()]
     if not lines:
@@ -127,18 +116,14 @@ def _parse_csv(data: bytes, place: Place, head: int) -> CsvTable:
             Place(f"{place}: line {k}").refuse(text=f"{found} cells", expected=str(len(names)))
     if not rows:
         place.refuse(text="has no rows", expected="numbers below the header")
-    comma = separator != "," and any("," in line for _, line in rows)
-    if comma and not any("." in cell and _number(cell) is not None for cell in rows[0][1].split(separator)):
+    if separator != "," and "," in text and not any(_POINT.search(line) for _, line in rows):
         rows = [(k, line.replace(",", ".")) for k, line in rows]
-    cells = [[_number(cell) for cell in line.split(separator)] for _, line in rows[:head]]
-    values = np.array(cells, dtype=np.float64).reshape(-1, len(names))
-    return CsvTable(names=names, has_header=has_header, separator=separator, rows=rows, values=values)
+    return names, has_header, separator, rows
 
 
 def _csv(data: bytes, columns: Sequence[str | int], place: Place) -> tuple[Array, list[str]]:
-    table = _parse_csv(data, place, 0)
-    names, separator, rows = table.names, table.separator, table.rows
-    chosen = [_index(column, names, table.has_header, place) for column in columns]
+    names, has_header, separator, rows = _parse_csv(data, place)
+    chosen = [_index(column, names, has_header, place) for column in columns]
     labels = [names[k] for k in chosen]
     try:
         values = np.loadtxt([line for _, line in rows], delimiter=separator, usecols=chosen, ndmin=2, comments=None)

@@ -10,13 +10,17 @@ from pathlib import Path
 import numpy as np
 
 from ..arrays import Array
-from ..files import CsvTable, read_columns, read_csv_head
+from ..files import read_columns, read_csv_head
 from ..robot import FILL_IN, Robot
 from .tables import TIME_UNITS
 from .time_base import roundest_rate_hz
 
+TORQUE_SENSORS = "torque sensors behind the gears"
 ROWS = 1000  # that the proposal looks at
-MIN_RATE_HZ, MAX_RATE_HZ = 10.0, 12_000.0  # of controllers: less than a factor of 1000 from ms to s, but for a narrow band
+MIN_RATE_HZ, MAX_RATE_HZ = (
+    10.0,
+    12_000.0,
+)  # of controllers: less than a factor of 1000 from ms to s, but for a narrow band
 MAX_TURN_DEG = 720.0  # of a joint; positions beyond it are a motor's, or counts
 MIN_MOTION = 1e-2  # of a position that moves, in any unit
 _WORDS = {
@@ -38,6 +42,11 @@ _WORDS = {
 _KIND = {word: kind for kind, words in _WORDS.items() for word in words.split()}
 _AT_JOINT = {"q", "qpos", "jpos", "angle", "angles", "theta", "winkel", "angolo", "angulo", "角度"}
 _EFFORTS = ("torque", "current", "effort")
+_MAKERS = (
+    r"^actual_q_\d",
+    r"(^|\W)tau_J\W?_?\d",
+    r"joint_states|controller_state|(feedback|reference|actual|desired)\W*positions",
+)
 _UNITS = {
     "rad": "rad", "radian": "rad", "radians": "rad", "deg": "deg", "degree": "deg", "degrees": "deg", "°": "deg", "mm": "mm",
     "m": "m", "um": "um", "rad/s": "rad/s", "rads": "rad/s", "radps": "rad/s", "deg/s": "deg/s", "°/s": "deg/s", "degs": "deg/s",
@@ -46,7 +55,8 @@ _UNITS = {
     "µs": "us", "ns": "ns",
 }  # fmt: skip
 _UNIT = re.compile(
-    r"[\[(]\s*([^\])\d\s][^\])]*)\s*[\])]|(?<![A-Za-z])(rad_?p?s|deg_?p?s|rad|deg|rpm|n_?m|ma|ms|us|ns|mm)(?![A-Za-z])", re.I
+    r"[\[(]\s*([^\])\d\s][^\])]*)\s*[\])]|(?<![A-Za-z])(rad_?p?s|deg_?p?s|rad|deg|rpm|n_?m|ma|ms|us|ns|mm)(?![A-Za-z])",
+    re.I,
 )
 
 
@@ -61,27 +71,16 @@ class _Column:
     x: Array
 
 
-@dataclass(frozen=True, kw_only=True)
-class ProposedMap:
-    """The text of a map.toml; whether its efforts are those of torque sensors behind the gears, and in amperes."""
-
-    text: str
-    torque_sensor: bool
-    amperes: bool
-
-
-def propose_map(table: Path, robot: Robot | None) -> ProposedMap:
-    """The map of a CSV table, with the reason of each line. `effort_timing` is never set.
+def propose_map(table: Path, robot: Robot | None) -> str:
+    """The text of a map.toml for a CSV table, with the reason of each line. `effort_timing` is never set.
 
     Columns go by names of UR's RTDE, libfranka, ros2_control, TwinCAT, and words of several languages, with the joint's number or
     its name in `robot`. Unit and side of efforts are those of the maker's format, or stated in the header.
     """
-    head = read_csv_head(table, ROWS)
-    ur = any(name.startswith("actual_q_") for name in head.names)
-    franka = any(re.search(r"(^|\W)tau_J\W?_?\d", name) for name in head.names)
-    ros = any(re.search(r"joint_states|controller_state|(feedback|reference|actual|desired)\W*positions", x) for x in head.names)
+    names, has_header, values = read_csv_head(table, ROWS)
+    ur, franka, ros = (any(re.search(pattern, name) for name in names) for pattern in _MAKERS)
     maker = "UR RTDE" if ur else "libfranka" if franka else "ROS, REP 103" if ros else ""
-    columns = _columns(head, franka)
+    columns = _columns(names if has_header else [""] * len(names), values, franka)
     groups = _groups(columns, robot)
     position, why = _only(groups, ["position"])
     size = len(position)
@@ -103,18 +102,17 @@ def propose_map(table: Path, robot: Robot | None) -> ProposedMap:
         lines += ["[velocity]", _listed(velocity, why), own, side] if fits else []
         lines += [] if fits else [f"# left out, is not the derivative of the position: {_keys(velocity)}"]
     lines += ["[effort]", _listed(effort, why_effort), *_effort_lines(effort, ur, franka)]
-    text = "\n".join([*lines, ""])
-    return ProposedMap(text=text, torque_sensor=franka, amperes=bool(re.search(r'^unit = "m?A"', text, re.M)))
+    return "\n".join([*lines, ""])
 
 
 def _values(columns: Sequence[_Column]) -> Array:
     return np.column_stack([c.x for c in columns]) if columns else np.empty((0, 0))
 
 
-def _columns(head: CsvTable, franka: bool) -> list[_Column]:
+def _columns(names: list[str], values: Array, franka: bool) -> list[_Column]:
     """The columns that hold numbers. Of libfranka's state and command the state, of its motor and joint the joint."""
     found: list[_Column] = []
-    for k, name in enumerate(head.names):
+    for k, name in enumerate(names):
         text = unicodedata.normalize("NFKD", name)
         text = "".join(c for c in text if not unicodedata.combining(c))
         stated = _UNIT.search(text)
@@ -123,14 +121,14 @@ def _columns(head: CsvTable, franka: bool) -> list[_Column]:
         text = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", " ", text)
         text = re.sub("|".join(word for word in _KIND if not word.isascii()), r" \g<0> ", text)
         tokens = [token.lower() for token in re.findall(r"[^\W\d_]+|\d+", text)]
-        if franka and ({"cmd", "theta"} & {*tokens} or name in head.names[:k]) or np.isnan(head.values[:, k]).any():
+        if franka and ({"cmd", "theta"} & {*tokens} or name in names[:k]) or np.isnan(values[:, k]).any():
             continue
         words = {_KIND[token]: token for token in tokens if token in _KIND}
         if "current" in words and {"position", "velocity"} & {*words}:
             words["measured"] = words.pop("current")  # the current position, of now
         label = tuple(token for token in tokens if token not in _KIND)
-        key = name if name and head.names.count(name) == 1 and head.has_header else k + 1
-        found.append(_Column(key=key, words=words, label=label, unit=unit, x=head.values[:, k]))
+        key = name if name and names.count(name) == 1 else k + 1
+        found.append(_Column(key=key, words=words, label=label, unit=unit, x=values[:, k]))
     return found
 
 
@@ -179,7 +177,9 @@ def _only(
     groups: dict[tuple[str, str], list[_Column] | str], kinds: Sequence[str], size: int = 0, source: str = "measured"
 ) -> tuple[list[_Column], str]:
     """The only group of these kinds that is measured or does not say so, else why there is none; `size`: of the position."""
-    sources = ("reference", "reference motor") if source == "reference" else ("measured", "", "measured motor", " motor")
+    sources = (
+        ("reference", "reference motor") if source == "reference" else ("measured", "", "measured motor", " motor")
+    )
     found = [group for kind in kinds for x in sources if (group := groups.get((kind, x)))]
     found = [x for x in found if isinstance(x, list) and len(x) == (size or len(x))] or found
     if len(found) == 1 and isinstance(found[0], list):
@@ -193,7 +193,11 @@ def _keys(columns: Sequence[_Column]) -> str:
 
 def _listed(columns: Sequence[_Column], why: str) -> str:
     words = ", ".join(dict.fromkeys(word for c in columns for kind, word in c.words.items() if kind))
-    return f"columns = {_keys(columns)} # by the names: {words}" if columns else f'columns = ["{FILL_IN}"] # {why or "no names that say it"}'
+    return (
+        f"columns = {_keys(columns)} # by the names: {words}"
+        if columns
+        else f'columns = ["{FILL_IN}"] # {why or "no names that say it"}'
+    )
 
 
 def _stated(columns: Sequence[_Column], otherwise: str) -> str:
@@ -238,10 +242,14 @@ def _effort_lines(columns: Sequence[_Column], ur: bool, franka: bool) -> list[st
     if ur and "current" in kinds:
         return ['unit = "A" # UR RTDE', 'side = "motor" # UR RTDE: of the joints\' motors']
     if franka and "torque" in kinds:
-        return ['unit = "N m" # libfranka', 'side = "joint" # libfranka: torque sensors behind the gears']
+        return ['unit = "N m" # libfranka', f'side = "joint" # libfranka: {TORQUE_SENSORS}']
     unit = _stated(columns, f'unit = "{FILL_IN}" # N m, A, mA, %, ... as the manual says')
     motor = re.match(r'unit = "(m?[AV]|%|per mille)"', unit) or "current" in kinds
-    side = 'side = "motor" # as all currents, voltages and percentages of a rating' if motor else f'side = "{FILL_IN}" # motor or joint'
+    side = (
+        'side = "motor" # as all currents, voltages and percentages of a rating'
+        if motor
+        else f'side = "{FILL_IN}" # motor or joint'
+    )
     return [unit, side]
 
 
@@ -260,10 +268,14 @@ def _time(table: Path, columns: Sequence[_Column]) -> tuple[list[str], Array | N
         unit = stated if stated in TIME_UNITS else fits[0]
         time_s = read_columns(table, [column.key], 1)[:, 0] * TIME_UNITS[unit]
         rate_hz = 1 / (period * TIME_UNITS[unit])
-        lines += [f'unit = "{unit}" # the rate is then {rate_hz:.6g} Hz' + ", and the header says so" * (unit == stated)]
+        lines += [
+            f'unit = "{unit}" # the rate is then {rate_hz:.6g} Hz' + ", and the header says so" * (unit == stated)
+        ]
         steps = np.diff(time_s)
         if (np.abs(steps * rate_hz - 1) > 0.1).any():
-            lines += [f"resample_hz = {roundest_rate_hz(time_s[np.append(True, steps > 0)]):.12g} # the steps are uneven"]
+            lines += [
+                f"resample_hz = {roundest_rate_hz(time_s[np.append(True, steps > 0)]):.12g} # the steps are uneven"
+            ]
         return lines, column.x * TIME_UNITS[unit]
     return [*lines, f'unit = "{FILL_IN}" # s, ms, us or ns'], None
 

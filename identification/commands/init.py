@@ -36,7 +36,9 @@ def add(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--joints", type=list_of_names, metavar="A,B", help=text)
     for option, (metavar, text) in _URDF_OPTIONS.items():
         group.add_argument(option, type=list_of_values, metavar=metavar, help=text)
-    group.add_argument("--effort", choices=["A", "N m", "%"], help="unit of the recorded efforts (%%: of the rated torque)")
+    group.add_argument(
+        "--effort", choices=["A", "N m", "%"], help="unit of the recorded efforts (%%: of the rated torque)"
+    )
     for option, text in _MOTOR_OPTIONS.items():
         group.add_argument(option, type=list_of_values, metavar="X", help=text)
     text = "the efforts are those of torque sensors between gears and links, which do not see the rotors"
@@ -80,7 +82,9 @@ def run(options: argparse.Namespace) -> None:
     lines += [f"locked at zero: {locked}" for locked in chain.locked]
     lines += [f"note: {note}" for note in chain.notes]
     if chain.torque_sensors:
-        lines += ["rotor_inertia = false: torque sensors do not see the rotors; a motor's torque referred to the joint does"]
+        lines += [
+            "rotor_inertia = false: torque sensors do not see the rotors; a motor's torque referred to the joint does"
+        ]
     missing = sum(FILL_IN in line for line in text.splitlines()[1:])
     for line in [*lines, f"to be filled in: {missing} lines with {FILL_IN}"]:
         print(one_line(line))

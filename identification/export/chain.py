@@ -34,7 +34,7 @@ _OPTION_FIELDS = {
     "--ratio": "ratio",
     "--drive-gain": "drive_gain",
 }
-_OF_A_HAND = re.compile("finger|gripper|knuckle", re.I)
+_OF_A_HAND = re.compile("finger|thumb|gripper|knuckle|jaw", re.IGNORECASE)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -135,7 +135,7 @@ def is_urdf(path: Path) -> bool:
 def read_chain(path: Path, names: Sequence[str] = ()) -> Chain:
     """Read a URDF with its limits, damping and friction.
 
-    `names` are the joints to identify, from the base outwards; by default those of the longest serial chain. Raises
+    `names` are the joints to identify, from the base outwards; by default those of the longest serial chain, fingers left out. Raises
     `IdentificationError`: not a URDF, not one tree, floating or planar joints, two chains of equal length, invalid numbers,
     reversed limits, negative masses or inertias.
     """
@@ -222,13 +222,6 @@ class _Tree:
         """Revolute, continuous and prismatic joints that mimic no other joint."""
         return [name for name, j in self.joints.items() if j.get("type") in _MOVABLE and j.find("mimic") is None]
 
-    @property
-    def of_the_arm(self) -> set[str]:
-        """The movable joints but those of a hand: by their names, or as another joint mimics them."""
-        mimicked = {_text(joint, "mimic", "joint") for joint in self.joints.values()}
-        arm = {name for name in self.movable if name not in mimicked and not _OF_A_HAND.search(name)}
-        return arm or {*self.movable}
-
 
 def _by_name(robot: ET.Element, tag: str, place: str) -> dict[str, ET.Element]:
     elements: dict[str, ET.Element] = {}
@@ -264,7 +257,7 @@ def _number(text: str | None, place: str, key: str) -> float:
 
 
 def _find_longest(tree: _Tree) -> list[str]:
-    free = tree.of_the_arm
+    free = {name for name in tree.movable if not _OF_A_HAND.search(name)} or {*tree.movable}
     if not free:
         expected = f"joints of the types {', '.join(_MOVABLE)}"
         raise IdentificationError("no joint moves", place=tree.place, expected=expected)

@@ -171,7 +171,7 @@ def _motor(chain: Chain, joint: UrdfJoint) -> Iterator[str]:
         yield f"# ratio = ... # {FILL_IN}: motor rad (or m) per joint rad (or m), sign included; none for efforts at the joint"
     if unit != torque:
         mark = "" if known else f" # {FILL_IN}: replaces effort_unit, together with ratio"
-        yield f'{"" if known else "# "}drive_gain = {gain}{mark}'
+        yield f"{'' if known else '# '}drive_gain = {gain}{mark}"
         yield f'{"" if known else "# "}drive_gain_unit = "{torque}/{unit}"'
     if not known:
         yield f'effort_unit = "{unit}"'
@@ -184,7 +184,9 @@ def _parameters(chain: Chain, robot: Robot) -> Iterator[str]:
     yield ""
     yield "# A-priori values: the URDF's inertials about the joints' frames (fixed and locked links lumped), its damping and"
     yield "# friction. Simulations use them; a fit does not."
-    unless = "missing friction" if chain.torque_sensors else "rotor inertias, which are not in a URDF, and missing friction"
+    unless = (
+        "missing friction" if chain.torque_sensors else "rotor inertias, which are not in a URDF, and missing friction"
+    )
     yield f"# {FILL_IN}: {unless}; without values they are 0."
     yield "[parameters]"
     for j, joint in enumerate(chain.joints):
