@@ -17,10 +17,7 @@ from .time_base import roundest_rate_hz
 
 TORQUE_SENSORS = "torque sensors behind the gears"
 ROWS = 1000  # that the proposal looks at
-MIN_RATE_HZ, MAX_RATE_HZ = (
-    10.0,
-    12_000.0,
-)  # of controllers: less than a factor of 1000 from ms to s, but for a narrow band
+MIN_RATE_HZ, MAX_RATE_HZ = 10.0, 12_000.0  # of a table
 MAX_TURN_DEG = 720.0  # of a joint; positions beyond it are a motor's, or counts
 MIN_MOTION = 1e-2  # of a position that moves, in any unit
 _WORDS = {
@@ -37,25 +34,26 @@ _WORDS = {
     "time": "t time timestamp stamp zeit temps tiempo tempo duration 时间 時間",
     "motor": "m motor motors mot moteur motore encoder enc 电机",
     "joint": "joint joints j axis axes axe achse gelenk asse eje articulation 关节 関節 轴",
-    "": "a state states robot data value values joint_states controller trajectory nc to plc field header",
+    "": "a state states robot data value values controller trajectory nc to plc field header",
 }
 _KIND = {word: kind for kind, words in _WORDS.items() for word in words.split()}
 _AT_JOINT = {"q", "qpos", "jpos", "angle", "angles", "theta", "winkel", "angolo", "angulo", "角度"}
 _EFFORTS = ("torque", "current", "effort")
-_MAKERS = (
-    r"^actual_q_\d",
-    r"(^|\W)tau_J\W?_?\d",
-    r"joint_states|controller_state|(feedback|reference|actual|desired)\W*positions",
-)
+_ROS = r"joint_states|controller_state|(feedback|reference|actual|desired)[./]positions"
+_MAKERS = {
+    "UR RTDE": r"^actual_q_\d",
+    "libfranka": r"(^|\.)tau_J[\[_]\d",
+    "ROS, REP 103": _ROS,
+}  # names that no other has
 _UNITS = {
     "rad": "rad", "radian": "rad", "radians": "rad", "deg": "deg", "degree": "deg", "degrees": "deg", "°": "deg", "mm": "mm",
     "m": "m", "um": "um", "rad/s": "rad/s", "rads": "rad/s", "radps": "rad/s", "deg/s": "deg/s", "°/s": "deg/s", "degs": "deg/s",
-    "degps": "deg/s", "rpm": "rpm", "1/min": "rpm", "u/min": "rpm", "m/s": "m/s", "mm/s": "mm/s", "a": "A", "ma": "mA", "v": "V",
+    "degps": "deg/s", "rpm": "rpm", "u/min": "rpm", "m/s": "m/s", "mm/s": "mm/s", "a": "A", "ma": "mA", "v": "V",
     "nm": "N m", "n*m": "N m", "mnm": "mN m", "n": "N", "%": "%", "‰": "per mille", "s": "s", "sec": "s", "ms": "ms", "us": "us",
     "µs": "us", "ns": "ns",
 }  # fmt: skip
-_UNIT = re.compile(
-    r"[\[(]\s*([^\])\d\s][^\])]*)\s*[\])]|(?<![A-Za-z])(rad_?p?s|deg_?p?s|rad|deg|rpm|n_?m|ma|ms|us|ns|mm)(?![A-Za-z])",
+_UNIT = re.compile(  # in brackets, or a word
+    r"[\[(]([^\])\d]+)[\])]|(?<![A-Za-z])(rad_?p?s|deg_?p?s|rad|deg|rpm|n_?m|ma|ms|us|ns|mm)(?![A-Za-z])",
     re.I,
 )
 
@@ -74,12 +72,12 @@ class _Column:
 def propose_map(table: Path, robot: Robot | None) -> str:
     """The text of a map.toml for a CSV table, with the reason of each line. `effort_timing` is never set.
 
-    Columns go by names of UR's RTDE, libfranka, ros2_control, TwinCAT, and words of several languages, with the joint's number or
-    its name in `robot`. Unit and side of efforts are those of the maker's format, or stated in the header.
+    Columns go by words of several languages and tools, with the joint's number or its name in `robot`. Unit and side of efforts
+    are those of the maker's format, or stated in the header. Raises `AcquisitionError`: no table.
     """
     names, has_header, values = read_csv_head(table, ROWS)
-    ur, franka, ros = (any(re.search(pattern, name) for name in names) for pattern in _MAKERS)
-    maker = "UR RTDE" if ur else "libfranka" if franka else "ROS, REP 103" if ros else ""
+    maker = next((maker for maker, pattern in _MAKERS.items() if any(re.search(pattern, name) for name in names)), "")
+    ur, franka = maker == "UR RTDE", maker == "libfranka"
     columns = _columns(names if has_header else [""] * len(names), values, franka)
     groups = _groups(columns, robot)
     position, why = _only(groups, ["position"])
@@ -91,16 +89,17 @@ def propose_map(table: Path, robot: Robot | None) -> str:
     lines += [*time, "[position]", _listed(position, why), unit, side]
     reference, why = _only(groups, ["position"], size, "reference")
     q = _values(position)
+    if reference and position and not _moves_as(_values(reference), q):
+        reference, why = [], f"is it a reference? It does not move as the position: {_keys(reference)}"
     if reference or why:
-        follows = not position or not reference or _moves_as(_values(reference), q)
-        why = why if follows else f"is it a reference? It does not move as the position: {_keys(reference)}"
-        lines += ["[reference]", _listed(reference if follows else [], why), _stated(reference, unit), side]
+        lines += ["[reference]", _listed(reference, why), _stated(reference, unit), side]
     velocity, why = _only(groups, ["velocity"], size)
-    if velocity and position:
-        fits = time_s is None or _moves_as(_integral(_values(velocity), time_s), q)
-        own = _stated(velocity, re.sub(r'"(rad|deg|m|mm)"', r'"\1/s"', unit))
-        lines += ["[velocity]", _listed(velocity, why), own, side] if fits else []
-        lines += [] if fits else [f"# left out, is not the derivative of the position: {_keys(velocity)}"]
+    if velocity and position and ("motor" in velocity[0].words) == ("motor" in position[0].words):
+        if time_s is None or _moves_as(np.cumsum(_values(velocity) * np.gradient(time_s)[:, None], axis=0), q):
+            per_s = re.sub(r'"(rad|deg|m|mm)"', r'"\1/s"', unit)
+            lines += ["[velocity]", _listed(velocity, why), _stated(velocity, per_s), side]
+        else:
+            lines += [f"# left out, is not the derivative of the position: {_keys(velocity)}"]
     lines += ["[effort]", _listed(effort, why_effort), *_effort_lines(effort, ur, franka)]
     return "\n".join([*lines, ""])
 
@@ -121,7 +120,8 @@ def _columns(names: list[str], values: Array, franka: bool) -> list[_Column]:
         text = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", " ", text)
         text = re.sub("|".join(word for word in _KIND if not word.isascii()), r" \g<0> ", text)
         tokens = [token.lower() for token in re.findall(r"[^\W\d_]+|\d+", text)]
-        if franka and ({"cmd", "theta"} & {*tokens} or name in names[:k]) or np.isnan(values[:, k]).any():
+        other = franka and ({"cmd", "theta"} & {*tokens} or name in names[:k])
+        if other or np.isnan(values[:, k]).any():
             continue
         words = {_KIND[token]: token for token in tokens if token in _KIND}
         if "current" in words and {"position", "velocity"} & {*words}:
@@ -150,7 +150,8 @@ def _one_per_joint(group: Sequence[_Column], common: set[str], robot: Robot | No
     """A column for each joint in order, by number or by the names in `robot`; a text if they are ambiguous."""
     labels = [tuple(x for x in c.label if x not in common) for c in group]
     by_label = dict(zip(labels, group, strict=True))
-    names = [_label_of(joint.name) for joint in robot.joints] if robot else []
+    words = [re.findall(r"[^\W\d_]+|\d+", joint.name.lower()) for joint in robot.joints] if robot else []
+    names = [tuple(x for x in name if x not in _KIND and x not in common) for name in words]
     if names and all(name in by_label for name in names) and len({*names}) == len(names):
         chosen = names
     elif not (chosen := sorted((x for x in by_label if len(x) == 1 and x[0].isdigit()), key=lambda x: int(x[0]))):
@@ -169,20 +170,14 @@ def _one_per_joint(group: Sequence[_Column], common: set[str], robot: Robot | No
     return [by_label[label] for label in chosen]
 
 
-def _label_of(name: str) -> tuple[str, ...]:
-    return tuple(x for x in re.findall(r"[^\W\d_]+|\d+", name.lower()) if x not in _KIND)
-
-
 def _only(
     groups: dict[tuple[str, str], list[_Column] | str], kinds: Sequence[str], size: int = 0, source: str = "measured"
 ) -> tuple[list[_Column], str]:
     """The only group of these kinds that is measured or does not say so, else why there is none; `size`: of the position."""
-    sources = (
-        ("reference", "reference motor") if source == "reference" else ("measured", "", "measured motor", " motor")
-    )
-    found = [group for kind in kinds for x in sources if (group := groups.get((kind, x)))]
+    sources = {source, source.replace("measured", "")}
+    found = [group for key, group in groups.items() if key[0] in kinds and key[1].removesuffix(" motor") in sources]
     found = [x for x in found if isinstance(x, list) and len(x) == (size or len(x))] or found
-    if len(found) == 1 and isinstance(found[0], list):
+    if len(found) == 1 and isinstance(found[0], list) and len(found[0]) == (size or len(found[0])):
         return found[0], ""
     return [], " or ".join(x if isinstance(x, str) else _keys(x) for x in found)
 
@@ -192,12 +187,10 @@ def _keys(columns: Sequence[_Column]) -> str:
 
 
 def _listed(columns: Sequence[_Column], why: str) -> str:
-    words = ", ".join(dict.fromkeys(word for c in columns for kind, word in c.words.items() if kind))
-    return (
-        f"columns = {_keys(columns)} # by the names: {words}"
-        if columns
-        else f'columns = ["{FILL_IN}"] # {why or "no names that say it"}'
-    )
+    if not columns:
+        return f'columns = ["{FILL_IN}"] # {why or "no names that say it"}'
+    words = dict.fromkeys(word for c in columns for kind, word in c.words.items() if kind)
+    return f"columns = {_keys(columns)} # by the names: {', '.join(words)}"
 
 
 def _stated(columns: Sequence[_Column], otherwise: str) -> str:
@@ -244,13 +237,9 @@ def _effort_lines(columns: Sequence[_Column], ur: bool, franka: bool) -> list[st
     if franka and "torque" in kinds:
         return ['unit = "N m" # libfranka', f'side = "joint" # libfranka: {TORQUE_SENSORS}']
     unit = _stated(columns, f'unit = "{FILL_IN}" # N m, A, mA, %, ... as the manual says')
-    motor = re.match(r'unit = "(m?[AV]|%|per mille)"', unit) or "current" in kinds
-    side = (
-        'side = "motor" # as all currents, voltages and percentages of a rating'
-        if motor
-        else f'side = "{FILL_IN}" # motor or joint'
-    )
-    return [unit, side]
+    if re.match(r'unit = "(m?[AV]|%|per mille)"', unit) or "current" in kinds:
+        return [unit, 'side = "motor" # as all currents, voltages and percentages of a rating']
+    return [unit, f'side = "{FILL_IN}" # motor or joint']
 
 
 def _time(table: Path, columns: Sequence[_Column]) -> tuple[list[str], Array | None]:
@@ -268,23 +257,16 @@ def _time(table: Path, columns: Sequence[_Column]) -> tuple[list[str], Array | N
         unit = stated if stated in TIME_UNITS else fits[0]
         time_s = read_columns(table, [column.key], 1)[:, 0] * TIME_UNITS[unit]
         rate_hz = 1 / (period * TIME_UNITS[unit])
-        lines += [
-            f'unit = "{unit}" # the rate is then {rate_hz:.6g} Hz' + ", and the header says so" * (unit == stated)
-        ]
+        lines += [f'unit = "{unit}" # the rate is then {rate_hz:.6g} Hz{", the header says so" * (unit == stated)}']
         steps = np.diff(time_s)
         if (np.abs(steps * rate_hz - 1) > 0.1).any():
-            lines += [
-                f"resample_hz = {roundest_rate_hz(time_s[np.append(True, steps > 0)]):.12g} # the steps are uneven"
-            ]
+            grid_hz = roundest_rate_hz(time_s[np.append(True, steps > 0)])
+            lines += [f"resample_hz = {grid_hz:.12g} # the steps are uneven"]
         return lines, column.x * TIME_UNITS[unit]
     return [*lines, f'unit = "{FILL_IN}" # s, ms, us or ns'], None
 
 
 def _moves_as(x: Array, q: Array) -> bool:
-    """Whether changes of x (N, n) are those of q within a factor of 2; true where nothing moves, as a table may begin at rest."""
+    """Whether changes of x (N, n) are those of q within a factor of 2; true where nothing moves: a table may begin at rest."""
     x, q = x - x.mean(axis=0), q - q.mean(axis=0)
     return bool(np.abs(q).max() < MIN_MOTION or 0.5 < (x * q).sum() / max((x**2).sum(), 1e-300) < 2)
-
-
-def _integral(v: Array, time_s: Array) -> Array:
-    return np.asarray(np.cumsum(v * np.gradient(time_s)[:, None], axis=0))

@@ -26,14 +26,8 @@ _NUMBERS = {
     "damping": ("dynamics", "damping"),
     "friction": ("dynamics", "friction"),
 }
-_OPTION_FIELDS = {
-    "--range": "position",
-    "--speed": "speed",
-    "--acceleration": "acceleration",
-    "--following-error": "following_error",
-    "--ratio": "ratio",
-    "--drive-gain": "drive_gain",
-}
+_PER_JOINT = ("speed", "acceleration", "following-error", "ratio", "drive-gain")
+_OPTION_FIELDS = {"--range": "position"} | {f"--{name}": name.replace("-", "_") for name in _PER_JOINT}
 _OF_A_HAND = re.compile("finger|thumb|gripper|knuckle|jaw", re.IGNORECASE)
 
 
@@ -73,9 +67,7 @@ class Chain:
         locked: the other movable joints, fixed at zero, each with its type and the joint it mimics.
         rigid: for each joint of the chain, the links that move with it as one body.
         notes: links whose inertia is impossible for a rigid body, though its numbers are not negative.
-        bandwidth_hz: of the position loops; not part of a URDF.
-        effort_unit: of the recorded efforts, A, N m or %; empty: N m or N at the joints.
-        torque_sensors: whether efforts are those of torque sensors between the gears and the links.
+        bandwidth_hz: of the position loops; not part of a URDF, as effort_unit (empty: N m or N at the joints) and torque_sensors.
     """
 
     place: str
@@ -135,7 +127,7 @@ def is_urdf(path: Path) -> bool:
 def read_chain(path: Path, names: Sequence[str] = ()) -> Chain:
     """Read a URDF with its limits, damping and friction.
 
-    `names` are the joints to identify, from the base outwards; by default those of the longest serial chain, fingers left out. Raises
+    `names` are the joints to identify, from the base outwards; by default the longest serial chain without fingers. Raises
     `IdentificationError`: not a URDF, not one tree, floating or planar joints, two chains of equal length, invalid numbers,
     reversed limits, negative masses or inertias.
     """
