@@ -93,3 +93,84 @@ def test_a_panda_with_torque_sensors_and_fingers(tmp_path, monkeypatch, capsys):
     out, _ = capsys.readouterr()
     assert "IV (reference recorded), converged" in out
     print(out)
+
+
+def small_table(folder: Path, names: str = "time,q_1,q_2,tau_1,tau_2") -> Path:
+    t = np.arange(400) * 0.01
+    write(folder / "x.csv", names, ",", [t, np.sin(t), np.cos(t), 5 * np.cos(t), 3 * np.sin(t)])
+    return folder / "x.csv"
+
+
+ROW = "dh = { alpha_deg = 0, d_m = 0, theta_deg = 0, r_m = 0 }\n"
+TWO = 'name = "two"\n' + "".join(
+    f'[[joint]]\nname = "{j}"\ntype = "revolute"\n{ROW}[[motor]]\nname = "m_{j}"\neffort_unit = "N m"\n' for j in "ab"
+)
+
+
+def test_a_map_that_is_not_complete_is_named_until_it_is(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    small_table(tmp_path)
+    Path("robot.toml").write_text(TWO + "[controller]\n")
+    command = ["import", "x.csv", "--robot", "robot.toml", "-o", "log.mcap"]
+    assert acquire(command) == 0
+    lines = [k for k, line in enumerate(Path("x.map.toml").read_text().splitlines(), 1) if "FILL IN" in line and k > 1]
+    assert capsys.readouterr().out.splitlines() == [
+        f"x.map.toml: proposed; to be filled in: lines {lines}",
+        "next: robot-acquire import x.csv --robot robot.toml -o log.mcap",
+    ]
+    assert not Path("log.mcap").exists()
+    assert acquire(command) == 1
+    expected = "expected values instead of it in these lines, then the same command again"
+    assert capsys.readouterr().err == f"robot-acquire: x.map.toml: lines = {lines}: FILL IN: {expected}\n"
+    text = Path("x.map.toml").read_text()
+    for unit, value in (("unit", "rad"), ("unit", "N m"), ("side", "joint")):
+        text = text.replace(f'{unit} = "FILL IN"', f'{unit} = "{value}"', 1)
+    Path("x.map.toml").write_text(text)
+    assert acquire(command) == 0
+    assert capsys.readouterr().out.startswith("log.mcap: two, 400 samples at 100 Hz, effort in N m\n")
+
+
+def test_an_existing_map_is_used_and_never_replaced(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    small_table(tmp_path)
+    Path("robot.toml").write_text(TWO + "[controller]\n")
+    mine = '[time]\ncolumn = "time"\n[position]\ncolumns = ["q_2", "q_1"]\nunit = "rad"\n'
+    mine += '[effort]\ncolumns = [4, 5]\nunit = "N m"\n'
+    Path("x.map.toml").write_text(mine)
+    assert acquire(["import", "x.csv", "--robot", "robot.toml"]) == 0
+    assert Path("x.map.toml").read_text() == mine
+    assert capsys.readouterr().out.startswith("x.mcap: two, 400 samples")
+
+
+def test_without_a_description_the_map_is_written_and_init_is_named(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    small_table(tmp_path, "time,state.q[0],state.q[1],state.tau_J[0],state.tau_J[1]")
+    assert acquire(["import", "x.csv"]) == 0
+    assert capsys.readouterr().out.splitlines() == [
+        "x.map.toml: proposed; complete",
+        'without a robot.toml: robot-identify init ARM.urdf --effort "N m" --torque-sensor -o robot.toml',
+        "next: robot-acquire import x.csv --robot robot.toml -o x.mcap",
+    ]
+    Path("x.map.toml").unlink()
+    Path("robot.toml").write_text(TWO + "[controller]\n")
+    assert acquire(["import", "x.csv", "--robot", "robot.toml"]) == 0
+    out = capsys.readouterr().out
+    assert (
+        "note: torque sensors behind the gears do not see the rotors: state rotor_inertia = false in robot.toml\n"
+        in out
+    )
+    assert "x.mcap: two, 400 samples at 100 Hz" in out
+
+
+def test_percent_of_the_rated_torque_goes_through_the_gain(tmp_path, monkeypatch):
+    from acquisition.recording import read_recording
+
+    monkeypatch.chdir(tmp_path)
+    small_table(tmp_path)
+    gain = 'ratio = 50\ndrive_gain = 0.02\ndrive_gain_unit = "N m/%"'
+    Path("robot.toml").write_text(TWO.replace('effort_unit = "N m"', gain) + "[controller]\n")
+    sides = '[time]\ncolumn = "time"\n[position]\ncolumns = ["q_1", "q_2"]\nunit = "rad"\nside = "joint"\n[effort]\n'
+    Path("x.map.toml").write_text(sides + 'columns = ["tau_1", "tau_2"]\nunit = "per mille"\nside = "motor"\n')
+    assert acquire(["import", "x.csv", "--robot", "robot.toml"]) == 0
+    effort = read_recording(Path("x.mcap")).samples["effort"]
+    assert effort[0] == pytest.approx([0.1 * 5 * 0.02 * 50, 0.0])

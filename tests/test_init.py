@@ -402,3 +402,70 @@ def test_errors_carry_their_data(here):
     with pytest.raises(AcquisitionError) as unstated:
         _ = robot.bandwidth_hz
     assert (unstated.value.place, unstated.value.key) == ("robot made up", "controller.bandwidth_hz")
+
+
+def motors_of(text):
+    return [{k: v for k, v in motor.items() if k != "name"} for motor in tomllib.loads(text)["motor"]]
+
+
+@pytest.mark.parametrize(
+    ("given", "motors", "to_fill_in"),
+    [
+        ("A --ratio=-101,50,8 --drive-gain 0.1,0.2,3", [("N m/A", -101, 0.1), ("N m/A", 50, 0.2), ("N/A", 8, 3)], ()),
+        ("A --drive-gain 0.1,0.2,3", [{"effort_unit": "A"}] * 3, ("ratio", "drive_gain")),
+        ("A --ratio 9,9,8", [{"ratio": r, "effort_unit": "A"} for r in (9, 9, 8)], ("drive_gain",)),
+        ("% --ratio 9,9,8 --drive-gain 1,1,2", [("N m/%", 9, 1), ("N m/%", 9, 1), ("N/%", 8, 2)], ()),
+        ("%", [{"effort_unit": "%"}] * 3, ("ratio", "drive_gain")),
+        ("N_m --ratio 9,9,8", [{"ratio": r, "effort_unit": u} for r, u in ((9, "N m"), (9, "N m"), (8, "N"))], ()),
+        ("N_m", [{"effort_unit": u} for u in ("N m", "N m", "N")], ("ratio",)),
+        ("N_m --torque-sensor", [{"effort_unit": u} for u in ("N m", "N m", "N")], ()),
+    ],
+)  # fmt: skip
+def test_the_motors_of_a_unit_have_numbers_by_options_only(here, capsys, given, motors, to_fill_in):
+    """A gain without its ratio has no effect: it would scale all values by the ratio."""
+    command = ["init", "arm.urdf", "--effort", *(word.replace("_", " ") for word in given.split())]
+    assert run(capsys, *command, "-o", "robot.toml")[0] == 0
+    text = (here / "robot.toml").read_text()
+    gains = [
+        x if isinstance(x, dict) else dict(zip(("drive_gain_unit", "ratio", "drive_gain"), x, strict=True))
+        for x in motors
+    ]
+    assert motors_of(text) == gains
+    marked = {line[2:].split(" = ")[0] for line in text.splitlines() if "FILL IN" in line} & {"ratio", "drive_gain"}
+    assert marked == set(to_fill_in)
+    robot = load_robot("robot.toml")
+    assert [joint.rotor_inertia for joint in robot.joints] == ["torque-sensor" not in given] * 3
+    assert ("#: Ia1" in text) == ("torque-sensor" not in given)
+
+
+def test_options_of_motors_that_do_not_go_together(here, capsys):
+    for given, key in (
+        (["--ratio", "9"], "--ratio"),
+        (["--effort", "N m", "--drive-gain", "1"], "--drive-gain"),
+        (["--effort", "A", "--torque-sensor"], "--torque-sensor"),
+        (["--effort", "N m", "--torque-sensor", "--ratio", "9"], "--ratio"),
+    ):
+        assert refused(capsys, "init", "arm.urdf", *given).startswith(f"{key} = ")
+    wrong = refused(capsys, "init", "arm.urdf", "--effort", "A", "--ratio", "1,2")
+    assert "--ratio = 2 values: expected one, or 3 for turn, lift, slide" in wrong
+
+
+def test_a_description_is_replaced_if_that_is_asked_for(here, capsys):
+    assert run(capsys, "init", "arm.urdf", "-o", "robot.toml")[0] == 0
+    status, out, _ = run(
+        capsys, "init", "arm.urdf", "--effort", "N m", "--torque-sensor", "--overwrite", "-o", "robot.toml"
+    )
+    assert status == 0
+    assert load_robot("robot.toml").joints[0].rotor_inertia is False
+    assert (
+        "rotor_inertia = false: torque sensors do not see rotors; a motor's torque referred to the joint does\n" in out
+    )
+
+
+def test_fingers_are_named_and_left_out_unless_there_is_nothing_else(here, capsys):
+    """Two fingers that mimic nothing would be two chains of one length."""
+    (here / "arm.urdf").write_text(urdf(thumb=joint("right_finger", "prismatic", "tool", "right")))
+    out = run(capsys, "init", "arm.urdf", "-o", "robot.toml")[1]
+    assert "locked at zero: finger: prismatic\nlocked at zero: right_finger: prismatic\n" in out
+    (here / "hand.urdf").write_text(f'<robot name="h">{PARTS["tool"]}{PARTS["left"]}{PARTS["finger"]}</robot>')
+    assert "1 joints of hand.urdf" in run(capsys, "init", "hand.urdf", "-o", "hand.toml")[1]

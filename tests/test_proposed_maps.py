@@ -1,6 +1,5 @@
 """Maps that `import` proposes for tables of other tools: headers as their makers document them, or as labs write them."""
 
-import re
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +16,7 @@ NAMES = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_jo
 
 @dataclass(frozen=True, kw_only=True)
 class Header:
-    """What a tool writes: `columns` maps patterns of a name to a quantity; `{0}` counts from 0, `{1}` from 1, `{n}` names a joint.
+    """What a tool writes: `columns` maps names to quantities; `{0}` counts from 0, `{1}` from 1, `{n}` names a joint.
 
     `truth` has the quantities that belong into the map's tables; `units` those that the table or the format fixes.
     """
@@ -61,7 +60,8 @@ HEADERS = [
     ),
     Header(
         tool="libfranka before 0.14", step=1.0, unit="ms", joints=7, separator=", ",
-        columns={"duration": "t", "success rate": "other", "q[{0}]": "q", "q_d[{0}]": "ref", "dq[{0}]": "v", "dq_d[{0}]": "vref",
+        columns={"duration": "t", "success rate": "other", "q[{0}]": "q", "q_d[{0}]": "ref", "dq[{0}]": "v",
+                 "dq_d[{0}]": "vref",
                  "tau_J[{0}]": "tau", "tau_ext_hat_filtered[{0}]": "other", " q_d[{0}]": "other", " dq_d[{0}]": "vref",
                  "tau_J_d[{0}]": "other"},
         truth={POSITION: "q", REFERENCE: "ref", VELOCITY: "v", EFFORT: "tau"}, units={**RAD, EFFORT: "N m"},
@@ -123,7 +123,8 @@ HEADERS = [
         truth={POSITION: "q", VELOCITY: "v", EFFORT: "tau"}, units={},
     ),
     Header(
-        tool="matlab, desired", columns={"t": "t", "q{1}": "q", "q_des{1}": "ref", "dq{1}": "v", "u{1}": "other", "tau{1}": "tau"},
+        tool="matlab, desired",
+        columns={"t": "t", "q{1}": "q", "q_des{1}": "ref", "dq{1}": "v", "u{1}": "other", "tau{1}": "tau"},
         truth={POSITION: "q", REFERENCE: "ref", VELOCITY: "v", EFFORT: "tau"}, units={},
     ),
     Header(
@@ -149,7 +150,8 @@ HEADERS = [
         truth={POSITION: "q", EFFORT: "tau"}, units={EFFORT: "%"},
     ),
     Header(
-        tool="two arms", columns={"time": "t", "left_q_{0}": "q", "right_q_{0}": "other", "left_tau_{0}": "tau", "right_tau_{0}": "other"},
+        tool="two arms",
+        columns={"time": "t", "left_q_{0}": "q", "right_q_{0}": "other", "left_tau_{0}": "tau", "right_tau_{0}": "other"},
         truth={}, units={},
     ),
     Header(

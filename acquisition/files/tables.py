@@ -31,8 +31,8 @@ def read_columns(path: Path, columns: Sequence[str | int], count: int) -> Array:
     Parameters
     ----------
     path : CSV or MAT file (version 7 or older). CSV cells are separated by comma, semicolon, tab or blanks, as in the first
-        line; in other lines than those with commas, these are decimal ones. Lines that begin with # are skipped, but the last one
-        above the numbers may be the header.
+        line; other commas are decimal ones. Lines that begin with # are skipped, but the last one above the numbers may be the
+        header.
     columns : of a CSV file, names in the header line or numbers from 1. Of a MAT file, variables, or fields of structs by
         dotted name; `(:,k)`, `(:,k:l)`, `(k,:)` or `(k:l,:)` after a name selects columns or rows,
         and one name may give several columns.

@@ -21,16 +21,16 @@ MIN_RATE_HZ, MAX_RATE_HZ = 10.0, 12_000.0  # of a table
 MAX_TURN_DEG = 720.0  # of a joint; positions beyond it are a motor's, or counts
 MIN_MOTION = 1e-2  # of a position that moves, in any unit
 _WORDS = {
-    "position": "q qpos jpos pos posn position positions angle angles theta winkel lage stellung posizione posizioni angolo "
+    "position": "q qpos jpos pos posn position positions angle angles theta winkel lage stellung posizione angolo "
     "posicion angulo posicao 位置 角度",
-    "velocity": "dq qd qdot qvel jvel vel velo velocity velocities speed speeds omega geschwindigkeit drehzahl vitesse velocita "
-    "velocidad velocidade 速度",
+    "velocity": "dq qd qdot qvel jvel vel velo velocity velocities speed speeds omega geschwindigkeit drehzahl vitesse "
+    "velocita velocidad velocidade 速度",
     "torque": "tau torque torques trq moment drehmoment couple coppia par 力矩 扭矩 转矩 トルク",
     "current": "current currents curr strom motorstrom courant corrente corriente 电流 電流",
     "effort": "effort efforts",
-    "reference": "ref reference references set setpoint target tgt cmd command commanded des desired d soll sollwert goal consigne "
-    "consigna riferimento referencia 目标 目標 指令 期望 给定",
-    "measured": "act actual ist istwert feedback fb fbk meas measured msr present mesure mesuree reale real 实际 実際 测量",
+    "reference": "ref reference references set setpoint target tgt cmd command commanded des desired d soll sollwert goal "
+    "consigne consigna riferimento referencia 目标 目標 指令 期望 给定",
+    "measured": "act actual ist istwert feedback fb fbk meas measured msr present mesure mesuree reale real 实际 実際",
     "time": "t time timestamp stamp zeit temps tiempo tempo duration 时间 時間",
     "motor": "m motor motors mot moteur motore encoder enc 电机",
     "joint": "joint joints j axis axes axe achse gelenk asse eje articulation 关节 関節 轴",
@@ -47,9 +47,9 @@ _MAKERS = {
 }  # names that no other has
 _UNITS = {
     "rad": "rad", "radian": "rad", "radians": "rad", "deg": "deg", "degree": "deg", "degrees": "deg", "°": "deg", "mm": "mm",
-    "m": "m", "um": "um", "rad/s": "rad/s", "rads": "rad/s", "radps": "rad/s", "deg/s": "deg/s", "°/s": "deg/s", "degs": "deg/s",
+    "m": "m", "um": "um", "rad/s": "rad/s", "rads": "rad/s", "deg/s": "deg/s", "°/s": "deg/s", "degs": "deg/s",
     "degps": "deg/s", "rpm": "rpm", "u/min": "rpm", "m/s": "m/s", "mm/s": "mm/s", "a": "A", "ma": "mA", "v": "V",
-    "nm": "N m", "n*m": "N m", "mnm": "mN m", "n": "N", "%": "%", "‰": "per mille", "s": "s", "sec": "s", "ms": "ms", "us": "us",
+    "nm": "N m", "n*m": "N m", "mnm": "mN m", "n": "N", "%": "%", "‰": "per mille", "s": "s", "ms": "ms", "us": "us",
     "µs": "us", "ns": "ns",
 }  # fmt: skip
 _UNIT = re.compile(  # in brackets, or a word

@@ -1,7 +1,6 @@
 """`robot-identify init`: a robot.toml from a URDF; missing values are marked."""
 
 import argparse
-import json
 import os
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +9,7 @@ from acquisition.commands import add_flag, add_path
 from acquisition.errors import one_line
 
 from ..errors import IdentificationError
-from ..options import list_of_names, list_of_values
+from ..options import list_of_names, list_of_ratios, list_of_values
 from .arguments import refuse_outputs
 
 _URDF_OPTIONS = {
@@ -20,10 +19,7 @@ _URDF_OPTIONS = {
     "--following-error": ("Q", "maximum following error, rad or m"),
     "--bandwidth-hz": ("F", "bandwidth of the position loop in Hz; if several are given, the lowest is used"),
 }
-_MOTOR_OPTIONS = {
-    "--ratio": "with --effort: motor rad (or m) per joint rad (or m), sign included",
-    "--drive-gain": "with --effort A or %%: motor torque in N m (or force in N) per unit of effort",
-}
+_EFFORTS = {"--ratio": ("A", "N m", "%"), "--drive-gain": ("A", "%"), "--torque-sensor": ("N m",)}  # that go with them
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -37,12 +33,15 @@ def add(parser: argparse.ArgumentParser) -> None:
     for option, (metavar, text) in _URDF_OPTIONS.items():
         group.add_argument(option, type=list_of_values, metavar=metavar, help=text)
     group.add_argument(
-        "--effort", choices=["A", "N m", "%"], help="unit of the recorded efforts (%%: of the rated torque)"
+        "--effort", choices=_EFFORTS["--ratio"], help="unit of the recorded efforts; %% of the rated torque"
     )
-    for option, text in _MOTOR_OPTIONS.items():
-        group.add_argument(option, type=list_of_values, metavar="X", help=text)
-    text = "the efforts are those of torque sensors between gears and links, which do not see the rotors"
-    add_flag(group, "--torque-sensor", text)
+    text = "with --effort: motor rad (or m) per joint rad (or m), sign included"
+    group.add_argument("--ratio", type=list_of_ratios, metavar="R", help=text)
+    text = "with --effort A or %%: motor torque in N m (or force in N) per unit of effort"
+    group.add_argument("--drive-gain", type=list_of_values, metavar="K", help=text)
+    add_flag(
+        group, "--torque-sensor", "with --effort 'N m': of torque sensors behind the gears, which do not see the rotors"
+    )
     add_path(parser, "--bus", "BUS.toml", "the [bus] that `robot-acquire scan` wrote, instead of example drives")
     add_path(parser, "-o --out", "ROBOT.toml", "the description to write (default: standard output)")
     add_flag(parser, "--overwrite", "replace an existing description")
@@ -63,11 +62,14 @@ def run(options: argparse.Namespace) -> None:
         expected = "ROBOT.urdf, or --dh with a letter for each joint and without --joints"
         raise IdentificationError(key="--dh", value=options.dh, expected=expected)
     chain = chain_of_letters(options.dh) if options.dh else read_chain(options.robot, options.joints or ())
-    both = (*_URDF_OPTIONS, *_MOTOR_OPTIONS)
-    given = {option: getattr(options, option.removeprefix("--").replace("-", "_")) for option in both}
-    given = {option: values for option, values in given.items() if values is not None}
-    _refuse_motor_options(options)
-    chain = replace(chain.with_options(given), effort_unit=options.effort or "", torque_sensors=options.torque_sensor)
+    given = {option: getattr(options, option[2:].replace("-", "_")) for option in (*_URDF_OPTIONS, *_EFFORTS)}
+    given = {option: values for option, values in given.items() if values}
+    for option, units in _EFFORTS.items():
+        if option in given and (options.effort not in units or (option == "--ratio" and options.torque_sensor)):
+            expected = f"with --effort {' or '.join(map(repr, units))}, and --ratio not with --torque-sensor"
+            raise IdentificationError(key=option, value=given[option], expected=expected)
+    sensors = given.pop("--torque-sensor", False)
+    chain = replace(chain.with_options(given), effort_unit=options.effort or "", torque_sensors=sensors)
     folder = Path.cwd() if out is None else out.absolute().parent
     bus = "" if options.bus is None else _bus_of(options.bus, len(chain.joints))
     urdf = options.robot and os.path.relpath(options.robot.absolute(), folder)
@@ -83,27 +85,11 @@ def run(options: argparse.Namespace) -> None:
     lines += [f"note: {note}" for note in chain.notes]
     if chain.torque_sensors:
         lines += [
-            "rotor_inertia = false: torque sensors do not see the rotors; a motor's torque referred to the joint does"
+            "rotor_inertia = false: torque sensors do not see rotors; a motor's torque referred to the joint does"
         ]
     missing = sum(FILL_IN in line for line in text.splitlines()[1:])
     for line in [*lines, f"to be filled in: {missing} lines with {FILL_IN}"]:
         print(one_line(line))
-
-
-def _refuse_motor_options(options: argparse.Namespace) -> None:
-    """Refuse options of motors that do not go together."""
-    for option, value, units in (
-        ("--ratio", options.ratio, ("A", "N m", "%")),
-        ("--drive-gain", options.drive_gain, ("A", "%")),
-        ("--torque-sensor", options.torque_sensor or None, ("N m",)),
-    ):
-        if value is not None and (options.effort not in units or (options.torque_sensor and option == "--ratio")):
-            expected = " or ".join(f"--effort {json.dumps(unit)}" for unit in units)
-            expected += ", and no --torque-sensor" * (option == "--ratio")
-            raise IdentificationError(key=option, value=value, expected=expected)
-    for value in (*(options.ratio or ()), *(options.drive_gain or ())):
-        if not value or (value < 0 and value in (options.drive_gain or ())):
-            raise IdentificationError(key="--ratio, --drive-gain", value=value, expected="not 0; a gain above 0")
 
 
 def _bus_of(path: Path, joints: int) -> str:

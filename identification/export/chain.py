@@ -67,7 +67,8 @@ class Chain:
         locked: the other movable joints, fixed at zero, each with its type and the joint it mimics.
         rigid: for each joint of the chain, the links that move with it as one body.
         notes: links whose inertia is impossible for a rigid body, though its numbers are not negative.
-        bandwidth_hz: of the position loops; not part of a URDF, as effort_unit (empty: N m or N at the joints) and torque_sensors.
+        bandwidth_hz: of the position loops; not part of a URDF.
+        effort_unit: of the recorded efforts, empty: N m or N at the joints; torque_sensors: whether these are their source.
     """
 
     place: str
