@@ -1,11 +1,12 @@
 """From the first own table and a URDF to the report: three commands, none of which refuses."""
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 from independent_simulator import Imperfections, designed_pd, references, simulate
-from independent_urdf import arm_of
+from independent_urdf import FRICTION_OF_TORQUE, arm_of
 from urdfs import SIX, six_joints
 
 from acquisition.commands import main as acquire
@@ -36,6 +37,13 @@ def run(urdf: str, rate_hz: float, duration_s: float) -> tuple[np.ndarray, ...]:
     return np.arange(runs.q.shape[1]) / rate_hz, runs.q[0], runs.q_ref[0], runs.effort[0], runs.effort[0] - rotors
 
 
+def assert_friction_is_found() -> None:
+    found = {one["name"]: one["value"] for one in json.loads(Path("fit.json").read_text())["parameters"]}
+    for j, (viscous, coulomb) in enumerate(FRICTION_OF_TORQUE, 1):
+        assert found[f"Fc{j}"] == pytest.approx(coulomb, rel=0.05)
+        assert found[f"Fv{j}"] == pytest.approx(viscous, rel=0.1)
+
+
 def test_a_ur5_in_the_format_of_rtde(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     Path("ur5.urdf").write_text(six_joints())
@@ -56,11 +64,11 @@ def test_a_ur5_in_the_format_of_rtde(tmp_path, monkeypatch, capsys):
     assert "ur5.map.toml: proposed; complete\n" in out
     assert "ur5.mcap: six, 2001 samples at 250 Hz, effort in N m, with reference, with velocity\n" in out
     assert err == ""
-    assert identify(["fit", "ur5.mcap", "--report", "report.html"]) in (0, 3)
+    assert identify(["fit", "ur5.mcap", "--report", "report.html", "--json", "fit.json"]) in (0, 3)
     out, _ = capsys.readouterr()
     assert "six: IV (reference recorded), converged" in out
     assert Path("report.html").stat().st_size > 10_000
-    print(out)
+    assert_friction_is_found()
 
 
 def test_a_panda_with_torque_sensors_and_fingers(tmp_path, monkeypatch, capsys):
@@ -89,10 +97,11 @@ def test_a_panda_with_torque_sensors_and_fingers(tmp_path, monkeypatch, capsys):
     assert "panda.map.toml: proposed; complete\n" in out
     assert "rotor_inertia" not in out
     assert err == ""
-    assert identify(["fit", "log.mcap", "--report", "report.html"]) in (0, 3)
+    assert identify(["fit", "log.mcap", "--report", "report.html", "--json", "fit.json"]) in (0, 3)
     out, _ = capsys.readouterr()
     assert "IV (reference recorded), converged" in out
-    print(out)
+    assert Path("report.html").stat().st_size > 10_000
+    assert_friction_is_found()
 
 
 def small_table(folder: Path, names: str = "time,q_1,q_2,tau_1,tau_2") -> Path:

@@ -27,9 +27,9 @@ _WORDS = {
     "velocita velocidad velocidade 速度",
     "torque": "tau torque torques trq moment drehmoment couple coppia par 力矩 扭矩 转矩 トルク",
     "current": "current currents curr strom motorstrom courant corrente corriente 电流 電流",
-    "effort": "effort efforts",
-    "reference": "ref reference references set setpoint target tgt cmd command commanded des desired d soll sollwert goal "
-    "consigne consigna riferimento referencia 目标 目標 指令 期望 给定",
+    "effort": "eff effort efforts",
+    "reference": "ref reference references set setpoint setpoints target targets tgt cmd command commanded des desired d soll "
+    "goal consigne consigna riferimento referencia 目标 目標 指令 期望 给定",
     "measured": "act actual ist istwert feedback fb fbk meas measured msr present mesure mesuree reale real 实际 実際",
     "time": "t time timestamp stamp zeit temps tiempo tempo duration 时间 時間",
     "motor": "m motor motors mot moteur motore encoder enc 电机",
@@ -95,11 +95,18 @@ def propose_map(table: Path, robot: Robot | None) -> str:
         lines += ["[reference]", _listed(reference, why), _stated(reference, unit), side]
     velocity, why = _only(groups, ["velocity"], size)
     if velocity and position and ("motor" in velocity[0].words) == ("motor" in position[0].words):
-        if time_s is None or _moves_as(np.cumsum(_values(velocity) * np.gradient(time_s)[:, None], axis=0), q):
-            per_s = re.sub(r'"(rad|deg|m|mm)"', r'"\1/s"', unit)
+        if (
+            velocity[0].unit
+            or time_s is None
+            or _moves_as(np.cumsum(_values(velocity) * np.gradient(time_s)[:, None], axis=0), q)
+        ):
+            per_s = re.sub(
+                r'"(rad|deg|m|mm)"', r'"\1/s"', re.sub("(?<=#).*Values.*|rad, deg.*", " rad/s, rpm, ...", unit)
+            )
             lines += ["[velocity]", _listed(velocity, why), _stated(velocity, per_s), side]
         else:
-            lines += [f"# left out, is not the derivative of the position: {_keys(velocity)}"]
+            why = f"not the derivative of the position: {_keys(velocity)}"
+    lines += [f"# no [velocity]: {why}"] if why else []
     lines += ["[effort]", _listed(effort, why_effort), *_effort_lines(effort, ur, franka)]
     return "\n".join([*lines, ""])
 
