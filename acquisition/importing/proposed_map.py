@@ -82,7 +82,7 @@ def propose_map(table: Path, robot: Robot | None) -> str:
     groups = _groups(columns, robot)
     position, why = _only(groups, ["position"])
     size = len(position)
-    effort, why_effort = _only(groups, _EFFORTS[1:2] if ur else _EFFORTS, size)
+    effort, why_effort = _only(groups, _EFFORTS, size)
     time, time_s = _time(table, columns)
     unit, side = _position_unit(position, robot, maker), _side(position, robot, maker)
     lines = [f"# Proposed by robot-acquire import for {table.name}. {FILL_IN} marks what the table does not say."]
