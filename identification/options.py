@@ -48,6 +48,7 @@ cutoff = _value("cutoff", lambda text: 0.0 if text == "none" else above_zero(tex
 seconds_or_none = _value("seconds_or_none", lambda text: text if text == "none" else finite(text))
 list_of_factors = _values("factors", above_zero)
 list_of_values = _values("values", above_zero)
+list_of_ratios = _values("ratios", _value("ratio", float, lambda x: 0 < abs(x) < INF))
 list_of_names = _values("names", _value("name", str, bool))
 
 

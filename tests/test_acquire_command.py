@@ -147,7 +147,7 @@ def test_known_errors_are_one_line_and_leave_nothing(folder, capsys):
     assert "a second recording: expected one" in refused(capsys, [*recording[:2], *recording[1:]])
     assert "--payload = '2': expected none" in refused(capsys, [*recording, "--payload", "2"])
     assert "--robot is missing: expected the robot's" in refused(
-        capsys, ["import", str(folder / "a.csv"), *recording[2:]]
+        capsys, ["import", str(folder / "a.csv"), "--map", str(folder / "map.toml"), *recording[2:]]
     )
     assert sorted(folder.iterdir()) == before
 
@@ -238,7 +238,7 @@ def test_a_full_disk_is_one_line_and_leaves_nothing(folder):
 
 
 def test_wrong_usage_is_status_2():
-    for arguments in ([], ["fly"], ["info"], ["import", "a.csv"]):
+    for arguments in ([], ["fly"], ["info"], ["import"]):
         with pytest.raises(SystemExit) as caught:
             main(arguments)
         assert caught.value.code == 2

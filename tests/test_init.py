@@ -76,19 +76,18 @@ def test_init_writes_what_the_urdf_says_and_marks_the_rest(here, capsys):
     text = (here / "robot.toml").read_text()
     assert (status, err) == (0, "")
     assert out.splitlines()[:6] == [
-        "robot.toml: 4 joints of arm.urdf",
+        "robot.toml: 3 joints of arm.urdf",
         "joint 1: turn, revolute",
         "joint 2: lift, revolute",
         "joint 3: slide, prismatic",
-        "joint 4: finger, prismatic",
+        "locked at zero: finger: prismatic",
         "locked at zero: thumb: prismatic, mimics finger",
     ]
     assert "#     thumb: prismatic, mimics finger\n" in text
     for links in (
         "column",
         "arm, sensor",
-        "beam, tool, right",
-        "left",
+        "beam, tool, left, right",
     ):  # that move with one joint, before its parameters
         assert f"\n# {links}\n" in text
     robot = load_robot("robot.toml")
@@ -98,7 +97,7 @@ def test_init_writes_what_the_urdf_says_and_marks_the_rest(here, capsys):
     assert (turn.si("speed"), turn.effort_nm) == pytest.approx((3, 40), rel=1e-9)
     assert (slide.si("position"), slide.si("speed"), slide.effort_n) == ((0.1, 0.4), 0.5, 90)
     assert (robot.parameters["Fv1"], robot.parameters["Fc1"]) == (0.6, 0.25)
-    assert robot.parameters["M3"] == pytest.approx(0.7 + 0.3 + 0.1)  # beam, tool, thumb; the finger is joint 4
+    assert robot.parameters["M3"] == pytest.approx(0.7 + 0.3 + 0.1 + 0.1)  # beam, tool, finger, thumb
     assert (turn.acceleration_deg_s2, turn.following_error_deg, robot.controller.bandwidth_hz) == (None, None, None)
     marked = [line for line in text.splitlines()[1:] if "FILL IN" in line]
     assert all(line.startswith("#") for line in marked)
@@ -137,7 +136,7 @@ def test_the_bus_of_a_scan_stands_in_the_place_of_the_example_drives(here, capsy
 def test_a_bus_with_other_drives_than_joints_is_refused(here, capsys):
     (here / "bus.toml").write_text(BUS)
     said = refused(capsys, "init", "arm.urdf", "--bus", "bus.toml", "-o", "robot.toml")
-    assert said == "bus.toml: drives = 2: expected 4 [[bus.drive]], one for each joint of the URDF"
+    assert said == "bus.toml: drives = 2: expected 3 [[bus.drive]], one for each joint of the URDF"
     assert "is an input too" in refused(capsys, "init", "arm.urdf", "--bus", "bus.toml", "-o", "bus.toml")
     assert not (here / "robot.toml").exists()
 
@@ -151,12 +150,13 @@ def test_without_an_output_the_file_is_printed(here, capsys):
 
 def test_an_existing_file_is_not_replaced_and_the_urdf_is_found_from_it(here, capsys):
     (here / "robot.toml").write_text("mine")
-    assert "robot.toml: already exists: expected a new name" in refused(capsys, "init", "arm.urdf", "-o", "robot.toml")
+    said = refused(capsys, "init", "arm.urdf", "-o", "robot.toml")
+    assert said == "robot.toml: already exists: expected a new name, or --overwrite"
     assert (here / "robot.toml").read_text() == "mine"
     assert "is an input too" in refused(capsys, "init", "arm.urdf", "-o", "arm.urdf")
     (here / "cell").mkdir()
     assert run(capsys, "init", "arm.urdf", "-o", "cell/robot.toml")[0] == 0
-    assert load_robot("cell/robot.toml").n == 4
+    assert load_robot("cell/robot.toml").n == 3
 
 
 def test_the_example_of_the_drives_is_one(here, capsys):
@@ -326,16 +326,16 @@ BAD = (
     (turn(kind="ball"), "type = 'ball': expected one of revolute, continuous, prismatic, fixed, floating, planar"),
     (
         urdf(mid=joint("swing", "floating", "column", "arm"), lift=""),
-        "joint 'swing', between the base and joint 'finger': type = 'floating': expected fixed, revolute",
+        "joint 'swing', between the base and joint 'slide': type = 'floating': expected fixed, revolute",
     ),
     (
         urdf(lift=joint("lift", "planar", "column", "arm")),
-        "joint 'lift', between the base and joint 'finger': type = 'planar': expected fixed, revolute",
+        "joint 'lift', between the base and joint 'slide': type = 'planar': expected fixed, revolute",
     ),
     (STIFF, "no joint moves: expected joints of the types revolute, continuous, prismatic"),
     (
-        urdf(thumb=joint("thumb", "prismatic", "tool", "right")),
-        "2 chains of 4 joints each, which end at finger, thumb: expected --joints",
+        urdf(extra=link("mast") + joint("sway", "revolute", "arm", "mast")),
+        "2 chains of 3 joints each, which end at slide, sway: expected --joints",
     ),
     (turn('<limit lower="1" upper="-1"/>'), "joint 'turn': limit lower = 1.0: expected less than upper = -1"),
     (turn('<limit lower="low" upper="-1"/>'), "joint 'turn': limit lower = 'low': expected a finite number"),
@@ -402,3 +402,70 @@ def test_errors_carry_their_data(here):
     with pytest.raises(AcquisitionError) as unstated:
         _ = robot.bandwidth_hz
     assert (unstated.value.place, unstated.value.key) == ("robot made up", "controller.bandwidth_hz")
+
+
+def motors_of(text):
+    return [{k: v for k, v in motor.items() if k != "name"} for motor in tomllib.loads(text)["motor"]]
+
+
+@pytest.mark.parametrize(
+    ("given", "motors", "to_fill_in"),
+    [
+        ("A --ratio=-101,50,8 --drive-gain 0.1,0.2,3", [("N m/A", -101, 0.1), ("N m/A", 50, 0.2), ("N/A", 8, 3)], ()),
+        ("A --drive-gain 0.1,0.2,3", [{"effort_unit": "A"}] * 3, ("ratio", "drive_gain")),
+        ("A --ratio 9,9,8", [{"ratio": r, "effort_unit": "A"} for r in (9, 9, 8)], ("drive_gain",)),
+        ("% --ratio 9,9,8 --drive-gain 1,1,2", [("N m/%", 9, 1), ("N m/%", 9, 1), ("N/%", 8, 2)], ()),
+        ("%", [{"effort_unit": "%"}] * 3, ("ratio", "drive_gain")),
+        ("N_m --ratio 9,9,8", [{"ratio": r, "effort_unit": u} for r, u in ((9, "N m"), (9, "N m"), (8, "N"))], ()),
+        ("N_m", [{"effort_unit": u} for u in ("N m", "N m", "N")], ("ratio",)),
+        ("N_m --torque-sensor", [{"effort_unit": u} for u in ("N m", "N m", "N")], ()),
+    ],
+)  # fmt: skip
+def test_the_motors_of_a_unit_have_numbers_by_options_only(here, capsys, given, motors, to_fill_in):
+    """A gain without its ratio has no effect: it would scale all values by the ratio."""
+    command = ["init", "arm.urdf", "--effort", *(word.replace("_", " ") for word in given.split())]
+    assert run(capsys, *command, "-o", "robot.toml")[0] == 0
+    text = (here / "robot.toml").read_text()
+    gains = [
+        x if isinstance(x, dict) else dict(zip(("drive_gain_unit", "ratio", "drive_gain"), x, strict=True))
+        for x in motors
+    ]
+    assert motors_of(text) == gains
+    marked = {line[2:].split(" = ")[0] for line in text.splitlines() if "FILL IN" in line} & {"ratio", "drive_gain"}
+    assert marked == set(to_fill_in)
+    robot = load_robot("robot.toml")
+    assert [joint.rotor_inertia for joint in robot.joints] == ["torque-sensor" not in given] * 3
+    assert ("#: Ia1" in text) == ("torque-sensor" not in given)
+
+
+def test_options_of_motors_that_do_not_go_together(here, capsys):
+    for given, key in (
+        (["--ratio", "9"], "--ratio"),
+        (["--effort", "N m", "--drive-gain", "1"], "--drive-gain"),
+        (["--effort", "A", "--torque-sensor"], "--torque-sensor"),
+        (["--effort", "N m", "--torque-sensor", "--ratio", "9"], "--ratio"),
+    ):
+        assert refused(capsys, "init", "arm.urdf", *given).startswith(f"{key} = ")
+    wrong = refused(capsys, "init", "arm.urdf", "--effort", "A", "--ratio", "1,2")
+    assert "--ratio = 2 values: expected one, or 3 for turn, lift, slide" in wrong
+
+
+def test_a_description_is_replaced_if_that_is_asked_for(here, capsys):
+    assert run(capsys, "init", "arm.urdf", "-o", "robot.toml")[0] == 0
+    status, out, _ = run(
+        capsys, "init", "arm.urdf", "--effort", "N m", "--torque-sensor", "--overwrite", "-o", "robot.toml"
+    )
+    assert status == 0
+    assert load_robot("robot.toml").joints[0].rotor_inertia is False
+    assert (
+        "rotor_inertia = false: torque sensors do not see rotors; a motor's torque referred to the joint does\n" in out
+    )
+
+
+def test_fingers_are_named_and_left_out_unless_there_is_nothing_else(here, capsys):
+    """Two fingers that mimic nothing would be two chains of one length."""
+    (here / "arm.urdf").write_text(urdf(thumb=joint("right_finger", "prismatic", "tool", "right")))
+    out = run(capsys, "init", "arm.urdf", "-o", "robot.toml")[1]
+    assert "locked at zero: finger: prismatic\nlocked at zero: right_finger: prismatic\n" in out
+    (here / "hand.urdf").write_text(f'<robot name="h">{PARTS["tool"]}{PARTS["left"]}{PARTS["finger"]}</robot>')
+    assert "1 joints of hand.urdf" in run(capsys, "init", "hand.urdf", "-o", "hand.toml")[1]

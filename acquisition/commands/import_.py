@@ -13,6 +13,7 @@ from .command_line import Progress, add_options, add_overwrite, add_path
 
 if TYPE_CHECKING:
     from ..importing import ImportSummary
+    from ..robot import Robot
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -24,7 +25,12 @@ def add(parser: argparse.ArgumentParser) -> None:
     )
     add_path(inputs, "tables", "FILE", text, nargs="+")
     add_path(inputs, "--robot", "ROBOT.toml", "the robot's description; a recording has its own")
-    add_path(inputs, "--map", "MAP.toml", "meaning of the columns; tables need it")
+    add_path(
+        inputs,
+        "--map",
+        "MAP.toml",
+        "meaning of the columns (default: FILE.map.toml, proposed by the table if it does not exist)",
+    )
     add_options(inputs, RecordOptions, "payload")
     bag = parser.add_argument_group("ROS 2 bag")
     bag.add_argument("--topic", metavar="NAME", help="topic of sensor_msgs/msg/JointState, such as /joint_states")
@@ -36,7 +42,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     text = "sample rate in Hz after interpolation (default: the rate of the time stamps, rounded)"
     bag.add_argument("--resample-hz", type=float, metavar="HZ", help=text)
     outputs = parser.add_argument_group("outputs")
-    add_path(outputs, "-o --output", "LOG.mcap", "the recording to write", required=True)
+    add_path(outputs, "-o --output", "LOG.mcap", "the recording to write (default: named as the first FILE)")
     add_overwrite(outputs)
 
 
@@ -44,6 +50,7 @@ def run(options: argparse.Namespace) -> None:
     """Import a bag (with a topic), tables (with a map), a CAN log or a recording, and print a summary."""
     from ..files import is_recording, refuse_clash
 
+    options.output = options.output or options.tables[0].with_suffix(".mcap")
     refuse_clash([options.robot, options.map, *options.tables], options.output, overwrite=options.overwrite)
     with Progress("importing"):
         from ..importing import BagOptions, import_bag, import_log, import_recording, import_tables
@@ -57,6 +64,8 @@ def run(options: argparse.Namespace) -> None:
             _refuse_bag_options(options)
             _refuse_as_recording(options)
             found = import_recording(tables[0], out, robot, str(options.robot or ""))
+        elif options.topic is None and options.map is None and _propose(options, robot):
+            return
         elif robot is None:
             expected = "the robot's description; only recordings have their own"
             raise AcquisitionError(key="--robot", value=None, expected=expected)
@@ -84,6 +93,34 @@ def _print(found: "ImportSummary", warnings: TextIO) -> None:
         print(one_line(f"times: {found.times}"))
     for text in found.warnings:
         print(one_line(f"warning: {text}"), file=warnings)
+
+
+def _propose(options: argparse.Namespace, robot: "Robot | None") -> bool:
+    """Use the map of one CSV table, after it was proposed if there is none; whether the user has to go on."""
+    from ..files import atomic_write
+    from ..importing import TORQUE_SENSORS, is_bag, is_log, lines_to_fill_in, propose_map
+
+    table: Path = options.tables[0]
+    if len(options.tables) > 1 or is_bag(table) or is_log(table) or table.suffix.lower() == ".mat":
+        return False
+    options.map = table.with_suffix(".map.toml")
+    if options.map.exists():
+        return False
+    text = propose_map(table, robot)
+    with atomic_write(options.map) as partial:
+        partial.write_text(text, encoding="utf-8")
+    missing, sensors = lines_to_fill_in(text.encode()), TORQUE_SENSORS in text
+    print(one_line(f"{options.map}: proposed; {f'to be filled in: lines {missing}' if missing else 'complete'}"))
+    if robot is not None and sensors and any(joint.rotor_inertia for joint in robot.joints):
+        print(one_line(f"note: {TORQUE_SENSORS} do not see the rotors: state rotor_inertia = false in {options.robot}"))
+    if robot is None:
+        effort = '"N m" --torque-sensor' if sensors else "A --ratio R --drive-gain K" if '"A"' in text else "UNIT"
+        print(f"without a robot.toml: robot-identify init ARM.urdf --effort {effort} -o robot.toml")
+    if robot is None or missing:
+        print(
+            one_line(f"next: robot-acquire import {table} --robot {options.robot or 'robot.toml'} -o {options.output}")
+        )
+    return robot is None or bool(missing)
 
 
 def _refuse_bag_options(options: argparse.Namespace) -> None:

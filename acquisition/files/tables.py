@@ -16,6 +16,8 @@ from .atomic import atomic_write
 MAX_ROUNDING = 1e-18  # SI: masses, lengths and inertias of robots are larger
 # `data.q`, `q(:,2)`, `data.q(1:6,:)`: a variable or a field, with optional columns or rows in MATLAB's notation.
 _NAME = re.compile(r"(?P<path>[^()\s]+)(?:\(\s*(?P<rows>:|\d+(?::\d+)?)\s*,\s*(?P<columns>:|\d+(?::\d+)?)\s*\))?")
+# A cell with a decimal point: commas in the same table are no decimal ones.
+_POINT = re.compile(r"(?:^|[;\t ])[-+]?\d*\.\d+(?:e[-+]?\d+)?(?:[;\t ]|$)", re.IGNORECASE)
 
 
 def format_numbers(*values: float) -> str:
@@ -29,7 +31,8 @@ def read_columns(path: Path, columns: Sequence[str | int], count: int) -> Array:
     Parameters
     ----------
     path : CSV or MAT file (version 7 or older). CSV cells are separated by comma, semicolon, tab or blanks, as in the first
-        line. Lines that begin with # are skipped, but the last one above the numbers may be the header.
+        line; other commas are decimal ones. Lines that begin with # are skipped, but the last one above the numbers may be the
+        header.
     columns : of a CSV file, names in the header line or numbers from 1. Of a MAT file, variables, or fields of structs by
         dotted name; `(:,k)`, `(:,k:l)`, `(k,:)` or `(k:l,:)` after a name selects columns or rows,
         and one name may give several columns.
@@ -83,7 +86,18 @@ def write_columns(path: Path, names: Sequence[str], parts: Iterable[Array]) -> N
             np.savetxt(file, values, delimiter=",", fmt="%.17g")
 
 
-def _csv(data: bytes, columns: Sequence[str | int], place: Place) -> tuple[Array, list[str]]:
+def read_csv_head(path: Path, rows: int) -> tuple[list[str], bool, Array]:
+    """Names of the columns of a CSV file, whether they are those of a header, and its first `rows` rows; NaN for text."""
+    try:
+        names, has_header, separator, lines = _parse_csv(path.read_bytes(), Place(str(path)))
+    except OSError as error:
+        Place(str(path)).refuse(text=f"cannot be read: {error.strerror}")
+    cells = [[_number(cell) for cell in line.split(separator)] for _, line in lines[:rows]]
+    return names, has_header, np.array(cells, dtype=np.float64)
+
+
+def _parse_csv(data: bytes, place: Place) -> tuple[list[str], bool, str | None, list[tuple[int, str]]]:
+    """Names, whether there is a header, separator (None: blanks), rows with their line numbers, decimal commas as points."""
     text = data.decode("utf-8-sig", errors="replace").replace('"', "")
     lines = [(k, line) for k, line in enumerate(text.splitlines(), 1) if line.strip()]
     if not lines:
@@ -96,7 +110,6 @@ def _csv(data: bytes, columns: Sequence[str | int], place: Place) -> tuple[Array
     has_header = any(_number(cell) is None for cell in names)
     if not has_header:
         names = [f"column {k}" for k in range(1, len(names) + 1)]
-    chosen = [_index(column, names, has_header, place) for column in columns]
     rows = [(k, line) for k, line in lines[has_header:] if not line.startswith("#")]
     for k, line in rows:
         found = len(line.split()) if separator is None else line.count(separator) + 1
@@ -104,6 +117,14 @@ def _csv(data: bytes, columns: Sequence[str | int], place: Place) -> tuple[Array
             Place(f"{place}: line {k}").refuse(text=f"{found} cells", expected=str(len(names)))
     if not rows:
         place.refuse(text="has no rows", expected="numbers below the header")
+    if separator != "," and "," in text and not any(_POINT.search(line) for _, line in rows):
+        rows = [(k, line.replace(",", ".")) for k, line in rows]
+    return names, has_header, separator, rows
+
+
+def _csv(data: bytes, columns: Sequence[str | int], place: Place) -> tuple[Array, list[str]]:
+    names, has_header, separator, rows = _parse_csv(data, place)
+    chosen = [_index(column, names, has_header, place) for column in columns]
     labels = [names[k] for k in chosen]
     try:
         values = np.loadtxt([line for _, line in rows], delimiter=separator, usecols=chosen, ndmin=2, comments=None)

@@ -43,6 +43,8 @@ EFFORT_UNITS = {
     "N m": ("N m", 1.0),
     "mN m": ("N m", 1e-3),
     "N": ("N", 1.0),
+    "%": ("%", 1.0),
+    "per mille": ("%", 0.1),
 }
 # Efforts that exist at one side only, and the reason.
 ONE_SIDE: Mapping[str, tuple[Side, str]] = {

@@ -15,7 +15,7 @@ from ..arrays import Array
 from ..errors import Place
 from ..files import read_columns
 from ..recording import OPTIONAL, Header
-from ..robot import EffortTiming, Payload, Positive, Robot, note, parse_toml
+from ..robot import FILL_IN, EffortTiming, Payload, Positive, Robot, note, parse_toml
 from .quantities import Quantity, Source, TableNumber
 from .stamps import ticks_from_velocity
 from .time_base import MAX_GAP_PERIODS, GridValues, ImportSummary, resample, uniform_grid, with_warnings, write_samples
@@ -74,9 +74,12 @@ def import_tables(
     """
     place = Place(str(map_path))
     try:
-        table_map = parse_toml(map_path.read_bytes(), TableMap, str(map_path))
+        content = map_path.read_bytes()
     except OSError as error:
         place.refuse(text=f"cannot be read: {error.strerror}")
+    if lines := lines_to_fill_in(content):
+        place.refuse("lines", lines, "values instead of it in these lines, then the same command again", text=FILL_IN)
+    table_map = parse_toml(content, TableMap, str(map_path))
     source = Source(tables=tables, robot=robot, place=place)
     parts, provenance, effort_object = _parts(source, table_map)
     rows = len(parts["position"])
@@ -97,6 +100,11 @@ def import_tables(
         notes={**grid.notes, "effort_object": effort_object},
     )
     return write_samples(header, grid, (), names, out)
+
+
+def lines_to_fill_in(content: bytes) -> list[int]:
+    """Numbers of the lines of a map with `FILL_IN`, but for the first, which says what it is."""
+    return [k for k, line in enumerate(content.splitlines()[1:], 2) if FILL_IN.encode() in line]
 
 
 def _parts(source: Source, table_map: TableMap) -> tuple[dict[str, Array], str, str]:

@@ -18,8 +18,8 @@ RowStep = Annotated[int, msgspec.Meta(ge=1)]
 Share = Annotated[float, msgspec.Meta(ge=0, lt=100)]
 Lag = Annotated[float, msgspec.Meta(gt=-1, lt=1)]
 Edges = Literal["smooth", "matlab"]
-EffortUnit = Literal["A", "V", "N m", "N"]
-GainUnit = Literal["N m/A", "N m/V", "N/A", "N/V"]
+EffortUnit = Literal["A", "V", "N m", "N", "%"]
+GainUnit = Literal["N m/A", "N m/V", "N m/%", "N/A", "N/V", "N/%"]
 FrictionTerm = Literal["viscous", "coulomb", "offset", "asymmetric", "root", "load", "stribeck"]
 GAINS = ("position_gain", "velocity_gain", "integral_gain")
 Friction = Literal["symmetric", "asymmetric"] | tuple[FrictionTerm, ...]
@@ -159,7 +159,7 @@ class Motor(TomlTable, frozen=True):
         if self.drive_gain is not None and self.drive_gain <= 0:
             self.refuse("drive_gain", self.drive_gain, "a positive number (signs belong to ratio or motor_matrix)")
         if self.drive_gain_unit is None and self.effort_unit is None:
-            self.refuse("effort_unit", None, "effort_unit (A, V, N m or N) where no drive gain is given")
+            self.refuse("effort_unit", None, "effort_unit (A, V, N m, N or %) where no drive gain is given")
         if self.drive_gain_unit is not None and self.effort_unit not in (None, self.recorded_unit):
             self.refuse("effort_unit", self.effort_unit, f"{self.recorded_unit!r}, as drive_gain_unit says")
 

@@ -2,13 +2,14 @@
 
 import argparse
 import os
+from dataclasses import replace
 from pathlib import Path
 
-from acquisition.commands import add_path
+from acquisition.commands import add_flag, add_path
 from acquisition.errors import one_line
 
 from ..errors import IdentificationError
-from ..options import list_of_names, list_of_values
+from ..options import list_of_names, list_of_ratios, list_of_values
 from .arguments import refuse_outputs
 
 _URDF_OPTIONS = {
@@ -18,6 +19,7 @@ _URDF_OPTIONS = {
     "--following-error": ("Q", "maximum following error, rad or m"),
     "--bandwidth-hz": ("F", "bandwidth of the position loop in Hz; if several are given, the lowest is used"),
 }
+_EFFORTS = {"--ratio": ("A", "N m", "%"), "--drive-gain": ("A", "%"), "--torque-sensor": ("N m",)}  # that go with them
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -30,8 +32,19 @@ def add(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--joints", type=list_of_names, metavar="A,B", help=text)
     for option, (metavar, text) in _URDF_OPTIONS.items():
         group.add_argument(option, type=list_of_values, metavar=metavar, help=text)
+    group.add_argument(
+        "--effort", choices=_EFFORTS["--ratio"], help="unit of the recorded efforts; %% of the rated torque"
+    )
+    text = "with --effort: motor rad (or m) per joint rad (or m), sign included"
+    group.add_argument("--ratio", type=list_of_ratios, metavar="R", help=text)
+    text = "with --effort A or %%: motor torque in N m (or force in N) per unit of effort"
+    group.add_argument("--drive-gain", type=list_of_values, metavar="K", help=text)
+    add_flag(
+        group, "--torque-sensor", "with --effort 'N m': of torque sensors behind the gears, which do not see the rotors"
+    )
     add_path(parser, "--bus", "BUS.toml", "the [bus] that `robot-acquire scan` wrote, instead of example drives")
     add_path(parser, "-o --out", "ROBOT.toml", "the description to write (default: standard output)")
+    add_flag(parser, "--overwrite", "replace an existing description")
 
 
 def run(options: argparse.Namespace) -> None:
@@ -42,15 +55,21 @@ def run(options: argparse.Namespace) -> None:
 
     out: Path | None = options.out
     refuse_outputs([path for path in (options.robot, options.bus) if path is not None], out)
-    if out is not None and out.exists():
-        expected = "a new name; descriptions are not replaced"
+    if out is not None and out.exists() and not options.overwrite:
+        expected = "a new name, or --overwrite"
         raise IdentificationError("already exists", place=str(out), expected=expected)
     if (options.robot is None) == (options.dh is None) or (options.dh and options.joints):
         expected = "ROBOT.urdf, or --dh with a letter for each joint and without --joints"
         raise IdentificationError(key="--dh", value=options.dh, expected=expected)
     chain = chain_of_letters(options.dh) if options.dh else read_chain(options.robot, options.joints or ())
-    given = {option: getattr(options, option.removeprefix("--").replace("-", "_")) for option in _URDF_OPTIONS}
-    chain = chain.with_options({option: values for option, values in given.items() if values is not None})
+    given = {option: getattr(options, option[2:].replace("-", "_")) for option in (*_URDF_OPTIONS, *_EFFORTS)}
+    given = {option: values for option, values in given.items() if values}
+    for option, units in _EFFORTS.items():
+        if option in given and (options.effort not in units or (option == "--ratio" and options.torque_sensor)):
+            expected = f"with --effort {' or '.join(map(repr, units))}, and --ratio not with --torque-sensor"
+            raise IdentificationError(key=option, value=given[option], expected=expected)
+    sensors = given.pop("--torque-sensor", False)
+    chain = replace(chain.with_options(given), effort_unit=options.effort or "", torque_sensors=sensors)
     folder = Path.cwd() if out is None else out.absolute().parent
     bus = "" if options.bus is None else _bus_of(options.bus, len(chain.joints))
     urdf = options.robot and os.path.relpath(options.robot.absolute(), folder)
@@ -64,6 +83,10 @@ def run(options: argparse.Namespace) -> None:
     lines += [f"joint {j + 1}: {joint.name}, {joint.type}" for j, joint in enumerate(chain.joints)]
     lines += [f"locked at zero: {locked}" for locked in chain.locked]
     lines += [f"note: {note}" for note in chain.notes]
+    if chain.torque_sensors:
+        lines += [
+            "rotor_inertia = false: torque sensors do not see rotors; a motor's torque referred to the joint does"
+        ]
     missing = sum(FILL_IN in line for line in text.splitlines()[1:])
     for line in [*lines, f"to be filled in: {missing} lines with {FILL_IN}"]:
         print(one_line(line))

@@ -26,19 +26,16 @@ _NUMBERS = {
     "damping": ("dynamics", "damping"),
     "friction": ("dynamics", "friction"),
 }
-_OPTION_FIELDS = {
-    "--range": "position",
-    "--speed": "speed",
-    "--acceleration": "acceleration",
-    "--following-error": "following_error",
-}
+_PER_JOINT = ("speed", "acceleration", "following-error", "ratio", "drive-gain")
+_OPTION_FIELDS = {"--range": "position"} | {f"--{name}": name.replace("-", "_") for name in _PER_JOINT}
+_OF_A_HAND = re.compile("finger|thumb|gripper|knuckle|jaw", re.IGNORECASE)
 
 
 @dataclass(frozen=True, kw_only=True)
 class UrdfJoint:
     """A joint of the chain, SI: rad or m, N m or N. Missing values are None; missing damping and friction are 0.
 
-    Acceleration and following error come from options: a URDF has none.
+    Acceleration, following error, ratio and drive gain (motor N m or N per unit of effort) come from options.
     """
 
     name: str
@@ -51,6 +48,8 @@ class UrdfJoint:
     friction: float
     acceleration: float | None = None
     following_error: float | None = None
+    ratio: float | None = None
+    drive_gain: float | None = None
 
     @property
     def unit(self) -> str:
@@ -69,6 +68,7 @@ class Chain:
         rigid: for each joint of the chain, the links that move with it as one body.
         notes: links whose inertia is impossible for a rigid body, though its numbers are not negative.
         bandwidth_hz: of the position loops; not part of a URDF.
+        effort_unit: of the recorded efforts, empty: N m or N at the joints; torque_sensors: whether these are their source.
     """
 
     place: str
@@ -79,6 +79,8 @@ class Chain:
     rigid: tuple[tuple[str, ...], ...]
     notes: tuple[str, ...]
     bandwidth_hz: float | None = None
+    effort_unit: str = ""
+    torque_sensors: bool = False
 
     def with_options(self, options: Mapping[str, Sequence[float]]) -> "Chain":
         """Apply options in rad or m (per s, s²) and Hz: one value for all joints, or one for each.
@@ -126,7 +128,7 @@ def is_urdf(path: Path) -> bool:
 def read_chain(path: Path, names: Sequence[str] = ()) -> Chain:
     """Read a URDF with its limits, damping and friction.
 
-    `names` are the joints to identify, from the base outwards; by default those of the longest serial chain. Raises
+    `names` are the joints to identify, from the base outwards; by default the longest serial chain without fingers. Raises
     `IdentificationError`: not a URDF, not one tree, floating or planar joints, two chains of equal length, invalid numbers,
     reversed limits, negative masses or inertias.
     """
@@ -248,11 +250,11 @@ def _number(text: str | None, place: str, key: str) -> float:
 
 
 def _find_longest(tree: _Tree) -> list[str]:
-    free = set(tree.movable)
+    free = {name for name in tree.movable if not _OF_A_HAND.search(name)} or {*tree.movable}
     if not free:
         expected = f"joints of the types {', '.join(_MOVABLE)}"
         raise IdentificationError("no joint moves", place=tree.place, expected=expected)
-    chains = {name: [joint for joint in tree.path(name) if joint in free] for name in tree.movable}
+    chains = {name: [joint for joint in tree.path(name) if joint in free] for name in tree.movable if name in free}
     most = max(map(len, chains.values()))
     last = [name for name, chain in chains.items() if len(chain) == most]
     if len(last) > 1:

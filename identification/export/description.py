@@ -64,6 +64,8 @@ def describe(chain: Chain, urdf: str, bus: str = "") -> str:
     head += "\n".join(_motors_and_controller(chain))
     drives = [f"# {FILL_IN}: the drives. Replace every number by those of the real drives."]
     drives = [bus.rstrip()] if bus else drives + [_EXAMPLE + line for line in _drives(chain)]
+    if not bus and (chain.effort_unit in ("A", "%") or any(joint.ratio for joint in chain.joints)):
+        drives = []  # those of the example record the torque at the joint
     return "\n".join([head, *_parameters(chain, _load_robot(head, chain)), "", *drives, ""])
 
 
@@ -105,6 +107,8 @@ def _joint(chain: Chain, j: int) -> Iterator[str]:
     yield f"[[joint]] # joint {j + 1}: the names of its parameters end in {j + 1}"
     yield f"name = {json.dumps(joint.name)}"
     yield f'type = "{joint.type}"'
+    if chain.torque_sensors:
+        yield "rotor_inertia = false # torque sensors behind the gears do not see the rotors"
     length, scale = ("m", 1.0) if joint.type == "prismatic" else ("deg", math.degrees(1.0))
     to_move = "not in a URDF; needed to move"
     for key, value, remark in (
@@ -133,14 +137,15 @@ def _number(x: float) -> str:
 def _motors_and_controller(chain: Chain) -> Iterator[str]:
     yield ""
     yield ""
-    yield f"# {FILL_IN}: for each motor"
-    yield "#     ratio = 100               motor rad (or m) per joint rad (or m), sign included"
-    yield '#     drive_gain = 0.12         motor torque per unit of recorded effort, with drive_gain_unit = "N m/A"'
-    yield "# instead of effort_unit. As written here, the drives record the torque or force at the joint."
+    if not chain.effort_unit:
+        yield f"# {FILL_IN}: for each motor"
+        yield "#     ratio = 100               motor rad (or m) per joint rad (or m), sign included"
+        yield '#     drive_gain = 0.12         motor torque per unit of recorded effort, with drive_gain_unit = "N m/A"'
+        yield "# instead of effort_unit. As written here, the drives record the torque or force at the joint."
     for j, joint in enumerate(chain.joints):
         yield "[[motor]]"
         yield f'name = "motor_{j + 1}"'
-        yield f"effort_unit = {json.dumps('N' if joint.type == 'prismatic' else 'N m')}"
+        yield from _motor(chain, joint)
     yield ""
     yield "[controller]"
     if chain.bandwidth_hz is None:
@@ -154,6 +159,24 @@ def _motors_and_controller(chain: Chain) -> Iterator[str]:
         yield f"# {gain} = [{', '.join(['...'] * len(chain.joints))}]"
 
 
+def _motor(chain: Chain, joint: UrdfJoint) -> Iterator[str]:
+    """Ratio, drive gain and unit of the effort. A gain has no effect before the ratio is known too: it would give wrong N m."""
+    torque = "N" if joint.type == "prismatic" else "N m"
+    unit = torque if chain.effort_unit in ("", "N m") else chain.effort_unit
+    gain = "..." if joint.drive_gain is None else _number(joint.drive_gain)
+    known = joint.ratio is not None and joint.drive_gain is not None
+    if joint.ratio is not None:
+        yield f"ratio = {_number(joint.ratio)}"
+    elif chain.effort_unit and not chain.torque_sensors:
+        yield f"# ratio = ... # {FILL_IN}: motor rad (or m) per joint rad (or m), sign included; none for efforts at the joint"
+    if unit != torque:
+        mark = "" if known else f" # {FILL_IN}: replaces effort_unit, together with ratio"
+        yield f"{'' if known else '# '}drive_gain = {gain}{mark}"
+        yield f'{"" if known else "# "}drive_gain_unit = "{torque}/{unit}"'
+    if not known:
+        yield f'effort_unit = "{unit}"'
+
+
 def _parameters(chain: Chain, robot: Robot) -> Iterator[str]:
     """A-priori values: the links' inertials as pinocchio lumps them, with Khalil's names."""
     model = InverseModel(robot)
@@ -161,7 +184,10 @@ def _parameters(chain: Chain, robot: Robot) -> Iterator[str]:
     yield ""
     yield "# A-priori values: the URDF's inertials about the joints' frames (fixed and locked links lumped), its damping and"
     yield "# friction. Simulations use them; a fit does not."
-    yield f"# {FILL_IN}: rotor inertias, which are not in a URDF, and missing friction; without values they are 0."
+    unless = (
+        "missing friction" if chain.torque_sensors else "rotor inertias, which are not in a URDF, and missing friction"
+    )
+    yield f"# {FILL_IN}: {unless}; without values they are 0."
     yield "[parameters]"
     for j, joint in enumerate(chain.joints):
         mass = values[j, LINK.index("M")]
@@ -176,7 +202,7 @@ def _parameters(chain: Chain, robot: Robot) -> Iterator[str]:
         for name, value in (*zip(LINK, values[j], strict=True), ("Fv", joint.damping), ("Fc", joint.friction)):
             if abs(value) > _MAX_ROUNDING:
                 yield f"{name}{j + 1} = {value:.15g}"
-        yield from _example_terms(joint, j + 1)
+        yield from list(_example_terms(joint, j + 1))[chain.torque_sensors :]  # the first is the rotor's
 
 
 def _example_terms(joint: UrdfJoint, number: int) -> Iterator[str]:
