@@ -1,10 +1,9 @@
 """The Python interface of `import identification`: fits, what one does with a fit, and the main names."""
 
-import os
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import wraps
+from functools import cached_property, wraps
 from pathlib import Path
 from typing import Any, Literal, ParamSpec
 
@@ -27,36 +26,30 @@ from .design import ExcitationSettings as ExcitationSettings
 from .design import select_friction as select_friction
 from .errors import DoNotUseWarning as DoNotUseWarning
 from .errors import IdentificationError as IdentificationError
+from .fits import AnyFit, File
+from .fits import StoredFit as StoredFit
 from .methods import Iteration as Iteration
 from .regression import Overrides as Overrides
-from .report import Assumed, Difference, FitFile, Parameter, ValidationFile, Verdict
-from .report import read_fit as read_fit
+from .report import FitFile, ValidationFile
 from .study import Noise as Noise
 from .study import Run
 from .study import Study as Study
 
-File = str | os.PathLike[str]
-Out = File | None
 P = ParamSpec("P")
 
 
-class Fit(methods.Fit):
+class Fit(AnyFit, methods.Fit):
     """Base parameters of a robot with their tests, and what can be written of them; attributes as of `methods.Fit`."""
 
-    @property
-    def verdict(self) -> Verdict:
-        """`trust`, `caution` or `do not use`: the worst test; `trust.lines` has all of them."""
-        return self.trust.verdict
+    @cached_property
+    def file(self) -> FitFile:
+        """What `to_json` writes."""
+        return methods.fit_file(self)
 
-    @property
-    def assumed(self) -> tuple[Assumed, ...]:
-        """What no test covers: `what`, `value`, `why`."""
-        return self.trust.assumed
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """The fitted parameters: `name`, `value`, 95 % interval `low` to `high`, `unit`, `expression`, `essential`."""
-        return tuple(methods.fitted_parameters(self).parameters.values())
+    @cached_property
+    def place(self) -> str:
+        """The name of the (first) recording."""
+        return self.problem.signals.recording
 
     def residuals(self) -> Array:
         """(rows, n) measured minus predicted torque, N m or N, of the decimated rows at `t_s`; recordings in their order."""
@@ -64,7 +57,7 @@ class Fit(methods.Fit):
 
     def to_json(self, path: File) -> None:
         """Write the file of `robot-identify fit --json`; `read_fit` reads it."""
-        report.write_json(Path(path), methods.fit_file(self))
+        report.write_json(Path(path), self.file)
 
     def write_report(self, path: File) -> None:
         """Write the whole report: .md the tables, .html also the pictures."""
@@ -96,37 +89,16 @@ class Fit(methods.Fit):
         found = None if prior is None else methods.read_prior(Path(prior), self.problem.signals.robot)
         return Fit(**vars(methods.with_consistent(self, found)))
 
-    def compare(self, other: methods.Fit | FitFile) -> tuple[Difference, ...]:
-        """The differences of the parameters from those of another fit: `name`, `off`, `off_percent`, `off_sigma`.
-
-        Warns where the link frames differ. Raises `IdentificationError`: nothing in common, or other units.
-        """
-        a, b = methods.fit_file(self), methods.fit_file(other) if isinstance(other, methods.Fit) else other
-        for line in report.frame_lines(a, b, ("this fit", "the other")):
-            warnings.warn(line, stacklevel=2)
-        sets = (report.ParameterSet.of_file(one, label) for one, label in ((a, "this fit"), (b, "the other")))
-        return tuple(report.differences(*sets))
-
-    def export(self, *, urdf: Out = None, mjcf: Out = None, toml: Out = None, allow_untrusted: bool = False) -> str:
-        """Write the fit as a URDF, a MuJoCo model and a robot.toml; those of `consistent` if it was called.
-
-        Returns what each format cannot represent, as Markdown. Raises `IdentificationError`: the verdict is `do not use` and
-        not `allow_untrusted`; a fit in A or V; impossible parameters.
-        """
-        outputs = {"urdf": urdf, "mjcf": mjcf, "toml": toml}
-        paths = {kind: Path(path) for kind, path in outputs.items() if path is not None}
-        stored, name = methods.fit_file(self), self.problem.signals.recording
-        return report.to_markdown(export.export_fit(stored, name, untrusted=allow_untrusted, **paths))
-
     def _repr_html_(self) -> str:
         return report.to_html(methods.fit_document(self.problem.signals, self))
 
 
 def _of_user(found: methods.Fit) -> Fit:
     """The fit as users have it; called by what users call, so that the warning names their line."""
-    if found.distrust:
-        warnings.warn(f"do not use {found!r}: {'; '.join(found.distrust)}", DoNotUseWarning, stacklevel=3)
-    return Fit(**vars(found))
+    fit = Fit(**vars(found))
+    if fit.distrust:
+        warnings.warn(f"do not use {fit!r}: {'; '.join(fit.distrust)}", DoNotUseWarning, stacklevel=3)
+    return fit
 
 
 def _for_users(identify: Callable[P, methods.Fit]) -> Callable[P, Fit]:
@@ -138,6 +110,14 @@ def _for_users(identify: Callable[P, methods.Fit]) -> Callable[P, Fit]:
 
 
 identify_ls, identify_iv = _for_users(methods.identify_ls), _for_users(methods.identify_iv)
+
+
+def read_fit(path: File) -> StoredFit:
+    """The fit in a JSON file, or known values.
+
+    Raises `IdentificationError` where it cannot be read, or is not a fit of this format; `place` is the file.
+    """
+    return StoredFit(path)
 
 
 def read_robot(
@@ -247,14 +227,12 @@ def fit(
     return _of_user(methods.identify(Recordings(sources=tuple(sources)), overrides, method=method, essential=essential))
 
 
-def validate(
-    fit: methods.Fit | FitFile, recording: Signals | File, overrides: Overrides | None = None
-) -> ValidationFile:
+def validate(fit: AnyFit, recording: Signals | File, overrides: Overrides | None = None) -> ValidationFile:
     """Torque errors of a fit on another recording of the robot: `relative_error_percent` of all rows, `joints`, `warnings`.
 
     `overrides` replace the settings of the fit. Raises `IdentificationError`: the recording is of another robot.
     """
-    stored = methods.fit_file(fit) if isinstance(fit, methods.Fit) else fit
+    stored = fit.file
     in_memory = isinstance(recording, Signals)
     signals, path = (
         (recording, Path()) if isinstance(recording, Signals) else (load_signals(recording), Path(recording))

@@ -8,6 +8,7 @@ from typing import Literal
 import msgspec
 import numpy as np
 from msgspec import UNSET
+from numpy.typing import ArrayLike
 
 from acquisition.robot import LowSpeed, Robot, robot_from_files
 
@@ -15,7 +16,7 @@ from ..arrays import Array
 from ..data import Signals, check_one_robot, load_signals
 from ..errors import IdentificationError
 from ..estimation import Estimate, Intervals, one_thread, torque_errors
-from ..model import BaseParameters, InverseModel, base_parameters, base_prior
+from ..model import BaseParameters, InverseModel, base_parameters, base_prior, direct_model
 from ..regression import Overrides, Problem, base_name, make_problem, payload_of, torque_of_recording
 from ..report import FitFile, Parameter, ParameterSet, TorqueError
 from .consistent import read_prior, refuse_unknown_gain
@@ -126,6 +127,17 @@ def with_stored_gains(stored: FitFile, robot: Robot) -> Robot:
     found = {one.motor: one.value for one in stored.gains}
     gains = [found.get(motor.name, gain) for motor, gain in zip(robot.motors, robot.gain, strict=True)]
     return replace(robot, identified_gain=np.array(gains))
+
+
+def stored_torque(stored: FitFile, place: str, motion: tuple[ArrayLike, ArrayLike, ArrayLike]) -> Array:
+    """(rows, n) torque IDM(q, dq, ddq) beta of a stored fit along a motion of three arrays (rows, n)."""
+    if (robot := stored_robot(stored, place)) is None:
+        raise IdentificationError(place=place, key="description", value=None, expected="a fit with its robot.toml")
+    base, arrays = base_parameters(model := InverseModel(robot)), [np.asarray(x, dtype=np.float64) for x in motion]
+    for name, x in zip(("q", "dq", "ddq"), arrays, strict=True):
+        if x.shape != (len(arrays[0]), robot.n):
+            raise IdentificationError(key=f"{name}.shape", value=x.shape, expected=f"(rows, {robot.n}), as of q")
+    return direct_model(model, base.standard_parameters(stored_beta(stored, base, place))).torque(*arrays)
 
 
 def other_meaning(stored: FitFile, base: BaseParameters) -> list[str]:

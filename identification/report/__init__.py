@@ -34,6 +34,7 @@ from .fit_file import (
     ValidationFile,
     Verdict,
     read_fit,
+    stored_document,
     versions,
 )
 from .parameters import (
