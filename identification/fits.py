@@ -11,7 +11,20 @@ from numpy.typing import ArrayLike
 
 from . import export, methods, report
 from .arrays import Array
-from .report import Assumed, Difference, FitFile, Parameter, Verdict
+from .report import (
+    Assumed,
+    Difference,
+    Document,
+    FitFile,
+    Number,
+    Parameter,
+    Section,
+    Table,
+    Verdict,
+    columns,
+    to_html,
+    value_form,
+)
 
 File = str | os.PathLike[str]
 Out = File | None
@@ -22,22 +35,15 @@ class Parameters(tuple[Parameter, ...]):
 
     def to_dict(self) -> dict[str, list[Any]]:
         """Columns by name, as pandas takes them; `half_width` of the 95 % interval."""
-        columns = ("name", "value", "half_width", "low", "high", "unit", "expression", "essential")
-        return {name: [getattr(p, "half" if name == "half_width" else name) for p in self] for name in columns}
+        names = ("name", "value", "half_width", "low", "high", "unit", "expression", "essential")
+        return {name: [getattr(p, "half" if name == "half_width" else name) for p in self] for name in names}
 
 
 class AnyFit:
-    """A fit, by its JSON file."""
+    """A fit: `file` has all keys of its JSON file, `place` is its name in errors and in what is exported."""
 
-    @cached_property
-    def file(self) -> FitFile:
-        """All keys of the JSON file."""
-        raise NotImplementedError
-
-    @cached_property
-    def place(self) -> str:
-        """The name of the fit in errors and exported models."""
-        raise NotImplementedError
+    file: cached_property[FitFile]
+    place: cached_property[str]
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.file.summary})"
@@ -58,11 +64,8 @@ class AnyFit:
         return Parameters(self.file.parameters)
 
     def predict(self, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike) -> Array:
-        """(rows, n) torque, N m or N, of the model at positions, speeds and accelerations (rows, n), rad or m, s; no payload.
-
-        Raises `IdentificationError`: other shapes, or a fit without the description of its robot.
-        """
-        return methods.stored_torque(self.file, self.place, (q, dq, ddq))
+        """(rows, n) torque, N m or N, of the model without payload along q, dq, ddq (rows, n), rad or m and s."""
+        return methods.stored_torque(self.file, self.place, q, dq, ddq)
 
     def compare(self, other: "AnyFit") -> tuple[Difference, ...]:
         """The differences of the parameters from those of another fit: `name`, `off`, `off_percent`, `off_sigma`.
@@ -80,8 +83,8 @@ class AnyFit:
         Returns what each format cannot represent, as Markdown. Raises `IdentificationError`: the verdict is `do not use` and
         not `allow_untrusted`; a fit in A or V; impossible parameters.
         """
-        outputs = {"urdf": urdf, "mjcf": mjcf, "toml": toml}
-        paths = {kind: Path(path) for kind, path in outputs.items() if path is not None}
+        outputs = (("urdf", urdf), ("mjcf", mjcf), ("toml", toml))
+        paths = {kind: Path(path) for kind, path in outputs if path is not None}
         return report.to_markdown(export.export_fit(self.file, self.place, untrusted=allow_untrusted, **paths))
 
 
@@ -92,4 +95,9 @@ class StoredFit(AnyFit):
         self.file, self.place = report.read_fit(path), str(path)
 
     def _repr_html_(self) -> str:
-        return report.to_html(report.stored_document(self.file, self.place))
+        best = sorted(self.parameters, key=lambda p: p.half / (abs(p.value) or 1.0))[:10]
+        rows = [(p.name, p.unit, Number(p.value, value_form(p.spread)), Number(p.half, ".2g")) for p in best]
+        table = Table(columns=columns("name", "unit", numbers=("value", "±95%")), rows=tuple(rows))
+        doubts = tuple(line.text for line in self.file.trust or () if line.level in ("do not use", "caution"))
+        title = f"{self.place}: {self.file.summary}; the {len(rows)} best known `parameters`:"
+        return to_html(Document(title=title, sections=(Section(warnings=doubts, table=table),)))

@@ -30,7 +30,7 @@ from .fits import AnyFit, File
 from .fits import StoredFit as StoredFit
 from .methods import Iteration as Iteration
 from .regression import Overrides as Overrides
-from .report import FitFile, ValidationFile
+from .report import ValidationFile
 from .study import Noise as Noise
 from .study import Run
 from .study import Study as Study
@@ -41,15 +41,8 @@ P = ParamSpec("P")
 class Fit(AnyFit, methods.Fit):
     """Base parameters of a robot with their tests, and what can be written of them; attributes as of `methods.Fit`."""
 
-    @cached_property
-    def file(self) -> FitFile:
-        """What `to_json` writes."""
-        return methods.fit_file(self)
-
-    @cached_property
-    def place(self) -> str:
-        """The name of the (first) recording."""
-        return self.problem.signals.recording
+    file = cached_property(methods.fit_file)
+    place = cached_property[str](lambda fit: fit.problem.signals.recording)
 
     def residuals(self) -> Array:
         """(rows, n) measured minus predicted torque, N m or N, of the decimated rows at `t_s`; recordings in their order."""
@@ -113,10 +106,7 @@ identify_ls, identify_iv = _for_users(methods.identify_ls), _for_users(methods.i
 
 
 def read_fit(path: File) -> StoredFit:
-    """The fit in a JSON file, or known values.
-
-    Raises `IdentificationError` where it cannot be read, or is not a fit of this format; `place` is the file.
-    """
+    """The fit of a JSON file, or known values. Raises `IdentificationError`: it cannot be read, or is no fit of this format."""
     return StoredFit(path)
 
 
@@ -147,7 +137,7 @@ def _robot(robot: File | Robot) -> Robot:
 def fit(
     q: ArrayLike | Sequence[ArrayLike],
     tau: ArrayLike | Sequence[ArrayLike],
-    sample_rate_hz: float,
+    sample_rate_hz: float | Sequence[float],
     robot: File | Robot,
     q_ref: ArrayLike | Sequence[ArrayLike] | None = None,
     *,
@@ -164,7 +154,9 @@ def fit(
     payload: str | Sequence[str | None] | None = None,
     gains: Sequence[str] = (),
 ) -> Fit:
-    """Base parameters of a robot from arrays. `identify_ls` and `identify_iv` do the same for recordings.
+    """Base parameters of a robot from arrays; of several recordings from lists of arrays, one for each, and one rate or a list.
+
+    `identify_ls` and `identify_iv` do the same for files.
 
     Parameters
     ----------
@@ -185,8 +177,7 @@ def fit(
         explains the sum.
     feedforward : (N, n) added to the controller's output, per motor in the unit of the recorded effort (which includes it);
         the simulated controller adds it too.
-    payload : what the robot carried, as `KG@X,Y,Z`, m. With a sequence, by recording and None for nothing, all arrays are
-        sequences of those of each recording.
+    payload : what the robot carried, as `KG@X,Y,Z`, m; with a sequence, of each recording, None for nothing.
     gains : motors whose drive gains are identified, `("all",)` for all, from recordings with and without a payload.
 
     Returns
@@ -209,14 +200,22 @@ def fit(
             "has no effect", key="bandwidth_hz", value=bandwidth_hz, expected="a URDF's path with it"
         )
     described = robot if isinstance(robot, Robot) else read_robot(robot, bandwidth_hz=bandwidth_hz)
+    first = q[0] if isinstance(q, list | tuple) and q else ()
+    several = isinstance(payload, list | tuple) or np.asarray(first, dtype=object).ndim == 2
     arrays = {"q": q, "effort": tau, "q_ref": q_ref, "velocity": velocity, "known_torque": known_torque}
-    given: dict[str, Any] = {name: x for name, x in (arrays | {"feedforward": feedforward}).items() if x is not None}
-    alone, sources = payload is None or isinstance(payload, str), list[Signals]()
-    texts = (payload,) if payload is None or isinstance(payload, str) else tuple(payload)
-    for k, text in enumerate(texts):
-        own = given if alone else {name: x[k] for name, x in given.items()}
-        signals = signals_from_arrays(sample_rate_hz=sample_rate_hz, robot=described, **own)
-        sources.append(replace(signals, payload=parse_payload(text, described) if text else None))
+    others = {"feedforward": feedforward, "sample_rate_hz": sample_rate_hz, "payload": payload or ""}
+    given: dict[str, Any] = {name: x for name, x in (arrays | others).items() if x is not None}
+    count, sources = len(given["q"]) if several else 1, list[Signals]()
+    for name, x in given.items():
+        given[name] = x if several and isinstance(x, list | tuple | np.ndarray) else [x] * count
+        if len(given[name]) != count:
+            raise IdentificationError(key=f"len({name})", value=len(x), expected=f"{count}, one for each of q")
+    for k in range(count):
+        one = {name: x[k] for name, x in given.items()}
+        text, signals = one.pop("payload"), signals_from_arrays(robot=described, **one)
+        payload_k = parse_payload(text, described, "payload") if text else None
+        name = f"{signals.recording} {k + 1}" if several else signals.recording
+        sources.append(replace(signals, recording=name, payload=payload_k))
     overrides = Overrides(
         cutoff_hz=cutoff_hz,
         decimation=decimation,
@@ -232,15 +231,13 @@ def validate(fit: AnyFit, recording: Signals | File, overrides: Overrides | None
 
     `overrides` replace the settings of the fit. Raises `IdentificationError`: the recording is of another robot.
     """
-    stored = fit.file
-    in_memory = isinstance(recording, Signals)
     signals, path = (
         (recording, Path()) if isinstance(recording, Signals) else (load_signals(recording), Path(recording))
     )
-    signals, notes = methods.signals_as_fitted(signals, path, stored, "the fit", chosen=in_memory)
-    settings, of_lag = methods.stored_settings(stored, signals, overrides or Overrides())
-    each, errors = methods.validate_all([(signals, settings)], stored, "the fit")
-    doubts = (*each[0].settings.warnings, *notes, *of_lag, *stored.warnings_of("the fit"))
+    signals, notes = methods.signals_as_fitted(signals, path, fit.file, "the fit", chosen=path == Path())
+    settings, of_lag = methods.stored_settings(fit.file, signals, overrides or Overrides())
+    each, errors = methods.validate_all([(signals, settings)], fit.file, "the fit")
+    doubts = (*each[0].settings.warnings, *notes, *of_lag, *fit.file.warnings_of("the fit"))
     return methods.validation_file(each, "the fit", errors, doubts)
 
 
@@ -267,7 +264,7 @@ def design_reference(
         fit=None if fit is None else Path(fit),
         noise=noise,
         after=[Path(path) for path in after],
-        payload=parse_payload(payload, described) if payload else None,
+        payload=parse_payload(payload, described, "payload") if payload else None,
     )
     return design.excite(described, settings or ExcitationSettings(), prior, place)
 
@@ -281,7 +278,7 @@ def simulate_recording(
     """
     described = _robot(robot)
     refuse_clash((), Path(out))
-    carried = parse_payload(payload, described) if payload else None
+    carried = parse_payload(payload, described, "payload") if payload else None
     study.simulate_recording(described, Path(out), settings or Study(), carried)
     return load_signals(out)
 

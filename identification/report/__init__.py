@@ -34,7 +34,6 @@ from .fit_file import (
     ValidationFile,
     Verdict,
     read_fit,
-    stored_document,
     versions,
 )
 from .parameters import (

@@ -13,7 +13,7 @@ import msgspec
 from msgspec import UNSET, UnsetType
 
 from ..errors import IdentificationError
-from .document import FORMAT, Document, Number, ResultFile, Section, Table, columns, value_form
+from .document import FORMAT, ResultFile
 from .parameters import (
     AboveZero,
     ConsistentFile,
@@ -234,14 +234,13 @@ class FitFile(OnRecording, frozen=True, kw_only=True):
     @property
     def summary(self) -> str:
         """What it is, in a line."""
-        made, error, total = self.provenance, self.moving_relative_error_percent, len(self.parameters)
-        if not self.method or made is None:
-            return f"known values of {total} parameters"
-        names = ", ".join(one.recording for one in self.recordings or ()) or made.recording
-        essential, total = sum(p.essential for p in self.parameters), total + len(self.left_out or ())
+        error, total = self.moving_relative_error_percent, len(self.parameters) + len(self.left_out or ())
+        if not self.verdict or self.provenance is None:
+            return f"{total} parameters"
+        names = ", ".join(one.recording for one in self.recordings or (self.provenance,))
         moving = "nothing moves" if error is None else f"moving error {error:.3g} %"
-        first = f"{made.robot}, {names}, {self.method}, {self.status or 'solved'}, verdict {self.verdict or 'unknown'}"
-        return f"{first}: {total} parameters, {essential} essential, {moving}"
+        made = f"{self.provenance.robot}, {names}, {self.method}, {self.status}, verdict {self.verdict}"
+        return f"{made}: {total} parameters, {sum(p.essential for p in self.parameters)} essential, {moving}"
 
     def __repr__(self) -> str:
         return f"FitFile({self.summary})"
@@ -258,19 +257,6 @@ class ValidationFile(OnRecording, frozen=True, kw_only=True):
 
     fit: str
     consistent_errors: list[TorqueError] | UnsetType = UNSET
-
-
-def stored_document(stored: FitFile, place: str) -> Document:
-    """A stored fit in short: the tests that it does not pass, and the ten parameters with the narrowest relative intervals."""
-    known = sorted((p for p in stored.parameters if p.value), key=lambda p: p.half / abs(p.value))[:10]
-    rows = [(p.name, p.unit, Number(p.value, value_form(p.spread)), Number(p.half, ".2g")) for p in known]
-    table = Table(columns=columns("name", "unit", numbers=("value", "±95%")), rows=tuple(rows))
-    doubts = tuple(line.text for line in stored.trust or () if line.level in ("do not use", "caution"))
-    hidden = len(stored.parameters) - len(rows)
-    lines = (f"{hidden} more in `parameters`",) if hidden else ()
-    return Document(
-        title=f"{place}: {stored.summary}", sections=(Section(warnings=doubts), Section(table=table, lines=lines))
-    )
 
 
 def read_fit(path: str | PathLike[str]) -> FitFile:
