@@ -226,6 +226,9 @@ def fit(
     return _of_user(methods.identify(Recordings(sources=tuple(sources)), overrides, method=method, essential=essential))
 
 
+fit.__annotations__ = {"return": Fit}  # `help` would write out numpy's ArrayLike, in 5000 characters
+
+
 def validate(fit: AnyFit, recording: Signals | File, overrides: Overrides | None = None) -> ValidationFile:
     """Torque errors of a fit on another recording of the robot: `relative_error_percent` of all rows, `joints`, `warnings`.
 
