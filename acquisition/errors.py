@@ -53,7 +53,7 @@ class RobotIdimError(Exception):
     @classmethod
     def of(cls, error: "RobotIdimError", more: str = "") -> Self:
         """The same error with its data, of this class; its message ends with `more`."""
-        found = cls(f"{error}{more}")
+        found = cls(f"{error.args[0]}{more}")
         found.__dict__.update(vars(error))
         return found
 

@@ -15,6 +15,7 @@ The rooms, lowest first. Other rooms use only what a room's `__init__` exports; 
     design       exciting references, the choice of friction terms
     view         Rerun files
     commands     the command line
+    fits         what a fit in memory and a stored one have in common
     notebook     the names below: fits of arrays, and what one does with a fit
 
 The main names are imported here on first use. A fit of arrays, its report and its model for a simulator:
@@ -48,6 +49,7 @@ __all__ = [
     "RecordingFile",
     "Recordings",
     "Signals",
+    "StoredFit",
     "Study",
     "Work",
     "design_reference",

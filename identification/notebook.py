@@ -1,10 +1,9 @@
 """The Python interface of `import identification`: fits, what one does with a fit, and the main names."""
 
-import os
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import wraps
+from functools import cached_property, wraps
 from pathlib import Path
 from typing import Any, Literal, ParamSpec
 
@@ -27,36 +26,23 @@ from .design import ExcitationSettings as ExcitationSettings
 from .design import select_friction as select_friction
 from .errors import DoNotUseWarning as DoNotUseWarning
 from .errors import IdentificationError as IdentificationError
+from .fits import AnyFit, File
+from .fits import StoredFit as StoredFit
 from .methods import Iteration as Iteration
 from .regression import Overrides as Overrides
-from .report import Assumed, Difference, FitFile, Parameter, ValidationFile, Verdict
-from .report import read_fit as read_fit
+from .report import ValidationFile
 from .study import Noise as Noise
 from .study import Run
 from .study import Study as Study
 
-File = str | os.PathLike[str]
-Out = File | None
 P = ParamSpec("P")
 
 
-class Fit(methods.Fit):
+class Fit(AnyFit, methods.Fit):
     """Base parameters of a robot with their tests, and what can be written of them; attributes as of `methods.Fit`."""
 
-    @property
-    def verdict(self) -> Verdict:
-        """`trust`, `caution` or `do not use`: the worst test; `trust.lines` has all of them."""
-        return self.trust.verdict
-
-    @property
-    def assumed(self) -> tuple[Assumed, ...]:
-        """What no test covers: `what`, `value`, `why`."""
-        return self.trust.assumed
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """The fitted parameters: `name`, `value`, 95 % interval `low` to `high`, `unit`, `expression`, `essential`."""
-        return tuple(methods.fitted_parameters(self).parameters.values())
+    file = cached_property(methods.fit_file)
+    place = cached_property[str](lambda fit: fit.problem.signals.recording)
 
     def residuals(self) -> Array:
         """(rows, n) measured minus predicted torque, N m or N, of the decimated rows at `t_s`; recordings in their order."""
@@ -64,7 +50,7 @@ class Fit(methods.Fit):
 
     def to_json(self, path: File) -> None:
         """Write the file of `robot-identify fit --json`; `read_fit` reads it."""
-        report.write_json(Path(path), methods.fit_file(self))
+        report.write_json(Path(path), self.file)
 
     def write_report(self, path: File) -> None:
         """Write the whole report: .md the tables, .html also the pictures."""
@@ -96,37 +82,16 @@ class Fit(methods.Fit):
         found = None if prior is None else methods.read_prior(Path(prior), self.problem.signals.robot)
         return Fit(**vars(methods.with_consistent(self, found)))
 
-    def compare(self, other: methods.Fit | FitFile) -> tuple[Difference, ...]:
-        """The differences of the parameters from those of another fit: `name`, `off`, `off_percent`, `off_sigma`.
-
-        Warns where the link frames differ. Raises `IdentificationError`: nothing in common, or other units.
-        """
-        a, b = methods.fit_file(self), methods.fit_file(other) if isinstance(other, methods.Fit) else other
-        for line in report.frame_lines(a, b, ("this fit", "the other")):
-            warnings.warn(line, stacklevel=2)
-        sets = (report.ParameterSet.of_file(one, label) for one, label in ((a, "this fit"), (b, "the other")))
-        return tuple(report.differences(*sets))
-
-    def export(self, *, urdf: Out = None, mjcf: Out = None, toml: Out = None, allow_untrusted: bool = False) -> str:
-        """Write the fit as a URDF, a MuJoCo model and a robot.toml; those of `consistent` if it was called.
-
-        Returns what each format cannot represent, as Markdown. Raises `IdentificationError`: the verdict is `do not use` and
-        not `allow_untrusted`; a fit in A or V; impossible parameters.
-        """
-        outputs = {"urdf": urdf, "mjcf": mjcf, "toml": toml}
-        paths = {kind: Path(path) for kind, path in outputs.items() if path is not None}
-        stored, name = methods.fit_file(self), self.problem.signals.recording
-        return report.to_markdown(export.export_fit(stored, name, untrusted=allow_untrusted, **paths))
-
     def _repr_html_(self) -> str:
         return report.to_html(methods.fit_document(self.problem.signals, self).short)
 
 
 def _of_user(found: methods.Fit) -> Fit:
     """The fit as users have it; called by what users call, so that the warning names their line."""
-    if found.distrust:
-        warnings.warn(f"do not use {found!r}: {'; '.join(found.distrust)}", DoNotUseWarning, stacklevel=3)
-    return Fit(**vars(found))
+    fit = Fit(**vars(found))
+    if fit.distrust:
+        warnings.warn(f"do not use {fit!r}: {'; '.join(fit.distrust)}", DoNotUseWarning, stacklevel=3)
+    return fit
 
 
 def _for_users(identify: Callable[P, methods.Fit]) -> Callable[P, Fit]:
@@ -138,6 +103,11 @@ def _for_users(identify: Callable[P, methods.Fit]) -> Callable[P, Fit]:
 
 
 identify_ls, identify_iv = _for_users(methods.identify_ls), _for_users(methods.identify_iv)
+
+
+def read_fit(path: File) -> StoredFit:
+    """The fit of a JSON file, or known values. Raises `IdentificationError`: it cannot be read, or is no fit of this format."""
+    return StoredFit(path)
 
 
 def read_robot(
@@ -167,7 +137,7 @@ def _robot(robot: File | Robot) -> Robot:
 def fit(
     q: ArrayLike | Sequence[ArrayLike],
     tau: ArrayLike | Sequence[ArrayLike],
-    sample_rate_hz: float,
+    sample_rate_hz: float | Sequence[float],
     robot: File | Robot,
     q_ref: ArrayLike | Sequence[ArrayLike] | None = None,
     *,
@@ -184,7 +154,9 @@ def fit(
     payload: str | Sequence[str | None] | None = None,
     gains: Sequence[str] = (),
 ) -> Fit:
-    """Base parameters of a robot from arrays. `identify_ls` and `identify_iv` do the same for recordings.
+    """Base parameters of a robot from arrays; of several recordings from lists of arrays, one for each, and one rate or a list.
+
+    `identify_ls` and `identify_iv` do the same for files.
 
     Parameters
     ----------
@@ -205,8 +177,7 @@ def fit(
         explains the sum.
     feedforward : (N, n) added to the controller's output, per motor in the unit of the recorded effort (which includes it);
         the simulated controller adds it too.
-    payload : what the robot carried, as `KG@X,Y,Z`, m. With a sequence, by recording and None for nothing, all arrays are
-        sequences of those of each recording.
+    payload : what the robot carried, as `KG@X,Y,Z`, m; with a sequence, of each recording, None for nothing.
     gains : motors whose drive gains are identified, `("all",)` for all, from recordings with and without a payload.
 
     Returns
@@ -229,14 +200,22 @@ def fit(
             "has no effect", key="bandwidth_hz", value=bandwidth_hz, expected="a URDF's path with it"
         )
     described = robot if isinstance(robot, Robot) else read_robot(robot, bandwidth_hz=bandwidth_hz)
+    first = q[0] if isinstance(q, list | tuple) and q else ()
+    several = isinstance(payload, list | tuple) or np.asarray(first, dtype=object).ndim == 2
     arrays = {"q": q, "effort": tau, "q_ref": q_ref, "velocity": velocity, "known_torque": known_torque}
-    given: dict[str, Any] = {name: x for name, x in (arrays | {"feedforward": feedforward}).items() if x is not None}
-    alone, sources = payload is None or isinstance(payload, str), list[Signals]()
-    texts = (payload,) if payload is None or isinstance(payload, str) else tuple(payload)
-    for k, text in enumerate(texts):
-        own = given if alone else {name: x[k] for name, x in given.items()}
-        signals = signals_from_arrays(sample_rate_hz=sample_rate_hz, robot=described, **own)
-        sources.append(replace(signals, payload=parse_payload(text, described) if text else None))
+    others = {"feedforward": feedforward, "sample_rate_hz": sample_rate_hz, "payload": payload or ""}
+    given: dict[str, Any] = {name: x for name, x in (arrays | others).items() if x is not None}
+    count, sources = len(given["q"]) if several else 1, list[Signals]()
+    for name, x in given.items():
+        given[name] = x if several and isinstance(x, list | tuple | np.ndarray) else [x] * count
+        if len(given[name]) != count:
+            raise IdentificationError(key=f"len({name})", value=len(x), expected=f"{count}, one for each of q")
+    for k in range(count):
+        one = {name: x[k] for name, x in given.items()}
+        text, signals = one.pop("payload"), signals_from_arrays(robot=described, **one)
+        payload_k = parse_payload(text, described, "payload") if text else None
+        name = f"{signals.recording} {k + 1}" if several else signals.recording
+        sources.append(replace(signals, recording=name, payload=payload_k))
     overrides = Overrides(
         cutoff_hz=cutoff_hz,
         decimation=decimation,
@@ -247,22 +226,21 @@ def fit(
     return _of_user(methods.identify(Recordings(sources=tuple(sources)), overrides, method=method, essential=essential))
 
 
-def validate(
-    fit: methods.Fit | FitFile, recording: Signals | File, overrides: Overrides | None = None
-) -> ValidationFile:
+fit.__annotations__ = {"return": Fit}  # `help` would write out numpy's ArrayLike, in 5000 characters
+
+
+def validate(fit: AnyFit, recording: Signals | File, overrides: Overrides | None = None) -> ValidationFile:
     """Torque errors of a fit on another recording of the robot: `relative_error_percent` of all rows, `joints`, `warnings`.
 
     `overrides` replace the settings of the fit. Raises `IdentificationError`: the recording is of another robot.
     """
-    stored = methods.fit_file(fit) if isinstance(fit, methods.Fit) else fit
-    in_memory = isinstance(recording, Signals)
     signals, path = (
         (recording, Path()) if isinstance(recording, Signals) else (load_signals(recording), Path(recording))
     )
-    signals, notes = methods.signals_as_fitted(signals, path, stored, "the fit", chosen=in_memory)
-    settings, of_lag = methods.stored_settings(stored, signals, overrides or Overrides())
-    each, errors = methods.validate_all([(signals, settings)], stored, "the fit")
-    doubts = (*each[0].settings.warnings, *notes, *of_lag, *stored.warnings_of("the fit"))
+    signals, notes = methods.signals_as_fitted(signals, path, fit.file, "the fit", chosen=path == Path())
+    settings, of_lag = methods.stored_settings(fit.file, signals, overrides or Overrides())
+    each, errors = methods.validate_all([(signals, settings)], fit.file, "the fit")
+    doubts = (*each[0].settings.warnings, *notes, *of_lag, *fit.file.warnings_of("the fit"))
     return methods.validation_file(each, "the fit", errors, doubts)
 
 
@@ -289,7 +267,7 @@ def design_reference(
         fit=None if fit is None else Path(fit),
         noise=noise,
         after=[Path(path) for path in after],
-        payload=parse_payload(payload, described) if payload else None,
+        payload=parse_payload(payload, described, "payload") if payload else None,
     )
     return design.excite(described, settings or ExcitationSettings(), prior, place)
 
@@ -303,7 +281,7 @@ def simulate_recording(
     """
     described = _robot(robot)
     refuse_clash((), Path(out))
-    carried = parse_payload(payload, described) if payload else None
+    carried = parse_payload(payload, described, "payload") if payload else None
     study.simulate_recording(described, Path(out), settings or Study(), carried)
     return load_signals(out)
 

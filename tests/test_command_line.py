@@ -285,3 +285,111 @@ def test_progress_is_shown_on_a_terminal_only(capfd, monkeypatch):
     os.close(controller)
     assert "fitting" in printed
     assert printed.endswith("\x1b[2Kthe end")
+
+
+@pytest.mark.parametrize(
+    ("program", "command", "line"),
+    [
+        (identify, "fit a.mcap --cutof-hz 3", "error: unrecognized arguments: --cutof-hz 3: did you mean --cutoff-hz?"),
+        (identify, "fti a.mcap", "error: argument COMMAND: invalid choice: 'fti': did you mean fit?"),
+        (
+            identify,
+            "fit a.mcap --method olss",
+            " fit: error: argument --method: invalid choice: 'olss': did you mean ols?",
+        ),
+        (identify, "fit", " fit: error: the following arguments are required: LOG.mcap"),
+        (acquire, "impotr a.csv", "error: argument COMMAND: invalid choice: 'impotr': did you mean import?"),
+        (acquire, "info a.mcap --jsn", "error: unrecognized arguments: --jsn: did you mean --json?"),
+        (acquire, "info a.mcap --zzz", "error: unrecognized arguments: --zzz"),
+    ],
+)
+def test_wrong_usage_is_one_line_with_what_was_meant(program, command, line, capsys):
+    with pytest.raises(SystemExit) as stopped:
+        program(command.split())
+    assert stopped.value.code == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert said.startswith("robot-")
+    assert said.endswith(f"{line}\n")
+
+
+@pytest.mark.slow
+def test_a_method_may_be_in_capitals(capsys):
+    printed = []
+    for method in ("IV", "iv"):
+        assert identify(["fit", str(SESSION), "--method", method]) == 0
+        printed.append(capsys.readouterr().out)
+    assert printed[0] == printed[1]
+
+
+def test_a_shell_completes_commands_options_and_files(capsys, monkeypatch):
+    pytest.importorskip("shtab")
+    for program, words in (
+        (identify, ["_fit___method_choices=(ols wls iv)", "_fit_pos_0_COMPGEN=_shtab_compgen_files"]),
+        (acquire, ["_import_option_strings=(", "_check_pos_0_COMPGEN=_shtab_compgen_files"]),
+    ):
+        with pytest.raises(SystemExit) as stopped:
+            program(["--print-completion", "bash"])
+        assert stopped.value.code == 0
+        printed = capsys.readouterr().out
+        assert all(word in printed for word in words)
+
+
+def test_completion_asks_for_its_package(capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "shtab", None)
+    with pytest.raises(SystemExit) as stopped:
+        identify(["--print-completion", "bash"])
+    assert stopped.value.code == 2
+    needs = "--print-completion needs shtab: pip install 'robot-idim[completion]'"
+    assert capsys.readouterr().err == f"robot-identify: error: {needs}\n"
+
+
+def test_exchanged_arguments_are_told(capsys):
+    others = str(REPLAY / "tx40" / "session.mcap")
+    for command in ([SESSION, FIT], [SESSION, others, FIT]):
+        assert identify(["validate", *map(str, command)]) == 1
+        right = " ".join(map(str, [FIT, *command[:-1]]))
+        assert capsys.readouterr().err == (
+            f"robot-identify: {SESSION}: is no fit: expected the fit first: `robot-identify validate {right}`\n"
+        )
+
+
+@pytest.mark.parametrize("start", [b"", b"\xef\xbb\xbf", b"\n "])
+def test_a_urdf_in_place_of_a_description_is_told(start, tmp_path, monkeypatch, capsys):
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "folder" / "arm.urdf").write_bytes(start + b'<?xml version="1.0"?><robot name="a"/>')
+    monkeypatch.chdir(tmp_path)
+    for program, command in (
+        (acquire, ["check"]),
+        (identify, ["fit", str(SESSION), "--robot"]),
+        (acquire, ["import", "a.csv", "--map", "map.toml", "-o", "a.mcap", "--robot"]),
+    ):
+        assert program([*command, "folder/arm.urdf"]) == 1
+        said = capsys.readouterr().err
+        assert said.endswith(
+            ": folder/arm.urdf: is a URDF: expected a robot.toml; "
+            "`robot-identify init folder/arm.urdf -o robot.toml` makes one\n"
+        )
+        assert said.count("\n") == 1
+
+
+def test_a_computer_without_can_is_told_what_to_do(capsys, monkeypatch):
+    import can
+
+    def no_can(**_: object) -> None:
+        raise OSError(97, "Address family not supported by protocol")
+
+    monkeypatch.setattr(can, "Bus", no_can)
+    assert acquire(["scan", "--interface", "socketcan", "--channel", "can0"]) == 1
+    assert capsys.readouterr().err == (
+        "robot-acquire: bus: socketcan can0: cannot be opened: [Errno 97] Address family not supported by protocol: expected "
+        "CAN in Linux (modprobe can_raw) and its channel in `ip link`; or another interface, such as slcan\n"
+    )
+
+
+def test_drives_that_nobody_could_join_are_not_emulated(capsys):
+    assert acquire(["emulate", str(SCARA), "--duration", "0.1"]) == 1
+    assert capsys.readouterr().err == (
+        f"robot-acquire: {SCARA}: bus.interface = 'virtual': nobody else can join it: expected udp_multicast, for programs on "
+        "this computer\n"
+    )

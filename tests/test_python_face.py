@@ -384,3 +384,163 @@ def test_examples_and_the_script_of_a_user_run(tmp_path, monkeypatch, capsys):
     assert capsys.readouterr().out.startswith("trust ['drive gains', ")
     assert "SCARA" in (tmp_path / "report.html").read_text()
     assert mujoco.MjModel.from_xml_path("robot.xml").nv == 2
+
+
+STORED = REPLAY / "tx40" / "fit.json"
+
+
+def test_a_stored_fit_is_short_in_print_and_in_a_notebook():
+    stored = identification.read_fit(STORED)
+    expected = "(TX40, session.mcap, iv, converged, verdict trust: 60 parameters, 37 essential, moving error 0.69 %)"
+    assert (repr(stored), repr(stored.file)) == (f"StoredFit{expected}", f"FitFile{expected}")
+    shown = stored._repr_html_()
+    assert len(shown) < 2000
+    page = Page(shown)
+    assert page.open == []
+    assert expected.strip("()") in page.texts[0]
+    value = {p.name: p for p in stored.parameters}
+    assert [row[0] for row in page.rows[1:]] == sorted(value, key=lambda x: value[x].half / abs(value[x].value))[:10]
+    assert (stored.verdict, stored.assumed[0].what) == (stored.file.verdict, stored.file.assumed[0].what)
+    known = msgspec.structs.replace(stored.file, verdict=msgspec.UNSET)
+    assert repr(known) == "FitFile(60 parameters)"
+
+
+def test_a_fit_that_is_in_doubt_says_so_in_a_notebook(tmp_path):
+    stored = identification.read_fit(STORED).file
+    line = msgspec.structs.replace(stored.trust[0], level="do not use", text="the torque is <another>")
+    path = tmp_path / "fit.json"
+    path.write_bytes(msgspec.json.encode(msgspec.structs.replace(stored, trust=[line, *stored.trust[1:]])))
+    assert "warning: the torque is <another>" in Page(identification.read_fit(path)._repr_html_()).texts
+
+
+def test_parameters_are_columns(by_iv, tmp_path):
+    by_iv.to_json(tmp_path / "fit.json")
+    for fit in (by_iv, identification.read_fit(tmp_path / "fit.json")):
+        columns = fit.parameters.to_dict()
+        assert [*columns] == ["name", "value", "half_width", "low", "high", "unit", "expression", "essential"]
+        assert columns["name"] == list(by_iv.base.names)
+        assert columns["value"] == pytest.approx(by_iv.beta)
+        assert columns["half_width"] == pytest.approx(by_iv.intervals.half)
+        assert columns["unit"] == list(by_iv.base.units)
+
+
+def test_a_fit_predicts_the_torque_of_pinocchio(by_iv, tmp_path):
+    """Of the physically possible links, by the recursive Newton-Euler algorithm, and friction by hand."""
+    import pinocchio
+
+    fit = by_iv.consistent()
+    fit.to_json(tmp_path / "fit.json")
+    q, dq, ddq = np.random.default_rng(0).normal(size=(3, 20, 2))
+    predicted = identification.read_fit(tmp_path / "fit.json").predict(q, dq, ddq)
+    np.testing.assert_allclose(predicted, fit.predict(q, dq, ddq))
+    beta = dict(zip(fit.base.names, fit.beta, strict=True))
+    model = pinocchio.Model()
+    for at, parameters in ((0.0, {"zz": beta["ZZ1R"]}), (0.5, {"zz": beta["ZZ2"], "x": beta["MX2"], "y": beta["MY2"]})):
+        place = pinocchio.SE3(np.eye(3), np.array([at, 0.0, 0.0]))
+        joint = model.addJoint(model.njoints - 1, pinocchio.JointModelRZ(), place, f"joint {at}")
+        m = 1e-9  # its mass is regrouped in ZZ1R
+        dynamic = [m, parameters.get("x", 0.0), parameters.get("y", 0.0), 0, 0, 0, 0, 0, 0, parameters["zz"]]
+        inertia = pinocchio.Inertia.FromDynamicParameters(np.array(dynamic, dtype=float))
+        model.appendBodyToJoint(joint, inertia, pinocchio.SE3.Identity())
+    model.gravity.linear = np.zeros(3)
+    data = model.createData()
+    rigid = np.array([pinocchio.rnea(model, data, *row) for row in zip(q, dq, ddq, strict=True)])
+    viscous, coulomb = ([beta[f"{kind}{j}"] for j in (1, 2)] for kind in ("Fv", "Fc"))
+    np.testing.assert_allclose(predicted, rigid + dq * viscous + np.sign(dq) * coulomb, rtol=1e-6, atol=1e-6)
+    with pytest.raises(identification.IdentificationError, match=r"expected \(rows, 2\) of q, dq and ddq"):
+        fit.predict(q, dq[:, :1], ddq)
+    bare = msgspec.structs.replace(fit.file, description={})
+    (tmp_path / "bare.json").write_bytes(msgspec.json.encode(bare))
+    with pytest.raises(identification.IdentificationError, match=r"bare\.json: description is missing"):
+        identification.read_fit(tmp_path / "bare.json").predict(q, dq, ddq)
+
+
+def test_a_stored_fit_is_compared_and_exported_as_one_in_memory(by_iv, tmp_path):
+    by_iv.to_json(tmp_path / "fit.json")
+    stored = identification.read_fit(tmp_path / "fit.json")
+    assert [row.off for row in stored.compare(by_iv)] == pytest.approx([0.0] * 8, abs=1e-12)
+    limits = [fit.export(toml=tmp_path / f"{k}.toml") for k, fit in enumerate((by_iv, stored))]
+    values = [acquisition.load_robot(tmp_path / f"{k}.toml").parameters for k in range(2)]
+    assert values[0] == pytest.approx(values[1])
+    assert limits[0].split("model of")[0] == limits[1].split("model of")[0]
+
+
+def test_recordings_are_lists_of_arrays(signals):
+    both = slice(0, 2000), slice(2000, 4001)
+    q, tau, q_ref = ([x[part] for part in both] for x in (signals.q, signals.effort, signals.q_ref))
+    fit = identification.fit(q, tau, 1000.0, SCARA, q_ref)
+    assert [one.problem.signals.recording for one in fit.recordings] == ["arrays 1", "arrays 2"]
+    for one, k in zip(fit.recordings, range(2), strict=True):
+        np.testing.assert_array_equal(one.problem.signals.q, q[k])
+        np.testing.assert_array_equal(one.problem.signals.q_ref, q_ref[k])
+    slow = [q[0], q[1][::2]], [tau[0], tau[1][::2]], [1000.0, 500.0]
+    rates = identification.fit(*slow, SCARA, method="wls", payload=[None, "2"]).recordings
+    assert [one.problem.signals.sample_rate_hz for one in rates] == [1000.0, 500.0]
+    assert [one.problem.signals.payload and one.problem.signals.payload.mass_kg for one in rates] == [None, 2.0]
+    for change, key in (({"tau": tau[:1]}, "len(effort)"), ({"payload": ["1"]}, "len(payload)")):
+        with pytest.raises(identification.IdentificationError) as caught:
+            identification.fit(**{"q": q, "tau": tau, "sample_rate_hz": 1000.0, "robot": SCARA, **change})
+        assert (caught.value.key, caught.value.value, caught.value.expected) == (key, 1, "2, one for each of q")
+
+
+def test_a_period_is_no_rate(signals):
+    with pytest.raises(identification.IdentificationError) as caught:
+        identification.fit(signals.q, signals.effort, 0.008, SCARA)
+    assert str(caught.value) == "arrays: sample_rate_hz = 0.008: a period? the rate is 125 Hz: expected 1 or more"
+
+
+def test_the_help_of_a_fit_is_short():
+    import inspect
+
+    shown = str(inspect.signature(identification.fit))
+    assert shown.startswith("(q, tau, sample_rate_hz, robot, q_ref=None, *, method=None, ")
+    assert len(shown) < 350
+
+
+@pytest.mark.parametrize(
+    ("text", "python"),
+    [
+        ("another --seed or --harmonics", "another seed or harmonics"),
+        ("--torque-lag-s states one", "torque_lag_s states one"),
+        ("--range = 3", "position = 3"),
+        ("--period 3 or longer", "period_s 3 or longer"),
+        ("or --allow-untrusted", "or allow_untrusted=True"),
+        ("`robot-identify fit --json` and --gains", "`robot-identify fit --json` and gains"),
+    ],
+)
+def test_errors_speak_of_keyword_arguments(text, python):
+    error = identification.IdentificationError(expected=text)
+    assert (str(error), error.args[0]) == (f"expected {python}", f"expected {text}")
+
+
+def test_one_error_has_the_words_of_who_asked(tmp_path, capsys):
+    from identification.commands import main
+
+    for name in ("robot.toml", "session.mcap"):
+        shutil.copy(REPLAY / "scara" / name, tmp_path)
+    settings = identification.ExcitationSettings(period_s=1.0, harmonics=30)
+    with pytest.raises(identification.IdentificationError) as caught:
+        identification.design_reference(SCARA, settings, noise=[0.1])
+    assert "--" not in str(caught.value)
+    assert "period_s" in str(caught.value)
+    command = [
+        "excite",
+        str(SCARA),
+        "-o",
+        str(tmp_path / "r.csv"),
+        "--harmonics",
+        "30",
+        "--period",
+        "1",
+        "--noise",
+        "0.1",
+    ]
+    assert main(command) == 1
+    assert (
+        capsys.readouterr()
+        .err.replace("--period", "period_s")
+        .replace("--harmonics", "harmonics")
+        .endswith(f"{caught.value}\n")
+    )
+    with pytest.raises(acquisition.AcquisitionError, match=r"^payload = 'x': "):
+        identification.simulate_recording(SCARA, tmp_path / "log.mcap", payload="x")

@@ -108,7 +108,12 @@ def open_bus(file: BusFile, *, passive: bool) -> Any:
         bus = can.Bus(**options)
     except (can.CanError, OSError, ValueError, TypeError, ImportError, NotImplementedError) as error:
         problem = str(error) or type(error).__name__
-        raise AcquisitionError(f"cannot be opened: {problem}", place=f"bus: {file.interface} {file.channel}") from error
+        place, expected = f"bus: {file.interface} {file.channel}", ""
+        if file.interface == "socketcan":
+            expected = (
+                "CAN in Linux (modprobe can_raw) and its channel in `ip link`; or another interface, such as slcan"
+            )
+        raise AcquisitionError(f"cannot be opened: {problem}", place=place, expected=expected) from error
     if file.interface == "udp_multicast" and file.loopback:
         stay_on_loopback(bus, file)
     if passive:

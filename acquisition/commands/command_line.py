@@ -8,14 +8,16 @@ import argparse
 import errno
 import io
 import os
+import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields
+from difflib import get_close_matches
 from importlib import import_module
 from keyword import iskeyword
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TextIO, TypeVar, cast, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn, TextIO, TypeVar, cast, get_args, get_origin
 
 from ..errors import one_line
 
@@ -24,6 +26,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T", bound="DataclassInstance")
 
+_FILES = {"bash": "_shtab_compgen_files", "zsh": "_files"}  # of shtab, `FILE`
 STATUSES = (
     "exit status: 0 done; 1 an error, in one line on standard error; 2 wrong usage; "
     "3 done, but the result is not to be trusted (robot-identify fit, fleet, validate); 130 interrupted by Ctrl-C"
@@ -50,9 +53,7 @@ class Program:
 
     def parser(self, *chosen: str) -> argparse.ArgumentParser:
         """The parser of all commands; only those `chosen` have their options, and `run`."""
-        parser = argparse.ArgumentParser(
-            prog=self.name, description=self.description, epilog=STATUSES, allow_abbrev=False
-        )
+        parser = _Parser(prog=self.name, description=self.description, epilog=STATUSES, allow_abbrev=False)
         versions = "versions of this program and its dependencies"
         parser.add_argument("--version", action=_Versions, nargs=0, help=versions)
         commands = parser.add_subparsers(required=True, metavar="COMMAND")
@@ -75,10 +76,30 @@ class Program:
             for name in (chosen, *flags, *(f"{chosen} {flag}" for flag in flags)):
                 if name in self.gone:
                     parser.error(f"{name} is gone: {self.gone[name]}")
+            if flags[:1] == ["--print-completion"]:  # of all commands; shtab is optional
+                parser = self.parser(*self.commands)
+                try:
+                    import_module("shtab").add_argument_to(parser, "--print-completion")
+                except ImportError:
+                    parser.error("--print-completion needs shtab: pip install 'robot-idim[completion]'")
             options = parser.parse_args(given)
             return cast(int | None, options.run(options))
 
         return run_command(self.name, self.errors, command)
+
+
+class _Parser(argparse.ArgumentParser):
+    """Refuses wrong usage in one line, with the nearest option, command or choice."""
+
+    def error(self, message: str) -> NoReturn:
+        """Print the line, and exit with status 2."""
+        commands = [c for a in self._actions if isinstance(a.choices, dict) for c in a.choices.values()]
+        known = [str(choice) for action in self._actions for choice in action.choices or ()]
+        known += [option for parser in (self, *commands) for option in parser._option_string_actions]
+        wrong = re.findall(r"(?:unrecognized arguments|invalid choice): (.*?)(?: \(choose|$)", message)
+        near = [x for word in re.findall(r"-*\w[\w-]*", *wrong or [""]) for x in get_close_matches(word, known, 1)]
+        message = f"{message.partition(' (choose')[0]}: did you mean {near[0]}?" if near else message
+        self.exit(2, one_line(f"{self.prog}: error: {message}") + "\n")
 
 
 class _Versions(argparse.Action):
@@ -114,7 +135,7 @@ def add_options(
         if kind is bool:
             how["action"] = "store_true"
         elif get_origin(kind) is Literal:
-            how["choices"] = get_args(kind)
+            how |= {"choices": get_args(kind), "type": str.lower}
         if default is not None and kind is not bool and "default" not in how["help"]:
             how["help"] += f" (default {_default_text(default)})"
         flag = how.pop("flag") or f"--{field.name.replace('_', '-')}"
@@ -135,7 +156,8 @@ def from_options(kind: type[T], options: argparse.Namespace, **others: Any) -> T
 
 def add_path(parser: "argparse._ActionsContainer", names: str, metavar: str, help: str = "", **how: Any) -> None:
     """Declare a file or a folder; `names` of an option are separated by blanks."""
-    parser.add_argument(*names.split(), type=Path, metavar=metavar, help=help or None, **how)
+    path = parser.add_argument(*names.split(), type=Path, metavar=metavar, help=help or None, **how)
+    vars(path)["complete"] = _FILES
 
 
 def add_flag(parser: "argparse._ActionsContainer", name: str, help: str) -> None:
@@ -218,7 +240,7 @@ def run_command(program: str, errors: Sequence[type[Exception]], command: Callab
         except KeyboardInterrupt:
             return _refuse(err, program, "interrupted", 130)
         except tuple(errors) as error:
-            return _refuse(err, program, str(error), 1)
+            return _refuse(err, program, str(*error.args), 1)
         except OSError as error:
             place = "" if error.filename is None else f"{error.filename}: "
             return _refuse(err, program, f"{place}{error.strerror or error}", 1)

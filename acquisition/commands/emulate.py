@@ -3,7 +3,7 @@
 import argparse
 import sys
 
-from ..errors import AcquisitionError
+from ..errors import AcquisitionError, Place
 from .command_line import add_flag, add_path
 
 
@@ -28,6 +28,9 @@ def run(options: argparse.Namespace) -> None:
 
     robot = load_robot(options.robot)
     bus = resolve(robot, str(options.robot))
+    if bus.file.interface == "virtual":
+        expected = "udp_multicast, for programs on this computer"
+        Place(str(options.robot), "bus").refuse("interface", "virtual", expected, text="nobody else can join it")
     if options.replay is None:
         mechanism = driven_plant(robot, bus)
     else:

@@ -146,8 +146,8 @@ def load_robot(path: str | PathLike[str]) -> Robot:
         files = {"robot.toml": path.read_bytes()}
     except OSError as error:
         place.refuse(text=f"cannot be read: {error.strerror}")
-    if files["robot.toml"].lstrip().startswith(b"<"):
-        expected = f"a robot.toml; `robot-identify init {path.name} -o robot.toml` makes one"
+    if files["robot.toml"].lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<"):
+        expected = f"a robot.toml; `robot-identify init {path} -o robot.toml` makes one"
         place.refuse(text="is a URDF", expected=expected)
     document = parse_toml(files["robot.toml"], RobotFile, str(path))
     _refuse_idle_keys(document.controller, place.at("controller"))

@@ -83,7 +83,7 @@ def add_method(settings: "argparse._ActionsContainer") -> None:
         "ols: ordinary least squares; wls: weighted by joint; iv: instrumental variables (default: iv if every recording "
         "has its reference, else wls)"
     )
-    settings.add_argument("--method", choices=["ols", "wls", "iv"], help=text)
+    settings.add_argument("--method", choices=["ols", "wls", "iv"], type=str.lower, help=text)
 
 
 def sources(options: argparse.Namespace) -> list["RecordingFile"]:

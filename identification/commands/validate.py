@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from acquisition.commands import Progress, add_flag, add_options, add_path, from_options
 
+from ..errors import IdentificationError
 from ..options import Overrides, above_zero
 from .arguments import (
     add_recordings,
@@ -38,6 +39,10 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Print the torque errors of the fit; 3 if they are larger than allowed."""
+    if options.fit.suffix != ".json" == options.recordings[-1].suffix:
+        others = " ".join(map(str, (options.fit, *options.recordings[:-1])))
+        expected = f"the fit first: `robot-identify validate {options.recordings[-1]} {others}`"
+        raise IdentificationError("is no fit", place=str(options.fit), expected=expected)
     refuse_outputs([options.fit, *options.recordings, options.robot], options.json, report=options.report)
     with Progress("reading") as progress:
         from .. import methods

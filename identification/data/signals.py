@@ -153,6 +153,9 @@ def signals_from_arrays(
             raise IdentificationError(place=NAME, key=name, expected=f"columns {', '.join(OPTIONAL)}")
     if not 0 < sample_rate_hz < math.inf:
         raise IdentificationError(place=NAME, key="sample_rate_hz", value=sample_rate_hz, expected="a number above 0")
+    if sample_rate_hz < 1:
+        problem = f"a period? the rate is {1 / sample_rate_hz:g} Hz"
+        raise IdentificationError(problem, place=NAME, key="sample_rate_hz", value=sample_rate_hz, expected="1 or more")
     arrays: dict[str, Any] = {"q": _copy("q", q, robot.n), "effort": _copy("effort", effort, robot.n)}
     given: dict[str, Any] = {"q_ref": q_ref, **columns}
     arrays |= {x: _copy(x, given[x], robot.n) for x in ("q_ref", *OPTIONAL) if given.get(x) is not None}

@@ -79,7 +79,7 @@ def best_of_searches(problem: SearchProblem, seed: int, place: str, say: Callabl
                 continue
             sigma = problem.information.sigma(motion_of(x, basis))
         except IdentificationError as error:  # the motion does not excite all parameters
-            worst = str(error)
+            worst = error.args[0]
             continue
         ratios = sigma / problem.plain
         result = (bool(ratios.max() > MAX_DEVIATION_RATIO), float(np.mean(ratios**2))), x, sigma

@@ -23,7 +23,7 @@ def export_fit(stored: FitFile, place: str, *, untrusted: bool = False, **output
     """
     reasons = distrust(stored, place)
     if reasons and not untrusted:
-        expected = "a fit to be trusted, or --allow-untrusted (allow_untrusted=True)"
+        expected = "a fit to be trusted, or --allow-untrusted"
         raise IdentificationError(f"not exported: {'; '.join(reasons)}", expected=expected)
     mechanism, lines = model_of_fit(stored, place)
     texts, document = export_model(mechanism, Path(place).name, lines=lines, **outputs)
@@ -46,9 +46,6 @@ def model_of_fit(stored: FitFile, place: str) -> tuple[ExportedModel, tuple[str,
     stored, of_gains = with_gains(stored, place)
     stored, of_law = with_law(stored, place)
     robot = stored_robot(stored, place)
-    if robot is None:
-        expected = "a fit as `robot-identify fit --json` writes it"
-        raise IdentificationError(place=place, key="description", value=None, expected=expected)
     refuse_unknown_gain(robot)
     model = InverseModel(robot)
     if stored.standard_parameters is UNSET:

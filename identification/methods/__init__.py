@@ -26,6 +26,7 @@ from .parameters import (
     stored_beta,
     stored_robot,
     stored_settings,
+    stored_torque,
     true_parameters,
     validate_all,
     with_stored_gains,

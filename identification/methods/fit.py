@@ -214,7 +214,7 @@ class FittedRecording:
     replica: Replica | None
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Fit:
     """Base parameters of a robot from one recording or several, with their tests.
 
@@ -316,10 +316,3 @@ class Fit:
     def distrust(self) -> tuple[str, ...]:
         """The tests whose level is `do not use`; empty if the result may be used."""
         return self.trust.severe
-
-    def __repr__(self) -> str:
-        essential, error = len(self.essential_names), self.errors[-1].moving_relative_error_percent
-        moving = "nothing moves" if error is None else f"moving error {error:.3g} %"
-        names = ", ".join(one.problem.signals.recording for one in self.recordings)
-        made = f"{self.problem.signals.robot.name}, {names}, {self.method}, {self.status}, verdict {self.trust.verdict}"
-        return f"Fit({made}: {len(self.beta)} parameters, {essential} essential, {moving})"

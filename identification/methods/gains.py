@@ -74,7 +74,7 @@ def solve_with_gains(equations: Equations) -> tuple[Equations, Array, bool]:
             estimate = instrumental_variables(rows.system, Z, joint_weights_of(rows.system, x))
             estimate = equations.combined(rows.system, estimate)
         except IdentificationError as error:
-            text = f"the drive gains cannot be told from the arm ({error}): the payload does not show in the recordings"
+            text = f"the drive gains cannot be told from the arm ({error.args[0]}): the payload does not show in the recordings"
             expected = "a payload on one recording, and its mass as stated"
             raise IdentificationError(text, key="gains", expected=expected) from error
         before, x = x, estimate.values_of(names)

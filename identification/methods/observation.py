@@ -112,7 +112,7 @@ def position_noise_line(problem: Problem, method: Method, ls: LeastSquares, *, a
         plain = ls.estimate if alone and stop == settings.stop else _least_squares(problem, method, ls)
         both = [_least_squares(_with_noise(problem, way * noise), method, ls) for way in (1, -1)]
     except IdentificationError as error:
-        return TrustLine(NAME, "cannot tell", f"{error}: {ADVICE}")
+        return TrustLine(NAME, "cannot tell", f"{error.args[0]}: {ADVICE}")
     names = [name for name in ls.essential.estimate.names if name in plain.names and name in ls.estimate.names]
     indices = np.array([ls.estimate.names.index(name) for name in names])
     beta, half = plain.values_of(tuple(names)), ls.intervals.half[indices]

@@ -8,6 +8,7 @@ from typing import Literal
 import msgspec
 import numpy as np
 from msgspec import UNSET
+from numpy.typing import ArrayLike
 
 from acquisition.robot import LowSpeed, Robot, robot_from_files
 
@@ -15,7 +16,7 @@ from ..arrays import Array
 from ..data import Signals, check_one_robot, load_signals
 from ..errors import IdentificationError
 from ..estimation import Estimate, Intervals, one_thread, torque_errors
-from ..model import BaseParameters, InverseModel, base_parameters, base_prior
+from ..model import BaseParameters, InverseModel, base_parameters, base_prior, direct_model
 from ..regression import Overrides, Problem, base_name, make_problem, payload_of, torque_of_recording
 from ..report import FitFile, Parameter, ParameterSet, TorqueError
 from .consistent import read_prior, refuse_unknown_gain
@@ -61,9 +62,7 @@ def prior_file(stored: FitFile, place: str, prior: Path) -> FitFile:
 
     Raises `IdentificationError`: the fit is in A or V or without description; a file of another robot, or without inertials.
     """
-    if (robot := stored_robot(stored, place)) is None:
-        raise IdentificationError(place=place, key="description", value=None, expected="a fit with its robot.toml")
-    refuse_unknown_gain(robot)
+    refuse_unknown_gain(robot := stored_robot(stored, place))
     base = base_parameters(model := InverseModel(robot))
     values, _ = base_prior(model, base, InverseModel(read_prior(prior, robot)))
     if not values:
@@ -113,10 +112,12 @@ def stored_settings(stored: FitFile, signals: Signals, given: Overrides) -> tupl
     return given.over(found), notes
 
 
-def stored_robot(stored: FitFile, place: str) -> Robot | None:
-    """The robot by the description in a fit's file, `place`; None if it has none."""
+def stored_robot(stored: FitFile, place: str) -> Robot:
+    """The robot by the description in a fit's file, `place`; a file without one is refused."""
+    if not stored.description:
+        raise IdentificationError(place=place, key="description", value=None, expected="a fit with its robot.toml")
     files = {name: text.encode() for name, text in stored.description.items()}
-    return with_stored_gains(stored, robot_from_files(files, place)) if files else None
+    return with_stored_gains(stored, robot_from_files(files, place))
 
 
 def with_stored_gains(stored: FitFile, robot: Robot) -> Robot:
@@ -126,6 +127,15 @@ def with_stored_gains(stored: FitFile, robot: Robot) -> Robot:
     found = {one.motor: one.value for one in stored.gains}
     gains = [found.get(motor.name, gain) for motor, gain in zip(robot.motors, robot.gain, strict=True)]
     return replace(robot, identified_gain=np.array(gains))
+
+
+def stored_torque(stored: FitFile, place: str, *motion: ArrayLike) -> Array:
+    """(rows, n) torque IDM(q, dq, ddq) beta of a stored fit along a motion of three arrays (rows, n)."""
+    model, arrays = InverseModel(stored_robot(stored, place)), [np.asarray(x, dtype=np.float64) for x in motion]
+    shapes, base = [x.shape for x in arrays], base_parameters(model)
+    if any(shape != (len(arrays[0]), model.robot.n) for shape in shapes):
+        raise IdentificationError(key="shapes", value=shapes, expected=f"(rows, {model.robot.n}) of q, dq and ddq")
+    return direct_model(model, base.standard_parameters(stored_beta(stored, base, place))).torque(*arrays)
 
 
 def other_meaning(stored: FitFile, base: BaseParameters) -> list[str]:
@@ -142,10 +152,9 @@ def other_meaning(stored: FitFile, base: BaseParameters) -> list[str]:
 
 def consistent_fit(stored: FitFile, place: str) -> FitFile:
     """The same with the values of its consistent set; a file, `place`, without one is refused."""
-    robot, given = stored_robot(stored, place), {p.name: p.value for p in stored.standard_parameters or ()}
-    if robot is None or not given:
+    if not (given := {p.name: p.value for p in stored.standard_parameters or ()}):
         raise IdentificationError(place=place, key="standard_parameters", value=None, expected="`fit --consistent`")
-    base = base_parameters(model := InverseModel(robot))
+    base = base_parameters(model := InverseModel(stored_robot(stored, place)))
     beta = (base.K @ [given.get(name, 0.0) for name in model.names]).tolist()
     found = zip(base.names, beta, base.units, base.expressions, strict=True)
     parameters = [Parameter(name=n, value=x, unit=unit, expression=e) for n, x, unit, e in found]
@@ -197,13 +206,12 @@ def signals_as_fitted(
     if not other:
         return signals, []
     names = ", ".join(other[:5]) + (", ..." if len(other) > 5 else "")
-    robot = None if chosen else stored_robot(stored, place)
-    if robot is None:
+    if chosen or not stored.description:
         return signals, [
             f"{place}: {names}: perhaps not the same quantities as those of robot {signals.robot.name} here"
         ]
     note = f"{signals.recording}: its description does not have the parameters of the fit ({names}): that of {place} is used"
-    return replace(load_signals(recording, robot), payload=signals.payload), [note]
+    return replace(load_signals(recording, stored_robot(stored, place)), payload=signals.payload), [note]
 
 
 @one_thread

@@ -231,6 +231,20 @@ class FitFile(OnRecording, frozen=True, kw_only=True):
     saturated_percent: float | UnsetType | None = UNSET
     direct_model: list[DirectModelError] | UnsetType = UNSET
 
+    @property
+    def summary(self) -> str:
+        """What it is, in a line."""
+        error, total = self.moving_relative_error_percent, len(self.parameters) + len(self.left_out or ())
+        if not self.verdict or self.provenance is None:
+            return f"{total} parameters"
+        names = ", ".join(one.recording for one in self.recordings or (self.provenance,))
+        moving = "nothing moves" if error is None else f"moving error {error:.3g} %"
+        made = f"{self.provenance.robot}, {names}, {self.method}, {self.status}, verdict {self.verdict}"
+        return f"{made}: {total} parameters, {sum(p.essential for p in self.parameters)} essential, {moving}"
+
+    def __repr__(self) -> str:
+        return f"FitFile({self.summary})"
+
     def warnings_of(self, place: str) -> list[str]:
         """Warnings with the file `place`: a status without a fixed point, physically impossible values."""
         unsettled = self.status in (*NO_FIXED_POINT, "not_confirmed")

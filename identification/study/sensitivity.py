@@ -88,7 +88,7 @@ def fit_variant(source: RecordingFile, variant: Variant) -> VariedFit:
         iteration = Iteration(inertias=np.full(signals.robot.n, variant.start), gain_update=variant.gain_update)
         fit = identify_iv(signals, variant.overrides, iteration)
     except IdentificationError as error:
-        return VariedFit(variant=variant, ended=str(error))
+        return VariedFit(variant=variant, ended=error.args[0])
     ls = fit.least_squares
     numbers = (ls.estimate.beta, ls.intervals.half, fit.estimate.beta, fit.intervals.half)
     values = dict(zip(fit.estimate.names, zip(*(x.tolist() for x in numbers), strict=True), strict=True))

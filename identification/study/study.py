@@ -111,6 +111,6 @@ def one_run(files: Mapping[str, bytes], study: Study, number: int) -> Run:
         run = replace(run, ls=result(identify_ls(signals, Overrides())))
         iv = identify_iv(signals, Overrides(), Iteration())
     except IdentificationError as error:
-        return replace(run, reason=str(error))
+        return replace(run, reason=error.args[0])
     assert iv.iv is not None
     return replace(run, status=iv.status, reason=iv.iv.reason, iv=result(iv))

@@ -214,7 +214,7 @@ def consistent_test(evidence: FitData) -> TrustLine:
         power = recorded_power(moved, beta)
         nearest = nearest_consistent(problem.model, problem.base, beta, covariance[np.ix_(first, first)], power)
     except IdentificationError as error:
-        return TrustLine("consistent", "cannot tell", str(error))
+        return TrustLine("consistent", "cannot tell", error.args[0])
     moves, bound = (
         np.abs(nearest.deviations) / evidence.intervals.reach,
         chi_squared_quantile(CONSISTENT_LEVEL, len(names)),

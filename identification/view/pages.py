@@ -98,7 +98,7 @@ def draw_recording(signals: Signals, overrides: Overrides) -> Picture:
     try:
         settings = make_settings(signals, overrides)
     except IdentificationError as error:
-        refusal = str(error)
+        refusal = error.args[0]
     document = recording_document(signals, settings, refusal).followed_by(numbers_of_plots(signals, None))
     return Picture(
         name=f"{signals.robot.name}, {signals.recording}",
