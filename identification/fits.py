@@ -99,5 +99,13 @@ class StoredFit(AnyFit):
         rows = [(p.name, p.unit, Number(p.value, value_form(p.spread)), Number(p.half, ".2g")) for p in best]
         table = Table(columns=columns("name", "unit", numbers=("value", "±95%")), rows=tuple(rows))
         doubts = tuple(line.text for line in self.file.trust or () if line.level in ("do not use", "caution"))
-        title = f"{self.place}: {self.file.summary}; the {len(rows)} best known `parameters`:"
-        return to_html(Document(title=title, sections=(Section(warnings=doubts, table=table),)))
+        errors = {"torque error of moving rows": self.file.moving_relative_error_percent}
+        errors["held out"] = self.file.held_out_error_percent or None
+        return to_html(
+            Document(
+                title=f"{self.place}: {self.file.summary}",
+                badge=self.verdict or "",
+                figures=tuple((what, f"{value:.2g} %") for what, value in errors.items() if value is not None),
+                sections=(Section(title=f"the {len(rows)} best known `parameters`", warnings=doubts, table=table),),
+            )
+        )

@@ -215,9 +215,11 @@ def test_a_notebook_shows_the_report_of_a_fit(signals):
 
     robot = replace(signals.robot, name="<b>SCARA & Co")
     fit = identification.identify_ls(replace(signals, robot=robot), identification.Overrides())
-    page, report = Page(fit._repr_html_()), fit_document(fit.problem.signals, fit)
+    page, report = Page(fit._repr_html_()), fit_document(fit.problem.signals, fit).short
     assert page.open == []
-    assert page.texts[0] == report.title
+    assert page.texts[0] == report.title.split("; ")[0]
+    assert page.texts[1] == fit.verdict
+    assert {text for figure in report.figures for text in figure} <= {*page.texts}
     assert "<b>SCARA & Co" in report.title
     tables = [section.table for section in report.sections if section.table]
     shown = [row for table in tables for row in ([heading for heading, _ in table.columns], *table.rows)]

@@ -148,7 +148,7 @@ def _tiles(document: Document) -> list[str]:
     badge = f"color:#fff;background:{BADGES[document.badge]};padding:.2em .8em;border-radius:1em;font-weight:700"
     tiles = [f'<span style="{badge}">{escape(document.badge)}</span>']
     for what, text in document.figures:
-        tiles.append(f'<span><b style="font-size:1.4em">{escape(text)}</b><br>{escape(what)}</span>')
+        tiles.append(f'<span><b style="display:block;font-size:1.4em">{escape(text)}</b>{escape(what)}</span>')
     return [f'<div style="display:flex;flex-wrap:wrap;gap:.6em 2em;align-items:center">{"".join(tiles)}</div>']
 
 
