@@ -11,20 +11,7 @@ from numpy.typing import ArrayLike
 
 from . import export, methods, report
 from .arrays import Array
-from .report import (
-    Assumed,
-    Difference,
-    Document,
-    FitFile,
-    Number,
-    Parameter,
-    Section,
-    Table,
-    Verdict,
-    columns,
-    to_html,
-    value_form,
-)
+from .report import Assumed, Difference, FitFile, Number, Parameter, Verdict
 
 File = str | os.PathLike[str]
 Out = File | None
@@ -96,8 +83,9 @@ class StoredFit(AnyFit):
 
     def _repr_html_(self) -> str:
         best = sorted(self.parameters, key=lambda p: p.half / (abs(p.value) or 1.0))[:10]
-        rows = [(p.name, p.unit, Number(p.value, value_form(p.spread)), Number(p.half, ".2g")) for p in best]
-        table = Table(columns=columns("name", "unit", numbers=("value", "±95%")), rows=tuple(rows))
+        rows = [(p.name, p.unit, Number(p.value, report.value_form(p.spread)), Number(p.half, ".2g")) for p in best]
+        heads = report.columns("name", "unit", numbers=("value", "±95%"))
         doubts = tuple(line.text for line in self.file.trust or () if line.level in ("do not use", "caution"))
+        shown = report.Section(warnings=doubts, table=report.Table(columns=heads, rows=tuple(rows)))
         title = f"{self.place}: {self.file.summary}; the {len(rows)} best known `parameters`:"
-        return to_html(Document(title=title, sections=(Section(warnings=doubts, table=table),)))
+        return report.to_html(report.Document(title=title, sections=(shown,)))
