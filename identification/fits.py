@@ -11,20 +11,7 @@ from numpy.typing import ArrayLike
 
 from . import export, methods, report
 from .arrays import Array
-from .report import (
-    Assumed,
-    Difference,
-    Document,
-    FitFile,
-    Number,
-    Parameter,
-    Section,
-    Table,
-    Verdict,
-    columns,
-    to_html,
-    value_form,
-)
+from .report import Assumed, Difference, FitFile, Number, Parameter, Verdict
 
 File = str | os.PathLike[str]
 Out = File | None
@@ -96,16 +83,17 @@ class StoredFit(AnyFit):
 
     def _repr_html_(self) -> str:
         best = sorted(self.parameters, key=lambda p: p.half / (abs(p.value) or 1.0))[:10]
-        rows = [(p.name, p.unit, Number(p.value, value_form(p.spread)), Number(p.half, ".2g")) for p in best]
-        table = Table(columns=columns("name", "unit", numbers=("value", "±95%")), rows=tuple(rows))
+        rows = [(p.name, p.unit, Number(p.value, report.value_form(p.spread)), Number(p.half, ".2g")) for p in best]
+        table = report.Table(columns=report.columns("name", "unit", numbers=("value", "±95%")), rows=tuple(rows))
         doubts = tuple(line.text for line in self.file.trust or () if line.level in ("do not use", "caution"))
-        errors = {"torque error of moving rows": self.file.moving_relative_error_percent}
-        errors["held out"] = self.file.held_out_error_percent or None
-        return to_html(
-            Document(
+        moving, held = self.file.moving_relative_error_percent, self.file.held_out_error_percent or None
+        errors = (("torque error of moving rows", moving), ("held out", held))
+        shown = report.Section(title=f"the {len(rows)} best known `parameters`", warnings=doubts, table=table)
+        return report.to_html(
+            report.Document(
                 title=f"{self.place}: {self.file.summary}",
                 badge=self.verdict or "",
-                figures=tuple((what, f"{value:.2g} %") for what, value in errors.items() if value is not None),
-                sections=(Section(title=f"the {len(rows)} best known `parameters`", warnings=doubts, table=table),),
+                figures=tuple((what, f"{value:.2g} %") for what, value in errors if value is not None),
+                sections=(shown,),
             )
         )

@@ -13,9 +13,9 @@ from conftest import REPLAY, ROOT
 from identification.commands import main
 
 PACKAGES = ("acquisition", "identification")
-MOST_LINES = 33_039
+MOST_LINES = 33_251
 ROOMS = {"acquisition": 9, "identification": 13}
-MOST_RECORDS, MOST_VISITS = 48, 497
+MOST_RECORDS, MOST_VISITS = 50, 501
 LONGEST_CYCLE = 8  # rooms that a loop goes through again and again: counted once
 
 

@@ -298,7 +298,7 @@ def test_a_search_that_makes_no_parameter_worse_goes_before_one_of_less_criterio
 def test_searches_that_all_leave_a_limit_end_in_one_line(monkeypatch):
     monkeypatch.setattr(search, "best_series", lambda problem, start, say: 2 * start)
     with pytest.raises(
-        IdentificationError, match=r"no reference keeps the limits: \w+ of joint \w+ is exceeded by .* --seed"
+        IdentificationError, match=r"no reference keeps the limits: \w+ of joint \w+ is exceeded by .* another seed or"
     ):
         excite(SCARA, ExcitationSettings(period_s=2.0, harmonics=3), prior_information(SCARA), "here")
 
@@ -306,8 +306,8 @@ def test_searches_that_all_leave_a_limit_end_in_one_line(monkeypatch):
 @pytest.mark.parametrize(
     ("old", "new", "harmonics", "says"),
     [
-        ("bandwidth_hz = 5.0", "bandwidth_hz = 1.0", 8, "--harmonics 3 or fewer, or --period 24"),
-        ("bandwidth_hz = 5.0", "bandwidth_hz = 0.1", 10, "expected --period 300 or longer"),
+        ("bandwidth_hz = 5.0", "bandwidth_hz = 1.0", 8, "harmonics 3 or fewer, or period_s 24"),
+        ("bandwidth_hz = 5.0", "bandwidth_hz = 0.1", 10, "expected period_s 300 or longer"),
         ("speed_deg_s = 180\n", "", 10, "joint[0].speed_deg_s: joint shoulder states none"),
         ("acceleration_deg_s2 = 1500\n", "", 10, "joint[0].acceleration_deg_s2: joint shoulder states none"),
         ("[-120, 120]", "[-120, 120]\neffort_nm = 0.9", 10, "joint shoulder: Coulomb friction of 0.82 N m"),
@@ -364,7 +364,7 @@ def test_noise_is_stated_or_that_of_a_fit_or_a_share_of_the_torque(tmp_path):
     knowledge = prior_information(SCARA)
     assert torque_noise(SCARA, direct, knowledge, motions)[0] == pytest.approx(0.02 * rms)
     assert torque_noise(SCARA, direct, prior_information(SCARA, noise=(0.3,)), motions)[0].tolist() == [0.3, 0.3]
-    with pytest.raises(IdentificationError, match=r"--noise.*expected one number, or one for each of 2 joints"):
+    with pytest.raises(IdentificationError, match=r"noise.*expected one number, or one for each of 2 joints"):
         prior_information(SCARA, noise=(1.0, 2.0, 3.0))
     beta = described_parameters(model, base)
     parameters = [

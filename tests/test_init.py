@@ -261,7 +261,7 @@ def test_options_that_do_not_fit_the_robot(here, capsys, given, message):
 
 def test_values_of_a_urdf_are_refused_with_a_description(here, capsys):
     run(capsys, "init", "arm.urdf", *NAMES, "-o", "robot.toml")
-    with pytest.raises(IdentificationError, match=r"^robot\.toml: --bandwidth-hz has no effect: expected a URDF"):
+    with pytest.raises(IdentificationError, match=r"^robot\.toml: bandwidth_hz has no effect: expected a URDF"):
         read_robot("robot.toml", bandwidth_hz=5.0)
     error = refused(capsys, "study", "robot.toml")
     assert error.startswith("robot made up: controller.bandwidth_hz is missing: expected the bandwidth")

@@ -70,9 +70,7 @@ def told_of(work, *task) -> str:
 def test_a_killed_worker_ends_the_run_in_one_line(tmp_path):
     tasks = [(tmp_path / "mark", number, 1) for number in range(6)]
     line = told_of(Work(2), killed, tasks)
-    wanted = (
-        "A worker process managed by the executor was unexpectedly terminated: expected more memory, or fewer --workers"
-    )
+    wanted = "A worker process managed by the executor was unexpectedly terminated: expected more memory, or a smaller Work(N)"
     assert line == wanted
     assert list(Work(2).run(killed, tasks)) == list(range(6)), "new workers do it"
 

@@ -25,7 +25,9 @@ class Work(NamedTuple):
         try:  # with `partial` Dask keeps tasks whole: it would store large arguments with one worker, and lose them with it
             yield from parallel(delayed(partial(function, *task))() for task in tasks)
         except (BrokenExecutor, CancelledError) as error:
-            raise IdentificationError(str(error).split(".")[0], expected="more memory, or fewer --workers") from error
+            raise IdentificationError(
+                str(error).split(".")[0], expected="more memory, or a smaller --workers"
+            ) from error
 
 
 def _cluster(address: str) -> dict[str, Any]:
