@@ -1,9 +1,7 @@
 """Robots, recordings and the real data that tests share."""
 
 import os
-from collections.abc import Generator
 from pathlib import Path
-from typing import Any
 
 import hypothesis
 import numpy as np
@@ -17,6 +15,7 @@ from identification.commands import main as identify
 from identification.model import InverseModel
 from identification.study import random_reference
 
+pytest_plugins = ["slow_tests"]
 # However long this machine takes for an example.
 hypothesis.settings.register_profile("busy", deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow])
 hypothesis.settings.load_profile("busy")
@@ -94,26 +93,3 @@ def tx40(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("tx40") / "tx40.mcap"
     import_tables(tables, robot_named("tx40"), REPLAY / "tx40" / "map.toml", out)
     return out
-
-
-def _cpu_s() -> float:
-    """CPU time of this process and of those that have ended, s."""
-    return sum(os.times()[:4])
-
-
-@pytest.hookimpl(wrapper=True)
-def pytest_runtest_call(item: pytest.Item) -> Generator[None, Any, Any]:
-    began = _cpu_s()
-    try:
-        return (yield)
-    finally:
-        item.user_properties.append(("cpu_s", _cpu_s() - began))
-
-
-def pytest_terminal_summary(terminalreporter: Any) -> None:
-    """With TEST_CPU=FILE the CPU time of every test."""
-    if (path := os.environ.get("TEST_CPU")) is None:
-        return
-    found = [report for name in ("passed", "failed") for report in terminalreporter.stats.get(name, [])]
-    lines = [f"{dict(one.user_properties)['cpu_s']:.3f} {one.nodeid}" for one in found if one.when == "call"]
-    Path(path).write_text("\n".join(sorted(lines, reverse=True)) + "\n")

@@ -244,7 +244,6 @@ def test_wrong_usage_is_status_2():
         assert caught.value.code == 2
 
 
-@pytest.mark.slow
 def test_a_terminal_without_unicode(tmp_path):
     write(tmp_path / "a.mcap", robot_named("scara"))
     ascii_only = {**os.environ, "PYTHONIOENCODING": "ascii"}

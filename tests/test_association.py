@@ -211,7 +211,6 @@ DAMAGES = {
 }
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("sent", [0, SENT])
 @pytest.mark.parametrize("share", [0.0, 0.2])
 @pytest.mark.parametrize("name", DAMAGES)

@@ -33,7 +33,6 @@ def robot_file(tmp_path):
     return place
 
 
-@pytest.mark.slow
 def test_no_output_takes_the_place_of_an_input(capsys, tmp_path, robot_file):
     fit = tmp_path / "fit.json"
     assert run(capsys, "fit", SESSION, "--json", fit)[0] == 0
@@ -115,7 +114,6 @@ def test_simulations_that_are_too_short_and_folders_that_cannot_be(capsys, tmp_p
     assert not out.exists()
 
 
-@pytest.mark.slow
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full here")
 def test_a_full_standard_output_is_one_line(robot_file):
     with open("/dev/full", "w") as full:
@@ -127,7 +125,6 @@ def test_a_full_standard_output_is_one_line(robot_file):
     assert done.stderr == "robot-identify: standard output: cannot be written: No space left on device\n"
 
 
-@pytest.mark.slow
 def test_a_start_of_huge_values_is_told_and_written(capsys, tmp_path):
     fit, out = tmp_path / "fit.json", tmp_path / "iv.json"
     assert run(capsys, "fit", SESSION, "--json", fit)[0] == 0
@@ -140,7 +137,6 @@ def test_a_start_of_huge_values_is_told_and_written(capsys, tmp_path):
     assert json.loads(out.read_text())["iterations"][0]["instruments"] == "reference"
 
 
-@pytest.mark.slow
 def test_a_fit_that_diverged_is_told_wherever_it_is_used(capsys, tmp_path):
     good, bad = tmp_path / "good.json", tmp_path / "bad.json"
     assert run(capsys, "fit", SESSION, "--json", good)[0] == 0
@@ -177,7 +173,6 @@ def test_a_fixed_joint_needs_none(kind):
     assert inertia == pytest.approx(np.array([[1.0 + 2.0 + 3.0 * 0.5**2, 2.0], [2.0, 2.0]]), abs=1e-5)
 
 
-@pytest.mark.slow
 def test_a_bandwidth_that_is_wrong_is_not_told_as_a_foreign_reference():
     """The reference is compared with the position as it was measured, not as the stated bandwidth lets it through."""
     robot = robot_named("scara")
@@ -209,7 +204,6 @@ def test_a_joint_that_stands_is_named_by_its_own_parameters():
         assert "joint elbow does not move" in fit.warnings
 
 
-@pytest.mark.slow
 def test_what_the_recorder_warned_of_stands_in_the_fit(tmp_path):
     recording = read_recording(SESSION)
     path = tmp_path / "warned.mcap"

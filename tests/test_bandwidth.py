@@ -77,7 +77,6 @@ def ur5() -> Signals:
     return recorded("ur5_robot.urdf", 0)
 
 
-@pytest.mark.slow
 def test_an_arm_with_speed_fed_forward_is_identified_without_its_bandwidth():
     outside = []
     for seed in range(5):
@@ -93,7 +92,6 @@ def test_an_arm_with_speed_fed_forward_is_identified_without_its_bandwidth():
     assert max(outside) <= 8, outside
 
 
-@pytest.mark.slow
 def test_the_errors_with_and_without_a_reference_are_alike():
     signals = recorded("panda.urdf", 0)
     one, other = (identify(replace(signals, q_ref=x), Overrides()) for x in (signals.q_ref, None))

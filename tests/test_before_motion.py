@@ -197,7 +197,6 @@ def test_speeds_that_are_none(tmp_path, speed):
     assert not (tmp_path / "a.mcap").exists()
 
 
-@pytest.mark.slow
 def test_what_is_granted_is_given_back(monkeypatch):
     calls = []
     monkeypatch.setattr(os, "sched_setscheduler", lambda *arguments: calls.append(arguments))

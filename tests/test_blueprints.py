@@ -20,7 +20,6 @@ def test_the_commands_are_those_that_write_such_files():
     assert writing | {"view", "view --follow"} == set(COMMANDS)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("command", COMMANDS)
 def test_each_view_stands_under_one_parent(command, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

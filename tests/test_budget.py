@@ -7,7 +7,6 @@ from functools import cache
 from pathlib import Path
 from types import FrameType
 
-import pytest
 from conftest import REPLAY, ROOT
 
 from identification.commands import main
@@ -66,7 +65,6 @@ def repeated(visits: list[str]) -> int:
     return next(lengths, 0)
 
 
-@pytest.mark.slow
 def test_one_fit_takes_a_short_way():
     trip, command = Trip(), ["fit", str(REPLAY / "scara" / "session.mcap"), "--method", "iv", "--workers", "1"]
     assert main(command) == 0  # imports and caches are those of any fit, whatever ran before

@@ -32,7 +32,6 @@ def with_sign(signals: Signals, motor: int) -> Signals:
     return of_motors(lambda efforts: factor * efforts)(signals)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("fit_by", [fit_by_default, fit_by_least_squares])
 def test_exchanged_efforts_are_named_and_what_is_left_without(fit_by):
     signals = setup("scara", 2).recording(2)
@@ -45,7 +44,6 @@ def test_exchanged_efforts_are_named_and_what_is_left_without(fit_by):
     assert with_it > 50
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("motor", [0, 1])
 def test_a_wrong_sign_names_the_motor(motor):
     signals = setup("scara", 3).recording(3)
@@ -58,13 +56,11 @@ def test_a_wrong_sign_names_the_motor(motor):
     assert first(fit) == ("do not use", f"the position of motor_{motor + 1} has the wrong sign")
 
 
-@pytest.mark.slow
 def test_of_all_signs_no_motor_is_named():
     fit = fit_by_least_squares(with_sign(with_sign(setup("scara", 3).recording(3), 0), 1))
     assert first(fit) == ("do not use", "physical")
 
 
-@pytest.mark.slow
 def test_of_a_coupled_wrist_the_motor_is_named():
     signals = setup("tx40", 1, 8.0).recording(1)
     assert not {"signs and order", "saturation", "positions"} & {
@@ -85,7 +81,6 @@ def test_of_a_coupled_wrist_the_motor_is_named():
     assert first(by_joint) == ("do not use", "the efforts of joint_5 and joint_6 are exchanged")
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["emps", "scara"])
 def test_an_unstated_limit_of_a_drive_is_named(name):
     setup_ = replace(sound(name, np.random.default_rng(4)), saturated=0.8)
@@ -116,7 +111,6 @@ def test_limits_are_where_an_effort_stays_and_peaks_are_none():
     assert limits(clipped, saturation=20.0) == [found]
 
 
-@pytest.mark.slow
 def test_radians_declared_as_degrees_are_asked_for():
     signals = KINDS["radians declared as degrees"].change(setup("scara"), np.random.default_rng(1)).recording(1)
     assert first(fit_by_least_squares(signals)) == ("caution", "radians declared as degrees?")

@@ -35,7 +35,6 @@ def in_shell(command: str, folder: Path) -> subprocess.CompletedProcess[str]:
     )  # fmt: skip
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("program", "command", "files"),
     [
@@ -65,7 +64,6 @@ def test_a_reader_that_is_gone_before_the_first_line_costs_nothing(
     assert all((tmp_path / name).stat().st_size > 100 for name in files)
 
 
-@pytest.mark.slow
 def test_head_loses_nothing(tmp_path):
     done = in_shell(f"ID fit {SESSION} --json j --rrd r | head -1", tmp_path)
     assert (done.returncode, done.stderr, done.stdout.count("\n")) == (0, "", 1)
@@ -81,7 +79,6 @@ def test_a_full_disk_under_standard_output_is_told_after_the_files_are_written(t
     assert (tmp_path / "j").stat().st_size > 100
 
 
-@pytest.mark.slow
 def test_closed_streams_are_as_good_as_none(tmp_path):
     """The number of a closed stream is not given to the next file: what is printed would stand in it."""
     write(tmp_path / "a.mcap", load_robot(SCARA))
@@ -103,7 +100,6 @@ def test_closed_streams_are_as_good_as_none(tmp_path):
         assert in_shell("ACQ info none.mcap 2>/dev/full", tmp_path).returncode == 1
 
 
-@pytest.mark.slow
 def test_a_fault_is_told_though_nobody_reads_the_findings(tmp_path):
     """`check | head -1` on a bus on which no drive answers: no go is status 1 however little of it is read."""
     text = (REPLAY / "scara" / "robot.toml").read_text()
@@ -114,7 +110,6 @@ def test_a_fault_is_told_though_nobody_reads_the_findings(tmp_path):
     assert done.stderr.count("\n") == 1
 
 
-@pytest.mark.slow
 def test_a_picture_that_cannot_be_written_costs_neither_the_fit_nor_its_table(tmp_path, capsys):
     assert identify(["fit", str(SESSION), "--json", str(tmp_path / "j"), "--rrd", str(tmp_path / "none" / "r")]) == 1
     printed = capsys.readouterr()
@@ -313,7 +308,6 @@ def test_wrong_usage_is_one_line_with_what_was_meant(program, command, line, cap
     assert said.endswith(f"{line}\n")
 
 
-@pytest.mark.slow
 def test_a_method_may_be_in_capitals(capsys):
     printed = []
     for method in ("IV", "iv"):

@@ -93,7 +93,6 @@ def test_gradient_and_hessian_are_those_of_differences():
     np.testing.assert_allclose(H, by_gradients, rtol=1e-5, atol=1e-8 * np.abs(H).max())
 
 
-@pytest.mark.slow
 def test_the_optimum_is_that_of_another_optimiser():
     """An estimate without a positive rotor inertia, and weights that let the barrier be seen."""
     K, physical = one_link()
@@ -281,7 +280,6 @@ def test_intervals_are_those_of_the_inverse_hessian():
     np.testing.assert_allclose(of_beta, np.sqrt(plain + moved), rtol=1e-5)
 
 
-@pytest.mark.slow
 def test_intervals_hold_the_truth_where_the_prior_is_links_by_their_lengths():
     """Estimates drawn about the TX40's published values, whose links the prior takes for rods."""
     _, K, chi, physical = tx40(described=False)

@@ -36,7 +36,6 @@ def consistent(tx40):
     return with_consistent(ls_of(tx40))
 
 
-@pytest.mark.slow
 def test_the_real_arm_becomes_a_physical_one(consistent):
     """Every pseudo-inertia and every own rotor inertia and friction positive; the torque error hardly larger."""
     c, problem = consistent.consistent_set, consistent.problem
@@ -123,7 +122,6 @@ def observed(consistent):
     return rows_of_recording(consistent.problem)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("expected", ["described", "plausible"])
 def test_held_out_torque_is_predicted_no_worse(consistent, observed, expected):
     """Halves both ways and fifths of the real record, each fitted alone and tried on all the rest."""
@@ -189,7 +187,6 @@ def sdp(beta, covariance, K, physical, gamma, near):
     return solved.obj_val + half, solved.obj_val_dual + half
 
 
-@pytest.mark.slow
 def test_without_its_barrier_the_optimum_is_that_of_an_sdp():
     """With gamma 1e-8 within gamma (4 n + number of x_i), of an arm whose own parameters no robot has."""
     idm, K, chi, _ = described_tx40()
@@ -209,7 +206,6 @@ def test_without_its_barrier_the_optimum_is_that_of_an_sdp():
     assert bound - 1e-6 < mine < best + gap + 1e-6
 
 
-@pytest.mark.slow
 def test_random_arms_at_ten_times_the_noise():
     """A sample of what `benchmarks/test_consistent_rates.py` does a thousand times; of these 1 and 4 need the path."""
     for seed in (0, 1, 2, 4):
@@ -306,7 +302,6 @@ def test_a_urdf_says_what_the_links_of_a_robot_of_dh_rows_are():
     assert (caught.value.place, caught.value.key, caught.value.value) == ("prior cad.urdf", "joint", "b")
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("values", "told"),
     [
@@ -335,7 +330,6 @@ def test_a_wrist_that_feeds_energy_is_told_by_the_verdict_and_by_the_consistent_
     assert made.chi_squared == fit.trust.line("consistent").value
 
 
-@pytest.mark.slow
 def test_the_file_holds_what_a_model_is_made_of(tmp_path, capsys):
     session, out, prior = REPLAY / "scara" / "session.mcap", tmp_path / "fit.json", tmp_path / "prior.toml"
     prior.write_text((REPLAY / "scara" / "robot.toml").read_text())
@@ -370,7 +364,6 @@ def test_the_file_holds_what_a_model_is_made_of(tmp_path, capsys):
     assert {"standard_parameters", "consistent", "left_out"} <= set(FitFile.__struct_fields__)
 
 
-@pytest.mark.slow
 def test_the_file_holds_what_an_essential_fit_leaves_out(tx40):
     fit = identify_ls(signals_of(tx40), Overrides(), essential=True)
     full, names = fit.least_squares.full, fit.estimate.names
@@ -405,7 +398,6 @@ def test_a_fit_in_amperes_is_refused(tmp_path, capsys):
     assert "motor[0].drive_gain is missing" in err
 
 
-@pytest.mark.slow
 def test_validate_judges_the_consistent_set_beside_the_fit(tmp_path, capsys):
     session, out, free = REPLAY / "scara" / "session.mcap", tmp_path / "fit.json", tmp_path / "free.json"
     assert main(["fit", str(session), "--consistent", "--json", str(out)]) == 0

@@ -105,7 +105,6 @@ def path_of(kind: str) -> np.ndarray:
     return 0.01 * np.stack([1 - np.cos(w * t), w * np.sin(w * t), w**2 * np.cos(w * t)])
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "saturation"), [("step", np.inf), ("step", 3.0), ("sine", np.inf), ("sine", 1e6)])
 @pytest.mark.parametrize("estimate", ESTIMATES)
 @pytest.mark.parametrize("structure", LAWS)

@@ -11,6 +11,7 @@ from gain_cases import CENTRE, robot_of, with_motors
 from gain_cases import with_gains as described_with
 from test_friction_terms import described, model_of
 
+import identification
 from acquisition.robot import Payload, Robot
 from identification import validate
 from identification.data import RecordingFile, Recordings, Signals, Work
@@ -23,7 +24,6 @@ RATE_HZ = 500.0
 TRUE = np.array([2.0, 0.7])  # N m/A
 WRONG = np.array([2.0, 0.9])  # as described where gains are identified
 COLUMNS = ("velocity", "known_torque", "feedforward", "reference", "payload")
-SIMULATED = ("reference", "all")  # by instruments
 CONCERNS = ("load", "own", "gains")
 CARRIED = Payload(1.0, CENTRE["scara"])
 KNOWN = np.array([1.0, 0.05])  # N m, known torques
@@ -110,9 +110,7 @@ def off(fit: Fit) -> np.ndarray:
     return np.abs(fit.estimate.beta - true) / fit.intervals.half
 
 
-@pytest.mark.parametrize(
-    "columns", [pytest.param(x, marks=pytest.mark.slow if x in SIMULATED else ()) for x in (*COLUMNS, "all")]
-)
+@pytest.mark.parametrize("columns", [*COLUMNS, "all"])
 @pytest.mark.parametrize("concerns", ["plain", *CONCERNS, "all"])
 def test_two_recordings_are_fitted_with_what_they_have(concerns, columns, tmp_path):
     concerns = frozenset({"all": CONCERNS, "plain": ()}.get(concerns, (concerns,)))
@@ -129,7 +127,7 @@ def test_two_recordings_are_fitted_with_what_they_have(concerns, columns, tmp_pa
     # The mean of own parameters is validated, and load friction where the fit has it linearised.
     tolerance = 0.06 if "gains" in concerns else 0.02 if "own" in concerns else 1e-4 if "load" in concerns else 1e-9
     for one, path in zip(fit.recordings, paths, strict=True):
-        again = validate(fit, path)
+        again = validate(identification.Fit(**vars(fit)), path)
         assert again.relative_error_percent == pytest.approx(one.errors[-1].relative_error_percent, rel=tolerance)
         assert again.warnings == []
 
@@ -139,7 +137,7 @@ def test_two_recordings_are_fitted_with_what_they_have(concerns, columns, tmp_pa
     [
         ("gains", "reference payload", 1),
         ("own", "payload", 1),
-        pytest.param("load gains", "reference payload", 2, marks=pytest.mark.slow),
+        ("load gains", "reference payload", 2),
     ],
 )
 def test_long_recordings_are_fitted_as_held_ones(concerns, columns, workers, tmp_path):

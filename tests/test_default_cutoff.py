@@ -76,7 +76,6 @@ FIGURES = {("scara", "ls"): 0.016, ("scara", "iv"): 0.016, ("tx40", "ls"): 0.006
 QUICK = {("tx40", "iv"): 2, ("scara", "iv"): 6}
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("name", "method"), FIGURES)
 def test_the_default_cutoff_is_as_good_as_the_next(name, method, request):
     whole = request.config.getoption("--benchmark-enable")

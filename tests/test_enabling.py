@@ -36,7 +36,6 @@ def phase_of(session: DrySession, name: str) -> np.ndarray:
     return samples[(samples["stamp_ns"] >= at) & (samples["stamp_ns"] < then)]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("late_s", [0.0, 2.0])
 def test_an_arm_under_half_load_is_held_where_it_stood(tmp_path, late_s):
     late = [Fault(kind="slow", node=2, sync=1, count=round(late_s / 0.002))] if late_s else []
@@ -81,7 +80,6 @@ def test_a_target_follows_while_its_drive_is_not_enabled(tmp_path):
     assert sent[len(enabling) + 1] / scale == pytest.approx(enabling[-2], abs=2e-4)
 
 
-@pytest.mark.slow
 def test_motion_while_enabling_is_a_fault_beyond_its_limit(tmp_path):
     """The sag under 50 % load until the loop has built up its effort, and limits on both sides of it."""
 
@@ -137,7 +135,6 @@ def test_two_drives_enabled_together_that_run_away_are_stopped_before_they_have_
     assert 1.0 < farthest[0] < 3.5
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("extra", "watch_s"), [("", 0.2), ("enable_watch_s = 0.5", 0.5)])
 def test_the_last_drive_enabled_is_watched_before_anything_moves(tmp_path, extra, watch_s):
     robot = robot_of(bus_text(2, extra=extra))

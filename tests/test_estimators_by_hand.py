@@ -201,7 +201,6 @@ def test_rows_of_a_first_order_process_are_worth_the_share_of_its_variance_of_th
     assert negative.F_effective == negative.F
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("condition", [1.0, 1e6])
 @pytest.mark.parametrize("rows", [5, 2047, 2048, 5000])
 def test_factors_of_tall_matrices(rows, condition):

@@ -120,7 +120,6 @@ def test_a_series_begins_and_ends_at_rest_and_is_what_its_basis_says():
     assert np.linalg.matrix_rank(np.concatenate(SERIES.basis(50)[:1])) == K  # nothing is left out twice
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("robot", [SCARA, TX40, ASYMMETRIC], ids=["scara", "tx40", "asymmetric"])
 def test_the_gradient_is_that_of_differences(robot):
     """Central differences in random directions, and along single coefficients, to 1e-6 of the largest component."""
@@ -232,7 +231,6 @@ def tx40_excitation():
     return robot, excite(robot, settings, prior_information(robot), "here", said.append), said
 
 
-@pytest.mark.slow
 def test_the_reference_tells_more_than_the_plain_one_in_all_parameters(tx40_excitation):
     _, found, said = tx40_excitation
     smaller = found.plain / found.sigma
@@ -632,7 +630,6 @@ def test_a_reference_for_a_payload_keeps_the_efforts_with_and_without_it():
     assert [row[0] for row in limits.table.rows][-2:] == ["shoulder with the payload", "elbow with the payload"]
 
 
-@pytest.mark.slow
 def test_the_half_widths_of_gains_are_those_of_a_fit():
     case = next(c for c in CASES if c.robot == "scara")
     pair = pair_of(case, 1)

@@ -22,7 +22,6 @@ from identification.simulation.experiment import Experiment
 from identification.simulation.instruments import simulate_instruments
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["scara", "emps"])
 def test_the_simulated_motion_is_that_of_the_robot_without_noise(name):
     """With the true parameters only friction near standstill differs: far less than one sample of delay would."""
@@ -56,7 +55,6 @@ def test_the_simulated_motion_is_that_of_the_robot_without_noise(name):
     assert (np.linalg.norm(tau - recorded, axis=0) < 0.02 * np.linalg.norm(recorded, axis=0)).all()
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("without_reference", [False, True])
 def test_blocks_of_a_long_recording_give_what_its_rows_give(monkeypatch, without_reference):
     """Simulated, filtered and factored block by block: the estimate, its intervals and the errors are those of one pass."""

@@ -44,7 +44,6 @@ def assert_friction_is_found() -> None:
         assert found[f"Fv{j}"] == pytest.approx(viscous, rel=0.1)
 
 
-@pytest.mark.slow
 def test_a_ur5_in_the_format_of_rtde(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     Path("ur5.urdf").write_text(six_joints())
@@ -72,7 +71,6 @@ def test_a_ur5_in_the_format_of_rtde(tmp_path, monkeypatch, capsys):
     assert_friction_is_found()
 
 
-@pytest.mark.slow
 def test_a_panda_with_torque_sensors_and_fingers(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     arm = six_joints()

@@ -45,7 +45,6 @@ def run(folder, say=lambda text: None, **how):
     return study.run_fleet(study.found_recordings([folder], **how), "wls", folder.parent / "store", Work(), say)
 
 
-@pytest.mark.slow
 def test_the_table_has_each_fit_and_marks_the_step_of_friction(fleet, tmp_path, capsys):
     shutil.copytree(fleet, tmp_path / "arm")
     (tmp_path / "arm" / "cut.mcap").write_bytes((fleet / "1.mcap").read_bytes()[:50_000])

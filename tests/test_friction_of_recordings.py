@@ -57,7 +57,6 @@ def weighted_regressor(problem) -> np.ndarray:
     return s.decimator.filtered(weights_at(problem, m.t_s)[:, None] * whole.transpose(1, 2, 0)).transpose(0, 2, 1)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("count", "own"), [(1, ()), (3, ()), (3, ("Off",))])
 def test_parts_are_held_out_one_by_one(count, own):
     """By hand: weighted rows of the other parts, recordings or fifths, error of moving rows; own offsets fitted to it."""
@@ -149,7 +148,6 @@ def test_a_recording_that_the_others_cannot_predict_is_named():
     assert "r3.mcap cannot be predicted by the others" in str(refused.value)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("names", [["r1.mcap"], ["r3.mcap", "r2.mcap", "r1.mcap"]])
 def test_the_command_prints_stores_and_writes_the_terms(names, tmp_path, capsys):
     for signals in several():
@@ -231,7 +229,6 @@ def test_the_page_has_each_joint_over_all_recordings(terms, own, monkeypatch):
     np.testing.assert_allclose(found, expected, rtol=1e-9)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("count", [1, 3])
 def test_the_page_of_the_command_has_the_friction_of_both_fits(tmp_path, count, monkeypatch):
     files, drawn = [], []

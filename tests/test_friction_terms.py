@@ -240,7 +240,6 @@ def exact(arm):
     return exact_problem(arm, fourier_reference(arm, period_s=6.0, seed=5).at(t))
 
 
-@pytest.mark.slow
 def test_exact_motion_gives_every_term_back(exact):
     problem, known = exact
     settled, full = least_squares(system_of(problem))
@@ -475,7 +474,6 @@ NONE, ROOT, LOAD = frozenset(), frozenset({"root"}), frozenset({"load"})
 WITHOUT_LAG = Overrides(torque_lag_s="none")
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_the_terms_that_a_robot_has_are_recommended(seed):
     usual = ["viscous", "coulomb"]
@@ -504,7 +502,6 @@ LINEAR = [["viscous", "coulomb", "offset", "asymmetric", "root"], ["viscous", "c
 LOADED = [["viscous", "coulomb", "root", "load"], ["viscous", "coulomb", "load"]]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("method", "terms", "own", "seeds"),
     [
@@ -558,7 +555,6 @@ def test_friction_of_its_own_is_judged_in_its_own_recording():
     assert fit.trust.line("physical").level == "ok", fit.trust.line("physical").text
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("method", ["wls", "iv"])
 def test_terms_that_several_recordings_cannot_tell_are_left_out_of_all(method, tmp_path):
     """Stribeck friction at a speed far beyond the motion is Coulomb friction; tasks in other processes know it too."""
@@ -637,7 +633,6 @@ def test_a_description_whose_lines_cannot_be_replaced_stays(tmp_path, capsys):
 # --- the real records
 
 
-@pytest.mark.slow
 def test_the_real_tx40_needs_root_friction_and_load_friction_of_joint_3(tx40):
     signals = signals_of(tx40)
     choice = select_friction(signals, Overrides())

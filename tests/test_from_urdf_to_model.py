@@ -68,7 +68,6 @@ def relative(error, of):
     return np.linalg.norm(error, axis=0) / np.linalg.norm(of, axis=0)
 
 
-@pytest.mark.slow
 def test_the_exported_description_moves_as_the_robot_that_was_recorded(loop):
     robot, exported = load_robot(loop / "robot.toml"), load_robot(loop / "out.toml")
     assert [joint.name for joint in exported.joints] == [joint.name for joint in robot.joints]
@@ -77,7 +76,6 @@ def test_the_exported_description_moves_as_the_robot_that_was_recorded(loop):
     assert relative(torque(exported, states) - true, true).max() < 0.03
 
 
-@pytest.mark.slow
 def test_the_exported_urdf_has_the_rigid_body_of_the_robot(loop):
     """Read by pinocchio alone; the sum of what was fitted is the robot's, though no link need be."""
     robot = load_robot(loop / "robot.toml")
@@ -96,7 +94,6 @@ def test_the_exported_urdf_has_the_rigid_body_of_the_robot(loop):
     assert relative(tau - true, true).max() < 0.05
 
 
-@pytest.mark.slow
 def test_the_exported_description_is_simulated_and_studied(loop, monkeypatch, capsys):
     monkeypatch.chdir(loop)
     rate_hz = load_robot(loop / "out.toml").controller.sample_rate_hz or 500  # of the law that the fit found

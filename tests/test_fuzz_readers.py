@@ -81,7 +81,6 @@ def use_map(text: str) -> None:
         import_tables([path.with_name("none.csv")], EMPS, path, path.with_name("out.mcap"))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("use", [use_robot, use_map])
 @FUZZ
 @given(text=changed_toml())
@@ -148,7 +147,6 @@ def test_any_bytes_as_a_recording(
         pytest.fail(f"read as {read_recording(path)}")
 
 
-@pytest.mark.slow
 def test_changed_recordings(tmp_path: Path) -> None:
     """Bytes exchanged, dropped, doubled and moved, with and without the CRC that would tell at once."""
     robot: Robot = robot_named("scara")

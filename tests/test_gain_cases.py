@@ -11,7 +11,6 @@ from identification.model.physical import link_columns
 from identification.regression import Overrides
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("robot", "catalogue"), [("emps", True), ("scara", False), ("tx40", True), ("axis", False)])
 def test_the_true_gains_give_the_robot_and_its_payload(robot, catalogue, monkeypatch):
     monkeypatch.setattr(gain_cases, "with_stated", lambda signals, *_: signals)

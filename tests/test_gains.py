@@ -481,7 +481,6 @@ def test_gains_of_long_recordings_are_not_those_of_their_beginnings(pair, negati
     assert "a larger decimation or shorter recordings" in str(caught.value)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("case", "bound"),
     [

@@ -103,7 +103,6 @@ def test_the_replay_still_finds_a_wrong_gain():
     assert line.value == pytest.approx(1.1, abs=0.02)
 
 
-@pytest.mark.slow
 def test_iv_simulates_it():
     fit, _ = of_test(described(), method="iv")
     assert fit.status == "converged"

@@ -142,7 +142,6 @@ def test_an_approach_out_of_the_limits_is_refused_before_anything_moves(tmp_path
     assert np.abs(session.recording.samples["position"]).max() < 0.01  # the sag when the brakes open
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("bit", [0x0200, 0x1000])
 def test_a_drive_that_says_it_does_not_obey(tmp_path, bit):
     words = {
@@ -226,7 +225,6 @@ def stalling(at_sync: int, for_s: float) -> type[Through]:
     return Stalling
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("extra", "for_s", "fault"),
     [
@@ -288,7 +286,6 @@ def sync_of(tmp_path_factory) -> dict[str, int]:
     return {phase: int(np.sum(syncs < session.phases[phase])) + 2 for phase in PHASES}
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("phase", PHASES)
 @pytest.mark.parametrize("kind", ["emergency", "silent", "reset", "deaf"])
 def test_every_fault_in_every_phase_ends_disabled(tmp_path, sync_of, phase, kind):

@@ -50,7 +50,6 @@ def refusal(signals: Signals) -> str:
     return str(refused.value)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("held", [0, 1])
 def test_a_held_joint_does_not_keep_the_others_from_being_fitted(held):
     """The heavy shoulder hardly moves: its friction, which is not dry at 1 mrad/s, is not looked at. The elbow is pushed."""
@@ -69,7 +68,6 @@ def test_a_held_joint_does_not_keep_the_others_from_being_fitted(held):
     assert [text.split(":")[0] for text in cautions] == (["joint shoulder does not move"] if held == 0 else [])
 
 
-@pytest.mark.slow
 def test_a_reference_that_saturation_made_the_robot_leave_is_no_foreign_one():
     limits = (38.0, 100.0)
     signals = recorded(saturation=limits).signals(scara(limits), 0)
@@ -83,7 +81,6 @@ def test_a_reference_that_saturation_made_the_robot_leave_is_no_foreign_one():
     assert "expected saturation of the motor" in unknown
 
 
-@pytest.mark.slow
 def test_a_drive_that_is_saturated_now_and_then_is_a_warning():
     limits = (45.0, 100.0)
     fit = identify_iv(recorded(saturation=limits).signals(scara(limits), 0), Overrides(), Iteration())
@@ -92,7 +89,6 @@ def test_a_drive_that_is_saturated_now_and_then_is_a_warning():
     assert told in fit.warnings
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "foreign",
     [
@@ -109,7 +105,6 @@ def test_a_foreign_reference_is_refused(foreign):
     assert "expected the reference of this recording" in refusal(other)
 
 
-@pytest.mark.slow
 def test_a_foreign_reference_is_refused_though_a_joint_is_held():
     signals = recorded(held=1).signals(robot_named("scara"), 0)
     other = dataclasses.replace(signals, q_ref=np.array(signals.q_ref[::-1]))
@@ -118,7 +113,6 @@ def test_a_foreign_reference_is_refused_though_a_joint_is_held():
     assert "reference of joint elbow" in refusal(nothing)  # whose reference stands, and which moves
 
 
-@pytest.mark.slow
 def test_a_foreign_reference_of_a_joint_that_moves_little_is_refused():
     """It goes by its own travel, a tenth of the shoulder's."""
     signals = recorded().signals(robot_named("scara"), 0)

@@ -52,14 +52,12 @@ def apart(one, other) -> float:
     return max(float((np.std(a - b, axis=0) / np.std(a, axis=0)).max()) for a, b in pairs)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_motion_and_torque_are_those_of_the_other_simulator(name):
     """The mean over two periods, which is half a sample late of the command of its tick."""
     assert apart(independent(name), packaged(name)) < 0.005
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize(
     ("own", "theirs"),

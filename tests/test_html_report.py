@@ -64,7 +64,7 @@ def page_of(picture, tmp_path):
     return Page((tmp_path / "report.html").read_text(encoding="utf-8"))
 
 
-@pytest.mark.parametrize("record", [SCARA, pytest.param(TX40, marks=pytest.mark.slow)], ids=["scara", "tx40"])
+@pytest.mark.parametrize("record", [SCARA, TX40], ids=["scara", "tx40"])
 def test_the_file_stands_alone_and_is_small(record, tmp_path):
     signals, fit = signals_of(record), iv_of(record)
     start = time.process_time()
@@ -172,7 +172,6 @@ def test_every_colour_has_a_contrast_of_4_5_to_1_in_light_and_dark():
         assert len({colors[name] for name in CLASSES.values()}) == len(CLASSES)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("ending", ["md", "html", "pdf"])
 def test_commands_write_their_report(ending, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -201,7 +200,6 @@ def test_commands_write_their_report(ending, tmp_path, capsys, monkeypatch):
 
 
 @needs_chromium
-@pytest.mark.slow
 @pytest.mark.parametrize("record", [SCARA, TX40], ids=["scara", "tx40"])
 def test_chromium_shows_it_without_requests_messages_or_sideways_scroll(record, tmp_path):
     file = tmp_path / "report.html"

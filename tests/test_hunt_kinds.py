@@ -8,7 +8,6 @@ from hunt import Outcome, fit_by_default, is_harmed, row, true_values
 from hunt_kinds import ASSUMED, CLEAN, KINDS, sound
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("what", KINDS)
 def test_every_kind_can_be_recorded(what):
     kind = KINDS[what]
@@ -25,7 +24,6 @@ def fit():
     return fit_by_default(replace(sound("emps", np.random.default_rng(1)), duration_s=4.0).recording(1))
 
 
-@pytest.mark.slow
 def test_kinds_are_named_by_tests_that_there_are(fit):
     where_found = {"rows", "signs and order", "positions"}  # lines where there is something to say
     named = {test for kind in KINDS.values() for test, _ in kind.named} - where_found
@@ -33,7 +31,6 @@ def test_kinds_are_named_by_tests_that_there_are(fit):
     assert CLEAN.named == ()
 
 
-@pytest.mark.slow
 def test_harmed_is_off_by_three_half_widths_and_two_percent(fit):
     assert list(true_values("emps")) == list(fit.estimate.names)
     true = np.array(list(true_values("emps").values()))

@@ -52,14 +52,12 @@ def test_fit_prints_a_table_and_writes_json(capsys, tmp_path):
     assert f"{fit['parameters'][0]['value']:.8f}"[:5] in out
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["scara", "tx40", "emps"])
 def test_the_same_description_beside_a_recording_prints_the_same_bytes(name, capsys):
     session, robot = REPLAY / name / "session.mcap", REPLAY / name / "robot.toml"
     assert run(capsys, "fit", session) == run(capsys, "fit", session, "--robot", robot)
 
 
-@pytest.mark.slow
 def test_a_verdict_that_is_asked_for_is_in_the_exit_status(capsys, tmp_path):
     status, _, err = run(capsys, "fit", SESSION, "--require", "trust")
     assert (status, err) == (0, "")
@@ -73,7 +71,6 @@ def test_a_verdict_that_is_asked_for_is_in_the_exit_status(capsys, tmp_path):
     assert run(capsys, "fit", SESSION, "--method", "wls")[0] == 0
 
 
-@pytest.mark.slow
 def test_options_and_keys_change_the_fit(capsys, tmp_path):
     robot = tmp_path / "robot.toml"
     robot.write_text(
@@ -89,7 +86,6 @@ def test_options_and_keys_change_the_fit(capsys, tmp_path):
     assert [p["name"] for p in essential["parameters"]] == essential["essential"]["names"]
 
 
-@pytest.mark.slow
 def test_validate_applies_a_fit_to_another_recording(capsys, tmp_path):
     fit, other, errors = tmp_path / "fit.json", tmp_path / "other.mcap", tmp_path / "errors.json"
     assert run(capsys, "fit", SESSION, "--json", fit)[0] == 0
@@ -209,7 +205,6 @@ def test_unknown_gains_give_volts_and_a_warning(capsys, tmp_path):
     assert first["value"] == pytest.approx(2.7, rel=0.01)
 
 
-@pytest.mark.slow
 def test_outputs_are_whole_or_not_there(capsys, tmp_path):
     copy = tmp_path / "log.mcap"
     shutil.copy(SESSION, copy)

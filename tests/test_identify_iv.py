@@ -37,7 +37,6 @@ def scaled(values: dict[str, float]) -> Iteration:
 # Real recordings
 
 
-@pytest.mark.slow
 def test_emps_converges_from_anywhere_to_the_same_answer(emps):
     starts = (scaled({"M1": 1.0}), scaled({"M1": 1000.0}), Iteration(start="ls"))
     fits = [*(identify_iv(signals_of(emps), Overrides(), iteration) for iteration in starts), iv_of(emps)]
@@ -50,14 +49,12 @@ def test_emps_converges_from_anywhere_to_the_same_answer(emps):
     assert (half < [0.6, 20, 1.5, 0.7]).all()
 
 
-@pytest.mark.slow
 def test_emps_without_a_filter_gives_the_same(emps):
     raw = identify_iv(signals_of(emps), RAW, Iteration())
     assert raw.status == "converged"
     np.testing.assert_allclose(raw.beta, iv_of(emps).beta, rtol=3e-3)
 
 
-@pytest.mark.slow
 def test_tx40_converges_in_three_passes_as_in_the_paper(tx40):
     fit, ls = iv_of(tx40), ls_of(tx40)
     assert (fit.status, len(fit.beta)) == ("converged", 60)
@@ -69,7 +66,6 @@ def test_tx40_converges_in_three_passes_as_in_the_paper(tx40):
     assert fit.iv.tests.first_stage_F > 10
 
 
-@pytest.mark.slow
 def test_without_the_gain_update_the_first_instruments_of_the_tx40_are_along_the_reference(tx40):
     fit = identify_iv(signals_of(tx40), Overrides(), Iteration(gain_update=False))
     # A wrist of 1 kg m² under gains set for 0.01 kg m² does not follow: only along the reference does the method go on.
@@ -83,7 +79,6 @@ def test_without_the_gain_update_the_first_instruments_of_the_tx40_are_along_the
     assert not np.array_equal(fit.replica.motion.q, updated.replica.motion.q)
 
 
-@pytest.mark.slow
 def test_fewer_instrument_samples_leave_the_estimate_where_it_is(tx40, monkeypatch):
     """All rows are used: which of them are slow turns on single samples, with either rate."""
     signals = signals_of(tx40)
@@ -108,7 +103,6 @@ def tx40_signals(noise: Noise, seed: int = 5) -> tuple[Signals, np.ndarray]:
     )
 
 
-@pytest.mark.slow
 def test_simulated_tx40_gives_the_truth_where_least_squares_does_not():
     signals, true = tx40_signals(Noise(encoder_step=1e-5, position=1.7e-5, effort_percent=3.0))
     fit = identify_iv(signals, RAW, Iteration())
@@ -120,7 +114,6 @@ def test_simulated_tx40_gives_the_truth_where_least_squares_does_not():
     assert error_percent(fit.beta, true) < 0.5 * error_percent(ls.beta, true)
 
 
-@pytest.mark.slow
 def test_scara_with_a_wrong_filter_and_with_the_tuned_one():
     robot = robot_named("scara")
     dynamics = InverseModel(robot)
@@ -154,7 +147,6 @@ def emps_like(position_noise: float, seed: int) -> Signals:
     return dataclasses.replace(exact, q=exact.q + noise)
 
 
-@pytest.mark.slow
 def test_noise_that_biases_least_squares_does_not_bias_instruments():
     """Figures measured before on this axis: 2 µm, neither filtered nor decimated: M by LS -81 %, by IV +0.3 %; 20 µm at the
     tuned filter: LS -17 %, IV +0.6 %."""
@@ -169,7 +161,6 @@ def test_noise_that_biases_least_squares_does_not_bias_instruments():
         assert abs(100 * (iv.beta[0] / true - 1)) < 1.0
 
 
-@pytest.mark.slow
 def test_low_speed_rows_bias_friction_unless_left_out():
     """20 µm of noise, no filter: with all rows Fv is 20 to 30 % low and Fc as much high; without slow rows neither is."""
     bias = {0.0: [], None: []}
@@ -193,7 +184,6 @@ def with_torque_of_the_wrong_sign() -> Fit:
     return identify_iv(dataclasses.replace(signals, effort=-signals.effort), Overrides(), Iteration())
 
 
-@pytest.mark.slow
 def test_a_converged_fit_has_a_positive_inertia_matrix_and_one_that_has_not_is_not_called_so():
     signals, fit = signals_of(SCARA), iv_of(SCARA)
     idm = InverseModel(signals.robot)
@@ -206,7 +196,6 @@ def test_a_converged_fit_has_a_positive_inertia_matrix_and_one_that_has_not_is_n
     assert all(p.z.kind != "simulated" or p.z.reason is None for p in wrong.iv.passes)
 
 
-@pytest.mark.slow
 def test_too_few_passes_are_called_what_they_are():
     signals = signals_of(SCARA)
     fit = identify_iv(signals, Overrides(), Iteration(max_iterations=1))
@@ -238,7 +227,6 @@ def thinned(signals: Signals, step: int) -> Signals:
     )
 
 
-@pytest.mark.slow
 def test_recordings_of_few_samples_are_fitted():
     """At 40 Hz, 8 times the bandwidth, the rule's cut-off is beyond half the rate; 2 s unfiltered are shorter than borders."""
     robot = robot_named("scara")
@@ -278,7 +266,6 @@ def test_gains_tell_the_inertias_where_least_squares_has_none():
     assert (fit.iv.passes[0].z.gains >= 1 / J - 1e-9).all()
 
 
-@pytest.mark.slow
 def test_a_saturated_drive_is_reported(emps):
     signals = signals_of(emps)
     motor = msgspec.structs.replace(signals.robot.motors[0], saturation=2.0)
@@ -298,7 +285,6 @@ def refused(capsys, *arguments) -> str:
     return err
 
 
-@pytest.mark.slow
 def test_command_line(capsys, tmp_path):
     session, out = SCARA, tmp_path / "iv.json"
     assert main(["fit", str(session), "--method", "iv", "--all", "--json", str(out)]) == 0
@@ -334,7 +320,6 @@ def test_gains_of_the_wrong_length_or_sign_are_refused(capsys, tmp_path):
         assert message in refused(capsys, "fit", session, "--method", "iv", "--robot", robot)
 
 
-@pytest.mark.slow
 def test_study_reports_both_methods(capsys, tmp_path):
     out = tmp_path / "study.json"
     robot = str(REPLAY / "scara" / "robot.toml")
@@ -361,7 +346,6 @@ def test_study_reports_both_methods(capsys, tmp_path):
         assert run["iv"]["error"] < 0.005
 
 
-@pytest.mark.slow
 def test_a_study_in_which_nothing_converges_says_so(capsys, tmp_path):
     out, robot = tmp_path / "study.json", str(REPLAY / "scara" / "robot.toml")
     command = ["study", robot, "--runs", "2", "--duration-s", "2", "--json", str(out)]

@@ -40,7 +40,6 @@ def system_of(motion: Motion, model: InverseModel, base: BaseParameters) -> Syst
     return System.whole(W, motion.tau.T.reshape(-1), np.repeat(np.arange(n), len(motion.t_s)), base.names)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("name", "count"), [("scara", 8), ("tx40", 60)])
 @pytest.mark.parametrize("solve", [ordinary_least_squares, weighted_least_squares])
 def test_exact_motion_gives_back_the_true_parameters(name, count, solve):

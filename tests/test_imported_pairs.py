@@ -84,7 +84,6 @@ def imported(folder: Path, robot: Path, tables: list[Path]) -> list[str]:
     return logs
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("tables", "load"), [(heavy_raw, False), (uneven_log, True)])
 def test_two_tables_with_speeds_are_fitted_together(tables, load, tmp_path):
     robot, out = arm(load), tmp_path / "fit.json"

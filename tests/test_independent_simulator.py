@@ -109,7 +109,6 @@ def integrated(body, runs: Runs, ticks: int, delay_s: float = 0.0) -> np.ndarray
     return state
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("name", "closest"), [("emps", 1e-7), ("scara", 1e-6), ("tx40", 1e-5)])
 def test_steps_are_those_of_an_integrator_of_variable_step(name, closest):
     """The commands of a noisy run, once more through DOP853, friction included."""
@@ -122,7 +121,6 @@ def test_steps_are_those_of_an_integrator_of_variable_step(name, closest):
     np.testing.assert_allclose(runs.q_true[0, ticks], state[: body.n], atol=closest)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("name", "closest"), [("emps", 1e-7), ("scara", 1e-6)])
 @pytest.mark.parametrize("delay_s", [3e-4, 1e-3, 1.7e-3])
 def test_a_command_acts_after_its_delay(name, closest, delay_s):
@@ -176,7 +174,6 @@ def test_the_axis_is_driven_by_the_law_of_its_authors():
     np.testing.assert_allclose(runs.effort[:, 2:, 0], 35.15065188 * np.clip(volts, -3.0, 3.0), atol=1e-9)
 
 
-@pytest.mark.slow
 def test_an_integral_carries_the_arm_and_starts_in_balance():
     body = plant(toml("tx40"))
     pd = designed_pd(body, 10.0, 1000.0)
@@ -194,7 +191,6 @@ def test_an_integral_carries_the_arm_and_starts_in_balance():
         np.testing.assert_allclose(simulate(body, controller, still, NOTHING).q_true, still.q, atol=1e-9)
 
 
-@pytest.mark.slow
 def test_imperfections_are_what_they_are_called():
     plain, late = short_run("scara"), short_run("scara", Imperfections(lag=3))
     np.testing.assert_array_equal(late.effort[:, 3:], plain.effort[:, :-3])
@@ -208,7 +204,6 @@ def test_imperfections_are_what_they_are_called():
     assert np.abs(pushed.q - plain.q).max() > 1e-6
 
 
-@pytest.mark.slow
 def test_a_torque_is_recorded_between_its_samples_or_as_a_mean():
     plain, cell = short_run("scara"), Imperfections(lag=2.25)
     u = plain.effort
@@ -218,7 +213,6 @@ def test_a_torque_is_recorded_between_its_samples_or_as_a_mean():
     assert mean.signals(description(toml("scara")), 0).effort_timing == "mean"
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("recorded", ["command", "mean"])
 @pytest.mark.parametrize(("lag", "delay_s"), [(0, 0.0), (2.5, 0.0), (1, 3e-4), (0, 1.7e-3)])
 def test_the_lag_of_a_record_is_that_of_a_torque_of_constant_slope(recorded, lag, delay_s):
@@ -247,7 +241,6 @@ def test_rows_are_lost_and_rates_are_said():
     assert fast.q is signals.q
 
 
-@pytest.mark.slow
 def test_coloured_encoder_noise_is_fed_back():
     cell = Imperfections(encoder_noise=2e-5, encoder_correlation=0.9)
     runs, duration_s = short_run("emps", cell, duration_s=2.0), 2.0
@@ -289,7 +282,6 @@ def test_cogging_has_a_potential():
     assert np.ptp(energy) < 1e-3 * np.ptp(kinetic)
 
 
-@pytest.mark.slow
 def test_a_payload_is_a_point_mass():
     """The inertia matrix grows by m JᵀJ, J that of the point; gravity by m g at it. From the middle of a run on it is there."""
     before = plant(toml("tx40"))
@@ -316,7 +308,6 @@ def test_a_payload_is_a_point_mass():
     np.testing.assert_allclose(changed[:, -100:], heavy[:, -100:], atol=1e-6)
 
 
-@pytest.mark.slow
 def test_a_payload_that_is_a_body_is_many_points():
     """Six points on the axes of a body have its mass, centre and inertia: torques are the same, one by one or as a body."""
     before, centre, arms = plant(toml("tx40")), np.array([0.03, 0.02, 0.08]), np.diag([0.05, 0.03, 0.04])
@@ -338,7 +329,6 @@ def coupled_motion(body, state: tuple, force: float, ticks: int) -> np.ndarray:
     return np.array(found)
 
 
-@pytest.mark.slow
 def test_two_masses_oscillate_at_their_frequency():
     """Let go when stretched: the stretch is a cosine of the free frequency, and the centre of mass stays."""
     body = two_mass(without_friction(plant(toml("emps"))), share=0.3, free_hz=12.0, damping=0.0)
@@ -360,7 +350,6 @@ def test_play_transmits_nothing_inside():
     assert x[-1, 2] > 0.1 * x[-1, 0]
 
 
-@pytest.mark.slow
 def test_a_stiff_coupling_is_none():
     """The axis in its loop: with a load that follows at once, motion and commands are those of one mass, friction included."""
     body = plant(toml("emps"))

@@ -198,7 +198,6 @@ def test_other_commands_ask_for_the_description_of_a_urdf(here, capsys, command)
     assert said.count("\n") == 1
 
 
-@pytest.mark.slow
 def test_a_joint_without_limits_has_them_by_options_or_is_named(here, capsys):
     """No range of 1 rad: a continuous joint, one without <limit>, one whose limits are equal."""
     for turn in ("continuous", "revolute"):
@@ -274,7 +273,6 @@ def test_values_that_are_none_are_wrong_usage(here, capsys, values):
     assert end.value.code == 2
 
 
-@pytest.mark.slow
 def test_a_study_and_a_simulation_of_the_description_of_a_urdf(here, capsys):
     assert run(capsys, "init", "arm.urdf", *NAMES, *STATED, "-o", "robot.toml")[0] == 0
     short = ["--duration-s", "4", "--rate-hz", "200"]

@@ -147,14 +147,12 @@ def coverage_percent(W: np.ndarray, coefficient: float, runs: int) -> tuple[floa
     return float(by_cosines), float(by_formula)
 
 
-@pytest.mark.slow
 def test_white_rows_are_covered_in_95_percent():
     by_cosines, by_formula = coverage_percent(np.random.default_rng(6).normal(size=(500, 4)), 0.0, 1000)
     assert by_cosines == pytest.approx(95, abs=1.0)
     assert by_formula == pytest.approx(95, abs=1.0)
 
 
-@pytest.mark.slow
 def test_regressors_as_slow_as_the_cosines_are_covered_in_95_percent():
     """Eight sines of 1 to 8 periods: with r/(r - b), 1.01 here, 89 % would be covered."""
     t = np.arange(600)[:, None]
@@ -164,7 +162,6 @@ def test_regressors_as_slow_as_the_cosines_are_covered_in_95_percent():
     assert by_formula == pytest.approx(95, abs=1.0)
 
 
-@pytest.mark.slow
 def test_strongly_correlated_rows_are_covered_where_the_formula_is_lost():
     """AR(0.98), and a motion that takes 100 rows a period: its spectrum there is nine times that of white rows."""
     t = np.arange(2000)
@@ -174,7 +171,6 @@ def test_strongly_correlated_rows_are_covered_where_the_formula_is_lost():
     assert by_formula < 65
 
 
-@pytest.mark.slow
 def test_a_sample_of_recordings_is_covered():
     """Coloured torque noise, on the axis; the whole table is a benchmark."""
     case = Case(
@@ -199,7 +195,6 @@ def fits_both_ways(monkeypatch: pytest.MonkeyPatch, **kwargs) -> tuple[Fit, Fit]
     return whole, identify_ls(signals, Overrides(decimation=5), **kwargs)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("kwargs", [{}, {"method": "ols"}, {"essential": True}])
 def test_a_recording_held_reduced_has_the_intervals_of_its_rows(monkeypatch, kwargs):
     whole, reduced = fits_both_ways(monkeypatch, **kwargs)

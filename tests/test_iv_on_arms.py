@@ -64,7 +64,6 @@ def fits(runs: Runs, robot: Robot) -> Iterator[Fit]:
         yield identify_iv(runs.signals(without_parameters(robot), run), Overrides(), Iteration())
 
 
-@pytest.mark.slow
 def test_a_loop_unknown_to_the_description_and_noise_in_it(whole):
     """TX40, recorded reference, 50 µrad of noise in a PI loop, a disturbance of 5 %: settles, within five half-widths."""
     body, count = plant(REPLAY / "tx40" / "robot.toml", smooth=0.005), 40 if whole else 2
@@ -98,7 +97,6 @@ def sensor_arm(count: int, duration_s: float) -> Runs:
     )
 
 
-@pytest.mark.slow
 def test_an_arm_without_rotor_inertias_settles(whole):
     found = list(fits(sensor_arm(10 if whole else 1, 10.0 if whole else 6.0), description(SENSOR_ARM)))
     off = [half_widths_off(fit) for fit in found]
@@ -113,7 +111,6 @@ def from_sample(signals: Signals, first: int) -> Signals:
     return dataclasses.replace(signals, t_s=signals.t_s[first:], q=signals.q[first:], effort=signals.effort[first:])
 
 
-@pytest.mark.slow
 def test_where_a_real_record_is_cut_does_not_decide(tx40, whole):
     """The start moved through 20 positions by 0 to 5 % of the record: the same status, verdict, and values."""
     signals, first = signals_of(tx40), iv_of(tx40)
@@ -129,7 +126,6 @@ def test_where_a_real_record_is_cut_does_not_decide(tx40, whole):
     assert largest < 1  # half an interval
 
 
-@pytest.mark.slow
 def test_half_of_a_real_record_settles_wherever_it_is_cut(tx40, whole):
     """Simulated with the estimate itself, cuts 14 and 15 have no fixed point: a wrist near to no inertia does not track."""
     signals = signals_of(tx40)
@@ -147,7 +143,6 @@ def test_half_of_a_real_record_settles_wherever_it_is_cut(tx40, whole):
         assert max(moves) < 1
 
 
-@pytest.mark.slow
 def test_the_distance_to_the_nearest_robot_is_told():
     """A torque of the wrong sign at the SCARA's elbow: no robot is near, and that is said."""
     signals = load_signals(REPLAY / "scara" / "session.mcap")

@@ -25,7 +25,6 @@ done
 """
 
 
-@pytest.mark.slow
 def test_a_session_over_the_kernels_can(tmp_path: Path) -> None:
     if not UML.exists() or shutil.which("linux.uml") is None:
         pytest.skip(

@@ -79,7 +79,6 @@ def without(column: str) -> Signals:
     return replace(records()[0], **{column: None})
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("method", ["ls", "iv"])
 def test_with_both_the_truth_is_in_the_intervals(method):
     fit = fitted(records()[0], method)
@@ -97,7 +96,6 @@ def test_with_both_the_truth_is_in_the_intervals(method):
         assert fit.iv.direct[0].torque_error_percent < 3.0
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("method", ["ls", "iv"])
 def test_without_the_spring_the_fit_says_caution(method):
     fit = fitted(without("known_torque"), method)
@@ -132,7 +130,6 @@ def test_a_validation_counts_the_known_torque():
     assert errors[1].moving_relative_error_percent > 30.0
 
 
-@pytest.mark.slow
 def test_columns_go_through_map_recording_and_fit(tmp_path, capsys):
     """A table with all columns, through both command lines, gives the fit of the arrays."""
     signals = records()[0]
@@ -284,7 +281,6 @@ def flat_arm() -> Signals:
     return runs.signals(robot_named("scara"), 0)
 
 
-@pytest.mark.slow
 def test_a_gain_is_that_of_the_drive_and_not_of_the_known_torque():
     """A drive whose torque is recorded 10 % too large, beside a known torque that is larger than its own."""
     signals = flat_arm()
@@ -312,7 +308,6 @@ def arm(compensated: bool) -> Fit:
     return identify_ls(signals, Overrides(torque_lag_s=-0.001))
 
 
-@pytest.mark.slow
 def test_torques_without_the_weight_of_the_robot_are_told():
     found = line(arm(compensated=True), "physical")
     assert found.level == "caution"

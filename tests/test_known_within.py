@@ -17,7 +17,6 @@ SCATTERED = np.exp([0.16, -0.14, 0.2, -0.05, 0.12, -0.18])  # of a catalogue: 15
 SCARA = GainCase(robot="scara", what="", duration_s=4.0, white=5.0)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("off_m", [(0.003, 0.0, 0.0), (0.0, 0.01, 0.0), (0.0, 0.0, 0.06)])
 def test_a_centre_of_mass_beside_the_stated_one_does_not_move_the_gains(off_m):
     """Taken as exact, 3 mm would move the last gain by 2.8 half-widths."""
@@ -30,7 +29,6 @@ def test_a_centre_of_mass_beside_the_stated_one_does_not_move_the_gains(off_m):
     assert line.level == fit.trust.verdict.replace("trust", "ok") == ("ok" if max(off_m) < 0.005 else "caution")
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("mass_kg", "verdict"), [(2.0, "trust"), (1.0, "caution")])
 def test_half_the_mass_is_told_from_a_catalogue_that_scatters(mass_kg, verdict):
     fit = one_thread(fit_with_gains)(*mujoco_arm.pair(mujoco_arm.GAINS * SCATTERED, mass_kg=mass_kg))

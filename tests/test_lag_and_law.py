@@ -55,7 +55,6 @@ def known(signals: Signals, option: float | str | None = None) -> tuple[float, f
     return found.value_s, found.sd_s, found.source
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("lag", [0, 1, 3])
 @pytest.mark.parametrize("name", ["emps", "scara"])
 def test_the_lag_is_found_corrected_and_counted(name, lag):
@@ -76,7 +75,6 @@ def test_the_lag_is_found_corrected_and_counted(name, lag):
     assert "corrected, included in the intervals" in told.text
 
 
-@pytest.mark.slow
 def test_what_a_lag_moves_is_the_difference_of_two_fits():
     signals = recorded("scara")
     by = partial(Overrides, ramp_rows=2.0)
@@ -87,7 +85,6 @@ def test_what_a_lag_moves_is_the_difference_of_two_fits():
     np.testing.assert_array_less(1e-3 * np.abs(lag.moved / lag.sd_s - moves), np.maximum(0.2 * half, 2e-5 * moves))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("lag", [0, 1])
 def test_noise_that_is_fed_back_does_not_pass_for_a_lag(lag):
     (found,) = fitted(recorded("emps", lag=lag, noise=2e-5)).lags
@@ -95,13 +92,11 @@ def test_noise_that_is_fed_back_does_not_pass_for_a_lag(lag):
     assert 1e3 * found.half_width_s < 0.8
 
 
-@pytest.mark.slow
 def test_friction_that_the_model_lacks_does_not_pass_for_a_lag():
     (found,) = fitted(recorded("emps", stribeck=0.5)).lags
     assert 1e3 * found.value_s == pytest.approx(-0.5, abs=1.5e3 * found.half_width_s)
 
 
-@pytest.mark.slow
 def test_data_that_contradict_what_is_known_count_alone():
     """A torque two samples late that is said to be a mean, without a controller to replay."""
     signals = replace(recorded("scara", lag=2), effort_timing="mean")
@@ -113,7 +108,6 @@ def test_data_that_contradict_what_is_known_count_alone():
     assert "contradicts it and is not used" in line(fit, "lag").text
 
 
-@pytest.mark.slow
 def test_data_beside_a_lag_that_is_stated():
     late = recorded("emps", lag=3)
     fit = fitted(late, torque_lag_s=0.0025)
@@ -124,7 +118,6 @@ def test_data_beside_a_lag_that_is_stated():
     assert "the data give 0.002" in wrong.text
 
 
-@pytest.mark.slow
 def test_without_a_reference_the_lag_is_not_found_but_counted():
     bare = replace(recorded("scara"), q_ref=None)
     fit = identify(bare, Overrides())
@@ -140,7 +133,6 @@ def test_without_a_reference_the_lag_is_not_found_but_counted():
     assert identify(bare, Overrides(), method="iv").lags[0].found is None
 
 
-@pytest.mark.slow
 def test_the_delay_behind_the_command_and_a_torque_before_it():
     signals = recorded("scara")
     assert fitted(signals).lags[0].delay_s == pytest.approx((0.0, 0.0), abs=2.5e-4)
@@ -153,7 +145,6 @@ def test_the_delay_behind_the_command_and_a_torque_before_it():
     assert before.level == "caution"
 
 
-@pytest.mark.slow
 def test_recordings_alike_have_one_lag_and_others_their_own():
     first, second = recorded("scara"), recorded("scara", lag=2)
     first = replace(first, recording="A", sha256="a")
@@ -167,7 +158,6 @@ def test_recordings_alike_have_one_lag_and_others_their_own():
     assert found[("B",)] == pytest.approx(1.5, abs=0.3)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("timing", "rate_hz", "stated", "option", "expected"),
     [
@@ -189,7 +179,6 @@ def test_what_is_known_of_a_lag(timing, rate_hz, stated, option, expected):
     assert known(replace(signals, robot=replace(signals.robot, identification=own)), option) == expected
 
 
-@pytest.mark.slow
 def test_the_described_law_tells_the_lag_of_a_command():
     signals = recorded("emps", lag=3, noise=2e-5)
     (group,) = known_lags(read_equations(signals, Overrides(), lambda text: None))
@@ -230,7 +219,6 @@ def law_line_of(signals: Signals) -> TrustLine:
     return line(fitted(signals, method="wls"), "control law")
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["emps", "scara"])
 def test_the_right_controller_is_confirmed_and_faults_are_named(name):
     signals = recorded(name)
@@ -251,14 +239,12 @@ def test_the_right_controller_is_confirmed_and_faults_are_named(name):
     assert (weak.level, weak.value) == ("caution", pytest.approx(2.0, abs=0.02))
 
 
-@pytest.mark.slow
 def test_a_rate_one_percent_wrong_shows_where_a_speed_is_fed_back():
     signals = recorded("emps")
     found = law_line_of(replace(signals, sample_rate_hz=1010.0, t_s=signals.t_s / 1.01))
     assert found.level == "caution"
 
 
-@pytest.mark.slow
 def test_an_integral_is_found_and_missed_where_it_is_not_described():
     toml = REPLAY / "scara" / "robot.toml"
     body = plant(toml, smooth=0.002)
@@ -278,7 +264,6 @@ def test_an_integral_is_found_and_missed_where_it_is_not_described():
     assert law_line_of(with_controller(signals, structure="cascade_p_p", integral_gain=None)).level == "caution"
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("lag", [0, 3])
 def test_the_described_gains_tell_a_lag_of_noisy_commands(lag):
     signals = recorded("emps", lag=lag, noise=2e-5)
@@ -289,7 +274,6 @@ def test_the_described_gains_tell_a_lag_of_noisy_commands(lag):
     assert corrected.lag_s[0] == pytest.approx(law.lag_s[0], abs=2e-5), "of the effort as it was recorded"
 
 
-@pytest.mark.slow
 def test_a_law_that_cannot_be_looked_for_says_why_and_one_that_is_found_is_used():
     signals = recorded("scara")
     bare = with_controller(signals, **NO_LAW)
@@ -307,7 +291,6 @@ def test_a_law_that_cannot_be_looked_for_says_why_and_one_that_is_found_is_used(
     assert not [x for x in fit.trust.assumed if x.what == "control law"]
 
 
-@pytest.mark.slow
 def test_the_real_emps(emps):
     """Controller confirmed. The volts are 0.75 to 0.8 ms early: half a period of hold, and 0.25 ms of the amplifier."""
     fit = identify(load_signals(emps), Overrides())

@@ -47,7 +47,6 @@ def test_what_is_let_go_is_read_again(everything_on_disk):
     assert (held == 1.0).all()
 
 
-@pytest.mark.slow
 def test_a_fit_of_samples_on_disk_is_that_of_samples_in_memory(request):
     path = REPLAY / "scara" / "session.mcap"
     wanted = load_signals(path)

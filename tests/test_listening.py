@@ -138,7 +138,6 @@ def test_replay_begins_at_once_whatever_the_clock_of_the_recording_was(tracked, 
     assert stop.reason == ""
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("can_id", [0x701, 0x123])
 def test_replay_stops_at_the_first_stranger(tracked, can_id):
     """Drives that are switched on while it sends, or anybody else."""
@@ -259,7 +258,6 @@ def intruder(can_id: int, flags: int = 0) -> partial:
     return partial(Unasked, frames=[Frame(t, can_id, b"\x01\x03\0\0\0\0\0\0", flags) for t in times])
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("can_id", "flags", "service", "fault"), INTRUDERS)
 def test_another_master_in_motion_is_noticed_within_two_periods(tmp_path, can_id, flags, service, fault):
     session = dry_session(tmp_path / "a.mcap", LONG, through=intruder(can_id, flags))

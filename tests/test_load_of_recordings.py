@@ -105,7 +105,6 @@ def weighted_least_squares(W, Y, joint, count):
     return beta, np.sqrt(variance * np.diag(np.linalg.inv(A.T @ A)))
 
 
-@pytest.mark.slow
 def test_least_squares_of_recordings_is_that_of_their_rows_stacked():
     """Pass by pass by hand, from the fit without load friction on, until no parameter moves by 1e-3 of its deviation."""
     _, given = scara()
@@ -132,7 +131,6 @@ def test_least_squares_of_recordings_is_that_of_their_rows_stacked():
     assert off(fit_of("wls"), beta).max() < 1e-6  # the fit goes one step further
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("own", ["", "Off"])
 @pytest.mark.parametrize("method", ["wls", "iv"])
 def test_the_truth_is_inside_and_no_test_warns(method, own):
@@ -171,7 +169,6 @@ def long_record():
     return closed_loop(robot, q_ref, 1000.0, noise=CELL, seed=3)
 
 
-@pytest.mark.slow
 def test_a_recording_cut_in_two_gives_nearly_the_uncut_fit():
     """Rows at the cut are lost, and each part is filtered by itself."""
     whole, found = identify_ls(long_record(), Overrides()), identify_ls(halves(long_record()), Overrides())
@@ -194,7 +191,6 @@ def bits(fit) -> list[bytes]:
     return [x.tobytes() for x in arrays] + [repr(fit.trust.lines).encode()]
 
 
-@pytest.mark.slow
 def test_the_same_bits_with_one_and_two_workers(files):
     sources = tuple(RecordingFile.at(path) for path in files[:2])
     alone = [bits(fitted(Recordings(sources=sources), method)) for method in ("wls", "iv")]
@@ -202,7 +198,6 @@ def test_the_same_bits_with_one_and_two_workers(files):
     assert both == alone
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("blocks", [False, True])
 def test_long_recordings_give_the_same(monkeypatch, blocks):
     """In blocks, or as QR factors: fit, trust block, errors held out."""
@@ -222,7 +217,6 @@ def test_long_recordings_give_the_same(monkeypatch, blocks):
     assert found.trust.line("physical").level == "ok"
 
 
-@pytest.mark.slow
 def test_the_whole_may_leave_out_what_the_beginning_of_a_long_recording_has(monkeypatch):
     """The passes of the whole start from the values of its own terms."""
     made = settled.leave_out_load
@@ -240,7 +234,6 @@ def test_the_whole_may_leave_out_what_the_beginning_of_a_long_recording_has(monk
     assert abs(fit.estimate.values_of(("ZZ1R",))[0] - 3.45) < 0.02
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("blocks", [False, True])
 def test_states_of_rows_are_those_of_the_regressor(monkeypatch, blocks):
     """Speeds of the rows, and the torque of the links as columns times parameters."""
@@ -261,7 +254,6 @@ def test_states_of_rows_are_those_of_the_regressor(monkeypatch, blocks):
         np.testing.assert_allclose(loads[alone], np.abs(rigid[states.rows][rows]), rtol=1e-6, atol=1e-6)
 
 
-@pytest.mark.slow
 def test_held_out_is_predicted_by_the_fit_of_the_others():
     """Its load friction is linearised about the fit of all: nearly the error of a fit that knows the others alone."""
     sources = scara()[1].sources
@@ -315,7 +307,6 @@ def test_load_friction_that_would_drive_is_told_in_the_rows_where_the_load_is():
     assert resists < -0.5 * load + 20.0  # with the links' torque there; 20 N and more without
 
 
-@pytest.mark.slow
 def test_consistent_parameters_and_validation_take_the_same_terms(files, tmp_path):
     fit, out = tmp_path / "fit.json", tmp_path / "validation.json"
     assert main(["fit", *map(str, files[:2]), "--workers", "1", "--consistent", "--json", str(fit)]) == 0
@@ -331,7 +322,6 @@ def test_consistent_parameters_and_validation_take_the_same_terms(files, tmp_pat
 # --- the real record
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("method", ["wls", "iv"])
 def test_the_real_tx40_record_cut_in_two(tx40, method):
     """The recommended terms: joint 3 is fitted as well as in one piece, and its load friction is the same."""

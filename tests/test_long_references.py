@@ -44,7 +44,6 @@ def test_whole_periods_of_about_the_length_asked_for():
         assert np.abs(q[period // 2 :] - q[: -(period // 2)]).max() > 0.1
 
 
-@pytest.mark.slow
 def test_five_minutes_by_iv_converge():
     """One period as long as the recording: `diverged`."""
     robot = robot_named("scara")

@@ -16,7 +16,6 @@ from acquisition.simulated import driven_plant
 from identification.model import InverseModel
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["tx40", "scara"])
 def test_a_dry_run_moves_the_described_robot_and_tracks(tmp_path, name):
     place = REPLAY / name / "robot.toml"

@@ -37,7 +37,6 @@ def q():
     return {name: sound(name, np.random.default_rng(1)).recording(1).q for name in ("emps", "scara")}
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("percent", SHARES)
 @pytest.mark.parametrize("name", ["emps", "scara"])
 def test_the_share_is_told_to_a_tenth_of_a_percent(q, name, percent):
@@ -51,7 +50,6 @@ def test_the_share_is_told_to_a_tenth_of_a_percent(q, name, percent):
     assert of_held[:2].max() < 0.3 * of_held[2]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(10))
 @pytest.mark.parametrize("name", ["emps", "scara"])
 def test_nothing_is_found_where_nothing_is_lost(name, seed):
@@ -60,7 +58,6 @@ def test_nothing_is_found_where_nothing_is_lost(name, seed):
     assert position_steps(signals.q).moving > 0.5 * len(signals.q)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("what", ["12 bit over the range", "slow motion", "Stribeck 50 %", "saturated at 50-90 %"])
 @pytest.mark.parametrize("step", [None, 1e-5])
 def test_nothing_is_found_in_coarse_or_slow_motion(what, step):
@@ -88,7 +85,6 @@ def line_of(fit):
     return next((line for line in fit.trust.lines if line.test == "rows"), None)
 
 
-@pytest.mark.slow
 def test_the_real_axis_has_all_its_rows_and_the_real_arm_a_slow_encoder(emps, tx40):
     axis, arm = load_signals(emps), load_signals(tx40)
     assert line_of(fit_by_least_squares(axis)) is None
@@ -100,7 +96,6 @@ def test_the_real_axis_has_all_its_rows_and_the_real_arm_a_slow_encoder(emps, tx
     )  # coarse text and abrupt motion at a low rate
 
 
-@pytest.mark.slow
 def test_the_verdict_of_arrays_and_recordings_with_lost_rows_is_caution():
     signals = short("scara", 1).recording(1)
     lossy = with_lost_rows(signals, drawn(len(signals.q), 1.0))

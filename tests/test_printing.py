@@ -24,7 +24,6 @@ def narrow(monkeypatch):
     monkeypatch.setenv("LINES", "50")
 
 
-@pytest.mark.slow
 def test_a_narrow_terminal_loses_no_digit_of_a_fit(narrow, capsys, tmp_path):
     out = tmp_path / "fit.json"
     assert main(["fit", str(SESSION), "--method", "iv", "--all", "--json", str(out)]) == 0
@@ -42,7 +41,6 @@ def test_a_narrow_terminal_loses_no_digit_of_a_fit(narrow, capsys, tmp_path):
     assert max(len(line) for line in told.splitlines()) < 90
 
 
-@pytest.mark.slow
 def test_the_readme_shows_the_real_record_as_it_is_printed(emps, capsys):
     """Its tables are without their frames there."""
     print_whole(fit_document(signals_of(emps), identify(signals_of(emps), Overrides())), short=True)

@@ -45,7 +45,6 @@ EARLIER = {
 }
 
 
-@pytest.mark.slow
 def test_tx40_agrees_with_the_earlier_identification(tx40):
     """All rows, as in that identification. Those at low speed are what its error is mostly made of."""
     signals = signals_of(tx40)
@@ -66,14 +65,12 @@ def test_tx40_agrees_with_the_earlier_identification(tx40):
     assert fit.essential.p_effective > 0.01
 
 
-@pytest.mark.slow
 def test_tx40_with_the_standstill_fits_less_well(tx40):
     fit = identify_ls(signals_of(tx40), Overrides(span="all", low_speed_percent=0.0))
     assert 5.6 < fit.errors[-1].relative_error_percent <= 7.8
     assert fit.errors[-1].moving_relative_error_percent < fit.errors[-1].standing_relative_error_percent
 
 
-@pytest.mark.slow
 @pytest.mark.skipif(not available(), reason="the real recordings are not here (see replay_data/README.md)")
 def test_the_page_of_published_digits_is_that_of_the_code():
     assert without_seconds(PAGE.read_text()) == without_seconds(page()), "run `python tests/published.py`"

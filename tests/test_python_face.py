@@ -231,7 +231,6 @@ def test_a_notebook_shows_the_report_of_a_fit(signals):
         assert {" ".join(text.split()) for text in lines} <= {*page.texts}
 
 
-@pytest.mark.slow
 def test_the_lines_of_the_readme_run(tmp_path, monkeypatch, capsys):
     section = (ROOT / "identification" / "README.md").read_text().split("## From Python\n")[1].split("\n## ")[0]
     lines = re.findall(r"(?:^ {4}.*\n|^\n(?= {4}))+", section, flags=re.MULTILINE)
@@ -246,7 +245,6 @@ def test_the_lines_of_the_readme_run(tmp_path, monkeypatch, capsys):
     assert "'ZZ1R': " in told
 
 
-@pytest.mark.slow
 def test_a_fit_is_validated_on_another_recording(signals, by_iv, tmp_path):
     at_iv = by_iv.errors[-1].relative_error_percent
     assert identification.validate(by_iv, signals).relative_error_percent == pytest.approx(at_iv, rel=0.05)
@@ -329,7 +327,6 @@ def test_two_fits_are_compared(signals, by_iv):
     assert [warning.filename for warning in told] == [__file__]
 
 
-@pytest.mark.slow
 def test_a_robot_may_be_a_urdf(by_iv, tmp_path):
     urdf = tmp_path / "arm.urdf"
     by_iv.consistent().export(urdf=urdf)
@@ -348,7 +345,6 @@ def test_a_robot_may_be_a_urdf(by_iv, tmp_path):
     assert fits[0].verdict == "trust"
 
 
-@pytest.mark.slow
 def test_several_recordings_are_drawn_one_by_one(signals, tmp_path):
     from identification.data import signals_from_arrays
 
@@ -361,7 +357,6 @@ def test_several_recordings_are_drawn_one_by_one(signals, tmp_path):
     assert {path.name for path in tmp_path.iterdir()} == {"fit_1.rrd", "fit_2.rrd"}
 
 
-@pytest.mark.slow
 def test_references_studies_and_friction_are_there_from_python(signals, tmp_path):
     settings = identification.ExcitationSettings(periods=1, period_s=5.0, harmonics=3)
     identification.design_reference(SCARA, settings, noise=[0.1]).write(tmp_path / "ref.csv")
@@ -372,7 +367,6 @@ def test_references_studies_and_friction_are_there_from_python(signals, tmp_path
     assert identification.select_friction(signals).recommended.terms == (frozenset(), frozenset())
 
 
-@pytest.mark.slow
 def test_examples_and_the_script_of_a_user_run(tmp_path, monkeypatch, capsys):
     import mujoco
 

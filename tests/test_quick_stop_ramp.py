@@ -52,7 +52,6 @@ def stopped(file, objects: dict[int, int]) -> tuple[DrySession, list[tuple[float
     return session, seen
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("ramp", "objects"),
     [
@@ -89,7 +88,6 @@ def test_a_quick_stop_below_half_the_acceleration_limit_is_refused(tmp_path):
         assert found.found.startswith(f"quick stop ramp {words}")
 
 
-@pytest.mark.slow
 def test_an_unknown_ramp_is_noted(tmp_path):
     session, seen = stopped(tmp_path / "a.mcap", {0x605A: 7})
     notes = session.events("mark")

@@ -55,7 +55,6 @@ def masked(line):
     return re.sub(number, "x", line), [float(x) for x in re.findall(number, line)]
 
 
-@pytest.mark.slow
 def test_commands_without_hardware_run_as_they_stand(tmp_path, monkeypatch, capsys):
     for name in ("log.mcap", "other.mcap"):
         shutil.copy(REPLAY / "tx40" / "session.mcap", tmp_path / name)
@@ -81,7 +80,6 @@ def test_commands_without_hardware_run_as_they_stand(tmp_path, monkeypatch, caps
         assert numbers_now[: len(numbers)] == pytest.approx(numbers, rel=0.05)
 
 
-@pytest.mark.slow
 def test_the_six_commands_from_a_urdf_to_mujoco_run_as_they_stand(tmp_path, monkeypatch):
     mujoco = pytest.importorskip("mujoco")
     shutil.copy(urdf_of("ur5"), tmp_path)

@@ -57,7 +57,6 @@ def over_can(tx40_at_500_hz: Path, tmp_path_factory: pytest.TempPathFactory) -> 
     return path
 
 
-@pytest.mark.slow
 def test_six_drives_at_500_hz_give_the_table_back(tx40_at_500_hz, over_can):
     table, recording = read_recording(tx40_at_500_hz).samples, read_recording(over_can)
     samples, robot = recording.samples[: len(table)], recording.robot
@@ -73,7 +72,6 @@ def test_six_drives_at_500_hz_give_the_table_back(tx40_at_500_hz, over_can):
     assert (np.abs(samples["effort"] - table["effort"]).max(axis=0) <= effort_step * (1 + 1e-6)).all()
 
 
-@pytest.mark.slow
 def test_a_fit_of_it_is_the_fit_of_the_direct_import(tx40_at_500_hz, over_can):
     direct = identify_ls(load_signals(tx40_at_500_hz), Overrides())
     by_can = identify_ls(load_signals(over_can), Overrides())
@@ -83,7 +81,6 @@ def test_a_fit_of_it_is_the_fit_of_the_direct_import(tx40_at_500_hz, over_can):
     assert deviation.max() < 2.0
 
 
-@pytest.mark.slow
 def test_decoding_again_with_a_corrected_rated_torque(over_can, tmp_path):
     recording = read_recording(over_can)
     text = recording.attachments["robot.toml"].decode().replace("rated_torque_nm = 0.3", "rated_torque_nm = 0.6")

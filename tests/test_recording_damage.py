@@ -23,7 +23,6 @@ from acquisition.robot import Robot
 from acquisition.session import Recorder, process
 
 
-@pytest.mark.slow
 def test_a_cut_at_any_byte_leaves_a_prefix_or_one_line(whole, tmp_path):
     data, full = whole.read_bytes(), read_recording(whole)
     rng = np.random.default_rng(2)
@@ -52,7 +51,6 @@ def test_unwritten_disk_space_behind_a_cut_is_a_cut(whole, tmp_path):
         assert is_prefix(part, full)
 
 
-@pytest.mark.slow
 def test_a_flipped_bit_is_an_error_or_changes_nothing(whole, tmp_path):
     data, full = bytearray(whole.read_bytes()), read_recording(whole)
     rng = np.random.default_rng(3)

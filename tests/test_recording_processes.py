@@ -239,7 +239,6 @@ def texts(recording: Recording, kind: str) -> list[str]:
     return [event.text for event in recording.events if event.kind == kind]
 
 
-@pytest.mark.slow
 def test_simulate_check_record(folder):
     out = folder / "log.mcap"
     with drives(folder):
@@ -264,7 +263,6 @@ def test_simulate_check_record(folder):
     assert recording.health[-2].counters["kernel_drops"] == 0
 
 
-@pytest.mark.slow
 @tried_again
 def test_a_killed_recorder_leaves_all_but_the_last_second_and_stops_the_session(folder):
     out = folder / "log.mcap"
@@ -286,7 +284,6 @@ def test_a_killed_recorder_leaves_all_but_the_last_second_and_stops_the_session(
     assert "reference" in samples.dtype.names
 
 
-@pytest.mark.slow
 @tried_again
 def test_drives_whose_session_and_recorder_are_killed_stop_by_themselves(folder):
     """No process is left that could stop them: SYNC is lost while they are enabled."""
@@ -299,7 +296,6 @@ def test_drives_whose_session_and_recorder_are_killed_stop_by_themselves(folder)
     assert read_recording(out).cut
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 @tried_again
 def test_signals_end_a_session_in_order(folder, number):
@@ -314,7 +310,6 @@ def test_signals_end_a_session_in_order(folder, number):
     assert texts(recording, "phase")[-3:] == ["track", "stop", "disable"]
 
 
-@pytest.mark.slow
 @tried_again
 def test_a_file_that_cannot_grow_stops_the_session(folder):
     out = folder / "log.mcap"
@@ -330,7 +325,6 @@ def test_a_file_that_cannot_grow_stops_the_session(folder):
     assert syncs_tracked(recording) > 0
 
 
-@pytest.mark.slow
 @tried_again
 def test_passive_records_another_masters_session_and_sends_nothing(folder):
     """The master is our own active session; its targets are the reference.
@@ -387,7 +381,6 @@ def test_a_receiver_that_is_told_to_stop_takes_what_has_arrived(folder):
         sender.close()
 
 
-@pytest.mark.slow
 @tried_again
 def test_a_follower_that_is_killed_in_motion_harms_nothing(folder):
     """It is nice, holds no socket of the bus and no lock; the recording is whole, and the motion goes on."""

@@ -143,7 +143,6 @@ def test_an_error_made_of_the_terms_is_predicted_whole(monkeypatch, most):
         assert (np.abs(x - y).max(axis=0) < 1e-3 * np.std(y, axis=0)).all()
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("concerns", "long"), [("", False), ("load own gains", False), ("own", True), ("load gains", True)]
 )

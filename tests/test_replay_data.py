@@ -16,7 +16,6 @@ from identification.model import InverseModel, base_parameters, described_parame
 from identification.study.demo import CATALOGUE, PAYLOAD, TRUE_FACTORS
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("name", "count"), [("scara", 8), ("emps", 4), ("tx40", 60)])
 def test_each_recording_gives_the_fit_and_the_truth_beside_it(name, count):
     folder = REPLAY / name
@@ -50,7 +49,6 @@ def compare_with_readme(out: str) -> None:
         assert a[3] == pytest.approx(b[3], rel=0.05, abs=0.011)  # printed to two decimals
 
 
-@pytest.mark.slow
 def test_demo_goes_from_the_bus_to_the_picture(capsys, tmp_path):
     """Six simulated drives on a bus, recorded, identified by both methods, compared with the truth."""
     assert main(["demo", "--out", str(tmp_path / "out")]) == 0
@@ -76,7 +74,6 @@ def test_demo_goes_from_the_bus_to_the_picture(capsys, tmp_path):
     compare_with_shipped("tx40", tmp_path / "out" / "session.mcap")
 
 
-@pytest.mark.slow
 def test_demo_finds_the_gains_of_drives_in_amperes(capsys, tmp_path):
     """Drives whose gains differ from the catalogue's by motor; the second recording states 2 kg."""
     assert main(["demo", "--gains", "--out", str(tmp_path)]) == 0
@@ -117,7 +114,6 @@ def rounded(files: dict[str, bytes]) -> dict[str, str]:
     }
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["scara", "emps"])
 def test_shipped_sessions_are_those_that_their_readmes_make(name, tmp_path):
     made = tmp_path / "session.mcap"

@@ -11,7 +11,6 @@ from identification.methods import Iteration, identify_iv, identify_ls
 from identification.regression import Overrides
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["emps", "scara", "tx40"])
 def test_samples_moved_by_one_unit_in_their_last_place_move_no_estimate(name):
     rng, signals = np.random.default_rng(0), load_signals(REPLAY / name / "session.mcap")

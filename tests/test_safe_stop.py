@@ -99,7 +99,6 @@ def test_voltage_goes_off_at_standstill_or_where_nothing_else_helps(after, at_s,
 COUNTS = 50 * 65536 / (2 * np.pi)  # per rad of a joint
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("after", "ramp", "at_s"),
     [

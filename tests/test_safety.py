@@ -130,7 +130,6 @@ def test_a_drive_that_is_only_starting_has_not_left_sync_unanswered():
     assert master.nodes[0].silent_syncs == 3
 
 
-@pytest.mark.slow
 def test_a_slow_stop_keeps_to_the_acceleration_limit(tmp_path):
     limit = np.radians(60)
     text = bus_text(1).replace("acceleration_deg_s2 = 4000", "acceleration_deg_s2 = 60")
@@ -171,7 +170,6 @@ def test_signals_ask_for_a_stop(number, handler, asks):
     assert stop.reason == (f"stopped by {number.name}" if asks else "")
 
 
-@pytest.mark.slow
 def test_a_recorder_that_hangs_is_noticed(tmp_path, monkeypatch):
     monkeypatch.setattr(recorder_logs, "MAX_SILENT_S", 1.0)
     log = recorder_logs.ProcessLog(tmp_path / "a.mcap", robot_of(bus_text(1)), "robot.toml", recorder_logs.Role.FED)

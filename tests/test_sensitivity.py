@@ -33,7 +33,6 @@ class Tasks:
         return (VariedFit(variant=variant, ended="converged", values=self.values) for variant in self.variants)
 
 
-@pytest.mark.slow
 def test_noise_of_the_real_record_moves_least_squares_and_not_instrumental_variables(emps, capsys):
     """10 µm behind the rule's filter: LS by over 5 half-widths, IV by less than 1; any start gives the same digits."""
     began = time.process_time()
@@ -142,7 +141,6 @@ def test_a_recording_that_cannot_be_fitted_by_the_rules_is_refused():
         vary(RecordingFile.at(SCARA), (1e-6,), Tasks({}))
 
 
-@pytest.mark.slow
 def test_the_command_prints_one_line_of_conclusion_and_draws(tmp_path, capsys):
     out = tmp_path / "a.html"
     assert main(["sensitivity", str(SCARA), "--position-noise", "1e-4", "--report", str(out)]) == 0

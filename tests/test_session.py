@@ -41,7 +41,6 @@ def test_a_reference_is_tracked_and_recorded(tmp_path):
     assert 0.4 < np.mean(frames["flags"] & SENT != 0) < 0.6
 
 
-@pytest.mark.slow
 def test_runs_repeat_bit_for_bit(tmp_path):
     a, b = (dry_session(tmp_path / name, TRACK).recording for name in ("a.mcap", "b.mcap"))
     assert a.frames["test"].tobytes() == b.frames["test"].tobytes()
@@ -60,7 +59,6 @@ def test_nothing_moves_without_a_reference(tmp_path):
     assert len(session.recording.samples) == pytest.approx(250, abs=3)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("fault", "reason"),
     [
@@ -83,7 +81,6 @@ def test_a_fault_stops_all_joints_and_disables_every_drive(tmp_path, fault, reas
     assert session.recorded.samples > 0
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["late", "missing", "duplicate", "short"])
 def test_a_single_bad_pdo_is_counted_and_the_session_goes_on(tmp_path, kind):
     session = dry_session(tmp_path / "a.mcap", TRACK, faults=[Fault(kind=kind, node=1, sync=200)])
@@ -188,7 +185,6 @@ def test_a_recorder_that_cannot_write_stops_motion(tmp_path, monkeypatch):
     assert "No space left" in session.outcome.reason
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("at", [0.028, 0.05, 0.3, 0.6])
 def test_a_stop_asked_for_is_slow_and_in_order(tmp_path, at):
     """At any time: while enabling, in the approach, while tracking."""
@@ -202,7 +198,6 @@ def test_a_stop_asked_for_is_slow_and_in_order(tmp_path, at):
     assert np.ptp(q[-20:]) < 1e-3
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("method", ["_enable", "_follow", "_hold", "_disable", "_positions"])
 @pytest.mark.parametrize("error", [RuntimeError("boom"), KeyboardInterrupt(), SystemExit(3)])
 def test_an_exception_in_any_phase(tmp_path, monkeypatch, method, error):
@@ -279,7 +274,6 @@ def test_sync_of_another_producer_is_followed(tmp_path):
     assert samples["reference"][track][5:-5] == pytest.approx(swing(2)[5:-5], abs=0.01)
 
 
-@pytest.mark.slow
 def test_a_sync_that_ends_stops_motion(tmp_path):
     robot = robot_of(bus_text(2, extra='sync_producer = "other"'))
     task = Task(reference=swing(2, seconds=4.0))

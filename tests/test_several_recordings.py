@@ -95,7 +95,6 @@ def test_least_squares_of_recordings_is_that_of_their_rows_stacked():
         )
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("method", ["wls", "iv"])
 def test_a_recording_twice_halves_the_variance(method):
     """The same samples under another name: the same estimate; variances of two recordings add up, degrees of freedom too."""
@@ -110,7 +109,6 @@ def test_a_recording_twice_halves_the_variance(method):
     assert twice.intervals.freedom == 2 * single.intervals.freedom
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("method", ["wls", "iv"])
 def test_the_truth_is_inside_and_the_verdict_is_trust(method):
     fit = fitted(method)
@@ -121,7 +119,6 @@ def test_the_truth_is_inside_and_the_verdict_is_trust(method):
         assert {line.level for line in fit.trust.lines} == {"ok"}
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("method", ["wls", "iv"])
 def test_held_out_is_predicted_by_the_fit_of_the_others(method):
     fit = fitted(method)
@@ -159,7 +156,6 @@ def bits(fit) -> list[bytes]:
     return [x.tobytes() for x in arrays] + [repr(fit.trust.lines).encode()]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("method", ["wls", "iv"])
 def test_the_same_bits_in_any_order(method):
     wanted = bits(fitted(method))
@@ -198,14 +194,12 @@ def same(found: dict, wanted: dict) -> bool:
     return all(found[key] == wanted[key] for key in ("parameters", "covariance", "trust", "iterations", "essential"))
 
 
-@pytest.mark.slow
 def test_the_same_bits_with_two_workers(files, serial, tmp_path):
     found = fit_files(tmp_path, "two", *files[::-1], "--method", "iv", "--workers", "2")
     assert same(found, serial)
     assert [one["recording"] for one in found["recordings"]] == ["r3.mcap", "r2.mcap", "r1.mcap"]
 
 
-@pytest.mark.slow
 def test_the_same_bits_on_two_workers_of_dask(files, serial, tmp_path):
     distributed = pytest.importorskip("distributed")
     with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0") as dask:
@@ -214,7 +208,6 @@ def test_the_same_bits_on_two_workers_of_dask(files, serial, tmp_path):
     assert same(found, serial)
 
 
-@pytest.mark.slow
 def test_workers_are_imported_when_asked_for_alone(files):
     import subprocess
     import sys
@@ -245,7 +238,6 @@ def test_reduced_rows_give_the_same(monkeypatch):
     assert not len(found.problem.signals.q)
 
 
-@pytest.mark.slow
 def test_reduced_rows_give_the_same_by_instruments(monkeypatch):
     """The simulated robot's speed is judged by the reference's peak there: a row or two more or less count."""
     wanted = fitted("iv")
@@ -318,7 +310,6 @@ def test_the_lowest_rate_of_rows_and_cutoff_is_common():
     assert rates == {500.0 / make_problem(slow, Overrides()).settings.decimation}
 
 
-@pytest.mark.slow
 def test_validate_and_pictures_of_several(files, tmp_path, capsys):
     pytest.importorskip("rerun")
     fit = tmp_path / "fit.json"
@@ -375,7 +366,6 @@ def changed(what: str) -> Signals:
     return replace(one, robot=robot, **({"sha256": recorded(1).sha256} if what == "twice" else {}))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("what", "key"),
     [
@@ -434,7 +424,6 @@ def with_offsets(kinds: tuple[str, ...], offsets: tuple[float, ...] = (0.2, -0.1
     return found
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("method", ["wls", "iv"])
 def test_offsets_of_their_own(method):
     def fit(kinds, offsets=(0.2, -0.1, 0.05)):
@@ -559,7 +548,6 @@ def test_the_replay_is_that_of_the_worst_recording():
     assert line.value == pytest.approx(1.2, abs=0.02)
 
 
-@pytest.mark.slow
 def test_each_recording_is_simulated_with_its_own_parameters():
     fit = identify_iv(several(*with_offsets(("Off",), (2.0, -2.0, 0.0))), Overrides(), Iteration())
     for one, offset in zip(fit.recordings, (2.0, -2.0, 0.0), strict=True):
@@ -567,7 +555,6 @@ def test_each_recording_is_simulated_with_its_own_parameters():
         assert abs(model[0]) < 0.3, offset
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("method", ["wls", "iv"])
 def test_long_recordings_have_parameters_of_their_own(method, monkeypatch):
     def fit():

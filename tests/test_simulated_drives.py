@@ -44,7 +44,6 @@ def test_each_vendors_own_reference(name):
     assert drive.dictionary is not None
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", VENDORS)
 def test_each_vendors_dictionary_is_served_configured_and_tracked(tmp_path, name):
     robot = robot_with(name)

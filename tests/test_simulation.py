@@ -155,7 +155,6 @@ def test_spans_of_a_reference_one_after_the_other_are_the_whole_of_it(estimate):
     assert "0.900 s" in lost
 
 
-@pytest.mark.slow
 def test_a_surrogate_holds_a_vertical_axis_up():
     """The PD of 5 Hz alone would let the axis sag by g/w² = 9.9 mm; half of the reference would be lost in that."""
     text = (

@@ -126,7 +126,6 @@ def parameters(function):
     return names[1:] if names[:1] in (["self"], ["cls"]) else names
 
 
-@pytest.mark.slow
 def test_functions_take_few_parameters():
     long = {
         f"{path.relative_to(ROOT)} {node.name}"

@@ -54,7 +54,6 @@ def figures(fit: Fit, kind: str) -> list[tuple[str, float, float]]:
     return [(x.where, x.value, x.t) for x in missing_terms(fit.data) if x.kind == kind]
 
 
-@pytest.mark.slow
 def test_a_rotor_that_the_description_denies_is_named_with_its_size():
     setup = white("scara")
     fit = fit_by_default(denied_rotor(setup, np.random.default_rng(1)).recording(3))
@@ -70,7 +69,6 @@ def test_a_rotor_that_the_description_denies_is_named_with_its_size():
     assert clean("scara").trust.verdict == "trust"
 
 
-@pytest.mark.slow
 def test_zeros_and_rotors_that_no_column_tells_are_assumed_and_those_without_effect_are_not():
     """The SCARA's last zero turns its link; its first and that of a level axis are nowhere in the torque."""
     assert assumed(clean("scara")) == {"zeros": "right at elbow", "rotors": "none at elbow (rotor_inertia = false)"}
@@ -82,7 +80,6 @@ def test_zeros_and_rotors_that_no_column_tells_are_assumed_and_those_without_eff
     assert assumed(off)["zeros"] == "right at elbow"
 
 
-@pytest.mark.slow
 def test_the_zero_of_a_joint_is_named_in_degrees_or_assumed():
     for joint in (1, 2, 3):
         fit, name = fit_by_default(turned(arm(), joint, 2.0).recording(3)), f"joint_{joint + 1}"
@@ -96,7 +93,6 @@ def test_the_zero_of_a_joint_is_named_in_degrees_or_assumed():
     assert "joint_6" in assumed(clean("tx40"))["zeros"]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["emps", "scara"])
 def test_clocks_that_run_apart_are_named(name):
     fit = fit_by_default(clocks_apart(white(name), np.random.default_rng(0)).recording(3))
@@ -109,7 +105,6 @@ def test_clocks_that_run_apart_are_named(name):
     assert abs(t) < 4
 
 
-@pytest.mark.slow
 def test_a_lag_is_named_only_where_fast_rows_alone_tell_it_too(monkeypatch):
     """Of the elbow; the rows of the shoulder stay."""
     data, scored, shares = clean("scara").data, columns._scored, []
@@ -133,7 +128,6 @@ def test_a_lag_is_named_only_where_fast_rows_alone_tell_it_too(monkeypatch):
     assert len(shares) == 3
 
 
-@pytest.mark.slow
 def test_a_late_elbow_is_named():
     def late(signals):
         effort = signals.effort.copy()

@@ -65,7 +65,6 @@ def check(command, lines):
     return f"{command}: {len(lines)} lines, the longest {max(map(len, lines), default=0)}"
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["scara", "tx40"])
 def test_every_command_prints_at_most_a_screen(name, tmp_path, monkeypatch, capsys):
     shutil.copy(REPLAY / name / "session.mcap", tmp_path / "log.mcap")

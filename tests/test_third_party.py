@@ -90,7 +90,6 @@ def third_party_drive(folder: Path, npm: Path) -> Iterator["subprocess.Popen[str
         end(drive, signal.SIGTERM)
 
 
-@pytest.mark.slow
 def test_a_third_party_drive_is_configured_and_recorded(folder, npm):
     """Its motion is known: every sample is what it sent, in number and value."""
     text = slow_bus_text(1, ratio=1.0, channel=bus_at(folder).channel)
@@ -124,7 +123,6 @@ def test_a_third_party_drive_is_configured_and_recorded(folder, npm):
     )  # one after the other; a busy machine sends late
 
 
-@pytest.mark.slow
 def test_a_third_party_drive_is_scanned(folder, npm):
     """Beside two simulated drives; what goes to the drives are reads of objects."""
     channel = bus_at(folder).channel
@@ -149,7 +147,6 @@ def test_a_third_party_drive_is_scanned(folder, npm):
     assert any("6092:1 -, 6092:2 -, 6091:1 -, 6091:2 -, 608F:1 -, 608F:2 -" in row for row in rows)
 
 
-@pytest.mark.slow
 def test_a_third_party_master_is_recorded_passively(folder, npm):
     """It configures and moves our simulated drives; sent and recorded are equal in number and value."""
     group, _, master_port = bus_at(folder).channel.partition(":")
@@ -185,7 +182,6 @@ def test_a_third_party_master_is_recorded_passively(folder, npm):
     assert np.ptp(samples["position"][:, 0]) > 0.05  # the drives followed
 
 
-@pytest.mark.slow
 def test_pythons_canopen_is_master_of_the_simulated_drives(monkeypatch):
     """The canopen package, unchanged: boot-up, SDO, PDO mapping, NMT, heartbeat, SYNC."""
     # This master sends SYNC when it has something to say, however long that takes it.

@@ -333,7 +333,6 @@ def test_the_report_is_printed_kept_and_shown(tmp_path, capsys):
     assert "times" in capsys.readouterr().out
 
 
-@pytest.mark.slow
 def test_estimates_from_uneven_times_are_inside_their_intervals(tmp_path):
     """A small sample of `tests/benchmarks/test_jittered_time.py`."""
     found = covered(tmp_path, 4, duration_s=8.0)

@@ -31,7 +31,6 @@ def off_percent(fit: Fit, signals: Signals) -> float:
 # Ends and rows
 
 
-@pytest.mark.slow
 def test_the_cutoff_alone_does_not_decide_on_the_ends():
     """With raw end samples in the end rows, the default was 5 to 6 times worse than a cut-off that is a little higher."""
     robot, errors = robot_named("scara"), {25.0: [], 25.0025: []}
@@ -56,7 +55,6 @@ def test_a_description_asks_for_matlabs_edges():
     np.testing.assert_array_equal(fits[1].beta, by_option.beta)
 
 
-@pytest.mark.slow
 def test_samples_that_stand_weigh_nothing_in_both_methods_and_settings_say_so():
     signals = load_signals(TX40)
     ls, iv = identify_ls(signals, Overrides()), identify_iv(signals, Overrides(), Iteration())
@@ -74,7 +72,6 @@ def test_samples_that_stand_weigh_nothing_in_both_methods_and_settings_say_so():
 # A surrogate at a low rate
 
 
-@pytest.mark.slow
 def test_recordings_at_low_rates_converge_under_a_surrogate_of_10_hz():
     """The same motion, below 1 Hz, at 1 kHz and 100 Hz: within one interval. Held for 20 ms that PD is not stable."""
     robot = robot_named("scara")
@@ -118,7 +115,6 @@ def recorded(request) -> tuple[Signals, int]:
     return load_signals(request.getfixturevalue(request.param)), {"emps": 0, "tx40": 4}[request.param]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("method", ["ols", "wls", "iv"])
 def test_an_effort_of_the_wrong_sign_is_told_with_its_joint(recorded, method):
     signals, joint = recorded
@@ -131,7 +127,6 @@ def test_an_effort_of_the_wrong_sign_is_told_with_its_joint(recorded, method):
     assert fit.status in ("solved", "not_confirmed", "diverged")
 
 
-@pytest.mark.slow
 def test_a_right_sign_is_not_doubted(recorded):
     for method in ("ols", "wls"):
         line = fitted(recorded[0], method).trust.line("physical")
@@ -146,7 +141,6 @@ def rewritten(path, robot: Robot, samples) -> None:
         writer.samples(samples)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("method", ["ols", "wls", "iv"])
 def test_a_result_not_to_be_trusted_is_written_and_ends_with_status_3(method, tmp_path, capsys):
     recording = read_recording(SCARA)
@@ -193,7 +187,6 @@ def test_no_fixed_point_and_too_large_an_error_end_with_status_3(tmp_path, capsy
 # The best pass
 
 
-@pytest.mark.slow
 def test_without_a_fixed_point_the_pass_that_tracks_best_is_returned(monkeypatch):
     """Passes 2 and 3 get a share of the torque as noise: the first one's simulated robot tracks best."""
     import identification.methods.idim as idim
@@ -233,7 +226,6 @@ def test_a_start_of_iv_is_refused_with_least_squares(capsys, method):
     assert "has no effect" in told
 
 
-@pytest.mark.slow
 def test_validate_takes_the_settings_of_the_fit(capsys, tmp_path):
     fit, errors = tmp_path / "fit.json", tmp_path / "errors.json"
     robot = with_keys(tmp_path, 'span = "all"', "low_speed_percent = 7", "decimation = 20")
@@ -260,7 +252,6 @@ def with_other_text(old: str, new: str) -> Robot:
     return robot_from_files({"robot.toml": text.replace(old, new).encode()}, "other.toml")
 
 
-@pytest.mark.slow
 def test_validate_uses_the_fits_description_where_the_recordings_does_not_fit(capsys, tmp_path):
     fit, log, errors = tmp_path / "fit.json", tmp_path / "log.mcap", tmp_path / "errors.json"
     assert main(["fit", str(SCARA), "--json", str(fit)]) == 0
@@ -275,10 +266,9 @@ def test_validate_uses_the_fits_description_where_the_recordings_does_not_fit(ca
     assert main(["validate", str(fit), str(log), "--json", str(errors)]) == 0
     assert json.loads(errors.read_text())["joints"][1]["relative_error_percent"] > 10
     assert good < 1.0
-    assert "perhaps not the same quantities" in capsys.readouterr().out
+    assert "perhaps not the same quantities" in " ".join(capsys.readouterr().out.split())
 
 
-@pytest.mark.slow
 def test_compare_goes_by_what_parameters_stand_for(capsys, tmp_path):
     a, b, old = (tmp_path / f"{name}.json" for name in ("a", "b", "old"))
     assert main(["fit", str(SCARA), "--json", str(a)]) == 0

@@ -108,7 +108,6 @@ def test_the_worst_line_is_the_verdict():
     assert Trust(lines=(line("caution", "added columns", "offset missing"),)).finding == "offset missing"
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("method", ["iv", "wls"])
 def test_a_clean_recording_is_trusted(method):
     """Least squares cannot find the lag, and half a millisecond more or less is much of the shoulder's small friction."""
@@ -119,7 +118,6 @@ def test_a_clean_recording_is_trusted(method):
     assert (fit.distrust, fit.trust.verdict) == ((), "trust")
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("method", ["iv", "wls"])
 def test_what_nobody_checked_is_named(method):
     """Whatever stands under `assumed` may be wrong, and the verdict stays."""
@@ -131,7 +129,6 @@ def test_what_nobody_checked_is_named(method):
     assert all(one.value and one.why for one in assumed.values())
 
 
-@pytest.mark.slow
 def test_shared_parameters_of_joints_in_unknown_units_are_not_to_be_used():
     signals = recorded("scara")
     keys = {"drive_gain": None, "drive_gain_unit": None, "effort_unit": "A"}
@@ -147,7 +144,6 @@ def test_shared_parameters_of_joints_in_unknown_units_are_not_to_be_used():
     assert alone.trust.line("units").level == "ok"
 
 
-@pytest.mark.slow
 def test_held_out_blocks_far_off_and_no_positive_m_together_are_not_to_be_used():
     _, evidence = examined("wls", "scara")
     held = trust_in(evidence).line("held-out blocks")
@@ -182,7 +178,6 @@ def test_an_inertia_that_is_not_known_to_its_own_size_is_doubted():
     assert replace(fit, intervals=wide).essential_names == ()
 
 
-@pytest.mark.slow
 def test_the_error_is_that_behind_the_rules_filter():
     """Noise of 20 µm makes the prediction of a fit without a filter useless; the model is none the worse."""
     noisy = recorded("emps", COARSE)
@@ -238,7 +233,6 @@ def test_the_ways_an_iteration_ends():
 # Added columns
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("method", ["iv", "wls"])
 def test_a_column_is_solved_with_the_others(method):
     """Coefficient, residual and t are those of the system with one column more, with itself as its instrument."""
@@ -266,7 +260,6 @@ def test_a_column_is_solved_with_the_others(method):
     assert lack.t == pytest.approx(estimate.beta[-1] / sigma, rel=1e-6)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("fault", ["asymmetric friction", "drift", "Stribeck friction"])
 @pytest.mark.parametrize("method", ["iv", "wls"])
 def test_what_the_model_lacks_is_named_first(method, fault):
@@ -277,21 +270,18 @@ def test_what_the_model_lacks_is_named_first(method, fault):
     assert found.verdict != "trust"
 
 
-@pytest.mark.slow
 def test_a_column_has_the_size_of_the_fault():
     found = [x for x in missing_terms(examined("iv", "scara", fault="asymmetric friction")[1]) if "asym" in x.kind]
     assert [x.where for x in found] == ["of joint shoulder", "of joint elbow"]
     assert [abs(x.value - 20.0) < 3 * x.value / x.t < 15.0 for x in found] == [True, True]
 
 
-@pytest.mark.slow
 def test_a_tilt_of_gravity_is_named_first():
     told = examined("wls", "tx40", fault="tilt of gravity")[0].trust.line("added columns")
     assert told.text.startswith("tilt of gravity about x ")
     assert abs(float(told.text.split()[5])) == pytest.approx(np.deg2rad(3.0), rel=0.1)
 
 
-@pytest.mark.slow
 def test_a_relative_gain_is_named():
     """The elbow's torque scaled by 1.2: its inertia and friction take that, its share in the shoulder's torque does not."""
     signals = recorded("scara")
@@ -329,7 +319,6 @@ def test_held_out_blocks_are_predicted_by_the_fit_of_the_others(method):
     assert [figure.name for figure in told.figures] == [f"block {k}" for k in range(1, 6)]
 
 
-@pytest.mark.slow
 def test_a_fit_that_does_not_generalise_is_a_caution():
     """Of 60 parameters, from 2.6 s; physical ones generalise better, where the drive gains let them be found."""
     signals = recorded("tx40", fault="tilt of gravity")
@@ -346,7 +335,6 @@ def test_a_fit_that_does_not_generalise_is_a_caution():
     assert "--consistent" not in identify_ls(unknown, Overrides()).trust.line("held-out blocks").text
 
 
-@pytest.mark.slow
 def test_halves_differ_where_the_torque_changes_its_scale():
     signals = recorded("scara")
     later = np.where(signals.t_s > signals.t_s[-1] / 2, 1.1, 1.0)[:, None]
@@ -400,7 +388,6 @@ def test_the_noise_of_an_end_sample_is_told():
     assert 'edges = "smooth"' in raw.text
 
 
-@pytest.mark.slow
 def test_noise_of_the_position_biases_least_squares_and_is_told():
     """20 µm on the EMPS, with the controller in the loop: the mass is 20 to 40 % too low."""
     fit, _ = examined("wls", "emps", COARSE)
@@ -420,7 +407,6 @@ def test_noise_of_the_position_biases_least_squares_and_is_told():
     assert (high.level, "350 Hz" in high.text) == ("cannot tell", True)
 
 
-@pytest.mark.slow
 def test_noise_that_falls_with_frequency_is_seen_by_its_spectrum():
     """AR(0.9) from sample to sample: the noise above the low-pass is a small part of the noise below."""
     cell = replace(COARSE, encoder_noise=1e-5, encoder_correlation=0.9)
@@ -428,7 +414,6 @@ def test_noise_that_falls_with_frequency_is_seen_by_its_spectrum():
     assert fit.trust.line("position noise").level == "caution"
 
 
-@pytest.mark.slow
 def test_the_move_that_position_noise_is_told_by_is_the_mean_of_both_signs():
     """It grows with the variance of the noise: what moves the estimate with the noise's sign cancels."""
     told = [
@@ -456,7 +441,6 @@ def test_an_autoregression_is_found_despite_gaps():
 # Long recordings
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("method", ["iv", "wls"])
 def test_a_long_recording_is_tested_as_its_rows_are(method):
     """Halves and fifths of the time end where spans do. By instruments a row or two more count."""
@@ -502,7 +486,6 @@ def test_sums_over_spans_are_those_of_their_rows():
         assert evidence.error((slice(covered[0], covered[-1] + 1),), beta) == pytest.approx(error, rel=1e-7)
 
 
-@pytest.mark.slow
 def test_a_long_recording_that_changes_is_doubted():
     """Torque of the second half 10 % larger; a raw end sample; 60 parameters from 2.6 s."""
     signals = recorded("scara")
@@ -550,7 +533,6 @@ def test_a_long_recording_has_every_test(method):
 # Tests that cannot be made
 
 
-@pytest.mark.slow
 def test_one_joint_and_unknown_gains_have_no_relative_gain():
     assert "one joint has no relative gain" in examined("iv", "emps", COARSE)[0].trust.line("added columns").text
     signals = recorded("scara")
@@ -561,7 +543,6 @@ def test_one_joint_and_unknown_gains_have_no_relative_gain():
     assert "relative gains not tried: the drive gains are not known" in told.text
 
 
-@pytest.mark.slow
 def test_a_short_recording_has_no_halves():
     signals = recorded("tx40", fault="tilt of gravity")
     cut = {name: getattr(signals, name)[4000:4700] for name in ("t_s", "q", "q_ref", "effort")}
@@ -573,7 +554,6 @@ def test_a_short_recording_has_no_halves():
 # Real recordings
 
 
-@pytest.mark.slow
 def test_the_real_axis_has_asymmetric_friction(emps):
     for fit in (iv_of(emps), ls_of(emps)):
         told = fit.trust.line("added columns")

@@ -4,7 +4,6 @@ import dataclasses
 from types import SimpleNamespace
 
 import msgspec
-import pytest
 from conftest import REPLAY
 
 from identification.data import load_signals
@@ -41,7 +40,6 @@ def test_every_joint_has_to_track():
     assert verdict(1.0, [float("nan")])[0] == "not_confirmed"
 
 
-@pytest.mark.slow
 def test_instruments_that_explain_nothing_are_not_converged():
     assert verdict(1.0, [1.0], dataclasses.replace(GOOD, first_stage_F=0.5))[0] == "diverged"
     signals = load_signals(REPLAY / "scara" / "session.mcap")

@@ -157,7 +157,6 @@ CASES = {
 }
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES.values(), ids=CASES)
 def test_every_panel_of_the_layout_has_data_and_all_data_a_panel(case, written):
     signals = made_up(**case)
@@ -189,7 +188,6 @@ IV_CASES = {
 }
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("case", IV_CASES.values(), ids=IV_CASES)
 def test_a_fit_by_instruments_shows_the_simulated_robot(case, written):
     signals = case()
@@ -218,7 +216,6 @@ def test_a_fit_by_instruments_shows_the_simulated_robot(case, written):
     assert "IV and true" in text
 
 
-@pytest.mark.slow
 def test_a_robot_that_cannot_be_simulated_has_no_ghost(written):
     fit = fitted_iv(made_up())
     assert (fit.status, fit.replica.direct) == ("not_confirmed", ())
@@ -228,7 +225,6 @@ def test_a_robot_that_cannot_be_simulated_has_no_ghost(written):
     assert fit.iv.reason in file.static["/report"]["TextDocument:text"][0]
 
 
-@pytest.mark.slow
 def test_titles_say_joint_and_unit(written):
     titles = {origin: title for origin, (_, title) in written(made_up(types=("prismatic", "revolute"))).views.items()}
     assert titles["/torque/joint\\ 1.x"] == "torque joint 1.x [N]"
@@ -359,7 +355,6 @@ def test_a_raw_derivative_that_drowns_the_filtered_one_waits_for_a_click(written
     assert shown(written(made_up(noise=0.0), name="b.rrd")) == {"dq": True, "ddq": True}
 
 
-@pytest.mark.slow
 def test_what_was_not_recorded_or_done_is_not_shown(written):
     signals = made_up()
     assert not any(path.endswith("reference") for path in written(signals).curves)
@@ -397,7 +392,6 @@ def test_the_report_tells_result_settings_and_parameters(written):
         assert part in text
 
 
-@pytest.mark.slow
 def test_each_fit_is_an_application_of_its_own(written):
     """A viewer has one layout per application: another fit's titles would stand over this one's curves."""
     signals = made_up()

@@ -74,7 +74,6 @@ def disabled_by_the_recorder(recording: Recording) -> bool:
     return confirmed and all(states(recording, k)[-1][1] is State.SWITCH_ON_DISABLED for k in (1, 2))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
 @tried_again
 def test_drives_without_supervision_of_their_own_are_stopped(folder, number):
@@ -105,7 +104,6 @@ def test_drives_without_supervision_of_their_own_are_stopped(folder, number):
     assert len(recording.samples) > 0
 
 
-@pytest.mark.slow
 def test_drives_left_enabled_are_disabled_by_command(folder):
     with drives(folder, "--unsupervised"):
         robot = robot_of((folder / "robot.toml").read_text())
@@ -129,7 +127,6 @@ def test_drives_left_enabled_are_disabled_by_command(folder):
             assert master.state(master.bus.drives[0]) is State.SWITCH_ON_DISABLED
 
 
-@pytest.mark.slow
 def test_disable_says_first_who_did_not_confirm(folder, capsys):
     assert main(["disable", str(folder / "robot.toml")]) == 1
     assert capsys.readouterr() == ("", "NOT DISABLED: nodes 1, 2: EMERGENCY STOP\n")
@@ -140,7 +137,6 @@ def test_disable_says_first_who_did_not_confirm(folder, capsys):
     assert "cannot be opened" in second
 
 
-@pytest.mark.slow
 def test_a_watchdog_acts_only_when_armed_and_not_ended():
     bus = bus_of(robot_of(bus_text(2, channel="nobody_here")))
     for signs, acts in (("e", False), ("a", True), ("aae", False), ("aea", False)):
@@ -229,7 +225,6 @@ def test_an_answer_that_does_not_come_is_awaited_with_signs_of_life():
     assert run.now_ns() - began_ns == 300_000_000
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["silent", "emergency"])
 def test_a_fault_of_slow_drives_is_no_death_either(tmp_path, kind):
     """Where a drive does not confirm, the session shows that it runs while it awaits answers; the others raise no 8130h."""
@@ -246,7 +241,6 @@ def test_a_fault_of_slow_drives_is_no_death_either(tmp_path, kind):
     assert len(session.outcome.reports) == (kind == "emergency")
 
 
-@pytest.mark.slow
 @tried_again
 def test_six_slow_drives_over_processes(folder, monkeypatch):
     monkeypatch.setattr(simulated_supervision, "SYNC_LOST_NS", 3600 * 10**9)  # this machine may be busy
@@ -293,7 +287,6 @@ def test_silence_is_longer_than_a_few_periods():
     assert silence_s(bus_of(robot_of(bus_text(2, period_s=0.2))).file) == pytest.approx(0.6)
 
 
-@pytest.mark.slow
 def test_a_third_party_drive_is_stopped(folder, npm):
     """It knows no quick stop and goes on moving, so voltage goes off; it says so itself."""
     rpdo = 'rpdo = [{ objects = ["6040", "6060"] }]'

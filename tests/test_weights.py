@@ -189,7 +189,6 @@ def short_moves(seed: int):
     return dataclasses.replace(signals, robot=slow, recording=f"s{seed}.mcap", sha256=f"{seed:064x}")
 
 
-@pytest.mark.slow
 def test_recordings_of_short_moves_are_fitted_and_the_same_by_two_workers(tmp_path):
     """No ramps suit their moves: chosen for both together, and told with joint and bandwidth."""
     for seed in (1, 2):

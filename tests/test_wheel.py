@@ -28,7 +28,6 @@ def installed(tmp_path_factory):
     return folder / "site"
 
 
-@pytest.mark.slow
 def test_programs_and_demo_are_in_it(installed, tmp_path):
     """Without `site` no installation of this checkout is found. The demo reads its robot before it makes its folder."""
     (entries,) = installed.glob("*.dist-info/entry_points.txt")
@@ -54,7 +53,6 @@ def test_programs_and_demo_are_in_it(installed, tmp_path):
     assert "usage: robot-acquire" in done.stdout
 
 
-@pytest.mark.slow
 def test_a_type_checker_sees_the_types_of_an_editable_installation(tmp_path):
     """A user's script, checked in a folder and an environment that know of this checkout by the installation alone."""
     build = f"import hatchling.build; hatchling.build.build_editable({str(tmp_path)!r})"

@@ -40,7 +40,6 @@ COMMANDS = {
 }
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["scara", "tx40", "emps"])
 def test_every_line_fits_a_terminal_and_is_in_words_of_users(name, tmp_path, monkeypatch, capsys):
     for file, source in (("log.mcap", "session.mcap"), ("robot.toml", "robot.toml")):

@@ -48,7 +48,6 @@ def work(request):
     return Work(request.getfixturevalue("cluster") if request.param == "cluster" else request.param)
 
 
-@pytest.mark.slow
 def test_results_come_in_the_order_of_the_tasks_and_errors_as_they_are(work):
     """The first tasks take longest."""
     found = list(work.run(slowly_squared, [(k,) for k in range(4)]))
@@ -66,7 +65,6 @@ def told_of(work, *task) -> str:
     return str(told.value)
 
 
-@pytest.mark.slow
 def test_a_killed_worker_ends_the_run_in_one_line(tmp_path):
     tasks = [(tmp_path / "mark", number, 1) for number in range(6)]
     line = told_of(Work(2), killed, tasks)
@@ -75,7 +73,6 @@ def test_a_killed_worker_ends_the_run_in_one_line(tmp_path):
     assert list(Work(2).run(killed, tasks)) == list(range(6)), "new workers do it"
 
 
-@pytest.mark.slow
 def test_a_killed_worker_of_dask_is_replaced_and_one_that_cannot_work_is_told(cluster, tmp_path, monkeypatch):
     """joblib's own backend of Dask waits forever for what its workers cannot do."""
     assert list(Work(cluster).run(killed, [(tmp_path / "once", k, 1) for k in range(6)])) == list(range(6))
@@ -93,7 +90,6 @@ def test_a_cluster_of_one_worker_does_the_tasks():
     assert "Dask" in threads[0]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("from_stdin", [False, True])
 def test_a_script_needs_no_guard(tmp_path, from_stdin):
     script = tmp_path / "script.py"

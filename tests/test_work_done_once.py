@@ -10,7 +10,6 @@ from identification.commands import main
 from identification.model import InverseModel
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "filters", "solutions"),
     [

@@ -1,0 +1,103 @@
+"""Which tests are slow: those of slow.txt, which have taken over half a second of CPU time; `-m "not slow"` leaves them out.
+
+With TEST_CPU=FILE the CPU time of each test is written there, and the run ends with the names of those of the list that took
+less than LEAST_S and of others that took more than MOST_S, in seconds of the machine of the list. It never fails: two
+tests on one core take up to twice the time of one. `python tests/slow_tests.py FILE...` makes the list of such files.
+"""
+
+import os
+import sys
+import time
+from collections.abc import Generator, Iterable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+LIST = Path(__file__).with_name("slow.txt")
+SLOW_S, LEAST_S, MOST_S = 0.5, 0.2, 1.0
+REFERENCE_S = 0.17  # of `reference_s` on the machine of the list
+
+
+def listed() -> set[str]:
+    return set(LIST.read_text(encoding="utf-8").split("\n"))
+
+
+def is_listed(name: str, names: set[str]) -> bool:
+    """Whether a test, or the function of which it is a case, is in the list."""
+    return name in names or name.split("[")[0] in names
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    names = listed()
+    for item in items:
+        if is_listed(item.nodeid, names):
+            item.add_marker("slow")
+
+
+def cpu_s() -> float:
+    """CPU time of this process and of those that have ended, s."""
+    return sum(os.times()[:4])
+
+
+def reference_s() -> float:
+    """CPU time of a loop, s: the least of five."""
+    times = []
+    for _ in range(5):
+        began = time.process_time()
+        sum(k * k for k in range(3_000_000))
+        times.append(time.process_time() - began)
+    return min(times)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item: pytest.Item) -> Generator[None, Any, Any]:
+    began = cpu_s()
+    try:
+        return (yield)
+    finally:
+        item.user_properties.append(("cpu_s", cpu_s() - began))
+
+
+def measured(reports: Iterable[Any]) -> dict[str, float]:
+    return {one.nodeid: dict(one.user_properties)["cpu_s"] for one in reports if one.when == "call"}
+
+
+def wrongly_listed(found: dict[str, float], speed: float) -> list[str]:
+    """Lines on tests that the list has and should not, or the reverse; `speed` is that of this machine."""
+    names, lines = listed(), []
+    for name, seconds in sorted(found.items(), key=lambda one: -one[1]):
+        here = is_listed(name, names)
+        if seconds * speed < LEAST_S if here else seconds * speed > MOST_S:
+            lines.append(f"{seconds * speed:.2f} s of CPU {'and' if here else 'but not'} in slow.txt: {name}")
+    return lines
+
+
+def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
+    if config.getoption("markexpr") == "not slow":
+        terminalreporter.write_line(f"slow tests are left to .ci/run: {len(listed()) - 1} lines of tests/slow.txt")
+    if (path := os.environ.get("TEST_CPU")) is None:
+        return
+    stats = terminalreporter.stats
+    found = measured(report for name in ("passed", "failed") for report in stats.get(name, []))
+    Path(path).write_text("\n".join(f"{seconds:.3f} {name}" for name, seconds in found.items()) + "\n")
+    for line in wrongly_listed(found, REFERENCE_S / reference_s()):
+        terminalreporter.write_line(line)
+
+
+def lines_of(found: dict[str, float], before: set[str]) -> list[str]:
+    """The list for measured times; of functions whose cases are all slow the function. Tests not measured stay as they were."""
+    cases: dict[str, dict[str, float]] = {}
+    for name, seconds in found.items():
+        cases.setdefault(name.split("[")[0], {})[name] = seconds
+    lines = {name for name in before if name and name.split("[")[0] not in cases}
+    for function, times in cases.items():
+        slow = {name for name, seconds in times.items() if seconds > (LEAST_S if is_listed(name, before) else SLOW_S)}
+        lines |= {function} if len(slow) == len(times) else slow
+    return sorted(lines)
+
+
+if __name__ == "__main__":
+    rows = [line.split(" ", 1) for file in sys.argv[1:] for line in Path(file).read_text().splitlines()]
+    times = {name: float(seconds) for seconds, name in rows}
+    LIST.write_text("\n".join(lines_of(times, listed() if LIST.exists() else set())) + "\n", encoding="utf-8")
