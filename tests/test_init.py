@@ -207,7 +207,7 @@ def test_a_joint_without_limits_has_them_by_options_or_is_named(here, capsys):
         assert "# position_deg = [LOWEST, HIGHEST] # FILL IN" in text
         assert "# speed_deg_s = ... # FILL IN" in text
         assert run(capsys, "base", f"{turn}.toml")[0] == 0
-        error = refused(capsys, "study", f"{turn}.toml")
+        error = refused(capsys, "study", f"{turn}.toml", "--runs", "1")
         assert "joint turn: joint[0].position_deg is missing: expected [lowest, highest]" in error
         of_range = [*NAMES, *STATED, "--range", "3,3,0.3", "--speed", "2,2,0.2", "-o", f"{turn}_moves.toml"]
         assert run(capsys, "init", "arm.urdf", *of_range)[0] == 0
