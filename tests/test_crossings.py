@@ -119,6 +119,9 @@ def test_two_recordings_are_fitted_with_what_they_have(concerns, columns, tmp_pa
     fit = fitted(paths, concerns, Work())
     assert bits(fitted(paths, concerns, Work(2))) == bits(fit)
     assert fit.status == ("converged" if "reference" in columns else "solved")
+    assert fit.iv is None or (
+        fit.iv.controller == "found" and all(one.problem.law.reason is None for one in fit.recordings)
+    )
     assert (off(fit) < 1.5).all()
     assert (fit.own is not None) == bool({"own", "gains"} & concerns)
     assert (fit.gains is not None) == ("gains" in concerns)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from conftest import REPLAY, robot_named
 
+import identification.regression.law as law_module
 from acquisition.robot import Controller
 from identification.data import Signals, load_signals
 from identification.regression import Overrides, make_problem
@@ -141,3 +142,18 @@ def test_the_law_of_the_real_axis_is_the_published_one(emps):
     assert (off < law.gains_half[:2]).all()
     assert (law.gains_half[:2] < 2e-3 * law.described[:2]).all()
     assert abs(law.delay_s[0]) < 1e-5
+
+
+@pytest.mark.parametrize("what", ["undetermined", "negative"])
+def test_a_law_without_positive_gains_is_none(what, monkeypatch):
+    """What the simulated robot, the file and [controller] would have: refused before any of them."""
+
+    def without(*given):
+        gains, *others = values(*given)
+        return gains * (np.nan if what == "undetermined" else -1.0), *others
+
+    values = law_module._values
+    assert law_of(make_problem(recorded("pid"), Overrides())).reason is None
+    monkeypatch.setattr(law_module, "_values", without)
+    law = law_of(make_problem(recorded("pid"), Overrides()))
+    assert law.reason == "gains of pid are undetermined, or not positive"

@@ -66,8 +66,9 @@ def first_line(fit: Fit) -> str:
 
 def _spread(fit: Fit) -> tuple[str, str, str]:
     """Of the essential parameters the median half-width in percent, the largest, and whose it is; empty without any."""
-    found = zip(fit.estimate.names, fit.intervals.half, np.abs(fit.estimate.beta), strict=True)
-    percents = [(100 * float(half / value), name) for name, half, value in found if name in set(fit.essential_names)]
+    e, essential = fit.estimate, {*fit.essential_names}
+    found = zip(e.names, fit.intervals.half, np.abs(e.beta), strict=True)
+    percents = [(100 * float(half / value), name) for name, half, value in found if name in essential]
     worst, name = max(percents, default=(0.0, ""))
     return (f"±{np.median([x for x, _ in percents]):.2g} %", f"±{worst:.2g} %", name) if percents else ("", "", "")
 

@@ -20,7 +20,7 @@ from .equations import (
     with_torque,
 )
 from .filtering import Decimation, forward_backward_3db_hz, lowpass_reach
-from .law import Law, law_of
+from .law import Law, described_gains, law_of
 from .load import LoadFriction, load_friction
 from .motion import (
     BLOCK_SAMPLES,

@@ -75,8 +75,13 @@ class Law:
     clear: NDArray[np.bool_]
     described: Array | None
 
+    @property
+    def used(self) -> NDArray[np.bool_]:
+        """(3,) the gains that the structure has."""
+        return np.array([True, True, "i" in STRUCTURES[self.structure]])
+
     def controller(self, described: Controller) -> Controller:
-        """`[controller]` with this law."""
+        """`[controller]` with this law, which is told."""
         Kp, Kd, Ki = self.gains
         kp, ki = (Kp / Kd, Ki / Kd) if self.structure.startswith("cascade") else (Kp, Ki)
         return replace_keys(
@@ -85,7 +90,7 @@ class Law:
             sample_rate_hz=1 / self.period_s,
             position_gain=tuple(kp.tolist()),
             velocity_gain=tuple(Kd.tolist()),
-            integral_gain=tuple(ki.tolist()) if "i" in STRUCTURES[self.structure] else None,
+            integral_gain=tuple(ki.tolist()) if self.used[2] else None,
             velocity_estimate=self.velocity_estimate,
         )
 
@@ -101,7 +106,7 @@ def law_of(problem: "Problem") -> Law | None:
     """The control law that the recording tells, by the described structure if there is one.
 
     None without a reference, or where the described law is not linear. A law is told if every motor's residual is small and its
-    Kp and Kd are positive, and if the structure is clearly better at some motor than all that it is no part of, while none that
+    gains are positive, and if the structure is clearly better at some motor than all that it is no part of, while none that
     contains it is.
     """
     signals, controller = problem.recorded, problem.recorded.robot.controller
@@ -156,7 +161,7 @@ def _told(problem: "Problem", motors: list[MotorPaths], rate_hz: float, describe
     if stated is not None:
         lags = [_lag_of(one, x, name, rate_hz) for one, x in zip(ways[estimate], stated.T, strict=True)]
         times[2:] = np.array(lags).T
-    return Law(
+    law = Law(
         structure=name,
         reason=reason,
         rival=best if best != name and clear[best].any() else None,
@@ -172,6 +177,9 @@ def _told(problem: "Problem", motors: list[MotorPaths], rate_hz: float, describe
         clear=clear[name],
         described=stated,
     )
+    # By the speed that is taken, and determined at all.
+    positive = law.reason is not None or (gains[law.used] > 0).all()
+    return law if positive else replace(law, reason=f"gains of {name} are undetermined, or not positive")
 
 
 def _estimate(tried: dict[str, list[LawSolution]], known: KnownLag, described: str | None) -> str:
@@ -193,12 +201,13 @@ def _percents(found: list[LawSolution]) -> Array:
 
 
 def described_gains(controller: Controller) -> Array | None:
-    """Kp, Kd, Ki (3, n) of the described law; None if it is not described, or not linear."""
+    """Kp, Kd, Ki (3, n) of the described law u = Kp e + ...; None where it is not described whole."""
     position, velocity, integral = controller.position_gain, controller.velocity_gain, controller.integral_gain
-    if controller.structure in (None, "computed_torque") or position is None or velocity is None:
+    integrates = controller.structure in ("cascade_p_pi", "pid")
+    if controller.structure is None or position is None or velocity is None or (integrates and integral is None):
         return None
     kp, kd = np.array(position), np.array(velocity)
-    ki = np.array(integral) if integral else np.zeros_like(kp)
+    ki = np.array(integral) if integrates else np.zeros_like(kp)
     cascade = kd if controller.structure.startswith("cascade") else 1.0
     return np.array([kp * cascade, kd, ki * cascade])
 

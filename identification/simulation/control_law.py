@@ -32,6 +32,7 @@ from acquisition.robot import Robot
 from ..arrays import Array
 from ..errors import IdentificationError
 from ..model import DirectModel
+from ..regression import described_gains
 
 SURROGATE_DAMPING = 0.8
 
@@ -119,17 +120,18 @@ def recorded_loop(robot: Robot) -> ControlLaw | None:
         where = f"robot {robot.name}"
         expected = f"all of {', '.join(needed)}, or none of them (then a PD of bandwidth_hz is simulated)"
         raise IdentificationError(place=where, key=f"controller: {', '.join(missing)}", value=None, expected=expected)
-    structure, kp, kd = stated["structure"], np.array(stated["position_gain"]), np.array(stated["velocity_gain"])
-    ki = np.array(stated["integral_gain"]) if integrates else np.zeros(robot.n)
+    structure, gains = stated["structure"], described_gains(c)
+    assert gains is not None
+    Kp, Kd, Ki = gains
     cascade = structure.startswith("cascade")
     return ControlLaw(
         period_s=1.0 / stated["sample_rate_hz"],
         R=robot.R,
         G=robot.gain,
-        Kp=kp * kd if cascade else kp,
-        Kd=kd,
-        Ki=ki * kd if cascade else ki,
-        position_share=kp if cascade else np.ones(robot.n),
+        Kp=Kp,
+        Kd=Kd,
+        Ki=Ki,
+        position_share=np.array(stated["position_gain"]) if cascade else np.ones(robot.n),
         feedforward=0.0 if cascade or structure == "pd" else 1.0,
         saturation=np.array([m.saturation if m.saturation is not None else np.inf for m in robot.motors]),
         velocity_estimate=c.velocity_estimate or "backward_difference",

@@ -9,7 +9,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..arrays import Array
 from ..regression import KnownLag, Law, Problem
 from .fit_data import FitData
 from .lines import LEVELS, Figure, TrustLine
@@ -68,10 +67,10 @@ def _lag(law: Law, problem: Problem) -> KnownLag | None:
 
 
 def _line(law: Law, motors: list[str]) -> TrustLine:
-    used, error = law.gains_half[:, 0] != 0.0, law.residual_percent
+    used, error = law.used, law.residual_percent
     delays = f"reference {1e3 * float(np.median(law.delay_s)):.3g} ms late"
     if law.described is None:
-        text = f"{law.structure} found, {_gains(law, 0, used)} of motor {motors[0]}, {error.max():.2g} % left; {delays}"
+        text = f"{law.structure} found, {_gains(law, 0)} of motor {motors[0]}, {error.max():.2g} % left; {delays}"
         if not law.clear.all():
             text += f"; {', '.join(np.array(motors)[~law.clear])} alone cannot tell"
         return TrustLine(NAME, "ok", text)
@@ -91,7 +90,7 @@ def _line(law: Law, motors: list[str]) -> TrustLine:
         np.argmax(np.maximum(np.maximum(off.max(axis=0) / MAX_GAIN_ERROR, error / MAX_ERROR_PERCENT), 1e9 * mirrored))
     )
     value = float(factor[int(np.argmax(off[:, j])), j])
-    text = f"motor {motors[j]}: {_gains(law, j, used)}; {error[j]:.2g} % left; {delays}"
+    text = f"motor {motors[j]}: {_gains(law, j)}; {error[j]:.2g} % left; {delays}"
     if law.reason is not None and not mirrored[j] and (factor[:, j] < 0).any():
         text = f"{law.reason}, {error[j]:.2g} % left: a feed-forward that is not recorded, or another law?"
         return TrustLine(NAME, "caution", text, None)
@@ -108,10 +107,10 @@ def _line(law: Law, motors: list[str]) -> TrustLine:
     return TrustLine(NAME, "ok", text, value, figures=figures)
 
 
-def _gains(law: Law, j: int, used: Array) -> str:
+def _gains(law: Law, j: int) -> str:
     """The gains of a motor with their half-widths, and those described."""
     each = []
-    for i in np.flatnonzero(used):
+    for i in np.flatnonzero(law.used):
         text = f"{LETTERS[i]} {law.gains[i, j]:.5g} ± {law.gains_half[i, j]:.2g}"
         each.append(text if law.described is None else f"{text} of {law.described[i, j]:.5g}")
     return ", ".join(each)
