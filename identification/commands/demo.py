@@ -13,7 +13,7 @@ NEXT = (
     "describe it, or copy a robot.toml of replay_data: robot-identify init arm.urdf -o robot.toml",
     "check drives and bus: robot-acquire check robot.toml",
     "record; this moves the robot, so first --dry-run: robot-acquire record robot.toml -o log.mcap --track ref.csv",
-    "or import: robot-acquire import log.csv --robot robot.toml --map map.toml -o log.mcap",
+    "or import: robot-acquire import log.csv --robot robot.toml",
     "fit: robot-identify fit log.mcap --json fit.json --rrd fit.rrd",
 )
 

@@ -61,9 +61,13 @@ def export_model(
         if (loop := servo_loop(represented)) is not None:
             integral = ", integral" if loop.Ki.any() else ""
             gravity = ", gravity feed-forward" if loop.gravity_at_q else ""
-            notes += (
-                f"actuators follow positions by {robot.controller.structure}, without its sampling{integral}{gravity}",
+            two = (
+                "; forcerange limits each of a motor's two, not their sum"
+                if loop.feedforward and any(np.isfinite(loop.saturation))
+                else ""
             )
+            law = f"actuators follow positions by {robot.controller.structure}"
+            notes += (f"{law}, without its sampling{integral}{gravity}{two}",)
         sections.append(_make_section(m, f"{mjcf}", "an MJCF", losses, notes))
     if toml is not None:
         texts[toml], notes = _make_toml(m, toml, urdf, source)
