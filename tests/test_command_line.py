@@ -49,6 +49,7 @@ def in_shell(command: str, folder: Path) -> subprocess.CompletedProcess[str]:
         (acquire, f"import {SESSION} -o m", ["m"]),
         (acquire, f"info {SESSION}", []),
     ],
+    ids=lambda given: given.split()[0] if isinstance(given, str) else None,
 )
 def test_a_reader_that_is_gone_before_the_first_line_costs_nothing(
     program, command, files, tmp_path, monkeypatch, capfd
