@@ -160,7 +160,7 @@ def test_targets_beyond_what_the_object_holds():
 
 def test_a_robot_without_a_bus_is_told():
     text = bus_text()
-    with pytest.raises(AcquisitionError, match=r"r.toml: bus is missing: expected a \[bus\] section"):
+    with pytest.raises(AcquisitionError, match=r"r.toml: bus is missing: expected its drives: remove `#: `"):
         resolve(robot_of(text[: text.index("[bus]")]), "r.toml")
 
 

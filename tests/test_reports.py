@@ -38,7 +38,7 @@ def test_the_verdict_comes_first_and_is_of_the_rows_that_move():
     assert verdict.lines[1] == "status: converged"
     assert verdict.lines[2].startswith(f"relative torque error: {moving:.3g} % of moving rows")
     assert verdict.lines[2].endswith(f"{every:.3g} % of all rows")
-    assert verdict.lines[3].startswith("essential (by least squares): 2 of 8 parameters")
+    assert verdict.lines[3].startswith("2 of 8 parameters determined (by least squares)")
     assert verdict.warnings == ("a wrong gain",)
 
 
@@ -66,8 +66,8 @@ def test_first_line_lines_table_and_json_count_the_same_parameters(kept, wide):
         text += f", half of them to ±{median:.2g} %, the worst ({worst}) to ±{percents[worst]:.2g} %"
     assert document.title.endswith(text)
     line = document.sections[0].lines[3]
-    assert line.startswith(f"essential (by least squares): {len(expected)} of 8 parameters; ")
-    counts = [re.search(rf"(\d+) {what}", line) for what in ("of", "with an interval wider", "left out")]
+    assert line.startswith(f"{len(expected)} of 8 parameters determined (by least squares)")
+    counts = [re.search(rf"(\d+) {what}", line) for what in ("of", "unclear", "without effect")]
     assert sum(int(found[1]) for found in counts if found) == 8, line
 
 

@@ -1,4 +1,4 @@
-"""`robot-acquire mark`: note a text in a recording that is being written."""
+"""`robot-acquire mark`: add a note to the recording in progress."""
 
 import argparse
 
@@ -7,7 +7,7 @@ from .command_line import add_path
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    add_path(parser, "recording", "LOG.mcap", "the recording that is being written")
+    add_path(parser, "recording", "LOG.mcap", "the recording in progress")
     parser.add_argument("text", metavar="TEXT", help="the note; it is stored as an event, with the time")
 
 

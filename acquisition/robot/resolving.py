@@ -36,7 +36,7 @@ def resolve(robot: Robot, place: str, traffic: Mapping[int, Values] | None = Non
     `AcquisitionError` with `place`, key, value and what was expected.
     """
     if robot.bus is None:
-        Place(place).refuse("bus", None, "a [bus] section with one drive per motor")
+        Place(place).refuse("bus", None, "its drives: remove `#: ` in robot.toml, or `init --bus`")
     bus = Bus(file=robot.bus, drives=tuple(_drive(robot, i, place, traffic) for i in range(robot.n)))
     refuse_pdos(bus, place)
     for i, file in enumerate(robot.bus.drive):

@@ -74,7 +74,7 @@ def record(
     `AcquisitionError` before it runs.
     """
     if robot.bus is None:
-        expected = "a [bus] section with one drive per motor"
+        expected = "its drives, for --dry-run too: remove `#: ` in robot.toml, or `init --bus`"
         raise AcquisitionError(place=place, key="bus", value=None, expected=expected)
     if options.passive and (options.track is not None or options.dry_run):
         raise AcquisitionError("sends nothing", place="--passive", expected="no --track and no --dry-run")

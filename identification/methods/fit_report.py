@@ -121,12 +121,12 @@ def _trust_section(fit: Fit) -> Section:
 def _essential_line(fit: Fit) -> str:
     reduction, count, of = fit.essential, len(fit.essential_names), len(fit.least_squares.full.names)
     by, kept = " (by least squares)" if fit.iv else "", len(reduction.estimate.names)
-    line = f"essential{by}: {count} of {of} parameters"
-    line += f"; {kept - count} with an interval wider than the value" if kept > count else ""
+    line = f"{count} of {of} parameters determined{by}"
+    line += f", {kept - count} unclear: an interval wider than the value" if kept > count else ""
     if not math.isfinite(reduction.F):
         return line
     return (
-        f"{line}; {of - kept} left out: F test p = {reduction.p_value:.2g} "
+        f"{line}, {of - kept} without effect on the torque: F test p = {reduction.p_value:.2g} "
         f"(corrected for correlation p = {reduction.p_effective:.2g})"
     )
 

@@ -217,5 +217,5 @@ def study_chart(runs: Sequence[Run]) -> Rows:
             marks += [Mark(row=top + k, value=median, color=LIGHT, shape="tick") for k in range(STUDY_ROWS)]
     axis = decades([mark.value for mark in marks] or [1.0, 100.0], 6)
     legend = (("× LS", PURPLE), ("● IV converged", ORANGE), ("○ IV not", GREY), ("| median", LIGHT))
-    title, column = f"|beta - true| / |true| of {len(runs)} runs", Column(head="%", axis=axis, marks=marks)
+    title, column = f"total error of {len(runs)} runs, of the true values", Column(head="%", axis=axis, marks=marks)
     return Rows(path=("study",), title=title, names=names, columns=[column], legend=legend)

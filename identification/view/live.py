@@ -153,9 +153,12 @@ class LivePage:
             elif event.kind == "plan":
                 self._left_from = event.stamp_ns, float(event.text.split()[-2])
             self.over |= event.kind in ("end", "fault")
-            self._recording.set_time("time", duration=1e-9 * (event.stamp_ns - self._first_ns))
+            time_s = 1e-9 * (event.stamp_ns - self._first_ns)
+            self._recording.set_time("time", duration=time_s)
             level = "WARN" if event.kind in ("fault", "warning", "not disabled") else "INFO"
-            self._recording.log("events", rr.TextLog(shown_text(f"{event.kind}: {event.text}"), level=level))
+            self._recording.log(
+                "events", rr.TextLog(shown_text(f"{time_s:.2f} s {event.kind}: {event.text}"), level=level)
+            )
         for health in follower.health:
             self._losses = {name: health.counters.get(name, 0.0) for name in _LOSSES}
             self._last_ns = max(self._last_ns, health.stamp_ns)
@@ -210,16 +213,19 @@ class LivePage:
                 self._style(f"{name}/{j + 1}/measured", names, colors)
                 self._style(f"{name}/{j + 1}/levels", list(levels[j]), [color for color, _ in levels[j].values()])
                 title = {"error": "following error"}.get(name, name)
+                sign = "±" if name != "position" else ""
+                told = [f"{sign}{value:.3g} {key}" for key, (_, value) in levels[j].items() if key[0] != "-"]
                 views.append(
                     rrb.TimeSeriesView(
                         origin=f"{name}/{j + 1}",
-                        name=shown_text(f"{title} {joint.name} [{unit}]"),
+                        name=shown_text("; ".join((f"{title} {joint.name} [{unit}]", *told))),
                         time_ranges=[window],
                         plot_legend=rrb.PlotLegend(visible=False),
                     )
                 )
             rows.append(rrb.Horizontal(*views))
-        columns = rrb.TextLogColumns(timeline_columns=["time"], text_log_columns=["LogLevel", "Body"])
+        unseen = rrb.encodings.TimelineColumn("time", visible=False)  # it is cut to four letters: the text has the time
+        columns = rrb.TextLogColumns(timeline_columns=[unseen], text_log_columns=["LogLevel", "Body"])
         rows.append(rrb.TextLogView(origin="events", name="events", columns=columns))
         shares = [1.0, *(3.0 for _ in self._levels), 2.0]
         panel = rrb.TimePanel(state="collapsed", timeline="time", play_state="following")
