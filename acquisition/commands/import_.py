@@ -1,4 +1,4 @@
-"""`robot-acquire import`: a recording from tables (CSV, MAT), a ROS 2 bag, a CAN log or another recording."""
+"""`robot-acquire import`: a recording from tables (CSV, MAT), a ROS 2 bag, a CAN log, an EtherCAT capture or a recording."""
 
 import argparse
 import math
@@ -21,7 +21,8 @@ def add(parser: argparse.ArgumentParser) -> None:
     inputs = parser.add_argument_group("inputs")
     text = (
         "CSV or MAT files in the order that the map numbers them; or one ROS 2 bag (folder, .mcap, .db3); or one CAN log "
-        "(candump .log, .asc, .blf, .trc); or one recording: its frames are decoded, and a cut one is repaired"
+        "(candump .log, .asc, .blf, .trc); or one EtherCAT capture (pcap, pcapng); or one recording: its frames are decoded, "
+        "and a cut one is repaired"
     )
     add_path(inputs, "tables", "FILE", text, nargs="+")
     add_path(inputs, "--robot", "ROBOT.toml", "the robot's description; a recording has its own")
@@ -41,6 +42,12 @@ def add(parser: argparse.ArgumentParser) -> None:
     bag.add_argument("--effort-unit", metavar="UNIT", help=text)
     text = "sample rate in Hz after interpolation (default: the rate of the time stamps, rounded)"
     bag.add_argument("--resample-hz", type=float, metavar="HZ", help=text)
+    capture = parser.add_argument_group("EtherCAT capture")
+    text = (
+        "inputs of a slave in their order, such as 0x6041:16,0x6064:32,0x6077:16, gaps as 0:BITS; once per slave in the order "
+        "of the bus; only for a capture that begins after the master wrote the mapping"
+    )
+    capture.add_argument("--mapping", metavar="OBJECT:BITS,...", action="append", default=[], help=text)
     outputs = parser.add_argument_group("outputs")
     add_path(outputs, "-o --output", "LOG.mcap", "the recording to write (default: named as the first FILE)")
     add_overwrite(outputs)
@@ -53,22 +60,40 @@ def run(options: argparse.Namespace) -> None:
     options.output = options.output or options.tables[0].with_suffix(".mcap")
     refuse_clash([options.robot, options.map, *options.tables], options.output, overwrite=options.overwrite)
     with Progress("importing"):
-        from ..importing import BagOptions, import_bag, import_log, import_recording, import_tables
+        from ..importing import (
+            BagOptions,
+            import_bag,
+            import_capture,
+            import_log,
+            import_recording,
+            import_tables,
+            is_capture,
+        )
         from ..robot import load_robot, parse_payload
 
         out, tables = options.output, options.tables
         again = options.topic is None and options.map is None and is_recording(tables[0])
         robot = None if options.robot is None else load_robot(options.robot)
         payload = None if options.payload is None or robot is None else parse_payload(options.payload, robot)
+        capture = options.topic is None and options.map is None and is_capture(tables[0])
+        if options.mapping and not capture and not again:
+            raise AcquisitionError(
+                key="--mapping", value=options.mapping[0], expected="an EtherCAT capture: pcap or pcapng"
+            )
         if again:
             _refuse_bag_options(options)
             _refuse_as_recording(options)
             found = import_recording(tables[0], out, robot, str(options.robot or ""))
-        elif options.topic is None and options.map is None and _propose(options, robot):
+        elif not capture and options.topic is None and options.map is None and _propose(options, robot):
             return
         elif robot is None:
             expected = "the robot's description; only recordings have their own"
             raise AcquisitionError(key="--robot", value=None, expected=expected)
+        elif capture:
+            _refuse_bag_options(options)
+            if len(tables) > 1:
+                raise AcquisitionError("is a second capture", place=str(tables[1]), expected="one")
+            found = import_capture(tables[0], out, robot, str(options.robot), options.mapping, payload)
         elif options.topic is not None:
             _refuse_as_bag(options)
             units = [unit.strip() for unit in options.effort_unit.split(",")]

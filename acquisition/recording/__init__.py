@@ -1,6 +1,6 @@
 """The recording: reads and writes the MCAP file, decodes its frames to rows on the SYNC grid."""
 
-from .decoding import Decoded, decode
+from .decoding import Decoded, RawRows, decode, joint_samples
 from .following import RecordingFollower
 from .marks import add_mark, take_marks
 from .reader import NO_SAMPLES, Recording, has_reference, read_recording, rewrite
@@ -19,4 +19,5 @@ from .rows import (
     written_by_master,
 )
 from .summary import as_tables, overview
+from .sync_grid import minimum_ahead
 from .writer import JOINT_STATE, Header, RecordingWriter

@@ -4,13 +4,13 @@ A drive samples at SYNC and sends its PDO afterwards, so a sample has the time o
 assigns each PDO to the SYNC that it answers. Samples are made block by block, because those of an hour do not fit in memory.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from ..arrays import Array, Ints
+from ..arrays import Ints
 from ..errors import Place
 from ..protocol import ObjectEntry, Pdo
 from ..robot import Bus, Drive, Robot
@@ -74,37 +74,29 @@ class Decoded:
 
     def blocks(self) -> Iterator[Block]:
         """Rows of `sample_dtype`, some thousands at a time."""
-        n, layout = self.robot.n, sample_dtype(self.robot.n, reference=self.targets is not None)
         begin = None if self.targets is None else int(np.maximum.reduce([np.argmax(t >= 0) for t in self.targets]))
-        last: list[tuple[int, int]] = []  # for each drive: raw position of the row before, and the counts added to it
-        for first in range(0, len(self.stamps), _AT_ONCE):
-            part = slice(first, first + _AT_ONCE)
-            samples = np.empty(len(self.stamps[part]), layout)
-            samples["stamp_ns"] = self.stamps[part]
-            motor = np.empty((3, len(samples), n))
-            for i, drive in enumerate(self.bus.drives):
-                raw = self._integers(drive, drive.position, part)
-                before, by = last[i] if first else (int(raw[0]), 0)
-                counts = unwrap(np.concatenate([[before], raw]), drive.position.bits)[0][1:] + by
-                last[i : i + 1] = [(int(raw[-1]), int(counts[-1] - raw[-1]))]
-                motor[0, :, i] = drive.position_codec.si(counts)
-                motor[1, :, i] = drive.effort.si(self._integers(drive, drive.effort.entry, part))
-                if self.targets is not None:
-                    motor[2, :, i] = self._target(drive, self.targets[i][part], counts)
-            samples["position"] = self.robot.joint_position(motor[0])
-            samples["effort"] = self.robot.joint_effort(motor[1])
-            if begin is not None:
-                samples["reference"] = self.robot.joint_position(motor[2])
-                samples["reference"][: max(0, begin - first)] = samples["position"][: max(0, begin - first)]
-            yield samples
 
-    def _target(self, drive: Drive, rows: Rows, counts: Ints) -> Array:
-        """Motor positions of targets. Targets wrap as the position does; the nearest one is taken."""
+        def raw() -> Iterator[RawRows]:
+            for first in range(0, len(self.stamps), _AT_ONCE):
+                part = slice(first, first + _AT_ONCE)
+                drives = self.bus.drives
+                yield RawRows(
+                    stamp_ns=self.stamps[part],
+                    position=[self._integers(drive, drive.position, part) for drive in drives],
+                    effort=[self._integers(drive, drive.effort.entry, part) for drive in drives],
+                    target=[
+                        self._target(drive, rows[part])
+                        for drive, rows in zip(drives, self.targets or (), strict=bool(self.targets))
+                    ],
+                    targets_from=0 if begin is None else max(0, begin - first),
+                )
+
+        return joint_samples(raw(), self.robot, self.bus)
+
+    def _target(self, drive: Drive, rows: Rows) -> Ints:
         pdo = drive.carrier(drive.target, "rpdo")
         assert pdo is not None
-        target = self.traffic.integers(np.maximum(rows, 0), pdo, drive.target)
-        away = np.rint((counts - target) / (1 << drive.target.bits)).astype(np.int64)
-        return drive.position_codec.si(target + (away << drive.target.bits))
+        return self.traffic.integers(np.maximum(rows, 0), pdo, drive.target)
 
     def _integers(self, drive: Drive, entry: ObjectEntry, part: slice) -> Ints:
         carrier = drive.carrier(entry, "tpdo")
@@ -130,6 +122,45 @@ class Decoded:
             "sync_jitter_worst_s": self.jitter_s[1],
             **{word: sum(getattr(p, word) for p in self.pdos) for word in LOSSES},
         }
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RawRows:
+    """Integers of the drives: stamps (m,) in ns; by drive position, effort, and target (m,), no target without a reference.
+
+    Rows before `targets_from` have no target yet.
+    """
+
+    stamp_ns: Ints
+    position: Sequence[Ints]
+    effort: Sequence[Ints]
+    target: Sequence[Ints] = ()
+    targets_from: int = 0
+
+
+def joint_samples(raw: Iterable[RawRows], robot: Robot, bus: Bus) -> Iterator[Block]:
+    """Rows of `sample_dtype` of consecutive rows. Position counters that wrap count on; targets wrap as the position does."""
+    last: dict[int, tuple[int, int]] = {}  # by drive: raw position of the row before, and the counts added to it
+    for rows in raw:
+        samples = np.empty(len(rows.stamp_ns), sample_dtype(robot.n, reference=bool(rows.target)))
+        samples["stamp_ns"] = rows.stamp_ns
+        motor = np.empty((3, len(samples), robot.n))
+        for i, drive in enumerate(bus.drives):
+            position, bits = rows.position[i], drive.position.bits
+            before, by = last.get(i, (int(position[0]), 0))
+            counts = unwrap(np.concatenate([[before], position]), bits)[0][1:] + by
+            last[i] = int(position[-1]), int(counts[-1] - position[-1])
+            motor[0, :, i] = drive.position_codec.si(counts)
+            motor[1, :, i] = drive.effort.si(rows.effort[i])
+            if rows.target:
+                away = np.rint((counts - rows.target[i]) / (1 << bits)).astype(np.int64)  # the nearest one
+                motor[2, :, i] = drive.position_codec.si(rows.target[i] + (away << bits))
+        samples["position"] = robot.joint_position(motor[0])
+        samples["effort"] = robot.joint_effort(motor[1])
+        if rows.target:
+            samples["reference"] = robot.joint_position(motor[2])
+            samples["reference"][: rows.targets_from] = samples["position"][: rows.targets_from]
+        yield samples
 
 
 def decode(frames: Block, robot: Robot, bus: Bus, place: str, *, max_missing: float = MAX_MISSING_SHARE) -> Decoded:

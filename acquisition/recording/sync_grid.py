@@ -25,7 +25,7 @@ from ..arrays import Array, Ints
 from .rows import MAX_PERIOD_OFFSET, Rows
 
 Bools = NDArray[np.bool_]
-Number = TypeVar("Number", np.int32, np.float64)
+Number = TypeVar("Number", np.int32, np.int64, np.float64)
 
 MIN_PAUSE_PERIODS = 1.5  # periods: a longer step between SYNCs is a pause
 MAX_RUN_SYNCS = 255  # within which late PDOs must end; lost in a row, a longer silence is a pause

@@ -39,6 +39,8 @@ EFFORT_TIMINGS: Mapping[EffortTiming, str] = {
 SCHEMA_VERSION = 2  # 1: samples without the fields `OPTIONAL`
 
 FRAMES_TOPIC = re.compile(r"/can/([A-Za-z0-9_.-]{1,64})/frames")
+CAPTURE_TOPIC = "/ethercat/frames"
+CAPTURE_LAYOUT = "parts of a file: pcap, little-endian, nanoseconds, link type Ethernet"
 JOINT_STATE = "sensor_msgs/msg/JointState"
 JOINT_STATE_RATE_HZ = 100.0
 
@@ -200,6 +202,11 @@ class RecordingWriter:
             tenths = np.flatnonzero(np.diff(block["time_ns"] // 100_000_000)) + 1
             for part in (part for tenth in np.split(block, tenths) for part in _parts(tenth)):
                 self._block(topic, "robot_idim/frames", part, int(part["time_ns"][0]))
+
+    def captured(self, records: bytes, stamp_ns: int) -> None:
+        """Add records of pcap; all of them are a file of pcap with nanoseconds, whose head is in the first ones."""
+        channel = self._channel(CAPTURE_TOPIC, "pcap", "robot_idim/pcap", "text", CAPTURE_LAYOUT)
+        self._writer.add_message(channel, stamp_ns, records, stamp_ns)
 
     def event(self, stamp_ns: int, kind: str, text: str) -> None:
         """Add an event."""

@@ -51,6 +51,10 @@ class DriveFile(TomlTable, frozen=True):
     """One `[[bus.drive]]`, in the order of the motors."""
 
     node: Annotated[Node, note("node id")]
+    station: Annotated[
+        Annotated[int, msgspec.Meta(ge=0, le=0xFFFF)] | None,
+        note("EtherCAT station address in a capture (default: the next slave of the bus with its position)"),
+    ] = None
     dictionary: Annotated[str | None, note("EDS or DCF in the folder of robot.toml")] = None
     objects: Annotated[
         dict[ObjectName, str], note("types of objects such as I32, in place of a dictionary or in addition to one")
