@@ -2,6 +2,7 @@
 
 import struct
 from collections.abc import Iterator
+from mmap import mmap
 from pathlib import Path
 from typing import BinaryIO, NamedTuple, TypeAlias
 
@@ -76,7 +77,7 @@ def is_capture(path: Path) -> bool:
         return False
 
 
-def packets(file: BinaryIO, place: Place, warnings: list[str]) -> Iterator[Packets]:
+def packets(file: BinaryIO | mmap, place: Place, warnings: list[str]) -> Iterator[Packets]:
     """The packets of an open file; one that is cut or damaged is read up to there, with a warning."""
     walk = _Walk(file, place)
     data, end, at, context = b"", 0, file.tell(), Found()
@@ -102,7 +103,7 @@ def packets(file: BinaryIO, place: Place, warnings: list[str]) -> Iterator[Packe
 class _Walk:
     """Finds whole packets; `damage` says why it stopped, `others` counts packets that are not of Ethernet."""
 
-    def __init__(self, file: BinaryIO, place: Place) -> None:
+    def __init__(self, file: BinaryIO | mmap, place: Place) -> None:
         self.damage, self.others, self.ticks = "", 0, None
         self._order, self._interfaces = "<", list[tuple[bool, int]]()  # of Ethernet, ticks per second
         magic = file.read(4)

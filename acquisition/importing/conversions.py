@@ -25,6 +25,7 @@ from ..recording import (
 )
 from ..robot import Payload, Robot, check_recorded_positions, resolve
 from ..session import RecordedSummary, write_decoded
+from .ethercat import import_captured
 from .time_base import ImportSummary
 
 
@@ -48,8 +49,10 @@ def import_recording(path: Path, out: Path, robot: Robot | None = None, place: s
     recording = read_recording(path)
     if recording.cut and robot is None:
         return _repair(recording, path, out)
+    if recording.capture:
+        return import_captured(recording, path, out, robot, place)
     if not recording.frames:
-        Place(str(path)).refuse(text="holds no CAN frames and is not cut off", expected="a recording of drives")
+        Place(str(path)).refuse(text="holds no frames and is not cut off", expected="a recording of drives")
     frames = max(recording.frames.values(), key=len)
     decoded = _decode_checked(frames, robot or recording.robot, str(path), place or f"{path}: robot.toml")
     notes = {**recording.metadata, "decoded_from": recording.sha256}

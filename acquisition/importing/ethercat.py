@@ -1,8 +1,10 @@
 """Imports a capture of an EtherCAT bus: cyclic process data of CiA 402 drives (CoE) → joint samples. Nothing is ever sent."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from io import BytesIO
 from itertools import chain
+from mmap import mmap
 from pathlib import Path
 from typing import Any, BinaryIO, NoReturn, TypeAlias
 
@@ -13,7 +15,7 @@ from ..arrays import Ints
 from ..errors import AcquisitionError, Place, listed
 from ..files import GrowingBytes, atomic_write
 from ..protocol import ObjectEntry
-from ..recording import Block, Header, RawRows, RecordingWriter, in_parts, joint_samples, minimum_ahead
+from ..recording import Block, Header, RawRows, Recording, RecordingWriter, in_parts, joint_samples, minimum_ahead
 from ..robot import Bus, Payload, Robot, check_recorded_efforts, check_recorded_positions, resolve
 from .captures import CONTEXT, PCAP_HEAD, Datagrams, Packets, datagrams, packets, pcap_records
 from .slaves import FMMUS, INPUTS, LRD, LRW, LWR, MANAGERS, OUTPUTS, Slaves, entries_of, fmmus, located, spans
@@ -28,6 +30,7 @@ _CLOCK, _CLOCK_COMMANDS = 0x910, (13, 14)  # system time of the distributed cloc
 _MIN_SHARE = 0.5  # of the rows: with fewer there is no reference, and no clock but the capture's
 MAPPING = "--mapping 0x6041:16,0x6064:32,0x6077:16, once per slave in the order of the bus: all its inputs, and 0:BITS for gaps"
 
+MAPPING_NOTE = "ethercat_mapping"  # of the metadata
 NAMES = {LRD: "LRD", LWR: "LWR", LRW: "LRW"}
 
 Bools = NDArray[np.bool_]
@@ -203,7 +206,10 @@ class _Decoder:
             if k is None:
                 rows["known"] = False
                 return
-            sent = process.where((which == k) & (~back | (parts[k][0] == LWR)))
+            sent = (which == k) & ~back
+            if not sent.any():  # what came back has the target too, except where inputs lie over it
+                sent = (which == k) & (parts[k][0] == LWR) & np.isin(process.packet, main.packet)
+            sent = process.where(sent)
             values = _integers(sent, address - parts[k][1], drive.target)
             first, after = (np.searchsorted(sent.packet, x, "right") for x in (before, main.packet))
             one = after > first
@@ -521,27 +527,33 @@ def import_capture(
     AcquisitionError
         The file is no capture, or it has no process data that come back, no mapping, or another period.
     """
-    header = _header(robot, resolve(robot, place), f"EtherCAT capture {path.name}", mapping)
+    notes = {MAPPING_NOTE: " ".join(mapping)}
+    header = _header(robot, place, source=f"EtherCAT capture {path.name}", payload=payload, notes=notes)
     try:
         with path.open("rb") as file:
-            return _import(file, out, replace(header, payload=payload), place, parse_mapping(mapping), Place(str(path)))
+            return _import(file, out, header, place, Place(str(path)))
     except OSError as error:
         Place(str(path)).refuse(text=f"cannot be read: {error.strerror or error}")
 
 
-def _header(robot: Robot, bus: Bus, source: str, mapping: Sequence[str]) -> Header:
-    return Header(
-        robot=robot,
-        source=source,
-        sample_rate_hz=1.0 / bus.file.sync_period_s,
-        effort_provenance=bus.provenance,
-        effort_timing=bus.file.effort_timing,
-        notes={"ethercat_mapping": " ".join(mapping)},
-    )
+def import_captured(recording: Recording, path: Path, out: Path, robot: Robot | None, place: str) -> ImportSummary:
+    """Decode the frames of a recording at `path` again, with a corrected description if `robot` is one."""
+    robot, place = robot or recording.robot, place or f"{path}: robot.toml"
+    notes = {**recording.metadata, "decoded_from": recording.sha256}  # with the payload
+    header = _header(robot, place, source=recording.metadata.get("source", ""), notes=notes)
+    file = BytesIO(recording.capture) if isinstance(recording.capture, bytes) else recording.capture
+    return _import(file, out, header, place, Place(str(path)))
 
 
-def _import(file: BinaryIO, out: Path, header: Header, place: str, mapping: Mapped, at: Place) -> ImportSummary:
+def _header(robot: Robot, place: str, **about: Any) -> Header:
+    bus = resolve(robot, place)
+    rate_hz, timing = 1.0 / bus.file.sync_period_s, bus.file.effort_timing
+    return Header(robot=robot, sample_rate_hz=rate_hz, effort_provenance=bus.provenance, effort_timing=timing, **about)
+
+
+def _import(file: BinaryIO | mmap, out: Path, header: Header, place: str, at: Place) -> ImportSummary:
     robot, bus, warnings = header.robot, resolve(header.robot, place), list[str]()
+    mapping = parse_mapping(header.notes.get(MAPPING_NOTE, "").split())
     decoder = _Decoder(robot, bus, mapping, at)
     with atomic_write(out) as partial, RecordingWriter(partial, header) as writer:
         first = True

@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from mmap import mmap
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -18,14 +19,25 @@ from ..files import atomic_write
 from ..robot import EffortTiming, Payload, Robot, robot_from_files
 from .content import Messages, read_content
 from .rows import FRAME, Block, check_frames, check_samples
-from .writer import EFFORT_TIMINGS, FRAMES_TOPIC, SCHEMA_VERSION, Header, RecordingWriter, metadata_crc, sample_layouts
+from .writer import (
+    CAPTURE_TOPIC,
+    EFFORT_TIMINGS,
+    FRAMES_TOPIC,
+    SCHEMA_VERSION,
+    Header,
+    RecordingWriter,
+    metadata_crc,
+    sample_layouts,
+)
 
 FIRST_DATE_NS = 946_684_800 * 10**9  # 2000-01-01; stamps before it count from the start of a computer or a recording
 
 # The end of a layout of rows with values of further objects of the drives, of earlier versions.
 _EXTRA = re.compile(r"(.*), \('extra', '<f8', \(([1-9][0-9]{0,3}),\)\)\]")
 NO_SAMPLES = "no samples: "  # begins the event that gives the reason
-READ_TOPICS = re.compile(f"/samples|/events|/health|{FRAMES_TOPIC.pattern}")  # all topics but those for viewers
+READ_TOPICS = re.compile(
+    f"/samples|/events|/health|{CAPTURE_TOPIC}|{FRAMES_TOPIC.pattern}"
+)  # all topics but those for viewers
 
 
 class _EventText(msgspec.Struct):
@@ -57,6 +69,7 @@ class Recording:
     Attributes:
         samples: rows of `sample_dtype` with strictly increasing stamps, joint side, SI; None without samples.
         frames: rows of `FRAME` by CAN channel.
+        capture: a file of pcap with EtherCAT frames; empty without.
         attachments: by name; names are labels, never paths.
         payload: what the robot carried; None: nothing.
         cut: the file has no end; this is what was written before the cut.
@@ -64,6 +77,7 @@ class Recording:
 
     samples: Block | None
     frames: Mapping[str, Block]
+    capture: bytes | mmap
     events: tuple[Event, ...]
     health: tuple[Health, ...]
     metadata: Mapping[str, str]
@@ -156,9 +170,11 @@ def read_recording(path: str | PathLike[str]) -> Recording:
             frames[match[1]] = rows_of(blocks, [FRAME], where)
             check_frames(frames[match[1]], str(where))
     events, health = events_of(topics, path)
+    captured = topics.get(CAPTURE_TOPIC)
     return Recording(
         samples=samples,
         frames=frames,
+        capture=captured.data.whole() if captured is not None else b"",
         events=events,
         health=health,
         metadata=metadata,
@@ -266,6 +282,8 @@ def rewrite(
     with atomic_write(out) as partial, RecordingWriter(partial, header) as writer:
         for channel, frames in recording.frames.items():
             writer.frames(channel, frames)
+        for at in range(0, len(recording.capture), 2**20):
+            writer.captured(recording.capture[at : at + 2**20], 0)
         for event in recording.events:
             if event.kind != without:
                 writer.event(event.stamp_ns, event.kind, event.text)
