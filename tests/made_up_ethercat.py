@@ -162,6 +162,17 @@ class Bus:
             for j, frame in enumerate(frames)
         ]
 
+    def process_bytes(self, frame: bytes) -> set[int]:
+        """Which bytes of a frame are process data."""
+        at, found = 16 + {"": 0, "vlan": 4, "udp": 28}[self.wrap], set[int]()
+        while True:
+            command, _, _, length, _ = struct.unpack_from("<BBIHH", frame, at)
+            if command in (LRD, LWR, LRW):
+                found |= set(range(at + 10, at + 10 + (length & 0x7FF)))
+            at += 12 + (length & 0x7FF)
+            if not length & 0x8000:
+                return found
+
     def time_ns(self, k: int) -> int:
         return BEGIN_NS + k * self.period_ns
 

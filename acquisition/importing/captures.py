@@ -61,7 +61,7 @@ class Datagrams(NamedTuple):
 
     def where(self, chosen: NDArray[np.bool_] | Ints) -> "Datagrams":
         """Some of the datagrams."""
-        return Datagrams(self.data, *(x[chosen] for x in self[1:-1]), self.cut)
+        return self._replace(**{name: getattr(self, name)[chosen] for name in self._fields[1:-1]})
 
     def rows(self) -> NDArray[np.uint8]:
         """The data (m, length) of datagrams of one length."""
@@ -89,7 +89,8 @@ def packets(file: BinaryIO | mmap, place: Place, warnings: list[str]) -> Iterato
         if last and end < len(data):
             warnings.append(f"{walk.damage or 'cut within a packet'} at byte {at + end}: what is before it is read")
         given = np.array([*context, *found], np.int64).reshape(-1, 3)
-        yield Packets(data, *given.T, len(context), last)
+        time_ns, begin, length = given.T
+        yield Packets(data, time_ns, begin, length, len(context), last)
         if last:
             break
         context = [*context, *found][-CONTEXT:]
@@ -212,8 +213,8 @@ def datagrams(given: Packets) -> Datagrams:
         packet, at = packet[more], after[more] + _TAIL
     columns = [np.concatenate(x) for x in zip(*found, strict=True)] if found else [np.zeros(0, np.int64)] * 6
     order = np.argsort(columns[0], kind="stable")
-    packet, *others = (x[order] for x in columns)
-    return Datagrams(data, packet, *others, data[given.begin[packet] + 6] & 2 != 0, cut)
+    packet, at, command, address, length, counter = (x[order] for x in columns)
+    return Datagrams(data, packet, at, command, address, length, counter, data[given.begin[packet] + 6] & 2 != 0, cut)
 
 
 def _little(data: NDArray[np.uint8], at: Ints) -> Ints:

@@ -4,14 +4,13 @@ import struct
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TypeAlias
 
-from ..errors import Place
-
 _READS, _WRITES, _ALL = (1, 4), (2, 5), 8  # by position or station; BWR
 POSITIONED, LRD, LWR, LRW = (1, 2), 10, 11, 12
 _STATION, FMMUS, MANAGERS, _END, _MAILBOX = 0x10, 0x600, 0x800, 0x880, 0x1000  # registers
 _FMMU = struct.Struct("<IHBBHBBB")
 _COE = 3
 Key: TypeAlias = tuple[int, int]  # index and sub-index
+Entries: TypeAlias = Sequence[tuple[Key, int]]  # objects and their bits, in their order
 Way: TypeAlias = tuple[int, int, int]  # sync manager, object with its PDOs, bit of an FMMU's type
 INPUTS: Way = (3, 0x1C13, 1)
 OUTPUTS: Way = (2, 0x1C12, 2)
@@ -106,15 +105,15 @@ class Slaves:
                 found[number] = (bytes(self._registers.get(key, bytes(_END))), self._objects.get(key, {}))
         return found
 
-    def refuse_contradiction(self, other: "Slaves", place: Place) -> None:
-        """Refuse datagrams that went out with other contents than they came back with."""
+    def contradicts(self, other: "Slaves") -> int | None:
+        """A station that has other contents in the datagrams of the other direction; None if there is none."""
         ours, theirs = self.known(), other.known()
         for station in ours.keys() & theirs.keys():
-            (registers, objects), (others, their) = ours[station], theirs[station]
-            same = all(their.get(key, value) == value for key, value in objects.items())
+            (registers, objects), (others, values) = ours[station], theirs[station]
+            same = all(values.get(key, value) == value for key, value in objects.items() if _maps(key[0]))
             if not same or (any(others) and any(registers) and registers != others):
-                text = f"the configuration of station {station} that came back is not the one that went out"
-                place.refuse(text=text, expected="an undamaged capture of one start of the bus")
+                return station
+        return None
 
 
 def _maps(index: int) -> bool:
@@ -129,7 +128,7 @@ def fmmus(registers: bytes, way: int) -> Iterator[tuple[int, int, int]]:
             yield logical, physical, size
 
 
-def spans(entries: Iterable[tuple[Key, int]]) -> dict[Key, tuple[int, int]]:
+def spans(entries: Entries) -> dict[Key, tuple[int, int]]:
     """First byte and bytes of the objects among (key, bits) in a row; gaps and what is not in whole bytes is left out."""
     found, bit = {}, 0
     for key, bits in entries:
@@ -139,7 +138,7 @@ def spans(entries: Iterable[tuple[Key, int]]) -> dict[Key, tuple[int, int]]:
     return found
 
 
-def entries_of(objects: Mapping[Key, int], way: Way) -> list[tuple[Key, int]] | None:
+def entries_of(objects: Mapping[Key, int], way: Way) -> Entries | None:
     """The objects that a slave maps, and their bits; None without a whole mapping."""
     pdos = [objects.get((way[1], k + 1), 0) for k in range(objects.get((way[1], 0), 0))]
     words = [objects.get((pdo, k + 1), 0) for pdo in pdos for k in range(objects.get((pdo, 0), 0))]
@@ -148,17 +147,27 @@ def entries_of(objects: Mapping[Key, int], way: Way) -> list[tuple[Key, int]] | 
     return [((word >> 16, word >> 8 & 0xFF), word & 0xFF) for word in words]
 
 
-def located(registers: bytes, entries: Sequence[tuple[Key, int]], way: Way, place: Place) -> dict[Key, tuple[int, int]]:
-    """Logical address and bytes of each object of a slave. Refuses entries that its sync manager does not hold."""
+def located(registers: bytes, entries: Entries, way: Way) -> dict[Key, tuple[int, int]]:
+    """Logical address and bytes of each object of a slave. Raises `ValueError` if its sync manager has another length."""
     manager, assigned, bit = way
     start, size = struct.unpack_from("<HH", registers, MANAGERS + 8 * manager)
     bits = sum(bits for _, bits in entries)
     if bits != 8 * size:
-        expected = f"{8 * size}, as its sync manager {manager} has: an undamaged capture, or --mapping"
-        place.refuse(text=f"{assigned:04X} maps {bits} bits", expected=expected)
-    found = {}
-    for key, (at, length) in spans(entries).items():
-        for logical, physical, mapped in fmmus(registers, bit):
-            if physical <= start + at and start + at + length <= physical + mapped:
-                found[key] = (logical + start + at - physical, length)
-    return found
+        raise ValueError(f"{assigned:04X} maps {bits} bits, sync manager {manager} has {8 * size}")
+    return {
+        key: (logical + start + at - physical, length)
+        for key, (at, length) in spans(entries).items()
+        for logical, physical, mapped in fmmus(registers, bit)
+        if physical <= start + at and start + at + length <= physical + mapped
+    }
+
+
+def counter_of(slaves: Iterable[bytes], command: int, address: int, length: int) -> int:
+    """The working counter of a datagram that all slaves answered, by their registers."""
+    ways = {LRD: {1: 1}, LWR: {2: 1}, LRW: {1: 1, 2: 2}}[command]
+    return sum(
+        count
+        for registers in slaves
+        for way, count in ways.items()
+        if any(start < address + length and address < start + size for start, _, size in fmmus(registers, way))
+    )
