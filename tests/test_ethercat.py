@@ -157,7 +157,7 @@ def test_a_capture_that_begins_in_operation_needs_the_mapping(tmp_path, image):
     check(recording.samples, bus)
     assert len(recording.samples) == 100
     with pytest.raises(
-        AcquisitionError, match=r"begins after the mapping; it has LR[DW] .* bytes at 0x10000.*--mapping"
+        AcquisitionError, match=r"no mapping of inputs is in it; it has LR[DW] .* bytes at 0x10000.*--mapping"
     ) as caught:
         imported(tmp_path, content)
     assert "\n" not in str(caught.value)
@@ -267,9 +267,13 @@ def test_late_stamps_are_no_gap(tmp_path):
 
 def damaged(rng: random.Random, bus: made_up.Bus) -> tuple[bytes, set[int]]:
     """A capture with lost, doubled, exchanged and flipped bytes; cycles whose process data have a flipped byte."""
-    start = len(bus.start())
+    start, spare = len(bus.start()), rng.random() < 0.75  # whether the start is undamaged but for flipped bits
     cycle, packets = {}, []
     for k, packet in enumerate(bus.packets(120)):
+        if spare and k < start:
+            cycle[packet] = -1
+            packets.append(packet)
+            continue
         if rng.random() < 0.02:
             continue
         cycle[packet] = (packet[0] - made_up.BEGIN_NS) // bus.period_ns if k >= start else -1
@@ -279,7 +283,7 @@ def damaged(rng: random.Random, bus: made_up.Bus) -> tuple[bytes, set[int]]:
             cycle[again] = cycle[packet]
             packets.insert(len(packets) - rng.choice((0, 0, 1, 5, 30)), again)
     for _ in range(rng.choice((0, 0, 3))):
-        k = rng.randrange(len(packets) - 40)
+        k = rng.randrange(start if spare else 0, len(packets) - 40)
         j = k + rng.choice((1, 2, 40))
         packets[k], packets[j] = packets[j], packets[k]
     records, spoilt = [made_up.record(packet) for packet in packets], set[int]()
@@ -299,7 +303,7 @@ def damaged(rng: random.Random, bus: made_up.Bus) -> tuple[bytes, set[int]]:
 
 
 def test_damaged_captures_give_true_rows_or_one_line(tmp_path):
-    rows, refused = 0, dict[str, int]()
+    rows, refused = 0, list[str]()
     for seed in range(300):
         print(f"seed {seed}", end=" ")
         rng = random.Random(seed)
@@ -308,12 +312,12 @@ def test_damaged_captures_give_true_rows_or_one_line(tmp_path):
         try:
             recording, _ = imported(tmp_path, content)
         except AcquisitionError as error:
-            refused[str(error)] = seed
+            refused.append(str(error))
             continue
         rows += len(check(recording.samples, bus, spoilt))
-    print(f"\n{rows} rows of {300 * 120}; refused: {refused}")
+    print(f"\n{rows} rows of {300 * 120}; {len(refused)} refused: {set(refused)}")
     assert rows > 300 * 120 // 3
-    assert len(refused) < 120
+    assert len(refused) < 100
     assert not any("\n" in text for text in refused)
 
 
@@ -361,11 +365,11 @@ def test_the_command_imports_a_capture_by_its_first_bytes(tmp_path, capsys):
     ]
     assert main(command) == 0
     assert "99 samples at 1000 Hz, effort in N m, with reference" in capsys.readouterr().out
-    assert main([*command, "--overwrite", "--mapping", "6041"]) == 2
+    assert main([*command, "--overwrite", "--mapping", "6041"]) == 1
     assert "--mapping = '6041': expected such as 0x6041:16" in capsys.readouterr().err
     (tmp_path / "a.csv").write_text("t,q\n0,0\n")
     command[1] = str(tmp_path / "a.csv")
-    assert main([*command, "--overwrite", "--mapping", WHOLE]) == 2
+    assert main([*command, "--overwrite", "--mapping", WHOLE]) == 1
     assert "expected an EtherCAT capture" in capsys.readouterr().err
 
 

@@ -246,7 +246,8 @@ class Decoder:
             station = next(able, None) if file.station is None else file.station
             if station is None or not objects.get(station, ({}, {}))[0]:
                 where = "a further slave" if station is None else f"station {station}"
-                self._why = self._why or f"no mapping of {where} for {drive.name} is in it"
+                if any(reads for reads, _ in objects.values()):
+                    self._why = f"no mapping of {where} for {drive.name} is in it"
                 return None
             free = free[free.index(station) + 1 :] if station in free else free
             stations.append(station)
@@ -279,7 +280,7 @@ class Decoder:
             text = f"no process data come back from the slaves; it has {shown} with working counter 0"
             self._place.refuse(text=text, expected="both directions: capture on the master's own interface")
         if self._layout is None:
-            text = f"{self._why or 'it begins after the mapping'}; it has {shown}"
+            text = f"{self._why or 'no mapping of inputs is in it'}; it has {shown}"
             self._place.refuse(text=text, expected=f"a capture from the start of the bus, or {_MAPPING}")
         text = f"no row of all drives with full working counters in {shown}"
         self._place.refuse(text=text, expected="a bus in operation")

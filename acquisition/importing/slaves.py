@@ -21,6 +21,7 @@ class Slaves:
 
     def __init__(self) -> None:
         self._registers: dict[tuple[str, int], bytearray] = {}  # by ("position", -k) or ("station", number)
+        self._writes: dict[tuple[int, int], bytes] = {}  # by station and register
         self._objects: dict[tuple[str, int], dict[Key, int]] = {}
         self._segments: dict[tuple[str, int], tuple[int, int, bool, int, bytes]] = {}
         self._stations: dict[int, int] = {}  # by position, as in the datagram
@@ -45,6 +46,8 @@ class Slaves:
     def _write(self, key: tuple[str, int], register: int, data: bytes) -> bool:
         if not FMMUS <= register < _END:
             return False
+        if key[0] == "station":
+            self._writes[key[1], register] = data
         registers = self._registers.setdefault(key, bytearray(_END))
         written = slice(register, min(register + len(data), _END))
         before = registers[written]
@@ -106,12 +109,14 @@ class Slaves:
         return found
 
     def contradicts(self, other: "Slaves") -> int | None:
-        """A station that has other contents in the datagrams of the other direction; None if there is none."""
+        """A station for which the datagrams of the other direction have other contents or another place; None without one."""
         ours, theirs = self.known(), other.known()
-        for station in ours.keys() & theirs.keys():
-            (registers, objects), (others, values) = ours[station], theirs[station]
-            same = all(values.get(key, value) == value for key, value in objects.items() if _maps(key[0]))
-            if not same or (any(others) and any(registers) and registers != others):
+        both = [station for station in ours if station in theirs]
+        for station, place in zip(both, (station for station in theirs if station in ours), strict=True):
+            values, writes = theirs[station][1], other._writes
+            same = all(values.get(key, value) == value for key, value in ours[station][1].items() if _maps(key[0]))
+            same &= all(writes.get(at, data) == data for at, data in self._writes.items() if at[0] == station)
+            if station != place or not same:
                 return station
         return None
 
