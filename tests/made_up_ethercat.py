@@ -21,7 +21,7 @@ class Bus:
     image: str = "lrd_lwr"
     wrap: str = ""  # vlan or udp
     clock: int = 0  # bytes of the distributed clocks' time that each cycle reads
-    transfer: str = "expedited"  # SDO: expedited, complete, segmented or read
+    transfer: str = "expedited"  # SDO: expedited, complete, segmented, read or none
     rated: int | None = None  # 6076h, read at the start
     couplers: int = 0  # slaves without process data before the drives
     stations: list[int] = field(default_factory=list)
@@ -78,7 +78,7 @@ class Bus:
             yield FPWR, station | 0x800 << 16, mailboxes
             if k < self.couplers:
                 continue
-            for sdo in self.sdos():
+            for sdo in self.sdos() if self.transfer != "none" else ():
                 size = len(sdo) + 2
                 mail = struct.pack("<HHBBH", size, 0, 0, 0x13, (3 if self.transfer == "read" else 2) << 12) + sdo
                 mail = mail.ljust(128, b"\0")

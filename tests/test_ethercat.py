@@ -163,6 +163,28 @@ def test_a_capture_that_begins_in_operation_needs_the_mapping(tmp_path, image):
     assert "\n" not in str(caught.value)
     with pytest.raises(AcquisitionError, match="--mapping has 160 bits; it has"):
         imported(tmp_path, content, mapping=[WHOLE, WHOLE])
+    text = (
+        robot_text()
+        .replace("node = 1\n", "node = 1\nstation = 1002\n")
+        .replace("node = 2\n", "node = 2\nstation = 1001\n")
+    )
+    named = robot_of(text)
+    with pytest.raises(AcquisitionError, match=r"no mapping of station 1002 for motor_1 is in it.*STATION="):
+        imported(tmp_path, content, named, mapping=STATED[image])
+    stated = [f"{1001 + k}={text}" for k, text in enumerate(STATED[image])]
+    swapped, _ = imported(tmp_path, content, named, mapping=stated)
+    if image != "lrw":  # whose first slave stands for the outputs of both
+        np.testing.assert_array_equal(swapped.samples["position"], recording.samples["position"][:, ::-1])
+
+
+def test_a_stated_mapping_where_only_the_objects_are_missing(tmp_path):
+    """Sync managers and FMMUs are in the capture, and have the last word on the lengths."""
+    bus = made_up.Bus(transfer="none", couplers=1)
+    content = made_up.pcap(bus.packets(100))
+    recording, _ = imported(tmp_path, content, mapping=[WHOLE] * 2)
+    check(recording.samples, bus)
+    with pytest.raises(AcquisitionError, match="station 1002: 1C13 maps 128 bits, sync manager 3 has 80"):
+        imported(tmp_path, content, mapping=[WHOLE + GAP] * 2)
 
 
 def test_what_is_missing_is_said(tmp_path):

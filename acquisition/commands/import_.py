@@ -47,7 +47,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         "inputs of a slave in their order, such as 0x6041:16,0x6064:32,0x6077:16, gaps as 0:BITS; once per slave in the order "
         "of the bus; only for a capture that begins after the master wrote the mapping"
     )
-    capture.add_argument("--mapping", metavar="OBJECT:BITS,...", action="append", default=[], help=text)
+    capture.add_argument("--mapping", metavar="[STATION=]OBJECT:BITS,...", action="append", default=[], help=text)
     outputs = parser.add_argument_group("outputs")
     add_path(outputs, "-o --output", "LOG.mcap", "the recording to write (default: named as the first FILE)")
     add_overwrite(outputs)

@@ -37,11 +37,13 @@ _CLOCK, _CLOCK_COMMANDS = 0x910, (13, 14)  # system time of the distributed cloc
 _WORDS = [ObjectEntry(index=0, sub=0, type=kind) for kind in ("U32", "I32")]  # low and high half of that time
 _NAMES = {LRD: "LRD", LWR: "LWR", LRW: "LRW"}
 _MAPPING = (
-    "--mapping 0x6041:16,0x6064:32,0x6077:16, once per slave in the order of the bus: all its inputs, gaps as 0:BITS"
+    "--mapping 0x6041:16,0x6064:32,0x6077:16, once per slave in the order of the bus: all its inputs, gaps as 0:BITS; "
+    "STATION=0x6041:16,... where robot.toml names stations"
 )
 
 Bools: TypeAlias = NDArray[np.bool_]
 Part: TypeAlias = tuple[int, int, int]  # command, logical address, bytes
+Stated: TypeAlias = tuple[int | None, Entries]  # station and inputs of a slave
 Located: TypeAlias = Mapping[Key, tuple[int, int]]  # logical address and bytes by object
 
 
@@ -63,25 +65,26 @@ class Layout(NamedTuple):
     registers: list[bytes]
 
 
-def parse_mapping(texts: Sequence[str]) -> list[Entries]:
-    """Objects and bits of `--mapping`, by slave."""
-    found = list[Entries]()
+def parse_mapping(texts: Sequence[str]) -> list[Stated]:
+    """Station, or None, and objects with their bits, of each slave in `--mapping`."""
+    found = list[Stated]()
     for text in texts:
-        words = [word.split(":") for word in text.split(",")]
+        station, _, objects = text.rpartition("=")
+        words = [word.split(":") for word in objects.split(",")]
         try:
             entries = [((int(w[0], 16), int(w[1]) if len(w) > 2 else 0), int(w[-1])) for w in words if 2 <= len(w) <= 3]
+            found.append((int(station) if station else None, entries))
         except ValueError:
             entries = []
         if len(entries) < len(words) or not all(0 < bits < 2**14 for _, bits in entries):
             raise AcquisitionError(key="--mapping", value=text, expected="such as 0x6041:16,0x6064:32,0x6077:16")
-        found.append(entries)
     return found
 
 
 class Decoder:
     """Collects `rows` from packets, `good` ones by their working `counters`; `spoilt` counts what was left out, by reason."""
 
-    def __init__(self, bus: Bus, mapping: Sequence[Entries], place: Place) -> None:
+    def __init__(self, bus: Bus, mapping: Sequence[Stated], place: Place) -> None:
         self._bus, self._mapping, self._place = bus, mapping, place
         self._slaves = {True: Slaves(), False: Slaves()}  # by datagrams that came back, and that went out
         self._layout: Layout | None = None
@@ -211,18 +214,19 @@ class Decoder:
         registers = [registers for registers, _ in known.values() if any(registers[FMMUS:MANAGERS])]
         self._why = ""
         if self._mapping and not registers:
-            bits = [sum(bits for _, bits in slave) for slave in self._mapping]
+            bits = [sum(bits for _, bits in slave) for _, slave in self._mapping]
             base = next((address for command, address, n in parts if command != LWR and 8 * n == sum(bits)), None)
-            for k, slave in enumerate(self._mapping if base is not None else ()):
+            for k, (station, slave) in enumerate(self._mapping if base is not None else ()):
                 found = {
                     key: ((base or 0) + at, n) for key, (at, n) in spans([((0, 0), sum(bits[:k])), *slave]).items()
                 }
-                objects[k] = found, found
+                objects[-k if station is None else station] = found, found
             self._why = f"--mapping has {sum(bits)} bits" if base is None else ""
         else:
-            stated = dict(
-                zip((s for s, (r, _) in known.items() if any(r[FMMUS:MANAGERS])), self._mapping, strict=False)
-            )
+            slaves = (station for station, (register, _) in known.items() if any(register[FMMUS:MANAGERS]))
+            stated = {
+                at if named is None else named: slave for at, (named, slave) in zip(slaves, self._mapping, strict=False)
+            }
             for station, (register, values) in known.items():
                 ways = [
                     (INPUTS, stated.get(station) or entries_of(values, INPUTS)),
