@@ -15,7 +15,8 @@ from ..files import atomic_write
 from ..recording import Block, Header, RawRows, Recording, RecordingWriter, in_parts, joint_samples
 from ..robot import Bus, Payload, Robot, check_recorded_efforts, check_recorded_positions, resolve
 from .captures import PCAP_HEAD, packets, pcap_records
-from .process_data import MAX_OFF, MIN_SHARE, Bools, Decoder, parse_mapping
+from .joining import MAX_OFF, MIN_SHARE, Bools
+from .process_data import Decoder, parse_mapping
 from .time_base import ImportSummary
 
 MAX_PERIOD_ERROR, MAX_CLOCK_ERROR = 0.05, 2e-4  # of the described period; clocks differ by less than the second

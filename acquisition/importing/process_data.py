@@ -4,15 +4,15 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple, NoReturn, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..arrays import Ints
 from ..errors import AcquisitionError, Place, listed
 from ..files import GrowingBytes
 from ..protocol import ObjectEntry
-from ..recording import Block, minimum_ahead
+from ..recording import Block
 from ..robot import Bus
 from .captures import CONTEXT, Datagrams, Packets, datagrams
+from .joining import MAX_OFF, Bools, doubled, in_order, integers, join
 from .slaves import (
     FMMUS,
     INPUTS,
@@ -30,9 +30,6 @@ from .slaves import (
     spans,
 )
 
-MAX_OFF = 0.25  # of a period: a step that is no further from whole periods counts them
-MIN_SHARE = 0.5  # of the rows: with fewer there is no reference, and no clock but the capture's
-_ORDER = 15  # rows before and after a stamp that must not contradict it
 _CLOCK, _CLOCK_COMMANDS = 0x910, (13, 14)  # system time of the distributed clocks; ARMW and FRMW
 _WORDS = [ObjectEntry(index=0, sub=0, type=kind) for kind in ("U32", "I32")]  # low and high half of that time
 _NAMES = {LRD: "LRD", LWR: "LWR", LRW: "LRW"}
@@ -41,7 +38,6 @@ _MAPPING = (
     "STATION=0x6041:16,... where robot.toml names stations"
 )
 
-Bools: TypeAlias = NDArray[np.bool_]
 Part: TypeAlias = tuple[int, int, int]  # command, logical address, bytes
 Stated: TypeAlias = tuple[int | None, Entries]  # station and inputs of a slave
 Located: TypeAlias = Mapping[Key, tuple[int, int]]  # logical address and bytes by object
@@ -92,8 +88,8 @@ class Decoder:
         self._packets = self._held = self._returned = self._cut = self._short = self._early = self.doubled = 0
         self._since, self._clock_ns, self._why = -1, -1, ""
         n = len(bus.drives)
-        integers = [(name, "<i4", (n,)) for name in ("position", "effort", "target")]
-        self.row = np.dtype([("time_ns", "<i8"), ("clock_ns", "<i8"), ("counter", "<u2"), ("known", "?"), *integers])
+        columns = [(name, "<i4", (n,)) for name in ("position", "effort", "target")]
+        self.row = np.dtype([("time_ns", "<i8"), ("clock_ns", "<i8"), ("counter", "<u2"), ("known", "?"), *columns])
         self.rows, self.counters = GrowingBytes(), dict[int, int]()
 
     def add(self, given: Packets) -> Ints:
@@ -150,23 +146,23 @@ class Decoder:
         read: dict[int, Datagrams] = {}
         for k in needed:
             one = process.where((which == k) & back)
-            again = _doubled(one, given.time_ns, period)
+            again = doubled(one, given.time_ns, period)
             self.doubled += int(again[(one.packet >= begin) & (one.packet < end)].sum()) if k == needed[0] else 0
             one = one.where(~again)
-            read[k] = one.where(_in_order(given.time_ns[one.packet]))
+            read[k] = one.where(in_order(given.time_ns[one.packet]))
         main = read[needed[0]]
         rows, whole = np.zeros(len(main.packet), self.row), np.ones(len(main.packet), np.bool_)
         rows["time_ns"], rows["counter"] = given.time_ns[main.packet], main.counter
         good = (main.packet >= begin) & (main.packet < end)
         for k in needed:
-            index, joined = _join(main.packet, read[k].packet, given.time_ns, period)
+            index, joined = join(main.packet, read[k].packet, given.time_ns, period)
             one = read[k].where(index)
             good &= joined
             if self._layout.registers:
                 whole &= one.counter == counter_of(self._layout.registers, *parts[k])
             for field, where in places:
                 if where == k and len(one.at):
-                    rows[field.name][:, field.drive] = _integers(one, field.address - parts[k][1], field.entry)
+                    rows[field.name][:, field.drive] = integers(one, field.address - parts[k][1], field.entry)
         rows["known"] = bool(self._layout.targets)
         for field in self._layout.targets:
             k = part_of(field, LWR, LRW)
@@ -186,7 +182,7 @@ class Decoder:
         """Set the target of the cycle of each row: the only one since the row before came back; where there is such a one."""
         if not len(sent.at):
             return np.zeros(len(rows), np.bool_)
-        values, before = _integers(sent, field.address - base, field.entry), np.concatenate([[-1], packet[:-1]])
+        values, before = integers(sent, field.address - base, field.entry), np.concatenate([[-1], packet[:-1]])
         first, after = (np.searchsorted(sent.packet, x, "right") for x in (before, packet))
         last = np.maximum(after - 1, 0)
         rows["target"][:, field.drive] = values[last]
@@ -202,7 +198,7 @@ class Decoder:
             return
         index = np.minimum(np.searchsorted(clock.packet, packet), len(clock.packet) - 1)
         here, long = clock.packet[index] == packet, bool((clock.length >= 8).all())
-        low, high = (_integers(clock.where(index), 4 * k, _WORDS[k]) for k in (0, int(long)))
+        low, high = (integers(clock.where(index), 4 * k, _WORDS[k]) for k in (0, int(long)))
         if self._clock_ns < 0 and len(rows):
             self._clock_ns = int(low[0] - rows["time_ns"][0]) % 2**32
         near = rows["time_ns"] + (low - rows["time_ns"] - self._clock_ns + 2**31) % 2**32 - 2**31
@@ -303,53 +299,3 @@ class Decoder:
                 found = known[station][1].get((index, 0), rated) if station in known else rated
                 if found != rated:
                     yield f"{drive.name}: its {index:04X} is {found} in the capture: expected {rated} as robot.toml says"
-
-
-def _doubled(found: Datagrams, time_ns: Ints, period: int) -> Bools:
-    """Datagrams that repeat the one before within half a period, index and all."""
-    again = np.zeros(len(found.packet), np.bool_)
-    if len(again):
-        rows, number = found.rows(), found.data[found.at - 9]
-        same = (
-            (rows[1:] == rows[:-1]).all(axis=1)
-            & (number[1:] == number[:-1])
-            & (found.counter[1:] == found.counter[:-1])
-        )
-        again[1:] = same & (np.abs(np.diff(time_ns[found.packet])) < period // 2)
-    return again
-
-
-def _in_order(time_ns: Ints) -> Bools:
-    """Stamps that no other of the 15 before and after contradicts."""
-    return np.asarray(
-        (time_ns <= minimum_ahead(time_ns, _ORDER)) & (time_ns >= -minimum_ahead(-time_ns[::-1], _ORDER)[::-1])
-    )
-
-
-def _join(packet: Ints, other: Ints, time_ns: Ints, period: int) -> tuple[Ints, Bools]:
-    """For each packet the other one of its cycle, and whether that is certain.
-
-    It is the same packet, or the nearest in time if both came regularly, before and after.
-    """
-    if not len(other):
-        return np.zeros(len(packet), np.int64), np.zeros(len(packet), np.bool_)
-    index = np.minimum(np.searchsorted(other, packet), len(other) - 1)
-    same = other[index] == packet
-    if same.mean() > MIN_SHARE:
-        return index, same
-    t, u = time_ns[packet], time_ns[other]
-    index = np.clip(np.searchsorted(u, t), 1, max(1, len(u) - 1))
-    index = np.minimum(index - (t - u[index - 1] < u[np.minimum(index, len(u) - 1)] - t), len(u) - 1)
-    near = np.abs(u[index] - t) < MAX_OFF * period
-    return index, near & _regular(t, period) & _regular(u, period)[index]
-
-
-def _regular(time_ns: Ints, period: int) -> Bools:
-    steps = np.abs(np.diff(time_ns) - period) < MAX_OFF * period
-    return np.asarray(np.concatenate([[False], steps]) & np.concatenate([steps, [False]]))
-
-
-def _integers(found: Datagrams, offset: int, entry: ObjectEntry) -> Ints:
-    size = entry.bits // 8
-    raw = found.data[(found.at + offset)[:, None] + np.arange(size)]
-    return np.asarray(raw.reshape(-1).view(f"<{entry.type[0].lower()}{size}"), np.int64)
