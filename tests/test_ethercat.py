@@ -295,13 +295,19 @@ def test_late_rows_with_a_lost_one_among_them_have_no_certain_cycle():
     assert counts.sum() == 7
 
 
+def test_a_row_too_many_has_no_certain_cycle():
+    counts, certain = cycle_steps(np.array([0, 1000, 2000, 2100, 3000, 4000]), 1000.0)
+    assert certain.tolist() == [True, True, True, False, True, True]
+    assert counts.sum() == 4
+
+
 def test_stations_that_came_back_in_another_order_are_refused(tmp_path):
     bus = made_up.Bus()
     packets = bus.packets(50)
     (first, one), (second, other) = packets[1], packets[3]  # back, with the positions 2 and 1
     at = one.index(b"\x02\x00\x10\x00")
     packets[1], packets[3] = (first, one[:at] + b"\x00" + one[at + 1 :]), (second, other)
-    with pytest.raises(AcquisitionError, match="station 100[12] that came back is not the one that went out"):
+    with pytest.raises(AcquisitionError, match=r"station 100[12] that came back is not the one that went out"):
         imported(tmp_path, made_up.pcap(packets))
 
 

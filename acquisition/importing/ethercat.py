@@ -42,7 +42,7 @@ def cycle_steps(time_ns: Ints, period_ns: float) -> tuple[Ints, Bools]:
         whole, rows = round((time_ns[last] - time_ns[first]) / period_ns), last - first
         count[first:last], proven[first:last] = 1, whole == rows
         if whole != rows:
-            certain[first + 1 : last + (whole < 1)] = False
+            certain[last] = whole > 0  # rows before it are beside no proven step
             count[first:last], count[last - 1] = 0, whole
     certain &= np.concatenate([[False], proven]) | np.concatenate([proven, [False]])
     return count.astype(np.int64), certain
