@@ -4,7 +4,7 @@ import struct
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-APWR, FPRD, FPWR, LRD, LWR, LRW, ARMW, FRMW = 2, 4, 5, 10, 11, 12, 13, 14
+APWR, FPWR, LRD, LWR, LRW, ARMW, FRMW = 2, 5, 10, 11, 12, 13, 14
 INPUTS = [(0x6041, 16), (0x6061, 8), (0, 8), (0x6064, 32), (0x6077, 16)]
 OUTPUTS = [(0x6040, 16), (0x607A, 32), (0x6060, 8), (0, 8)]
 BEGIN_NS, CLOCK_NS = 1_790_000_000 * 10**9, 10**18  # of cycle 0, by the capture and by distributed clocks
@@ -21,8 +21,7 @@ class Bus:
     image: str = "lrd_lwr"
     wrap: str = ""  # vlan or udp
     clock: int = 0  # bytes of the distributed clocks' time that each cycle reads
-    transfer: str = "expedited"  # SDO: expedited, complete, segmented, read or none
-    rated: int | None = None  # 6076h, read at the start
+    transfer: bool = True  # of the mapping, by SDO
     couplers: int = 0  # slaves without process data before the drives
     stations: list[int] = field(default_factory=list)
 
@@ -78,15 +77,9 @@ class Bus:
             yield FPWR, station | 0x800 << 16, mailboxes
             if k < self.couplers:
                 continue
-            for sdo in self.sdos() if self.transfer != "none" else ():
-                size = len(sdo) + 2
-                mail = struct.pack("<HHBBH", size, 0, 0, 0x13, (3 if self.transfer == "read" else 2) << 12) + sdo
-                mail = mail.ljust(128, b"\0")
-                read = self.transfer == "read"
-                yield FPRD if read else FPWR, station | (0x1080 if read else 0x1000) << 16, mail
-            if self.rated is not None:
-                mail = struct.pack("<HHBBHBHBI", 10, 0, 0, 0x13, 3 << 12, 0x43, 0x6076, 0, self.rated)
-                yield FPRD, station | 0x1080 << 16, mail.ljust(128, b"\0")
+            for sdo in self.sdos() if self.transfer else ():
+                mail = struct.pack("<HHBBH", len(sdo) + 2, 0, 0, 0x13, 2 << 12) + sdo
+                yield FPWR, station | 0x1000 << 16, mail.ljust(128, b"\0")
             read, written = self.addresses(k - self.couplers)
             yield FPWR, station | 0x810 << 16, struct.pack("<HHBBBB", 0x1100, 8, 0x64, 0, 1, 0)
             yield FPWR, station | 0x818 << 16, struct.pack("<HHBBBB", 0x1180, 10, 0x20, 0, 1, 0)
@@ -95,38 +88,23 @@ class Bus:
         assert n == self.couplers + self.drives
 
     def sdos(self) -> Iterable[bytes]:
-        """Bodies of the transfers that write (or read) the mapping."""
+        """Bodies of the transfers that write the mapping."""
         for assigned, pdo, entries in ((0x1C12, 0x1600, OUTPUTS), (0x1C13, 0x1A00, INPUTS)):
             words = [index << 16 | bits for index, bits in entries]
             for index, size, values in ((pdo, 4, words), (assigned, 2, [pdo])):
-                if self.transfer in ("complete", "segmented"):
-                    data = struct.pack("<H", len(values)) + b"".join(v.to_bytes(size, "little") for v in values)
-                    first = data if self.transfer == "complete" else data[:3]
-                    yield struct.pack("<BHBI", 0x31, index, 0, len(data)) + first
-                    rest, toggle = data[len(first) :], 0
-                    while rest:
-                        part, rest = rest[:7], rest[7:]
-                        command = toggle | (7 - len(part)) << 1 | (not rest)
-                        yield bytes([command]) + part.ljust(7, b"\0")
-                        toggle ^= 16
-                    continue
-                first = 0x43 if self.transfer == "read" else 0x23
-                small = first | 2 << 2 if size == 2 else first
-                if self.transfer == "expedited":
-                    yield struct.pack("<BHBI", 0x2F, index, 0, 0)
+                yield struct.pack("<BHBI", 0x2F, index, 0, 0)
                 for k, value in enumerate(values):
-                    yield struct.pack("<BHBI", small, index, k + 1, value)
-                yield struct.pack("<BHBI", first | 3 << 2, index, 0, len(values))
+                    yield struct.pack("<BHBI", 0x2B if size == 2 else 0x23, index, k + 1, value)
+                yield struct.pack("<BHBI", 0x2F, index, 0, len(values))
 
     def start(self) -> list[Packet]:
         """The configuration, out and back."""
         packets, time_ns = [], BEGIN_NS - 10**9
         for index, (command, address, data) in enumerate(self.writes()):
-            sent = bytes(len(data)) if command == FPRD else data
             back = address
             if command == APWR:
                 back = address & ~0xFFFF | ((address & 0xFFFF) + len(self.stations)) & 0xFFFF
-            packets.append((time_ns, self.frame(True, [(command, address, sent, 0)], index)))
+            packets.append((time_ns, self.frame(True, [(command, address, data, 0)], index)))
             packets.append((time_ns + BACK_NS, self.frame(False, [(command, back, data, 1)], index)))
             time_ns += 100_000
         return packets
@@ -198,8 +176,8 @@ def record(packet: Packet, order: str = "<", tick_ns: int = 1, snap: int = 2**16
     return head + frame[:snap]
 
 
-def pcapng(packets: list[Packet], *, order: str = "<", resolution: int | None = 9, simple: bool = False) -> bytes:
-    """`resolution`: option if_tsresol, None without it (microseconds); `simple`: blocks without times."""
+def pcapng(packets: list[Packet], *, order: str = "<", resolution: int | None = 9) -> bytes:
+    """`resolution`: option if_tsresol, None without it (microseconds)."""
 
     def block(kind: int, body: bytes) -> bytes:
         body += bytes(-len(body) % 4)
@@ -211,9 +189,6 @@ def pcapng(packets: list[Packet], *, order: str = "<", resolution: int | None = 
     found = block(0x0A0D0D0A, struct.pack(f"{order}IHHq", 0x1A2B3C4D, 1, 0, -1))
     found += block(1, struct.pack(f"{order}HHI", 1, 0, 2**16) + option)
     for k, (time_ns, frame) in enumerate(packets):
-        if simple:
-            found += block(3, struct.pack(f"{order}I", len(frame)) + frame)
-            continue
         time = time_ns * ticks // 10**9
         head = struct.pack(f"{order}5I", 0, time >> 32, time & 0xFFFFFFFF, len(frame), len(frame))
         comment = struct.pack(f"{order}HH4sHH", 1, 4, b"note", 0, 0) if k % 7 == 0 else b""

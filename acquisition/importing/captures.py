@@ -2,70 +2,49 @@
 
 import struct
 from collections.abc import Iterator
-from mmap import mmap
 from pathlib import Path
-from typing import BinaryIO, NamedTuple, TypeAlias
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Ints
 from ..errors import Place
+from ..recording import Block
 
 _BLOCKS = b"\x0a\x0d\x0d\x0a"  # pcapng
 _RECORDS = {
-    struct.pack(f"{order}I", magic): (order, ticks)
+    struct.pack(f"{order}I", magic): (order, ns)
     for order in "<>"
-    for magic, ticks in ((0xA1B2C3D4, 10**6), (0xA1B23C4D, 10**9))
+    for magic, ns in ((0xA1B2C3D4, 1000), (0xA1B23C4D, 1))
 }
-_SECTION, _INTERFACE, _SIMPLE, _ENHANCED = 0x0A0D0D0A, 1, 3, 6  # types of blocks
-_RESOLUTION = 9  # option of an interface
+_INTERFACE, _ENHANCED, _RESOLUTION = 1, 6, 9  # types of blocks, option of an interface
 _ETHERNET = 1  # link type
 PCAP_HEAD = struct.pack("<IHHiIII", 0xA1B23C4D, 2, 4, 0, 0, 2**18, _ETHERNET)
-CONTEXT = 64  # packets that are given again with the next ones
 _AT_ONCE = 2**21  # bytes
 _MAX_PACKET, _MAX_BLOCK = 2**18, 2**24  # bytes: more is damage
 _VLAN, _IP, _ETHERCAT, _UDP, _PORT = (0x8100, 0x88A8), 0x0800, 0x88A4, 17, 34980
-_HEAD, _TAIL = 10, 2  # bytes of a datagram before and after its data
+_HEAD = np.dtype([("command", "u1"), ("index", "u1"), ("address", "<u4"), ("length", "<u2"), ("event", "<u2")])
 _MARGIN = 128  # bytes: no header is further from the first byte of a packet
-
-Found: TypeAlias = list[tuple[int, int, int]]  # time in ns, -1 without one; first byte and length of each packet
+_FOUND = np.dtype(
+    [("packet", "<i8"), ("at", "<i8"), *((name, _HEAD[name]) for name in _HEAD.names), ("counter", "<u2")]
+)
 
 
 class Packets(NamedTuple):
-    """Packets in file order: bytes; time in ns, first byte and length (n,); those before `fresh` were given before."""
+    """Packets in file order: bytes; time in ns, first byte and length (n,)."""
 
-    data: bytes
+    data: NDArray[np.uint8]
     time_ns: Ints
     begin: Ints
     length: Ints
-    fresh: int
-    last: bool
 
-
-class Datagrams(NamedTuple):
-    """Datagrams in file order, (m,) each: number of the packet, first byte of the data, and what is before and after it.
-
-    `marked`: the source address is locally administered, as the first slave makes it; `cut`: frames that are not whole.
-    """
-
-    data: NDArray[np.uint8]
-    packet: Ints
-    at: Ints
-    command: Ints
-    address: Ints
-    length: Ints
-    counter: Ints
-    marked: NDArray[np.bool_]
-    cut: int
-
-    def where(self, chosen: NDArray[np.bool_] | Ints) -> "Datagrams":
-        """Some of the datagrams."""
-        return self._replace(**{name: getattr(self, name)[chosen] for name in self._fields[1:-1]})
-
-    def rows(self) -> NDArray[np.uint8]:
-        """The data (m, length) of datagrams of one length."""
-        return self.data[self.at[:, None] + np.arange(self.length[0] if len(self.length) else 0)]
+    def records(self, chosen: Ints) -> bytes:
+        """Some packets as records of pcap with nanoseconds, little-endian, without its head."""
+        time_ns, begin, length = self.time_ns[chosen], self.begin[chosen], self.length[chosen]
+        heads = np.stack([time_ns // 10**9, time_ns % 10**9, length, length], axis=1).astype("<u4").tobytes()
+        data, ends = self.data.tobytes(), zip(begin.tolist(), (begin + length).tolist(), strict=True)
+        return b"".join(heads[16 * k : 16 * k + 16] + data[first:end] for k, (first, end) in enumerate(ends))
 
 
 def is_capture(path: Path) -> bool:
@@ -77,149 +56,100 @@ def is_capture(path: Path) -> bool:
         return False
 
 
-def packets(file: BinaryIO | mmap, place: Place, warnings: list[str]) -> Iterator[Packets]:
-    """The packets of an open file; one that is cut or damaged is read up to there, with a warning."""
-    walk = _Walk(file, place)
-    data, end, at, context = b"", 0, file.tell(), Found()
-    while True:
-        new = file.read(_AT_ONCE)
-        data += new
-        found, end = walk.blocks(data, end) if walk.ticks is None else walk.records(data, end)
-        last = not new or bool(walk.damage)
-        if last and end < len(data):
-            warnings.append(f"{walk.damage or 'cut within a packet'} at byte {at + end}: what is before it is read")
-        given = np.array([*context, *found], np.int64).reshape(-1, 3)
-        time_ns, begin, length = given.T
-        yield Packets(data, time_ns, begin, length, len(context), last)
-        if last:
-            break
-        context = [*context, *found][-CONTEXT:]
-        first = context[0][1] if context else end
-        data, end, at = data[first:], end - first, at + first
-        context = [(time, begin - first, length) for time, begin, length in context]
-    if walk.others:
-        warnings.append(f"{walk.others} packets of other interfaces than Ethernet are left out")
-
-
-class _Walk:
-    """Finds whole packets; `damage` says why it stopped, `others` counts packets that are not of Ethernet."""
-
-    def __init__(self, file: BinaryIO | mmap, place: Place) -> None:
-        self.damage, self.others, self.ticks = "", 0, None
-        self._order, self._interfaces = "<", list[tuple[bool, int]]()  # of Ethernet, ticks per second
-        magic = file.read(4)
-        if magic == _BLOCKS:
-            file.seek(-4, 1)
-            return
-        head = file.read(20)
-        if magic not in _RECORDS or len(head) < 20:
-            place.refuse(text="is no capture", expected="pcap or pcapng")
-        self._order, self.ticks = _RECORDS[magic]
-        link = struct.unpack(f"{self._order}I", head[16:])[0] & 0xFFFF
+def packets(file: BinaryIO, place: Place, warnings: list[str]) -> Iterator[Packets]:
+    """The packets of Ethernet in an open file; one that is cut or damaged is read up to there, with a warning."""
+    data, at, before = file.read(24), 0, 0
+    order, ns = _RECORDS.get(data[:4], ("<", 0))
+    interfaces: list[int] = []  # ticks per second, 0 of others than Ethernet
+    if len(data) < 24 or not (ns or data[:4] == _BLOCKS):
+        place.refuse(text="is no capture", expected="pcap or pcapng")
+    if ns:
+        link, at = struct.unpack(f"{order}I", data[20:])[0] & 0xFFFF, 24
         if link != _ETHERNET:
             place.refuse(text=f"link type {link}", expected="1 (Ethernet): capture on the interface, not on 'any'")
-
-    def records(self, data: bytes, at: int) -> tuple[Found, int]:
-        """The packets of pcap from byte `at`, and the byte after them."""
-        assert self.ticks is not None
-        found, end, ticks, ns = Found(), len(data) - 16, self.ticks, 10**9 // self.ticks
-        unpack = struct.Struct(f"{self._order}IIII").unpack_from
-        while at <= end:
-            seconds, part, length, whole = unpack(data, at)
-            if length > _MAX_PACKET or length > whole or part >= ticks:
-                self.damage = "damaged"
+    problem = ""
+    while not problem:
+        new, found = file.read(_AT_ONCE), list[tuple[int, int, int]]()
+        before, data, at = before + at, data[at:] + new, 0
+        problem = "" if new else "cut within a packet"
+        unpack = struct.Struct(f"{order}IIII").unpack_from
+        while at + 16 <= len(data):
+            if ns:
+                seconds, part, length, whole = unpack(data, at)
+                size, wrong = 16 + length, length > min(whole, _MAX_PACKET) or part * ns >= 10**9
+            else:
+                if data[at : at + 4] == _BLOCKS:
+                    order, interfaces = ">" if data[at + 8] == 0x1A else "<", []
+                    unpack = struct.Struct(f"{order}IIII").unpack_from
+                kind, size, which, high = unpack(data, at)
+                wrong = size < 12 or size % 4 > 0 or size > _MAX_BLOCK
+            if wrong:
+                problem = "damaged"
+            if wrong or at + size > len(data):
                 break
-            if at + length > end:
-                break
-            found.append((seconds * 1_000_000_000 + part * ns, at + 16, length))
-            at += 16 + length
-        return found, at
-
-    def blocks(self, data: bytes, at: int) -> tuple[Found, int]:
-        """The packets of pcapng from byte `at`, and the byte after the last whole block."""
-        found = Found()
-        while at + 12 <= len(data):
-            if data[at : at + 4] == _BLOCKS:
-                self._order, self._interfaces = ">" if data[at + 8 : at + 12] == b"\x1a\x2b\x3c\x4d" else "<", []
-            kind, size = struct.unpack_from(f"{self._order}II", data, at)
-            if size < 12 or size % 4 or size > _MAX_BLOCK:
-                self.damage = "damaged"
-                break
-            if at + size > len(data):
-                break
-            if struct.unpack_from(f"{self._order}I", data, at + size - 4)[0] != size:
-                self.damage = "damaged"
-                break
-            self._block(kind, data[at + 8 : at + size - 4], at + 8, found)
+            if ns:
+                found.append((seconds * 1_000_000_000 + part * ns, at + 16, length))
+            elif kind == _INTERFACE and size >= 20:
+                interfaces.append(_ticks(data[at + 8 : at + size - 4], order))
+            elif kind == _ENHANCED and size >= 32 and which < len(interfaces) and interfaces[which]:
+                low, length = struct.unpack_from(f"{order}II", data, at + 16)
+                time_ns = (high << 32 | low) * 10**9 // interfaces[which]
+                if length <= size - 32 and time_ns < 2**62:
+                    found.append((time_ns, at + 28, length))
             at += size
-        return found, at
-
-    def _block(self, kind: int, body: bytes, at: int, found: Found) -> None:
-        if kind == _INTERFACE and len(body) >= 8:
-            link, option, ticks = struct.unpack_from(f"{self._order}H", body)[0], 8, 10**6
-            while option + 5 <= len(body):
-                code, size = struct.unpack_from(f"{self._order}HH", body, option)
-                if code == _RESOLUTION:
-                    power = body[option + 4]
-                    ticks = 2 ** (power & 127) if power & 128 else 10 ** min(power, 18)
-                option += 4 + size + -size % 4
-            self._interfaces.append((link == _ETHERNET, ticks))
-        elif kind == _ENHANCED and len(body) >= 20:
-            interface, high, low, length, _ = struct.unpack_from(f"{self._order}5I", body)
-            ethernet, ticks = self._interfaces[interface] if interface < len(self._interfaces) else (False, 1)
-            time_ns = (high << 32 | low) * 10**9 // ticks
-            if ethernet and length <= len(body) - 20 and time_ns < 2**62:
-                found.append((time_ns, at + 20, length))
-            self.others += not ethernet
-        elif kind == _SIMPLE and len(body) >= 4 and self._interfaces and self._interfaces[0][0]:
-            found.append((-1, at + 4, min(len(body) - 4, struct.unpack_from(f"{self._order}I", body)[0])))
+        if problem and at < len(data):
+            warnings.append(f"{problem} at byte {before + at}: what is before it is read")
+        yield Packets(np.frombuffer(data + bytes(_MARGIN), np.uint8), *np.array(found, np.int64).reshape(-1, 3).T)
 
 
-def pcap_records(given: Packets, chosen: Ints) -> bytes:
-    """Some packets as records of pcap with nanoseconds, little-endian, without its head."""
-    time_ns, length = np.maximum(given.time_ns[chosen], 0), given.length[chosen]
-    heads = np.stack([time_ns // 10**9, time_ns % 10**9, length, length], axis=1).astype("<u4").tobytes()
-    begin, data = given.begin[chosen], given.data
-    ends = zip(range(0, len(heads), 16), begin.tolist(), (begin + length).tolist(), strict=True)
-    return b"".join([part for k, first, end in ends for part in (heads[k : k + 16], data[first:end])])
+def _ticks(interface: bytes, order: str) -> int:
+    """Ticks per second of a pcapng interface; 0 if it is not of Ethernet."""
+    link, option, ticks = struct.unpack_from(f"{order}H", interface)[0], 8, 10**6
+    while option + 5 <= len(interface):
+        code, size = struct.unpack_from(f"{order}HH", interface, option)
+        if code == _RESOLUTION:
+            power = interface[option + 4]
+            ticks = 2 ** (power & 127) if power & 128 else 10 ** min(power, 18)
+        option += 4 + size + -size % 4
+    return ticks if link == _ETHERNET else 0
 
 
-def datagrams(given: Packets) -> Datagrams:
-    """All whole datagrams of EtherCAT frames, also behind VLAN tags and in UDP."""
-    data = np.frombuffer(given.data + bytes(_MARGIN), np.uint8)
-    end, at = given.begin + given.length, given.begin + 12
+def gather(data: NDArray[np.uint8], at: Ints, kind: str | np.dtype[Any]) -> NDArray[Any]:
+    """Values (m,) of a type that begin at bytes `at` (m,) of the data."""
+    kind = np.dtype(kind)
+    return data[at[:, None] + np.arange(kind.itemsize)].view(kind)[:, 0]
+
+
+def datagrams(given: Packets) -> Block:
+    """All whole datagrams of EtherCAT frames, also behind VLAN tags and in UDP, in file order.
+
+    `packet` is its number, `at` the first byte of the data, `counter` the working counter; the others are as on the wire.
+    """
+    data, end, at = given.data, given.begin + given.length, given.begin + 12
     for _ in range(2):
-        at = at + 4 * np.isin(_big(data, at), _VLAN)
-    kind, ip = _big(data, at), at + 2
+        at = at + 4 * np.isin(gather(data, at, ">u2"), _VLAN)
+    kind, ip = gather(data, at, ">u2"), at + 2
     udp = ip + 4 * (data[ip] & 15)
-    in_udp = (kind == _IP) & (data[ip] >> 4 == 4) & (data[ip + 9] == _UDP)
-    in_udp &= (_big(data, udp) == _PORT) | (_big(data, udp + 2) == _PORT)
+    in_udp = (kind == _IP) & (data[ip + 9] == _UDP) & (gather(data, udp + 2, ">u2") == _PORT)
     frame = np.where(in_udp, udp + 8, ip)
-    header = _little(data, frame)
+    header = gather(data, frame, "<u2").astype(np.int64)
     packet = np.flatnonzero(((kind == _ETHERCAT) | in_udp) & (header >> 12 == 1) & (frame + 2 <= end))
-    stop = frame + 2 + (header & 0x7FF)
-    cut = int((stop > end)[packet[packet >= given.fresh]].sum())
-    end, at = np.minimum(end, stop), frame[packet] + 2
-    found: list[list[Ints]] = []
+    end, at = np.minimum(end, frame + 2 + (header & 0x7FF)), frame[packet] + 2
+    parts = [np.zeros(0, _FOUND)]
     while len(packet):
-        packet, at = (x[at + _HEAD + _TAIL <= end[packet]] for x in (packet, at))
-        word = _little(data, at + 6)
-        after = at + _HEAD + (word & 0x7FF)
-        packet, at, word, after = (x[after + _TAIL <= end[packet]] for x in (packet, at, word, after))
-        address = _little(data, at + 2) | _little(data, at + 4) << 16
-        command, counter = data[at].astype(np.int64), _little(data, after)
-        found.append([packet, at + _HEAD, command, address, word & 0x7FF, counter])
-        more = word & 0x8000 != 0
-        packet, at = packet[more], after[more] + _TAIL
-    columns = [np.concatenate(x) for x in zip(*found, strict=True)] if found else [np.zeros(0, np.int64)] * 6
-    order = np.argsort(columns[0], kind="stable")
-    packet, at, command, address, length, counter = (x[order] for x in columns)
-    return Datagrams(data, packet, at, command, address, length, counter, data[given.begin[packet] + 6] & 2 != 0, cut)
-
-
-def _little(data: NDArray[np.uint8], at: Ints) -> Ints:
-    return data[at].astype(np.int64) | data[at + 1].astype(np.int64) << 8
-
-
-def _big(data: NDArray[np.uint8], at: Ints) -> Ints:
-    return data[at].astype(np.int64) << 8 | data[at + 1]
+        fits = at + _HEAD.itemsize + 2 <= end[packet]
+        packet, at = packet[fits], at[fits]
+        head = gather(data, at, _HEAD)
+        after = at + _HEAD.itemsize + (head["length"] & 0x7FF)
+        fits = after + 2 <= end[packet]
+        packet, at, head, after = packet[fits], at[fits], head[fits], after[fits]
+        found = np.empty(len(packet), _FOUND)
+        for name in ("command", "index", "address"):
+            found[name] = head[name]
+        found["packet"], found["at"], found["length"] = packet, at + _HEAD.itemsize, head["length"] & 0x7FF
+        found["counter"] = gather(data, after, "<u2")
+        parts.append(found)
+        more = head["length"] & 0x8000 != 0
+        packet, at = packet[more], after[more] + 2
+    found = np.concatenate(parts)
+    return found[np.argsort(found["packet"], kind="stable")]

@@ -25,7 +25,7 @@ from ..recording import (
 )
 from ..robot import Payload, Robot, check_recorded_positions, resolve
 from ..session import RecordedSummary, write_decoded
-from .ethercat import import_captured
+from .ethercat import import_capture
 from .time_base import ImportSummary
 
 
@@ -50,7 +50,8 @@ def import_recording(path: Path, out: Path, robot: Robot | None = None, place: s
     if recording.cut and robot is None:
         return _repair(recording, path, out)
     if recording.capture:
-        return import_captured(recording, path, out, robot, place)
+        description = place or f"{path}: robot.toml"
+        return import_capture(path, out, robot or recording.robot, description, recording=recording)
     if not recording.frames:
         Place(str(path)).refuse(text="holds no frames and is not cut off", expected="a recording of drives")
     frames = max(recording.frames.values(), key=len)

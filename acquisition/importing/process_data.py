@@ -1,301 +1,302 @@
 """Cyclic process data in EtherCAT frames → rows of the integers of CiA 402 drives (CoE), in file order."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple, NoReturn, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..arrays import Ints
 from ..errors import AcquisitionError, Place, listed
 from ..files import GrowingBytes
 from ..protocol import ObjectEntry
-from ..recording import Block
+from ..recording import Block, minimum_ahead
 from ..robot import Bus
-from .captures import CONTEXT, Datagrams, Packets, datagrams
-from .joining import MAX_OFF, Bools, doubled, in_order, integers, join
+from .captures import Packets, datagrams, gather
 from .slaves import (
+    APWR,
+    BWR,
+    END,
     FMMUS,
-    INPUTS,
+    FPWR,
     LRD,
     LRW,
     LWR,
-    MANAGERS,
-    OUTPUTS,
+    MAILBOX,
+    STATION,
     Entries,
-    Key,
+    Located,
     Slaves,
-    counter_of,
-    entries_of,
-    located,
+    full_counter,
     spans,
 )
 
+MAX_OFF = 0.25  # of a period: what is nearer belongs together
 _CLOCK, _CLOCK_COMMANDS = 0x910, (13, 14)  # system time of the distributed clocks; ARMW and FRMW
-_WORDS = [ObjectEntry(index=0, sub=0, type=kind) for kind in ("U32", "I32")]  # low and high half of that time
+_ORDER = 15  # stamps before and after one that must not contradict it
+_MIN_SHARE = 0.01  # of the rows: a working counter that is no damage
 _NAMES = {LRD: "LRD", LWR: "LWR", LRW: "LRW"}
 _MAPPING = (
-    "--mapping 0x6041:16,0x6064:32,0x6077:16, once per slave in the order of the bus: all its inputs, gaps as 0:BITS; "
-    "STATION=0x6041:16,... where robot.toml names stations"
+    "--mapping 0x6041:16,0x6064:32,0x6077:16, once per slave in the order of the bus: all its inputs, gaps as 0:BITS"
 )
 
-Part: TypeAlias = tuple[int, int, int]  # command, logical address, bytes
-Stated: TypeAlias = tuple[int | None, Entries]  # station and inputs of a slave
-Located: TypeAlias = Mapping[Key, tuple[int, int]]  # logical address and bytes by object
+Bools: TypeAlias = NDArray[np.bool_]
+Part: TypeAlias = tuple[int, int, int, bool]  # command, logical address and bytes of datagrams; whether they came back
 
 
-class Field(NamedTuple):
-    """An object of a drive in the logical address space, and the column of rows that it goes to."""
+class _Field(NamedTuple):
+    """A drive's object: name, drive, byte in a part, and type."""
 
     name: str
     drive: int
-    address: int
-    entry: ObjectEntry
+    at: int
+    kind: str
 
 
-class Layout(NamedTuple):
-    """What samples are made of, no targets if not all are known; stations of the drives; registers of all slaves."""
-
-    inputs: list[Field]
-    targets: list[Field]
-    stations: list[int]
-    registers: list[bytes]
-
-
-def parse_mapping(texts: Sequence[str]) -> list[Stated]:
-    """Station, or None, and objects with their bits, of each slave in `--mapping`."""
-    found = list[Stated]()
+def parse_mapping(texts: Sequence[str]) -> list[Entries]:
+    """Objects with their bits of each slave in `--mapping`."""
+    found = list[Entries]()
     for text in texts:
-        station, _, objects = text.rpartition("=")
-        words = [word.split(":") for word in objects.split(",")]
+        words = [word.split(":") for word in text.split(",")]
         try:
-            entries = [((int(w[0], 16), int(w[1]) if len(w) > 2 else 0), int(w[-1])) for w in words if 2 <= len(w) <= 3]
-            found.append((int(station) if station else None, entries))
+            found.append(
+                [((int(w[0], 16), int(w[1]) if len(w) > 2 else 0), int(w[-1])) for w in words if 2 <= len(w) <= 3]
+            )
         except ValueError:
-            entries = []
-        if len(entries) < len(words) or not all(0 < bits < 2**14 for _, bits in entries):
+            found.append([])
+        if len(found[-1]) < len(words) or not all(0 < bits < 2**14 for _, bits in found[-1]):
             raise AcquisitionError(key="--mapping", value=text, expected="such as 0x6041:16,0x6064:32,0x6077:16")
     return found
 
 
-class Decoder:
-    """Collects `rows` from packets, `good` ones by their working `counters`; `spoilt` counts what was left out, by reason."""
+class ProcessData:
+    """Collects what configures the slaves, and the integers of the drives in each datagram of process data."""
 
-    def __init__(self, bus: Bus, mapping: Sequence[Stated], place: Place) -> None:
+    def __init__(self, bus: Bus, mapping: Sequence[Entries], place: Place) -> None:
         self._bus, self._mapping, self._place = bus, mapping, place
         self._slaves = {True: Slaves(), False: Slaves()}  # by datagrams that came back, and that went out
-        self._layout: Layout | None = None
+        self._fields: dict[Part, list[_Field]] = {}
+        self._columns: dict[Part, GrowingBytes] = {}
         self._seen: dict[Part, int] = {}
-        self._packets = self._held = self._returned = self._cut = self._short = self._early = self.doubled = 0
-        self._since, self._clock_ns, self._why = -1, -1, ""
-        n = len(bus.drives)
-        columns = [(name, "<i4", (n,)) for name in ("position", "effort", "target")]
-        self.row = np.dtype([("time_ns", "<i8"), ("clock_ns", "<i8"), ("counter", "<u2"), ("known", "?"), *columns])
-        self.rows, self.counters = GrowingBytes(), dict[int, int]()
+        self._packets, self._since, self._why = 0, -1, ""
+        self.early = self.short = self.doubled = 0
 
     def add(self, given: Packets) -> Ints:
-        """Add packets; those that were given before are the context of the others. The numbers of the new ones of EtherCAT."""
-        found, count, begin = datagrams(given), len(given.begin), given.fresh - self._held
-        self._cut += found.cut
-        self._configure(found.where(found.packet >= given.fresh))
-        process = found.where(np.isin(found.command, (LRD, LWR, LRW)) & (found.packet + self._packets > self._since))
-        end = count if given.last else max(begin, count - CONTEXT // 2)
-        if len(process.packet):
-            self._decode(process, found, given, begin, end)
-        self._held = count - end
-        self._packets += count - min(CONTEXT, count)
-        return np.unique(found.packet[found.packet >= given.fresh])
-
-    def _configure(self, found: Datagrams) -> None:
-        """Read what configures the slaves; rows before a change are dropped."""
-        register, back = found.address >> 16, found.counter > 0
-        written = (register == 0x10) | (register >= FMMUS) & (register < 0x880) | (register >= 0x1000)
-        read = np.isin(found.command, (1, 4)) & (register >= 0x1000) & back
-        for k in np.flatnonzero(read | (np.isin(found.command, (2, 5, 8)) & written)):
-            data = found.data[found.at[k] : found.at[k] + found.length[k]].tobytes()
-            changed = self._slaves[bool(back[k])].add(int(found.command[k]), int(found.address[k]), data)
-            if changed and back[k]:
-                self._layout, self._since = None, self._packets + int(found.packet[k])
-                self._early += len(self.rows) // self.row.itemsize
-                self.rows, self.counters = GrowingBytes(), {}
-
-    def _decode(self, process: Datagrams, found: Datagrams, given: Packets, begin: int, end: int) -> None:
-        key = process.command << 43 | process.address << 11 | process.length
-        keys, which, counts = np.unique(key, return_inverse=True, return_counts=True)
-        parts = [(int(k >> 43), int(k >> 11 & 0xFFFFFFFF), int(k & 0x7FF)) for k in keys]
-        for part, n in zip(parts, counts, strict=True):
+        """Add packets; the numbers of those of EtherCAT."""
+        found = datagrams(given)
+        self._configure(given.data, found)
+        parts: dict[Part, Block] = {}
+        process = found[np.isin(found["command"], (LRD, LWR, LRW)) & (found["packet"] + self._packets > self._since)]
+        key = process["command"].astype(np.int64) << 44 | process["address"].astype(np.int64) << 12
+        key |= process["length"].astype(np.int64) << 1 | (process["counter"] > 0)
+        for k in np.unique(key):
+            part = int(k >> 44), int(k >> 12 & 0xFFFFFFFF), int(k >> 1 & 0x7FF), bool(k & 1)
+            parts[part] = process[key == k]
             if part in self._seen or len(self._seen) < 1000:
-                self._seen[part] = self._seen.get(part, 0) + int(n)
-        marks = 0.1 < process.marked.mean() < 0.9  # else the source address does not tell the direction
-        back = (process.counter > 0) & (process.marked | (not marks))
-        self._returned += int(np.count_nonzero(back))
-        if self._layout is None and (layout := self._find_layout(parts)) is not None:
-            self._layout = layout
-        if self._layout is None:
-            return
+                self._seen[part] = self._seen.get(part, 0) + len(parts[part])
+        if not self._fields:
+            self._fields = self._find_fields()
+            self._columns = {part: GrowingBytes() for part in self._fields}
+        clock = found[np.isin(found["command"], _CLOCK_COMMANDS) & (found["address"] >> 16 == _CLOCK)]
+        clock = clock[(clock["counter"] > 0) & (clock["length"] >= 4)]
+        for part in set(self._fields) & set(parts):
+            self._columns[part].extend(self._extract(part, parts[part], given, clock).tobytes())
+        self._packets += len(given.begin)
+        return np.unique(found["packet"])
 
-        def part_of(field: Field, *commands: int) -> int:
-            """The datagrams that a field is in; -1 for none."""
-            last = field.address + field.entry.bits // 8
-            held = [k for k, (c, a, n) in enumerate(parts) if c in commands and a <= field.address and last <= a + n]
-            return max(held, key=lambda k: int(counts[k]), default=-1)
+    def _configure(self, data: NDArray[np.uint8], found: Block) -> None:
+        """Read what configures the slaves; rows before a change are dropped."""
+        register = found["address"] >> 16
+        written = (register == STATION) | (register >= FMMUS) & (register < END) | (register >= MAILBOX)
+        for one in found[np.isin(found["command"], (APWR, FPWR, BWR)) & written]:
+            content, back = data[one["at"] : one["at"] + one["length"]].tobytes(), bool(one["counter"])
+            if self._slaves[back].write(int(one["command"]), int(one["address"]), content) and back:
+                self._since = self._packets + int(one["packet"])
+                self.early += max((len(x) // self._row(part).itemsize for part, x in self._columns.items()), default=0)
+                self._fields, self._columns, self._seen = {}, {}, {}
 
-        places = [(field, part_of(field, LRD, LRW)) for field in self._layout.inputs]
-        needed, period = list(dict.fromkeys(k for _, k in places)), self._bus.period_ns
-        if -1 in needed:
-            return
-        read: dict[int, Datagrams] = {}
-        for k in needed:
-            one = process.where((which == k) & back)
-            again = doubled(one, given.time_ns, period)
-            self.doubled += int(again[(one.packet >= begin) & (one.packet < end)].sum()) if k == needed[0] else 0
-            one = one.where(~again)
-            read[k] = one.where(in_order(given.time_ns[one.packet]))
-        main = read[needed[0]]
-        rows, whole = np.zeros(len(main.packet), self.row), np.ones(len(main.packet), np.bool_)
-        rows["time_ns"], rows["counter"] = given.time_ns[main.packet], main.counter
-        good = (main.packet >= begin) & (main.packet < end)
-        for k in needed:
-            index, joined = join(main.packet, read[k].packet, given.time_ns, period)
-            one = read[k].where(index)
-            good &= joined
-            if self._layout.registers:
-                whole &= one.counter == counter_of(self._layout.registers, *parts[k])
-            for field, where in places:
-                if where == k and len(one.at):
-                    rows[field.name][:, field.drive] = integers(one, field.address - parts[k][1], field.entry)
-        rows["known"] = bool(self._layout.targets)
-        for field in self._layout.targets:
-            k = part_of(field, LWR, LRW)
-            sent = (which == k) & ~back
-            if k >= 0 and parts[k][0] == LWR and not sent.any():  # what comes back has the targets too
-                sent = (which == k) & np.isin(process.packet, main.packet)
-            rows["known"] &= self._add_target(rows, main.packet, process.where(sent), field, parts[k][1], given.time_ns)
-        clock = np.isin(found.command, _CLOCK_COMMANDS) & (found.address >> 16 == _CLOCK)
-        self._add_clock(rows, main.packet, found.where(clock & (found.length >= 4) & (found.counter > 0)))
-        self._short += int((good & ~whole).sum())
-        rows = rows[good & whole]
-        for counter, n in zip(*np.unique(rows["counter"], return_counts=True), strict=True):
-            self.counters[int(counter)] = self.counters.get(int(counter), 0) + int(n)
-        self.rows.extend(rows.tobytes())
+    def _row(self, part: Part) -> np.dtype[np.void]:
+        about = [("packet", "<i8"), ("time_ns", "<i8"), ("clock_ns", "<i8"), ("counter", "<u2"), ("index", "u1")]
+        return np.dtype([*about, *((f"{field.name}{field.drive}", field.kind) for field in self._fields[part])])
 
-    def _add_target(self, rows: Block, packet: Ints, sent: Datagrams, field: Field, base: int, time_ns: Ints) -> Bools:
-        """Set the target of the cycle of each row: the only one since the row before came back; where there is such a one."""
-        if not len(sent.at):
-            return np.zeros(len(rows), np.bool_)
-        values, before = integers(sent, field.address - base, field.entry), np.concatenate([[-1], packet[:-1]])
-        first, after = (np.searchsorted(sent.packet, x, "right") for x in (before, packet))
-        last = np.maximum(after - 1, 0)
-        rows["target"][:, field.drive] = values[last]
-        delay = time_ns[packet] - time_ns[sent.packet[last]]
-        usual = (
-            np.abs(delay - np.median(delay)) < 2 * MAX_OFF * self._bus.period_ns
-        )  # else it may be that of a lost row
-        return np.asarray((after > first) & usual & (values[np.minimum(first, last)] == values[last]))
+    def _extract(self, part: Part, found: Block, given: Packets, clock: Block) -> Block:
+        """Rows of datagrams of a part; a clock's time of 32 bits is below 2**32, -1 is none."""
+        rows = np.empty(len(found), self._row(part))
+        rows["packet"], rows["time_ns"] = found["packet"] + self._packets, given.time_ns[found["packet"]]
+        rows["counter"], rows["index"], rows["clock_ns"] = found["counter"], found["index"], -1
+        for field in self._fields[part]:
+            rows[f"{field.name}{field.drive}"] = gather(given.data, found["at"] + field.at, field.kind)
+        if len(clock):
+            one = clock[np.searchsorted(clock["packet"], found["packet"]).clip(max=len(clock) - 1)]
+            low, high = (gather(given.data, one["at"] + at, "<u4").astype(np.int64) for at in (0, 4))
+            time_ns = low | np.where(one["length"] >= 8, high & 0x7FFFFFFF, 0) << 32
+            rows["clock_ns"] = np.where(one["packet"] == found["packet"], time_ns, -1)
+        return rows
 
-    def _add_clock(self, rows: Block, packet: Ints, clock: Datagrams) -> None:
-        """The distributed clocks' time in the frame of a row, -1 without; of 32 bits, those above are by the capture."""
-        if not len(clock.packet):
-            return
-        index = np.minimum(np.searchsorted(clock.packet, packet), len(clock.packet) - 1)
-        here, long = clock.packet[index] == packet, bool((clock.length >= 8).all())
-        low, high = (integers(clock.where(index), 4 * k, _WORDS[k]) for k in (0, int(long)))
-        if self._clock_ns < 0 and len(rows):
-            self._clock_ns = int(low[0] - rows["time_ns"][0]) % 2**32
-        near = rows["time_ns"] + (low - rows["time_ns"] - self._clock_ns + 2**31) % 2**32 - 2**31
-        rows["clock_ns"] = np.where(here, high << 32 | low if long else near, -1)
+    def _find_fields(self) -> dict[Part, list[_Field]]:
+        """Where the drives' objects are, by the mapping in the capture or the stated one; empty if not yet known.
 
-    def _find_layout(self, parts: Sequence[Part]) -> Layout | None:
-        """Where the drives' objects are, by the mapping in the capture or the stated one; None if it is not known yet."""
-        known, objects = self._slaves[True].known(), dict[int, tuple[Located, Located]]()
-        registers = [registers for registers, _ in known.values() if any(registers[FMMUS:MANAGERS])]
-        self._why = ""
-        if self._mapping and not registers:
-            bits = [sum(bits for _, bits in slave) for _, slave in self._mapping]
-            base = next((address for command, address, n in parts if command != LWR and 8 * n == sum(bits)), None)
-            for k, (station, slave) in enumerate(self._mapping if base is not None else ()):
-                found = {
-                    key: ((base or 0) + at, n) for key, (at, n) in spans([((0, 0), sum(bits[:k])), *slave]).items()
-                }
-                objects[-k if station is None else station] = found, found
-            self._why = f"--mapping has {sum(bits)} bits" if base is None else ""
-        else:
-            slaves = (station for station, (register, _) in known.items() if any(register[FMMUS:MANAGERS]))
-            stated = {
-                at if named is None else named: slave for at, (named, slave) in zip(slaves, self._mapping, strict=False)
-            }
-            for station, (register, values) in known.items():
-                ways = [
-                    (INPUTS, stated.get(station) or entries_of(values, INPUTS)),
-                    (OUTPUTS, entries_of(values, OUTPUTS)),
-                ]
-                try:
-                    reads, writes = (located(register, entries, way) if entries else {} for way, entries in ways)
-                except ValueError as error:  # the master may not have written all of it yet
-                    self._why = f"station {station}: {error}"
-                    return None
-                objects[station] = reads, writes
-        return self._layout_of(objects, registers)
-
-    def _layout_of(self, objects: Mapping[int, tuple[Located, Located]], registers: list[bytes]) -> Layout | None:
-        """Inputs and targets of the drives, each in its station or the next slave that has its position."""
-        inputs, targets, stations = list[Field](), list[Field](), list[int]()
+        A drive is in its `station`, or in the next slave that has its position.
+        """
+        found, targets, self._why = dict[Part, list[_Field]](), dict[Part, list[_Field]](), ""
+        try:
+            objects = self._objects()
+        except ValueError as error:  # the master may not have written all of it yet
+            self._why = str(error)
+            return {}
         named = {file.station for file in self._bus.file.drive}
-        free = [station for station, (reads, _) in objects.items() if reads and station not in named]
+        free = [station for station, (inputs, _) in objects.items() if inputs and station not in named]
         for i, (drive, file) in enumerate(zip(self._bus.drives, self._bus.file.drive, strict=True)):
             able = (station for station in free if drive.position.key in objects[station][0])
             station = next(able, None) if file.station is None else file.station
             if station is None or not objects.get(station, ({}, {}))[0]:
                 where = "a further slave" if station is None else f"station {station}"
-                if any(reads for reads, _ in objects.values()):
+                if any(inputs for inputs, _ in objects.values()):
                     self._why = f"no mapping of {where} for {drive.name} is in it"
-                return None
+                return {}
             free = free[free.index(station) + 1 :] if station in free else free
-            stations.append(station)
-            reads, writes = objects[station]
+            inputs, outputs = objects[station]
             for name, entry in (("position", drive.position), ("effort", drive.effort.entry)):
-                address, size = reads.get(entry.key, (0, 0))
+                address, size = inputs.get(entry.key, (0, 0))
                 if 8 * size != entry.bits:
-                    at, names = Place(f"{self._place}: station {station}"), [f"{i:04X}:{sub}" for i, sub in reads]
-                    text = f"{drive.name}: {entry} of {entry.bits} bits is not among its inputs"
-                    at.refuse(text=text, expected=f"one of {listed(names)} in robot.toml")
-                inputs.append(Field(name, i, address, drive.position if name == "position" else entry))
-            if drive.target.key in writes:
-                targets.append(Field("target", i, writes[drive.target.key][0], drive.target))
-        return Layout(inputs, targets if len(targets) == len(self._bus.drives) else [], stations, registers)
+                    text = f"station {station}: {drive.name}: {entry} of {entry.bits} bits is not among its inputs"
+                    names = listed([f"{index:04X}:{sub}" for index, sub in inputs])
+                    self._place.refuse(text=text, expected=f"one of {names} in robot.toml")
+                if not self._place_field(found, name, i, address, entry, back=True):
+                    return {}
+            if drive.target.key in outputs:
+                self._place_field(targets, "target", i, outputs[drive.target.key][0], drive.target, back=False)
+        return found | (targets if sum(map(len, targets.values())) == len(self._bus.drives) else {})
 
-    def refuse_contradiction(self) -> None:
-        """Refuse a mapping that went out with other contents than it came back with."""
+    def _objects(self) -> dict[int, tuple[Located, Located]]:
+        slaves = self._slaves[True]
+        if not self._mapping or any(any(registers[FMMUS:]) for registers in slaves.registers.values()):
+            return slaves.located(self._mapping)
+        bits = [sum(bits for _, bits in slave) for slave in self._mapping]
+        base = next((at for command, at, n, _ in self._seen if command != LWR and 8 * n == sum(bits)), None)
+        if base is None:
+            raise ValueError(f"--mapping has {sum(bits)} bits")
+        placed = [spans([((0, 0), sum(bits[:k])), *slave]) for k, slave in enumerate(self._mapping)]
+        return {-k: ({key: (base + at, n) for key, at, n in slave}, {}) for k, slave in enumerate(placed)}
+
+    def _place_field(
+        self, found: dict[Part, list[_Field]], name: str, drive: int, address: int, entry: ObjectEntry, *, back: bool
+    ) -> bool:
+        """Add an object to the datagrams that it is in; whether there are such ones."""
+        last, commands = address + entry.bits // 8, (LRD, LRW) if back else (LWR, LRW)
+        held = [p for p in self._seen if p[0] in commands and p[1] <= address and last <= p[1] + p[2] and p[3] == back]
+        if held:
+            part, kind = max(held, key=self._seen.__getitem__), f"<{entry.type[0].lower()}{entry.bits // 8}"
+            found.setdefault(part, []).append(_Field(name, drive, address - part[1], kind))
+        return bool(held)
+
+    def rows(self) -> Block:
+        """Time, time by distributed clocks (-1: none), position, effort and target (n,) of each cycle with full counters.
+
+        `known`: the target is the one that was sent in the cycle.
+        """
         station = self._slaves[True].contradicts(self._slaves[False])
         if station is not None:
             text = f"the configuration of station {station} that came back is not the one that went out"
             self._place.refuse(text=text, expected="an undamaged capture of one start of the bus")
+        read = {part: self._undoubled(part) for part in self._fields}
+        inputs = [part for part in read if part[3]]
+        if not inputs or not all(len(read[part]) for part in inputs):
+            self.refuse_no_rows()
+        n, main, period = len(self._bus.drives), read[inputs[0]], self._bus.period_ns
+        kinds = [(name, "<i8", (n,)) for name in ("position", "effort", "target")]
+        rows = np.zeros(len(main), np.dtype([("time_ns", "<i8"), ("clock_ns", "<i8"), ("known", "?"), *kinds]))
+        rows["time_ns"], rows["clock_ns"], rows["known"] = (
+            main["time_ns"],
+            main["clock_ns"],
+            not all(p[3] for p in read),
+        )
+        good, whole = np.ones(len(main), np.bool_), np.ones(len(main), np.bool_)
+        for part, other in read.items():
+            if part[3]:
+                index, joined = _join(main, other, period)
+                good &= joined
+                whole &= other["counter"][index] == self._full(part, other["counter"])
+            else:
+                index, joined = _sent(main, other, period)
+                rows["known"] &= joined
+            for field in self._fields[part] if len(other) else ():
+                rows[field.name][:, field.drive] = other[f"{field.name}{field.drive}"][index]
+        self.short = int((good & ~whole).sum())
+        return rows[good & whole]
+
+    def _full(self, part: Part, counter: NDArray[np.uint16]) -> int:
+        """The full working counter: by FMMUs, else the highest that is no damage."""
+        registers = [bytes(x) for x in self._slaves[True].registers.values() if any(x[FMMUS:])]
+        counts = np.bincount(counter)
+        return (
+            full_counter(registers, *part[:3])
+            if registers
+            else int(np.flatnonzero(counts > _MIN_SHARE * len(counter))[-1])
+        )
+
+    def _undoubled(self, part: Part) -> Block:
+        """Rows of a part, but those that repeat the one before within half a period, and whose stamps others contradict."""
+        rows = np.frombuffer(self._columns[part].whole(), self._row(part))
+        time_ns, names = (
+            rows["time_ns"],
+            [name for name in rows.dtype.names or () if name[-3:] != "_ns" and name != "packet"],
+        )
+        again = np.abs(np.diff(time_ns)) < self._bus.period_ns // 2
+        for name in names:
+            again &= rows[name][1:] == rows[name][:-1]
+        in_order = (time_ns <= minimum_ahead(time_ns, _ORDER)) & (
+            time_ns >= -minimum_ahead(-time_ns[::-1], _ORDER)[::-1]
+        )
+        self.doubled += int(again.sum()) if part == next(iter(self._fields)) else 0
+        return rows[in_order & ~np.concatenate([np.zeros(min(1, len(rows)), np.bool_), again])]
 
     def refuse_no_rows(self) -> NoReturn:
         """Say what is missing in the capture."""
         most = sorted(self._seen, key=lambda part: -self._seen[part])[:4]
-        shown = listed([f"{_NAMES[command]} of {n} bytes at 0x{address:X}" for command, address, n in most])
+        shown = listed([f"{_NAMES[command]} of {n} bytes at 0x{address:X}" for command, address, n, _ in most])
+        text, expected = f"no row of all drives with full working counters in {shown}", "a bus in operation"
         if not self._seen:
-            self._place.refuse(text="holds no process data of EtherCAT", expected="a bus in operation: LRD, LWR, LRW")
-        if not self._returned:
+            text, expected = "holds no process data of EtherCAT", "a bus in operation: LRD, LWR, LRW"
+        elif not any(part[3] for part in self._seen):
             text = f"no process data come back from the slaves; it has {shown} with working counter 0"
-            self._place.refuse(text=text, expected="both directions: capture on the master's own interface")
-        if self._layout is None:
+            expected = "both directions: capture on the master's own interface"
+        elif not self._fields:
             text = f"{self._why or 'no mapping of inputs is in it'}; it has {shown}"
-            self._place.refuse(text=text, expected=f"a capture from the start of the bus, or {_MAPPING}")
-        text = f"no row of all drives with full working counters in {shown}"
-        self._place.refuse(text=text, expected="a bus in operation")
+            expected = f"a capture from the start of the bus, or {_MAPPING}"
+        self._place.refuse(text=text, expected=expected)
 
     def warnings(self) -> Iterator[str]:
-        """What was left out, and rated values that the master read and robot.toml does not say."""
+        """What was left out."""
         reasons = {
-            "frames are cut by the capture's snap length: their whole datagrams are read": self._cut,
-            "rows before the last change of the mapping are left out": self._early,
-            "cycles with a working counter below the full one are left out": self._short,
+            "rows before the last change of the mapping are left out": self.early,
+            "cycles with a working counter below the full one are left out": self.short,
         }
         yield from (f"{count} {reason}" for reason, count in reasons.items() if count)
-        known, stations = self._slaves[True].known(), () if self._layout is None else self._layout.stations
-        for drive, station in zip(self._bus.drives, stations, strict=False):
-            for index, rated in drive.rated.items():
-                found = known[station][1].get((index, 0), rated) if station in known else rated
-                if found != rated:
-                    yield f"{drive.name}: its {index:04X} is {found} in the capture: expected {rated} as robot.toml says"
+
+
+def _join(main: Block, other: Block, period: int) -> tuple[Ints, Bools]:
+    """For each row the other one of its cycle, and whether that is certain: of its packet, or near and both regular."""
+    index = np.searchsorted(other["packet"], main["packet"]).clip(max=len(other) - 1)
+    same = other["packet"][index] == main["packet"]
+    if same.mean() > 0.5:
+        return index, same
+    t, u = main["time_ns"], other["time_ns"]
+    index = np.searchsorted(u, t - round(MAX_OFF * period)).clip(max=len(u) - 1)
+    near = np.abs(u[index] - t) < MAX_OFF * period
+    return index, near & _regular(t, period) & _regular(u, period)[index]
+
+
+def _regular(time_ns: Ints, period: int) -> Bools:
+    steps = np.abs(np.diff(time_ns) - period) < MAX_OFF * period
+    return np.asarray(np.concatenate([[False], steps]) & np.concatenate([steps, [False]]))
+
+
+def _sent(main: Block, sent: Block, period: int) -> tuple[Ints, Bools]:
+    """For each row what was sent last before, and whether it is of this cycle: after the row before, as long ago as usual."""
+    index = np.searchsorted(sent["packet"], main["packet"], "right") - 1
+    if not len(sent):
+        return index, np.zeros(len(main), np.bool_)
+    delay = main["time_ns"] - sent["time_ns"][index]
+    usual = np.abs(delay - np.median(delay)) < 2 * MAX_OFF * period
+    return index, usual & (index >= 0) & (sent["packet"][index] > np.concatenate([[-1], main["packet"][:-1]]))

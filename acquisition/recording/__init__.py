@@ -1,9 +1,8 @@
 """The recording: reads and writes the MCAP file, decodes its frames to rows on the SYNC grid."""
 
-from .decoding import Decoded, decode
+from .decoding import Decoded, decode, joint_samples, refuse_period
 from .following import RecordingFollower
 from .marks import add_mark, take_marks
-from .raw_rows import RawRows, joint_samples
 from .reader import NO_SAMPLES, Recording, has_reference, read_recording, rewrite
 from .rows import (
     ERROR,

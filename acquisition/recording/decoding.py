@@ -4,7 +4,7 @@ A drive samples at SYNC and sends its PDO afterwards, so a sample has the time o
 assigns each PDO to the SYNC that it answers. Samples are made block by block, because those of an hour do not fit in memory.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -14,8 +14,7 @@ from ..arrays import Ints
 from ..errors import Place
 from ..protocol import ObjectEntry, Pdo
 from ..robot import Bus, Drive, Robot
-from .raw_rows import RawRows, joint_samples, unwrap
-from .rows import SENT, Block, Rows, Traffic
+from .rows import SENT, Block, Rows, Traffic, sample_dtype
 from .sync_grid import SyncTimes, associate, counted_steps, sync_steps, sync_times, without_repeats
 from .writer import RecordingWriter
 
@@ -75,29 +74,29 @@ class Decoded:
 
     def blocks(self) -> Iterator[Block]:
         """Rows of `sample_dtype`, some thousands at a time."""
-        begin = None if self.targets is None else int(np.maximum.reduce([np.argmax(t >= 0) for t in self.targets]))
+        begin = 0 if self.targets is None else int(np.maximum.reduce([np.argmax(t >= 0) for t in self.targets]))
+        for samples in joint_samples(self._raw(), self.robot, self.bus):
+            if begin > 0:
+                samples["reference"][:begin] = samples["position"][:begin]
+                begin -= len(samples)
+            yield samples
 
-        def raw() -> Iterator[RawRows]:
-            for first in range(0, len(self.stamps), _AT_ONCE):
-                part = slice(first, first + _AT_ONCE)
-                drives = self.bus.drives
-                yield RawRows(
-                    stamp_ns=self.stamps[part],
-                    position=[self._integers(drive, drive.position, part) for drive in drives],
-                    effort=[self._integers(drive, drive.effort.entry, part) for drive in drives],
-                    target=[
-                        self._target(drive, rows[part])
-                        for drive, rows in zip(drives, self.targets or (), strict=bool(self.targets))
-                    ],
-                    targets_from=0 if begin is None else max(0, begin - first),
-                )
-
-        return joint_samples(raw(), self.robot, self.bus)
-
-    def _target(self, drive: Drive, rows: Rows) -> Ints:
-        pdo = drive.carrier(drive.target, "rpdo")
-        assert pdo is not None
-        return self.traffic.integers(np.maximum(rows, 0), pdo, drive.target)
+    def _raw(self) -> Iterator[Block]:
+        """The integers of the drives, as `joint_samples` takes them."""
+        names = ("position", "effort") if self.targets is None else ("position", "effort", "target")
+        layout = np.dtype([("stamp_ns", "<i8"), *((name, "<i8", (self.robot.n,)) for name in names)])
+        for first in range(0, len(self.stamps), _AT_ONCE):
+            part = slice(first, first + _AT_ONCE)
+            raw = np.empty(len(self.stamps[part]), layout)
+            raw["stamp_ns"] = self.stamps[part]
+            for i, drive in enumerate(self.bus.drives):
+                raw["position"][:, i] = self._integers(drive, drive.position, part)
+                raw["effort"][:, i] = self._integers(drive, drive.effort.entry, part)
+                if self.targets is not None:
+                    pdo = drive.carrier(drive.target, "rpdo")
+                    assert pdo is not None
+                    raw["target"][:, i] = self.traffic.integers(np.maximum(self.targets[i][part], 0), pdo, drive.target)
+            yield raw
 
     def _integers(self, drive: Drive, entry: ObjectEntry, part: slice) -> Ints:
         carrier = drive.carrier(entry, "tpdo")
@@ -123,6 +122,33 @@ class Decoded:
             "sync_jitter_worst_s": self.jitter_s[1],
             **{word: sum(getattr(p, word) for p in self.pdos) for word in LOSSES},
         }
+
+
+def joint_samples(raw: Iterable[Block], robot: Robot, bus: Bus) -> Iterator[Block]:
+    """Rows of `sample_dtype` from the integers of drives: consecutive rows of `stamp_ns`, and `position`, `effort` and perhaps
+    `target` (n,). Position counters that wrap count on; targets wrap as the position does, and the nearest one is taken.
+    """
+    last: list[tuple[int, int]] = []  # for each drive: raw position of the row before, and the counts added to it
+    for rows in raw:
+        target = rows["target"] if "target" in (rows.dtype.names or ()) else None
+        samples = np.empty(len(rows), sample_dtype(robot.n, reference=target is not None))
+        samples["stamp_ns"] = rows["stamp_ns"]
+        motor = np.empty((3, len(samples), robot.n))
+        for i, drive in enumerate(bus.drives):
+            position = rows["position"][:, i]
+            before, by = last[i] if i < len(last) else (int(position[0]), 0)
+            counts = unwrap(np.concatenate([[before], position]), drive.position.bits)[0][1:] + by
+            last[i : i + 1] = [(int(position[-1]), int(counts[-1] - position[-1]))]
+            motor[0, :, i] = drive.position_codec.si(counts)
+            motor[1, :, i] = drive.effort.si(rows["effort"][:, i])
+            if target is not None:
+                away = np.rint((counts - target[:, i]) / (1 << drive.target.bits)).astype(np.int64)
+                motor[2, :, i] = drive.position_codec.si(target[:, i] + (away << drive.target.bits))
+        samples["position"] = robot.joint_position(motor[0])
+        samples["effort"] = robot.joint_effort(motor[1])
+        if target is not None:
+            samples["reference"] = robot.joint_position(motor[2])
+        yield samples
 
 
 def decode(frames: Block, robot: Robot, bus: Bus, place: str, *, max_missing: float = MAX_MISSING_SHARE) -> Decoded:
@@ -170,7 +196,7 @@ def decode(frames: Block, robot: Robot, bus: Bus, place: str, *, max_missing: fl
     times = traffic.at("time_ns", sync_rows)
     clock = sync_times(times, index_of, int(steps.sum()), ours=ours, nominal_ns=bus.period_ns)
     if len(sync_rows) >= MIN_SYNCS:
-        _refuse_period(clock.period_s, bus.file.sync_period_s, place)
+        refuse_period(clock.period_s, bus.file.sync_period_s, place)
     del times
     answered, rows_of_pdos, losses, missing_share = associate(pdos, sync_rows, steps, paused, torn)
     del pdos, rows  # large in a long session
@@ -218,6 +244,20 @@ def _carriers(bus: Bus) -> dict[Pdo, str]:
     return names
 
 
+def unwrap(counts: Ints, bits: int) -> tuple[Ints, Ints]:
+    """Counts without the wraps of a counter of `bits`, and the rows at which it wraps.
+
+    No motor moves by half of a counter's range between two answers, so a larger step is a wrap.
+    """
+    steps = np.diff(counts)
+    wraps = np.flatnonzero(np.abs(steps) > 1 << (bits - 1))
+    if not len(wraps):
+        return counts, wraps
+    turns = np.zeros(len(counts), np.int64)
+    turns[wraps + 1] = -np.sign(steps[wraps])
+    return counts + (np.cumsum(turns) << bits), wraps + 1
+
+
 def _wraps(traffic: Traffic, bus: Bus, rows_of: Mapping[Pdo, Rows], stamps: Ints) -> Iterator[str]:
     """Warnings about position counters that wrapped."""
     for drive in bus.drives:
@@ -250,11 +290,11 @@ def _targets(traffic: Traffic, sync_rows: Rows, index_of: Ints, answered: Rows, 
     return targets if all((frames >= 0).any() for frames in targets) else None
 
 
-def _refuse_period(measured_s: float, stated_s: float, place: str) -> None:
-    """Refuse a SYNC period other than the described one: rates and filters are computed from the description."""
+def refuse_period(measured_s: float, stated_s: float, place: str, what: str = "SYNC") -> None:
+    """Refuse a period other than the described one: rates and filters are computed from the description."""
     if abs(measured_s / stated_s - 1) > MAX_PERIOD_ERROR:
         Place(place).refuse(
-            text=f"SYNC came every {measured_s * 1e3:.4g} ms; bus.sync_period_s = {stated_s:g} in robot.toml",
+            text=f"{what} came every {measured_s * 1e3:.4g} ms; bus.sync_period_s = {stated_s:g} in robot.toml",
             expected=f"{measured_s:.3g}; correct robot.toml and import again, a recording by "
             "`robot-acquire import LOG.mcap --robot CORRECTED.toml -o OUT.mcap`",
         )

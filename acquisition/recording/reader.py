@@ -18,26 +18,16 @@ from ..errors import Place
 from ..files import atomic_write
 from ..robot import EffortTiming, Payload, Robot, robot_from_files
 from .content import Messages, read_content
-from .rows import FRAME, Block, check_frames, check_samples
-from .writer import (
-    CAPTURE_TOPIC,
-    EFFORT_TIMINGS,
-    FRAMES_TOPIC,
-    SCHEMA_VERSION,
-    Header,
-    RecordingWriter,
-    metadata_crc,
-    sample_layouts,
-)
+from .rows import CAPTURE_TOPIC, FRAME, Block, check_frames, check_samples
+from .writer import EFFORT_TIMINGS, FRAMES_TOPIC, SCHEMA_VERSION, Header, RecordingWriter, metadata_crc, sample_layouts
 
 FIRST_DATE_NS = 946_684_800 * 10**9  # 2000-01-01; stamps before it count from the start of a computer or a recording
 
 # The end of a layout of rows with values of further objects of the drives, of earlier versions.
 _EXTRA = re.compile(r"(.*), \('extra', '<f8', \(([1-9][0-9]{0,3}),\)\)\]")
 NO_SAMPLES = "no samples: "  # begins the event that gives the reason
-READ_TOPICS = re.compile(
-    f"/samples|/events|/health|{CAPTURE_TOPIC}|{FRAMES_TOPIC.pattern}"
-)  # all topics but those for viewers
+# All topics but those for viewers.
+READ_TOPICS = re.compile(f"/samples|/events|/health|{CAPTURE_TOPIC}|{FRAMES_TOPIC.pattern}")
 
 
 class _EventText(msgspec.Struct):

@@ -13,6 +13,7 @@ from ..files import release_pages
 from ..protocol import PARAMETERS, REQUEST, ObjectEntry, Pdo, request_of
 
 # One raw CAN frame; `data` beyond `length` is zero.
+CAPTURE_TOPIC = "/ethercat/frames"
 FRAME = np.dtype([("time_ns", "<i8"), ("can_id", "<u4"), ("length", "u1"), ("flags", "u1"), ("data", "u1", (8,))])
 # Bits of FRAME's `flags`.
 SENT = 1  # by this master; not set: received

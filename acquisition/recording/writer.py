@@ -26,7 +26,7 @@ from mcap.writer import Writer
 from ..arrays import Array
 from ..errors import Place
 from ..robot import EffortTiming, Payload, Robot
-from .rows import FRAME, OPTIONAL, Block, check_frames, check_samples, sample_dtype
+from .rows import CAPTURE_TOPIC, FRAME, OPTIONAL, Block, check_frames, check_samples, sample_dtype
 
 # Texts of the metadata's key `effort_timing`; a missing key means "unknown".
 EFFORT_TIMINGS: Mapping[EffortTiming, str] = {
@@ -39,8 +39,6 @@ EFFORT_TIMINGS: Mapping[EffortTiming, str] = {
 SCHEMA_VERSION = 2  # 1: samples without the fields `OPTIONAL`
 
 FRAMES_TOPIC = re.compile(r"/can/([A-Za-z0-9_.-]{1,64})/frames")
-CAPTURE_TOPIC = "/ethercat/frames"
-CAPTURE_LAYOUT = "parts of a file: pcap, little-endian, nanoseconds, link type Ethernet"
 JOINT_STATE = "sensor_msgs/msg/JointState"
 JOINT_STATE_RATE_HZ = 100.0
 
@@ -205,7 +203,7 @@ class RecordingWriter:
 
     def captured(self, records: bytes, stamp_ns: int) -> None:
         """Add records of pcap; all of them are a file of pcap with nanoseconds, whose head is in the first ones."""
-        channel = self._channel(CAPTURE_TOPIC, "pcap", "robot_idim/pcap", "text", CAPTURE_LAYOUT)
+        channel = self._channel(CAPTURE_TOPIC, "pcap", "robot_idim/pcap", "text", "parts of a pcap file")
         self._writer.add_message(channel, stamp_ns, records, stamp_ns)
 
     def event(self, stamp_ns: int, kind: str, text: str) -> None:
