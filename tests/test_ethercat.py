@@ -184,7 +184,7 @@ def test_what_is_missing_is_said(tmp_path):
     check(recording.samples, over)
     assert "reference" not in recording.samples.dtype.names
     assert found.warnings == ("no reference: the targets are not mapped, or not in frames on their way out",)
-    with pytest.raises(AcquisitionError, match="holds no process data of EtherCAT"):
+    with pytest.raises(AcquisitionError, match=r"no process data come back.*it has .nothing."):
         imported(tmp_path, made_up.pcap(bus.start()))
     with pytest.raises(
         AcquisitionError, match=r"a cycle came every 1 ms; bus.sync_period_s = 0.002 in robot.toml: expected 0.001"
@@ -259,8 +259,8 @@ def test_late_stamps_are_no_gap(tmp_path):
 def test_late_rows_with_a_lost_one_among_them_have_no_certain_cycle():
     """Rows 3 to 5 of eight are stamped late, and one of them is lost: which, nobody knows."""
     numbers, certain = cycle_numbers(np.array([0, 1000, 2000, 5600, 5610, 6000, 7000]), 1000.0)
-    assert certain.tolist() == [True, True, True, False, False, True, True]
-    assert numbers[certain].tolist() == [0, 1, 2, 6, 7]
+    assert certain.tolist() == [True, True, True, False, False, False, True]
+    assert numbers[certain].tolist() == [0, 1, 2, 7]
 
 
 def test_a_row_too_many_has_no_certain_cycle():

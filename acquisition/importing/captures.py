@@ -13,11 +13,7 @@ from ..errors import Place
 from ..recording import Block
 
 _BLOCKS = b"\x0a\x0d\x0d\x0a"  # pcapng
-_RECORDS = {
-    struct.pack(f"{order}I", magic): (order, ns)
-    for order in "<>"
-    for magic, ns in ((0xA1B2C3D4, 1000), (0xA1B23C4D, 1))
-}
+_RECORDS = {struct.pack(f"{x}I", magic): (x, ns) for x in "<>" for magic, ns in ((0xA1B2C3D4, 1000), (0xA1B23C4D, 1))}
 _INTERFACE, _ENHANCED, _RESOLUTION = 1, 6, 9  # types of blocks, option of an interface
 _ETHERNET = 1  # link type
 PCAP_HEAD = struct.pack("<IHHiIII", 0xA1B23C4D, 2, 4, 0, 0, 2**18, _ETHERNET)
@@ -26,9 +22,7 @@ _MAX_PACKET, _MAX_BLOCK = 2**18, 2**24  # bytes: more is damage
 _VLAN, _IP, _ETHERCAT, _UDP, _PORT = (0x8100, 0x88A8), 0x0800, 0x88A4, 17, 34980
 _HEAD = np.dtype([("command", "u1"), ("index", "u1"), ("address", "<u4"), ("length", "<u2"), ("event", "<u2")])
 _MARGIN = 128  # bytes: no header is further from the first byte of a packet
-_FOUND = np.dtype(
-    [("packet", "<i8"), ("at", "<i8"), *((name, _HEAD[name]) for name in _HEAD.names), ("counter", "<u2")]
-)
+_FOUND = np.dtype([("packet", "<i8"), ("at", "<i8"), *_HEAD.descr, ("counter", "<u2")])
 
 
 class Packets(NamedTuple):
@@ -117,7 +111,7 @@ def _ticks(interface: bytes, order: str) -> int:
 def gather(data: NDArray[np.uint8], at: Ints, kind: str | np.dtype[Any]) -> NDArray[Any]:
     """Values (m,) of a type that begin at bytes `at` (m,) of the data."""
     kind = np.dtype(kind)
-    return data[at[:, None] + np.arange(kind.itemsize)].view(kind)[:, 0]
+    return np.asarray(data[at[:, None] + np.arange(kind.itemsize)].view(kind)[:, 0])
 
 
 def datagrams(given: Packets) -> Block:
@@ -138,18 +132,16 @@ def datagrams(given: Packets) -> Block:
     parts = [np.zeros(0, _FOUND)]
     while len(packet):
         fits = at + _HEAD.itemsize + 2 <= end[packet]
-        packet, at = packet[fits], at[fits]
-        head = gather(data, at, _HEAD)
-        after = at + _HEAD.itemsize + (head["length"] & 0x7FF)
-        fits = after + 2 <= end[packet]
-        packet, at, head, after = packet[fits], at[fits], head[fits], after[fits]
-        found = np.empty(len(packet), _FOUND)
-        for name in ("command", "index", "address"):
+        found = np.zeros(int(fits.sum()), _FOUND)
+        found["packet"], found["at"] = packet[fits], at[fits] + _HEAD.itemsize
+        head = gather(data, at[fits], _HEAD)
+        for name in ("command", "index", "address", "length"):
             found[name] = head[name]
-        found["packet"], found["at"], found["length"] = packet, at + _HEAD.itemsize, head["length"] & 0x7FF
-        found["counter"] = gather(data, after, "<u2")
-        parts.append(found)
-        more = head["length"] & 0x8000 != 0
-        packet, at = packet[more], after[more] + 2
+        more, found["length"] = found["length"] & 0x8000 != 0, found["length"] & 0x7FF
+        after = found["at"] + found["length"]
+        found["counter"] = gather(data, np.minimum(after, len(data) - 2), "<u2")
+        fits = after + 2 <= end[found["packet"]]
+        parts.append(found[fits])
+        packet, at = found["packet"][fits & more], after[fits & more] + 2
     found = np.concatenate(parts)
     return found[np.argsort(found["packet"], kind="stable")]

@@ -109,7 +109,6 @@ def import_capture(
                 writer.captured(head + given.records(kept), int(given.time_ns[kept[0]]))
                 head = b""
         rows, times, has_reference = _on_grid(process, bus.period_ns, at, warnings)
-        warnings += process.warnings()
         first_ns, last_ns = int(rows["stamp_ns"][0]), int(rows["stamp_ns"][-1])
         for block in joint_samples(in_parts(rows), robot, bus):
             writer.samples(block)
@@ -172,6 +171,8 @@ def _on_grid(process: ProcessData, nominal_ns: int, at: Place, warnings: list[st
         found["target"] = rows["target"][chosen - 1]
     else:
         warnings.append("no reference: the targets are not mapped, or not in frames on their way out")
+    if process.short:
+        warnings.append(f"{process.short} cycles with a working counter below the full one are left out")
     uncertain = len(rows) - len(chosen) - has_reference  # the first row has none before it
     if uncertain:
         warnings.append(

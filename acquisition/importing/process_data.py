@@ -1,7 +1,7 @@
 """Cyclic process data in EtherCAT frames → rows of the integers of CiA 402 drives (CoE), in file order."""
 
-from collections.abc import Iterator, Sequence
-from typing import NamedTuple, NoReturn, TypeAlias
+from collections.abc import Sequence
+from typing import NoReturn, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,27 +9,10 @@ from numpy.typing import NDArray
 from ..arrays import Ints
 from ..errors import AcquisitionError, Place, listed
 from ..files import GrowingBytes
-from ..protocol import ObjectEntry
 from ..recording import Block, minimum_ahead
 from ..robot import Bus
 from .captures import Packets, datagrams, gather
-from .slaves import (
-    APWR,
-    BWR,
-    END,
-    FMMUS,
-    FPWR,
-    LRD,
-    LRW,
-    LWR,
-    MAILBOX,
-    STATION,
-    Entries,
-    Located,
-    Slaves,
-    full_counter,
-    spans,
-)
+from .slaves import LRD, LRW, LWR, WRITES, Entries, Located, Slaves, spans
 
 MAX_OFF = 0.25  # of a period: what is nearer belongs together
 _CLOCK, _CLOCK_COMMANDS = 0x910, (13, 14)  # system time of the distributed clocks; ARMW and FRMW
@@ -42,15 +25,7 @@ _MAPPING = (
 
 Bools: TypeAlias = NDArray[np.bool_]
 Part: TypeAlias = tuple[int, int, int, bool]  # command, logical address and bytes of datagrams; whether they came back
-
-
-class _Field(NamedTuple):
-    """A drive's object: name, drive, byte in a part, and type."""
-
-    name: str
-    drive: int
-    at: int
-    kind: str
+Fields: TypeAlias = dict[tuple[str, int], tuple[int, str]]  # by quantity and drive: byte in a part, and type
 
 
 def parse_mapping(texts: Sequence[str]) -> list[Entries]:
@@ -75,11 +50,11 @@ class ProcessData:
     def __init__(self, bus: Bus, mapping: Sequence[Entries], place: Place) -> None:
         self._bus, self._mapping, self._place = bus, mapping, place
         self._slaves = {True: Slaves(), False: Slaves()}  # by datagrams that came back, and that went out
-        self._fields: dict[Part, list[_Field]] = {}
+        self._fields: dict[Part, Fields] = {}
         self._columns: dict[Part, GrowingBytes] = {}
         self._seen: dict[Part, int] = {}
         self._packets, self._since, self._why = 0, -1, ""
-        self.early = self.short = self.doubled = 0
+        self.short = self.doubled = 0
 
     def add(self, given: Packets) -> Ints:
         """Add packets; the numbers of those of EtherCAT."""
@@ -106,26 +81,23 @@ class ProcessData:
 
     def _configure(self, data: NDArray[np.uint8], found: Block) -> None:
         """Read what configures the slaves; rows before a change are dropped."""
-        register = found["address"] >> 16
-        written = (register == STATION) | (register >= FMMUS) & (register < END) | (register >= MAILBOX)
-        for one in found[np.isin(found["command"], (APWR, FPWR, BWR)) & written]:
+        for one in found[np.isin(found["command"], WRITES)]:
             content, back = data[one["at"] : one["at"] + one["length"]].tobytes(), bool(one["counter"])
             if self._slaves[back].write(int(one["command"]), int(one["address"]), content) and back:
                 self._since = self._packets + int(one["packet"])
-                self.early += max((len(x) // self._row(part).itemsize for part, x in self._columns.items()), default=0)
                 self._fields, self._columns, self._seen = {}, {}, {}
 
     def _row(self, part: Part) -> np.dtype[np.void]:
         about = [("packet", "<i8"), ("time_ns", "<i8"), ("clock_ns", "<i8"), ("counter", "<u2"), ("index", "u1")]
-        return np.dtype([*about, *((f"{field.name}{field.drive}", field.kind) for field in self._fields[part])])
+        return np.dtype([*about, *((f"{name}{i}", kind) for (name, i), (_, kind) in self._fields[part].items())])
 
     def _extract(self, part: Part, found: Block, given: Packets, clock: Block) -> Block:
         """Rows of datagrams of a part; a clock's time of 32 bits is below 2**32, -1 is none."""
         rows = np.empty(len(found), self._row(part))
         rows["packet"], rows["time_ns"] = found["packet"] + self._packets, given.time_ns[found["packet"]]
         rows["counter"], rows["index"], rows["clock_ns"] = found["counter"], found["index"], -1
-        for field in self._fields[part]:
-            rows[f"{field.name}{field.drive}"] = gather(given.data, found["at"] + field.at, field.kind)
+        for (name, i), (at, kind) in self._fields[part].items():
+            rows[f"{name}{i}"] = gather(given.data, found["at"] + at, kind)
         if len(clock):
             one = clock[np.searchsorted(clock["packet"], found["packet"]).clip(max=len(clock) - 1)]
             low, high = (gather(given.data, one["at"] + at, "<u4").astype(np.int64) for at in (0, 4))
@@ -133,12 +105,12 @@ class ProcessData:
             rows["clock_ns"] = np.where(one["packet"] == found["packet"], time_ns, -1)
         return rows
 
-    def _find_fields(self) -> dict[Part, list[_Field]]:
+    def _find_fields(self) -> dict[Part, Fields]:
         """Where the drives' objects are, by the mapping in the capture or the stated one; empty if not yet known.
 
         A drive is in its `station`, or in the next slave that has its position.
         """
-        found, targets, self._why = dict[Part, list[_Field]](), dict[Part, list[_Field]](), ""
+        found, targets, self._why = dict[Part, Fields](), dict[Part, Fields](), "no mapping of inputs is in it"
         try:
             objects = self._objects()
         except ValueError as error:  # the master may not have written all of it yet
@@ -148,47 +120,43 @@ class ProcessData:
         free = [station for station, (inputs, _) in objects.items() if inputs and station not in named]
         for i, (drive, file) in enumerate(zip(self._bus.drives, self._bus.file.drive, strict=True)):
             able = (station for station in free if drive.position.key in objects[station][0])
-            station = next(able, None) if file.station is None else file.station
-            if station is None or not objects.get(station, ({}, {}))[0]:
-                where = "a further slave" if station is None else f"station {station}"
-                if any(inputs for inputs, _ in objects.values()):
-                    self._why = f"no mapping of {where} for {drive.name} is in it"
+            station = next(able, -1) if file.station is None else file.station
+            inputs, outputs = objects.get(station, ({}, {}))
+            if not inputs:
+                where = "a further slave" if file.station is None else f"station {station}"
+                self._why = f"no mapping of {where} for {drive.name} is in it" if free else self._why
                 return {}
             free = free[free.index(station) + 1 :] if station in free else free
-            inputs, outputs = objects[station]
-            for name, entry in (("position", drive.position), ("effort", drive.effort.entry)):
-                address, size = inputs.get(entry.key, (0, 0))
-                if 8 * size != entry.bits:
+            for name, entry in (("position", drive.position), ("effort", drive.effort.entry), ("target", drive.target)):
+                back = name != "target"
+                address, size = (inputs if back else outputs).get(entry.key, (0, 0))
+                if back and 8 * size != entry.bits:
                     text = f"station {station}: {drive.name}: {entry} of {entry.bits} bits is not among its inputs"
                     names = listed([f"{index:04X}:{sub}" for index, sub in inputs])
                     self._place.refuse(text=text, expected=f"one of {names} in robot.toml")
-                if not self._place_field(found, name, i, address, entry, back=True):
-                    return {}
-            if drive.target.key in outputs:
-                self._place_field(targets, "target", i, outputs[drive.target.key][0], drive.target, back=False)
-        return found | (targets if sum(map(len, targets.values())) == len(self._bus.drives) else {})
+                parts = [
+                    part
+                    for part in self._seen
+                    if part[0] != (LWR if back else LRD) and part[3] == back
+                    if part[1] <= address and address + size <= part[1] + part[2]
+                ]
+                if size and parts:
+                    part = max(parts, key=self._seen.__getitem__)
+                    kind = f"<{entry.type[0].lower()}{size}"
+                    (found if back else targets).setdefault(part, {})[name, i] = address - part[1], kind
+        whole = [sum(map(len, fields.values())) // len(self._bus.drives) for fields in (found, targets)]
+        return {} if whole[0] < 2 else found | targets if whole[1] else found
 
     def _objects(self) -> dict[int, tuple[Located, Located]]:
         slaves = self._slaves[True]
-        if not self._mapping or any(any(registers[FMMUS:]) for registers in slaves.registers.values()):
+        if not self._mapping or slaves.mapped:
             return slaves.located(self._mapping)
         bits = [sum(bits for _, bits in slave) for slave in self._mapping]
         base = next((at for command, at, n, _ in self._seen if command != LWR and 8 * n == sum(bits)), None)
         if base is None:
             raise ValueError(f"--mapping has {sum(bits)} bits")
         placed = [spans([((0, 0), sum(bits[:k])), *slave]) for k, slave in enumerate(self._mapping)]
-        return {-k: ({key: (base + at, n) for key, at, n in slave}, {}) for k, slave in enumerate(placed)}
-
-    def _place_field(
-        self, found: dict[Part, list[_Field]], name: str, drive: int, address: int, entry: ObjectEntry, *, back: bool
-    ) -> bool:
-        """Add an object to the datagrams that it is in; whether there are such ones."""
-        last, commands = address + entry.bits // 8, (LRD, LRW) if back else (LWR, LRW)
-        held = [p for p in self._seen if p[0] in commands and p[1] <= address and last <= p[1] + p[2] and p[3] == back]
-        if held:
-            part, kind = max(held, key=self._seen.__getitem__), f"<{entry.type[0].lower()}{entry.bits // 8}"
-            found.setdefault(part, []).append(_Field(name, drive, address - part[1], kind))
-        return bool(held)
+        return {-k: ({key: (base + at, n) for key, at, n in slave}, {}) for k, slave in enumerate(placed, 2)}
 
     def rows(self) -> Block:
         """Time, time by distributed clocks (-1: none), position, effort and target (n,) of each cycle with full counters.
@@ -220,20 +188,16 @@ class ProcessData:
             else:
                 index, joined = _sent(main, other, period)
                 rows["known"] &= joined
-            for field in self._fields[part] if len(other) else ():
-                rows[field.name][:, field.drive] = other[f"{field.name}{field.drive}"][index]
+            for name, i in self._fields[part] if len(other) else ():
+                rows[name][:, i] = other[f"{name}{i}"][index]
         self.short = int((good & ~whole).sum())
         return rows[good & whole]
 
     def _full(self, part: Part, counter: NDArray[np.uint16]) -> int:
         """The full working counter: by FMMUs, else the highest that is no damage."""
-        registers = [bytes(x) for x in self._slaves[True].registers.values() if any(x[FMMUS:])]
-        counts = np.bincount(counter)
-        return (
-            full_counter(registers, *part[:3])
-            if registers
-            else int(np.flatnonzero(counts > _MIN_SHARE * len(counter))[-1])
-        )
+        if self._slaves[True].mapped:
+            return self._slaves[True].full_counter(*part[:3])
+        return int(np.flatnonzero(np.bincount(counter) > _MIN_SHARE * len(counter))[-1])
 
     def _undoubled(self, part: Part) -> Block:
         """Rows of a part, but those that repeat the one before within half a period, and whose stamps others contradict."""
@@ -249,30 +213,19 @@ class ProcessData:
             time_ns >= -minimum_ahead(-time_ns[::-1], _ORDER)[::-1]
         )
         self.doubled += int(again.sum()) if part == next(iter(self._fields)) else 0
-        return rows[in_order & ~np.concatenate([np.zeros(min(1, len(rows)), np.bool_), again])]
+        return np.asarray(rows[in_order & ~np.concatenate([np.zeros(min(1, len(rows)), np.bool_), again])])
 
     def refuse_no_rows(self) -> NoReturn:
         """Say what is missing in the capture."""
         most = sorted(self._seen, key=lambda part: -self._seen[part])[:4]
         shown = listed([f"{_NAMES[command]} of {n} bytes at 0x{address:X}" for command, address, n, _ in most])
         text, expected = f"no row of all drives with full working counters in {shown}", "a bus in operation"
-        if not self._seen:
-            text, expected = "holds no process data of EtherCAT", "a bus in operation: LRD, LWR, LRW"
-        elif not any(part[3] for part in self._seen):
-            text = f"no process data come back from the slaves; it has {shown} with working counter 0"
-            expected = "both directions: capture on the master's own interface"
+        if not any(part[3] for part in self._seen):
+            text = f"no process data come back from the slaves; it has {shown}"
+            expected = "a bus in operation, both directions: capture on the master's own interface"
         elif not self._fields:
-            text = f"{self._why or 'no mapping of inputs is in it'}; it has {shown}"
-            expected = f"a capture from the start of the bus, or {_MAPPING}"
+            text, expected = f"{self._why}; it has {shown}", f"a capture from the start of the bus, or {_MAPPING}"
         self._place.refuse(text=text, expected=expected)
-
-    def warnings(self) -> Iterator[str]:
-        """What was left out."""
-        reasons = {
-            "rows before the last change of the mapping are left out": self.early,
-            "cycles with a working counter below the full one are left out": self.short,
-        }
-        yield from (f"{count} {reason}" for reason, count in reasons.items() if count)
 
 
 def _join(main: Block, other: Block, period: int) -> tuple[Ints, Bools]:

@@ -1,11 +1,12 @@
 """What a capture shows of the EtherCAT slaves: stations, sync managers, FMMUs, and the objects that they map (CoE)."""
 
 import struct
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TypeAlias
 
-APWR, FPWR, BWR, LRD, LWR, LRW = 2, 5, 8, 10, 11, 12  # commands
-STATION, FMMUS, MANAGERS, END, MAILBOX = 0x10, 0x600, 0x800, 0x880, 0x1000  # registers
+APWR, BWR, WRITES = 2, 8, (2, 5, 8)  # commands
+LRD, LWR, LRW = 10, 11, 12
+_STATION, _FMMUS, _MANAGERS, _END, _MAILBOX = 0x10, 0x600, 0x800, 0x880, 0x1000  # registers
 _FMMU = struct.Struct("<IHBBHBBB3x")
 _MAIL = struct.Struct("<5xBHBHBI")  # type; CoE service; command, index, sub-index and value of SDO
 _COE, _REQUEST = 3, 2
@@ -26,6 +27,21 @@ class Slaves:
         self.objects: dict[int, dict[Key, int]] = {}
 
     @property
+    def mapped(self) -> list[bytes]:
+        """Registers of the slaves with FMMUs."""
+        return [bytes(x) for x in self.registers.values() if any(x[_FMMUS:_MANAGERS])]
+
+    def full_counter(self, command: int, address: int, length: int) -> int:
+        """The working counter of a datagram that all slaves answered."""
+        ways = {LRD: {1: 1}, LWR: {2: 1}, LRW: {1: 1, 2: 2}}[command]
+        return sum(
+            count
+            for registers in self.mapped
+            for way, count in ways.items()
+            if any(start < address + length and address < start + size for start, _, size in _fmmus(registers, way))
+        )
+
+    @property
     def stations(self) -> list[int]:
         """Those whose places are known, in the order of the bus; then the others."""
         return list(
@@ -35,29 +51,29 @@ class Slaves:
     def write(self, command: int, address: int, data: bytes) -> bool:
         """Whether a datagram changed what process data mean."""
         slave, register = address & 0xFFFF, address >> 16
-        before = bytes(self.registers.get(slave, b"")), dict(self.objects.get(slave, {}))
-        if command == APWR and register == STATION and len(data) == 2:
+        before = self._state(slave)
+        if command == APWR and register == _STATION and len(data) == 2:
             self._places[slave - (slave >> 15 << 16)] = int.from_bytes(data, "little")
-        elif FMMUS <= register < END:
+        elif _FMMUS <= register < _END:
             for station in list(self.registers) if command == BWR else [slave]:
-                memory = self.registers.setdefault(station, bytearray(END))
-                memory[register : register + len(data)] = data[: END - register]
-        elif register >= MAILBOX and len(data) >= _MAIL.size:
+                memory = self.registers.setdefault(station, bytearray(_END))
+                memory[register : register + len(data)] = data[: _END - register]
+        elif register >= _MAILBOX and len(data) >= _MAIL.size:
             kind, service, sdo, index, sub, value = _MAIL.unpack_from(data)
             mapping = index in (INPUTS[1], OUTPUTS[1]) or 0x1600 <= index < 0x1800 or 0x1A00 <= index < 0x1C00
             if mapping and kind & 15 == _COE and service >> 12 == _REQUEST and sdo & 0xE2 == 0x22:  # expedited download
                 size = 4 - (sdo >> 2 & 3) if sdo & 1 else 4
                 self.objects.setdefault(slave, {})[index, sub] = value & (1 << 8 * size) - 1
-        return before != (bytes(self.registers.get(slave, b"")), self.objects.get(slave, {}))
+        return before != self._state(slave)
+
+    def _state(self, station: int) -> tuple[bytes, dict[Key, int]]:
+        return bytes(self.registers.get(station, b"")), dict(self.objects.get(station, {}))
 
     def contradicts(self, other: "Slaves") -> int | None:
         """A station of which the other direction has other contents or another place; None without one."""
-        theirs = [station for station in other.stations if station in self.registers]
-        for station, place in zip([s for s in self.stations if s in other.registers], theirs, strict=False):
-            same = self.registers.get(station) == other.registers[station]
-            if station != place or not same or self.objects.get(station) != other.objects.get(station):
-                return station
-        return None
+        ours, theirs = ([x for x in a.stations if x in b.registers] for a, b in ((self, other), (other, self)))
+        pairs = zip(ours, theirs, strict=False)
+        return next((x for x, y in pairs if x != y or self._state(x) != other._state(x)), None)
 
     def located(self, stated: Sequence[Entries]) -> dict[int, tuple[Located, Located]]:
         """Inputs and outputs by station; `stated` inputs of slaves with FMMUs, if the capture has no mapping of them.
@@ -66,8 +82,8 @@ class Slaves:
         """
         further, found = iter(stated), dict[int, tuple[Located, Located]]()
         for station in self.stations:
-            objects, registers = self.objects.get(station, {}), bytes(self.registers.get(station, bytes(END)))
-            inputs = _entries(objects, INPUTS) or (next(further, []) if any(registers[FMMUS:MANAGERS]) else [])
+            objects, registers = self.objects.get(station, {}), bytes(self.registers.get(station, bytes(_END)))
+            inputs = _entries(objects, INPUTS) or (next(further, []) if any(registers[_FMMUS:_MANAGERS]) else [])
             try:
                 found[station] = (
                     _places(registers, inputs, INPUTS),
@@ -80,7 +96,7 @@ class Slaves:
 
 def _fmmus(registers: bytes, way: int) -> Iterator[tuple[int, int, int]]:
     """Logical address, physical address and bytes of the active FMMUs of a way: 1 inputs, 2 outputs."""
-    for logical, size, first, last, physical, bit, kind, active in _FMMU.iter_unpack(registers[FMMUS : FMMUS + 256]):
+    for logical, size, first, last, physical, bit, kind, active in _FMMU.iter_unpack(registers[_FMMUS : _FMMUS + 256]):
         if active & 1 and kind & way and (first, last, bit) == (0, 7, 0):
             yield logical, physical, size
 
@@ -105,7 +121,7 @@ def spans(entries: Entries) -> Iterator[tuple[Key, int, int]]:
 def _places(registers: bytes, entries: Entries, way: Way) -> Located:
     if not entries:
         return {}
-    start, size = struct.unpack_from("<HH", registers, MANAGERS + 8 * way[0])
+    start, size = struct.unpack_from("<HH", registers, _MANAGERS + 8 * way[0])
     bits = sum(bits for _, bits in entries)
     if bits != 8 * size:
         raise ValueError(f"{way[1]:04X} maps {bits} bits, sync manager {way[0]} has {8 * size}")
@@ -115,14 +131,3 @@ def _places(registers: bytes, entries: Entries, way: Way) -> Located:
         for logical, physical, mapped in _fmmus(registers, way[2])
         if physical <= start + at and start + at + length <= physical + mapped
     }
-
-
-def full_counter(slaves: Iterable[bytes], command: int, address: int, length: int) -> int:
-    """The working counter of a datagram that all slaves answered, by their registers."""
-    ways = {LRD: {1: 1}, LWR: {2: 1}, LRW: {1: 1, 2: 2}}[command]
-    return sum(
-        count
-        for registers in slaves
-        for way, count in ways.items()
-        if any(start < address + length and address < start + size for start, _, size in _fmmus(registers, way))
-    )
