@@ -11,7 +11,7 @@ from made_up_buses import JOINT, robot_of
 
 from acquisition.commands import main
 from acquisition.errors import AcquisitionError
-from acquisition.importing import import_capture, import_recording
+from acquisition.importing import import_log, import_recording
 from acquisition.importing.ethercat import cycle_numbers
 from acquisition.recording import read_recording
 from acquisition.robot import Robot
@@ -45,7 +45,7 @@ def imported(tmp_path: Path, content: bytes, robot: Robot = ROBOT, **options):
     path, out = tmp_path / "a.pcap", tmp_path / "a.mcap"
     path.write_bytes(content)
     out.unlink(missing_ok=True)
-    found = import_capture(path, out, robot, "robot.toml", **options)
+    found = import_log(path, out, robot, "robot.toml", **options)
     return read_recording(out), found
 
 
@@ -379,10 +379,6 @@ def test_the_command_imports_a_capture_by_its_first_bytes(tmp_path, capsys):
     assert "99 samples at 1000 Hz, effort in N m, with reference" in capsys.readouterr().out
     assert main([*command, "--overwrite", "--mapping", "6041"]) == 1
     assert "--mapping = '6041': expected such as 0x6041:16" in capsys.readouterr().err
-    (tmp_path / "a.csv").write_text("t,q\n0,0\n")
-    command[1] = str(tmp_path / "a.csv")
-    assert main([*command, "--overwrite", "--mapping", WHOLE]) == 1
-    assert "expected an EtherCAT capture" in capsys.readouterr().err
 
 
 def real() -> Path:

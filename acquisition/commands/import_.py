@@ -43,11 +43,8 @@ def add(parser: argparse.ArgumentParser) -> None:
     text = "sample rate in Hz after interpolation (default: the rate of the time stamps, rounded)"
     bag.add_argument("--resample-hz", type=float, metavar="HZ", help=text)
     capture = parser.add_argument_group("EtherCAT capture")
-    text = (
-        "inputs of a slave in their order, such as 0x6041:16,0x6064:32,0x6077:16, gaps as 0:BITS; once per slave in the order "
-        "of the bus; only for a capture that begins after the master wrote the mapping"
-    )
-    capture.add_argument("--mapping", metavar="[STATION=]OBJECT:BITS,...", action="append", default=[], help=text)
+    text = "for a capture without it: inputs of a slave, gaps as 0:BITS; once per slave in the order of the bus"
+    capture.add_argument("--mapping", metavar="0x6041:16,0x6064:32,...", action="append", default=[], help=text)
     outputs = parser.add_argument_group("outputs")
     add_path(outputs, "-o --output", "LOG.mcap", "the recording to write (default: named as the first FILE)")
     add_overwrite(outputs)
@@ -60,40 +57,22 @@ def run(options: argparse.Namespace) -> None:
     options.output = options.output or options.tables[0].with_suffix(".mcap")
     refuse_clash([options.robot, options.map, *options.tables], options.output, overwrite=options.overwrite)
     with Progress("importing"):
-        from ..importing import (
-            BagOptions,
-            import_bag,
-            import_capture,
-            import_log,
-            import_recording,
-            import_tables,
-            is_capture,
-        )
+        from ..importing import BagOptions, import_bag, import_log, import_recording, import_tables
         from ..robot import load_robot, parse_payload
 
         out, tables = options.output, options.tables
         again = options.topic is None and options.map is None and is_recording(tables[0])
         robot = None if options.robot is None else load_robot(options.robot)
         payload = None if options.payload is None or robot is None else parse_payload(options.payload, robot)
-        capture = options.topic is None and options.map is None and is_capture(tables[0])
-        if options.mapping and not capture and not again:
-            raise AcquisitionError(
-                key="--mapping", value=options.mapping[0], expected="an EtherCAT capture: pcap or pcapng"
-            )
         if again:
             _refuse_bag_options(options)
             _refuse_as_recording(options)
             found = import_recording(tables[0], out, robot, str(options.robot or ""))
-        elif not capture and options.topic is None and options.map is None and _propose(options, robot):
+        elif options.topic is None and options.map is None and _propose(options, robot):
             return
         elif robot is None:
             expected = "the robot's description; only recordings have their own"
             raise AcquisitionError(key="--robot", value=None, expected=expected)
-        elif capture:
-            _refuse_bag_options(options)
-            if len(tables) > 1:
-                raise AcquisitionError("is a second capture", place=str(tables[1]), expected="one")
-            found = import_capture(tables[0], out, robot, str(options.robot), options.mapping, payload)
         elif options.topic is not None:
             _refuse_as_bag(options)
             units = [unit.strip() for unit in options.effort_unit.split(",")]
@@ -105,7 +84,7 @@ def run(options: argparse.Namespace) -> None:
                 found = import_tables(tables, robot, options.map, out, payload)
             else:
                 _refuse_as_log(tables)
-                found = import_log(tables[0], out, robot, str(options.robot), payload)
+                found = import_log(tables[0], out, robot, str(options.robot), payload, options.mapping)
     _print(found, sys.stderr if options.topic is None and options.map is None else sys.stdout)
 
 

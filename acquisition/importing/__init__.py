@@ -1,9 +1,7 @@
 """Imports tables, ROS 2 bags, CAN logs and recordings, whose frames it decodes; exports recordings."""
 
 from .bags import BagOptions, import_bag, is_bag
-from .captures import is_capture
 from .conversions import import_log, import_recording, is_log
-from .ethercat import import_capture
 from .exports import export_csv
 from .proposed_map import TORQUE_SENSORS, propose_map
 from .tables import import_tables, lines_to_fill_in

@@ -1,6 +1,7 @@
 """Recordings from frames: of other recordings, also cut ones, and of CAN logs."""
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,7 @@ from ..recording import (
 )
 from ..robot import Payload, Robot, check_recorded_positions, resolve
 from ..session import RecordedSummary, write_decoded
+from .captures import is_capture
 from .ethercat import import_capture
 from .time_base import ImportSummary
 
@@ -95,12 +97,14 @@ def _repair(recording: Recording, path: Path, out: Path) -> ImportSummary:
 
 
 def is_log(path: Path) -> bool:
-    """Whether the suffix of a file is that of a CAN log."""
-    return path.suffix.lower() in SUFFIXES
+    """Whether the suffix of a file is that of a CAN log, or it begins as an EtherCAT capture."""
+    return path.suffix.lower() in SUFFIXES or is_capture(path)
 
 
-def import_log(log: Path, out: Path, robot: Robot, place: str, payload: Payload | None = None) -> ImportSummary:
-    """Write the recording `out` from another tool's CAN log.
+def import_log(
+    log: Path, out: Path, robot: Robot, place: str, payload: Payload | None = None, mapping: Sequence[str] = ()
+) -> ImportSummary:
+    """Write the recording `out` from another tool's CAN log, or an EtherCAT capture with the stated `mapping`.
 
     Parameters
     ----------
@@ -115,6 +119,8 @@ def import_log(log: Path, out: Path, robot: Robot, place: str, payload: Payload 
     AcquisitionError
         The log cannot be read, none of its frames are of the described interface, or they do not decode.
     """
+    if is_capture(log):
+        return import_capture(log, out, robot, place, mapping, payload)
     frames, left_out = _select_interface(log, robot)
     frames["time_ns"] = np.maximum.accumulate(frames["time_ns"])
     decoded = _decode_checked(frames, robot, str(log), place)

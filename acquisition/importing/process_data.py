@@ -32,14 +32,12 @@ def parse_mapping(texts: Sequence[str]) -> list[Entries]:
     """Objects with their bits of each slave in `--mapping`."""
     found = list[Entries]()
     for text in texts:
-        words = [word.split(":") for word in text.split(",")]
         try:
-            found.append(
-                [((int(w[0], 16), int(w[1]) if len(w) > 2 else 0), int(w[-1])) for w in words if 2 <= len(w) <= 3]
-            )
+            words = [word.split(":") for word in text.split(",")]
+            found.append([((int(index, 16), int("".join(sub) or 0)), int(bits)) for index, *sub, bits in words])
         except ValueError:
             found.append([])
-        if len(found[-1]) < len(words) or not all(0 < bits < 2**14 for _, bits in found[-1]):
+        if not found[-1] or not all(0 < bits < 2**14 for _, bits in found[-1]):
             raise AcquisitionError(key="--mapping", value=text, expected="such as 0x6041:16,0x6064:32,0x6077:16")
     return found
 
@@ -67,8 +65,7 @@ class ProcessData:
         for k in np.unique(key):
             part = int(k >> 44), int(k >> 12 & 0xFFFFFFFF), int(k >> 1 & 0x7FF), bool(k & 1)
             parts[part] = process[key == k]
-            if part in self._seen or len(self._seen) < 1000:
-                self._seen[part] = self._seen.get(part, 0) + len(parts[part])
+            self._seen[part] = self._seen.get(part, 0) + len(parts[part])
         if not self._fields:
             self._fields = self._find_fields()
             self._columns = {part: GrowingBytes() for part in self._fields}
@@ -134,11 +131,11 @@ class ProcessData:
                     text = f"station {station}: {drive.name}: {entry} of {entry.bits} bits is not among its inputs"
                     names = listed([f"{index:04X}:{sub}" for index, sub in inputs])
                     self._place.refuse(text=text, expected=f"one of {names} in robot.toml")
+                end, commands = address + size, (LRD, LRW) if back else (LWR, LRW)
                 parts = [
-                    part
-                    for part in self._seen
-                    if part[0] != (LWR if back else LRD) and part[3] == back
-                    if part[1] <= address and address + size <= part[1] + part[2]
+                    p
+                    for p in self._seen
+                    if p[0] in commands and p[1] <= address and end <= p[1] + p[2] and p[3] == back
                 ]
                 if size and parts:
                     part = max(parts, key=self._seen.__getitem__)
@@ -174,11 +171,7 @@ class ProcessData:
         n, main, period = len(self._bus.drives), read[inputs[0]], self._bus.period_ns
         kinds = [(name, "<i8", (n,)) for name in ("position", "effort", "target")]
         rows = np.zeros(len(main), np.dtype([("time_ns", "<i8"), ("clock_ns", "<i8"), ("known", "?"), *kinds]))
-        rows["time_ns"], rows["clock_ns"], rows["known"] = (
-            main["time_ns"],
-            main["clock_ns"],
-            not all(p[3] for p in read),
-        )
+        rows["time_ns"], rows["clock_ns"], rows["known"] = main["time_ns"], main["clock_ns"], len(inputs) < len(read)
         good, whole = np.ones(len(main), np.bool_), np.ones(len(main), np.bool_)
         for part, other in read.items():
             if part[3]:
@@ -202,18 +195,14 @@ class ProcessData:
     def _undoubled(self, part: Part) -> Block:
         """Rows of a part, but those that repeat the one before within half a period, and whose stamps others contradict."""
         rows = np.frombuffer(self._columns[part].whole(), self._row(part))
-        time_ns, names = (
-            rows["time_ns"],
-            [name for name in rows.dtype.names or () if name[-3:] != "_ns" and name != "packet"],
-        )
-        again = np.abs(np.diff(time_ns)) < self._bus.period_ns // 2
-        for name in names:
+        time_ns, again = rows["time_ns"], np.abs(np.diff(rows["time_ns"])) < self._bus.period_ns // 2
+        for name in rows.dtype.names[3:] if rows.dtype.names else ():
             again &= rows[name][1:] == rows[name][:-1]
-        in_order = (time_ns <= minimum_ahead(time_ns, _ORDER)) & (
-            time_ns >= -minimum_ahead(-time_ns[::-1], _ORDER)[::-1]
-        )
+        in_order = time_ns <= minimum_ahead(time_ns, _ORDER)
+        in_order &= time_ns >= -minimum_ahead(-time_ns[::-1], _ORDER)[::-1]
+        in_order[1:] &= ~again
         self.doubled += int(again.sum()) if part == next(iter(self._fields)) else 0
-        return np.asarray(rows[in_order & ~np.concatenate([np.zeros(min(1, len(rows)), np.bool_), again])])
+        return np.asarray(rows[in_order])
 
     def refuse_no_rows(self) -> NoReturn:
         """Say what is missing in the capture."""

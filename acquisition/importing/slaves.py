@@ -44,9 +44,8 @@ class Slaves:
     @property
     def stations(self) -> list[int]:
         """Those whose places are known, in the order of the bus; then the others."""
-        return list(
-            dict.fromkeys([*(self._places[k] for k in sorted(self._places, reverse=True)), *sorted(self.registers)])
-        )
+        placed = (self._places[k] for k in sorted(self._places, reverse=True))
+        return list(dict.fromkeys([*placed, *sorted(self.registers)]))
 
     def write(self, command: int, address: int, data: bytes) -> bool:
         """Whether a datagram changed what process data mean."""
