@@ -57,10 +57,12 @@ def run(options: argparse.Namespace) -> None:
     options.output = options.output or options.tables[0].with_suffix(".mcap")
     refuse_clash([options.robot, options.map, *options.tables], options.output, overwrite=options.overwrite)
     with Progress("importing"):
-        from ..importing import BagOptions, import_bag, import_log, import_recording, import_tables
+        from ..importing import BagOptions, import_bag, import_log, import_recording, import_tables, is_log
         from ..robot import load_robot, parse_payload
 
         out, tables = options.output, options.tables
+        if options.mapping and (options.topic or options.map or not is_log(tables[0])):
+            raise AcquisitionError(key="--mapping", value=options.mapping[0], expected="an EtherCAT capture")
         again = options.topic is None and options.map is None and is_recording(tables[0])
         robot = None if options.robot is None else load_robot(options.robot)
         payload = None if options.payload is None or robot is None else parse_payload(options.payload, robot)

@@ -136,17 +136,14 @@ def _on_grid(process: ProcessData, nominal_ns: int, at: Place, warnings: list[st
     The target of a row is that of the cycle before, which the drive had when it sampled.
     """
     rows = process.rows()
-    clock = (rows["clock_ns"] >= 0).mean() > _MIN_SHARE if len(rows) else False
-    if clock:
-        rows = rows[rows["clock_ns"] >= 0]
-        time_ns = rows["clock_ns"]
-        if time_ns.max() < 2**32:  # what is above 32 bits is by the capture
-            since = rows["time_ns"] - rows["time_ns"][0]
-            time_ns = rows["time_ns"][0] + since + (time_ns - time_ns[0] - since + 2**31) % 2**32 - 2**31
-    else:
-        time_ns = rows["time_ns"]
+    clock = np.count_nonzero(rows["clock_ns"] >= 0) > _MIN_SHARE * len(rows)
+    rows = rows[rows["clock_ns"] >= 0] if clock else rows
     if len(rows) < 4:
         process.refuse_no_rows()
+    time_ns = rows["clock_ns" if clock else "stamp_ns"]
+    if clock and time_ns.max() < 2**32:  # what is above 32 bits is by the capture
+        since = rows["stamp_ns"] - rows["stamp_ns"][0]
+        time_ns = rows["stamp_ns"] + (time_ns - time_ns[0] - since + 2**31) % 2**32 - 2**31
     period_ns = _period_ns(time_ns)
     refuse_period(period_ns * 1e-9, nominal_ns * 1e-9, str(at), "a cycle")
     if abs(period_ns / nominal_ns - 1) < _MAX_CLOCK_ERROR:
@@ -154,30 +151,23 @@ def _on_grid(process: ProcessData, nominal_ns: int, at: Place, warnings: list[st
     number, certain = cycle_numbers(time_ns, period_ns)
     start_ns = int(np.median(time_ns - np.rint(number * period_ns).astype(np.int64)))
     has_reference = bool(rows["known"].mean() > _MIN_SHARE)
-    raw = [
-        ("stamp_ns", "<i8"),
-        *((name, rows.dtype[name]) for name in ("position", "effort", "target")[: 2 + has_reference]),
-    ]
     certain[1:] &= (np.diff(number) == 1) & certain[:-1] & rows["known"][:-1] | (not has_reference)
     certain[0] &= not has_reference
     chosen = np.flatnonzero(certain)
     chosen = chosen[np.diff(number[chosen], prepend=-1) > 0]
     if len(chosen) < 2:
         process.refuse_no_rows()
-    found = np.empty(len(chosen), np.dtype(raw))
-    found["stamp_ns"] = start_ns + np.rint(number[chosen] * period_ns).astype(np.int64)
-    found["position"], found["effort"] = rows["position"][chosen], rows["effort"][chosen]
-    if has_reference:
-        found["target"] = rows["target"][chosen - 1]
-    else:
+    found = rows[chosen]
+    found["stamp_ns"] = max(0, start_ns) + np.rint(number[chosen] * period_ns).astype(np.int64)
+    found["target"] = rows["target"][chosen - 1]
+    if not has_reference:
+        found = found[["stamp_ns", "position", "effort"]]
         warnings.append("no reference: the targets are not mapped, or not in frames on their way out")
     if process.short:
         warnings.append(f"{process.short} cycles with a working counter below the full one are left out")
     uncertain = len(rows) - len(chosen) - has_reference  # the first row has none before it
     if uncertain:
-        warnings.append(
-            f"{uncertain} rows beside lost or late frames are left out: their cycle or target is not certain"
-        )
+        warnings.append(f"{uncertain} rows beside lost or late frames are left out: their cycle or target is uncertain")
     steps = np.diff(number[chosen])
     gaps = f"{(steps > 1).sum()} gaps, {(steps - 1).sum()} rows missing" if (steps > 1).any() else "no gaps"
     name = "distributed clocks" if clock else "stamps of the capture"

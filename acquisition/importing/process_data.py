@@ -156,7 +156,7 @@ class ProcessData:
         return {-k: ({key: (base + at, n) for key, at, n in slave}, {}) for k, slave in enumerate(placed, 2)}
 
     def rows(self) -> Block:
-        """Time, time by distributed clocks (-1: none), position, effort and target (n,) of each cycle with full counters.
+        """Stamp, time by distributed clocks (-1: none), position, effort and target (n,) of each cycle with full counters.
 
         `known`: the target is the one that was sent in the cycle.
         """
@@ -170,8 +170,8 @@ class ProcessData:
             self.refuse_no_rows()
         n, main, period = len(self._bus.drives), read[inputs[0]], self._bus.period_ns
         kinds = [(name, "<i8", (n,)) for name in ("position", "effort", "target")]
-        rows = np.zeros(len(main), np.dtype([("time_ns", "<i8"), ("clock_ns", "<i8"), ("known", "?"), *kinds]))
-        rows["time_ns"], rows["clock_ns"], rows["known"] = main["time_ns"], main["clock_ns"], len(inputs) < len(read)
+        rows = np.zeros(len(main), np.dtype([("stamp_ns", "<i8"), ("clock_ns", "<i8"), ("known", "?"), *kinds]))
+        rows["stamp_ns"], rows["clock_ns"], rows["known"] = main["time_ns"], main["clock_ns"], len(inputs) < len(read)
         good, whole = np.ones(len(main), np.bool_), np.ones(len(main), np.bool_)
         for part, other in read.items():
             if part[3]:
