@@ -164,16 +164,22 @@ class ProcessData:
         if station is not None:
             text = f"the configuration of station {station} that came back is not the one that went out"
             self._place.refuse(text=text, expected="an undamaged capture of one start of the bus")
-        read = {part: self._undoubled(part) for part in self._fields}
-        inputs = [part for part in read if part[3]]
-        if not inputs or not all(len(read[part]) for part in inputs):
+        inputs = [part for part in self._fields if part[3]]
+        if not inputs:
             self.refuse_no_rows()
-        n, main, period = len(self._bus.drives), read[inputs[0]], self._bus.period_ns
+        n, main, period = len(self._bus.drives), self._undoubled(inputs[0]), self._bus.period_ns
         kinds = [(name, "<i8", (n,)) for name in ("position", "effort", "target")]
         rows = np.zeros(len(main), np.dtype([("stamp_ns", "<i8"), ("clock_ns", "<i8"), ("known", "?"), *kinds]))
-        rows["stamp_ns"], rows["clock_ns"], rows["known"] = main["time_ns"], main["clock_ns"], len(inputs) < len(read)
+        rows["stamp_ns"], rows["clock_ns"], rows["known"] = (
+            main["time_ns"],
+            main["clock_ns"],
+            len(inputs) < len(self._fields),
+        )
         good, whole = np.ones(len(main), np.bool_), np.ones(len(main), np.bool_)
-        for part, other in read.items():
+        for part in self._fields:
+            other = main if part == inputs[0] else self._undoubled(part)
+            if part[3] and not len(other):
+                self.refuse_no_rows()
             if part[3]:
                 index, joined = _join(main, other, period)
                 good &= joined
@@ -184,7 +190,8 @@ class ProcessData:
             for name, i in self._fields[part] if len(other) else ():
                 rows[name][:, i] = other[f"{name}{i}"][index]
         self.short = int((good & ~whole).sum())
-        return rows[good & whole]
+        del main, other  # large in a long capture
+        return rows if (good & whole).all() else rows[good & whole]
 
     def _full(self, part: Part, counter: NDArray[np.uint16]) -> int:
         """The full working counter: by FMMUs, else the highest that is no damage."""
