@@ -9,9 +9,9 @@ import sys
 import msgspec
 import numpy as np
 import pytest
+from command_runs import refused, run
 from conftest import REPLAY, ROOT, robot_named
 from made_up_recordings import header
-from test_identify_command import refused, run
 
 from acquisition.errors import AcquisitionError
 from acquisition.recording import RecordingWriter, read_recording

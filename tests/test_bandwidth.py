@@ -1,14 +1,13 @@
 """A position loop whose bandwidth nobody states: filters and simulated loop follow from where the motion ends."""
 
-import importlib.metadata
 from dataclasses import replace
-from pathlib import Path
 
 import msgspec
 import numpy as np
 import pinocchio as pin
 import pytest
 from conftest import REPLAY
+from urdfs import packaged_urdf
 
 from acquisition.robot import Controller
 from identification.data import Recordings, Signals, load_signals
@@ -29,7 +28,7 @@ NOT_STATED = "controller.bandwidth_hz is not stated: "
 
 def recorded(urdf: str, seed: int) -> Signals:
     """An arm whose drives feed speed forward: it follows its reference a moment late; torque noise of 2 to 4 %."""
-    (path,) = (Path(str(f.locate())) for f in importlib.metadata.files("example-robot-data") or [] if f.name == urdf)
+    path = packaged_urdf(urdf)
     robot = robot_of_chain(read_chain(path, JOINTS[urdf]))
     names, n = [joint.name for joint in robot.joints], robot.n
     model = pin.buildModelFromUrdf(str(path))

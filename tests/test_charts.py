@@ -7,22 +7,14 @@ from dataclasses import replace
 import msgspec
 import numpy as np
 import pytest
-from test_viewer import FS, fitted, made_up
-from test_viewer_pages import values
+from pictured_fits import FS, fitted, made_up, values
 
 from identification.methods import Gains
 from identification.study import Run, RunFit
 from identification.trust import Figure, Trust, TrustLine
 from identification.view import charts
 from identification.view.axes import about_zero, decades, linear, logarithmic
-from identification.view.charts import (
-    MAX_ROWS,
-    STUDY_ROWS,
-    deviation_charts,
-    gains_chart,
-    study_chart,
-    trust_charts,
-)
+from identification.view.charts import MAX_ROWS, STUDY_ROWS, deviation_charts, gains_chart, study_chart, trust_charts
 from identification.view.colors import GREEN, GREY, LIGHT, ORANGE, PURPLE, SKY, VERMILLION
 from identification.view.panels import Column, Curve, Graph, Mark, Rows
 from identification.view.signal_panels import spectrum_charts

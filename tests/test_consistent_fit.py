@@ -9,9 +9,9 @@ import pytest
 from conftest import REPLAY, robot_named
 from fits_of_records import ls_of, signals_of
 from made_up_recordings import write
+from physical_cases import covariance, covariance_with, lowest, one_link
+from physical_cases import tx40 as described_tx40
 from random_arms import random_estimate
-from test_consistency import covariance, covariance_with, lowest, one_link
-from test_consistency import tx40 as described_tx40
 
 from acquisition.robot import fourier_reference, robot_from_files
 from identification.commands import main

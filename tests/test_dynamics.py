@@ -4,7 +4,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from conftest import FROM_PINOCCHIO, REPLAY, robot_named
-from urdfs import LIMIT, joint, robot_of_arm, urdf
+from urdfs import LIMIT, TWO_TURNING, joint, robot_of_arm, urdf
 
 from acquisition.robot import Robot, load_robot, robot_from_files
 from identification.errors import IdentificationError
@@ -161,18 +161,6 @@ def test_rotor_torques_do_the_work_of_the_rotors_kinetic_energy(matrix):
     np.testing.assert_allclose((tau * dq).sum(axis=1), np.einsum("ti,ij,tj->t", dq, M, ddq), atol=1e-11)
 
 
-URDF = """<robot name="two">
-  <link name="base"/><link name="l1"/><link name="l2"/><link name="finger"/>
-  <joint name="j1" type="continuous"><parent link="base"/><child link="l1"/><axis xyz="0 0 1"/>
-    <origin xyz="0.3 0 0"/></joint>
-  <joint name="j2" type="revolute"><parent link="l1"/><child link="l2"/><axis xyz="0 0 1"/>
-    <origin xyz="0.3 0 0" rpy="1.5707963267948966 0 0"/>
-    <limit lower="-2" upper="2" effort="1" velocity="1"/></joint>
-  <joint name="grip" type="prismatic"><parent link="l2"/><child link="finger"/><axis xyz="1 0 0"/>
-    <limit lower="0" upper="0.1" effort="1" velocity="1"/></joint>
-</robot>"""
-
-
 def urdf_robot(urdf: str, names: tuple[str, str] = ("j1", "j2")):
     text = 'name = "two"\nurdf = "two.urdf"\n[controller]\nbandwidth_hz = 5\n'
     for name in names:
@@ -181,7 +169,7 @@ def urdf_robot(urdf: str, names: tuple[str, str] = ("j1", "j2")):
 
 
 def test_a_urdf_gives_the_same_model_as_the_table():
-    from_urdf, from_table = InverseModel(urdf_robot(URDF)), InverseModel(robot_with_matrix([[1, 0], [0, 1]]))
+    from_urdf, from_table = InverseModel(urdf_robot(TWO_TURNING)), InverseModel(robot_with_matrix([[1, 0], [0, 1]]))
     assert from_urdf.names == from_table.names
     q, dq, ddq = states(2)
     np.testing.assert_allclose(from_urdf.regressor(q, dq, ddq), from_table.regressor(q, dq, ddq), atol=1e-9)
@@ -193,9 +181,9 @@ def test_a_urdf_gives_the_same_model_as_the_table():
     [
         ("<robot", ("j1", "j2"), "URDF: does not load"),
         ("<robot name='x'><joint/></robot>", ("j1", "j2"), "URDF: does not load|movable joint"),
-        (URDF, ("j1", "elbow"), "movable joint = 'elbow': expected one of j1, j2, grip"),
-        (URDF, ("j2", "j1"), "order of joints = j2, j1: expected j1, j2"),
-        (URDF, ("j1", "grip"), "joint 'grip': type = 'JointModelPX': expected revolute"),
+        (TWO_TURNING, ("j1", "elbow"), "movable joint = 'elbow': expected one of j1, j2, grip"),
+        (TWO_TURNING, ("j2", "j1"), "order of joints = j2, j1: expected j1, j2"),
+        (TWO_TURNING, ("j1", "grip"), "joint 'grip': type = 'JointModelPX': expected revolute"),
     ],
 )
 def test_a_urdf_that_does_not_fit_is_refused_in_one_line(urdf, names, message):

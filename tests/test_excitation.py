@@ -10,11 +10,11 @@ import msgspec
 import numpy as np
 import pytest
 from conftest import REPLAY, robot_named
+from friction_models import USUAL, upright, whole_arm
 from gain_cases import CASES, CENTRE, pair_of
 from loops import modelled
-from test_friction_terms import USUAL, upright, whole_arm
-from test_limits import URDF_ARM, URDF_TOML
-from test_viewer import Written
+from pictured_fits import Written
+from urdfs import TURN_AND_SLIDE, TURN_AND_SLIDE_TOML
 
 from acquisition.errors import AcquisitionError
 from acquisition.robot import Payload, check_limits, fourier_reference, load_robot, robot_from_files, table_reference
@@ -522,10 +522,10 @@ def test_shapes_that_touch_in_the_middle_and_meshes_that_are_not_found_are_named
     sphere, mesh = shape.format('<sphere radius="0.1"/>'), shape.format('<mesh filename="package://none/a.stl"/>')
 
     def arm(solid):
-        urdf = URDF_ARM.format(effort="80").replace('<link name="base"/>', f'<link name="base">{sphere}</link>')
+        urdf = TURN_AND_SLIDE.format(effort="80").replace('<link name="base"/>', f'<link name="base">{sphere}</link>')
         urdf = urdf.replace('<link name="slide"/>', f'<link name="slide">{solid}</link>')
         urdf = urdf.replace('<child link="slide"/>', '<child link="slide"/><origin xyz="3 0 0"/>')
-        files = {"robot.toml": URDF_TOML.format(elbow="", rail="").encode(), "robot.urdf": urdf.encode()}
+        files = {"robot.toml": TURN_AND_SLIDE_TOML.format(elbow="", rail="").encode(), "robot.urdf": urdf.encode()}
         return robot_from_files(files, "here")
 
     obstacles = obstacles_in(arm(sphere))

@@ -8,8 +8,8 @@ import msgspec
 import numpy as np
 import pytest
 from conftest import REPLAY
+from friction_models import LOAD, ROOT, WITHOUT_LAG, recorded, upright
 from scipy import stats
-from test_friction_terms import LOAD, ROOT, WITHOUT_LAG, recorded, upright
 
 from identification import view
 from identification.commands import main

@@ -2,13 +2,31 @@
 
 import dataclasses
 import re
-import tomllib
 
 import msgspec
 import numpy as np
 import pytest
 from conftest import REPLAY
 from fits_of_records import signals_of
+from friction_models import (
+    ALL,
+    LOAD,
+    NONE,
+    ROOT,
+    USUAL,
+    WITHOUT_LAG,
+    axis,
+    described,
+    direct_of,
+    exact_problem,
+    model_of,
+    recorded,
+    simulated,
+    two_speeds,
+    upright,
+    whole_arm,
+    with_friction,
+)
 from loops import free, simulate
 from stacked_recordings import system_of
 
@@ -23,50 +41,11 @@ from identification.export import replace_in_tables, split_parameters
 from identification.export.exported_model import random_states, representable, whole_regressor
 from identification.methods import Iteration, identify_iv, identify_ls, least_squares, with_consistent
 from identification.methods.settled import independent_norm
-from identification.model import InverseModel, JointTerm, base_parameters, described_parameters, direct_model
-from identification.regression import (
-    Motion,
-    Overrides,
-    make_problem,
-    recorded_power,
-    rows_of_recording,
-)
+from identification.model import InverseModel, JointTerm
+from identification.regression import Overrides, recorded_power, rows_of_recording
 from identification.simulation import Reference, surrogate_loop
-from identification.study import Noise, closed_loop, random_reference, write_signals
+from identification.study import write_signals
 from identification.view.charts import friction_charts
-
-USUAL = ["viscous", "coulomb", "offset"]
-ALL = [*USUAL, "asymmetric", "root", "load", "stribeck"]
-
-
-def with_friction(text: str, terms) -> str:
-    """A description with a list of terms for each joint."""
-    others = dict.fromkeys(("viscous", "coulomb", "offset"))
-    joints = zip(tomllib.loads(text)["joint"], terms, strict=True)
-    return replace_in_tables(text, "joint", {joint["name"]: {"friction": own} | others for joint, own in joints}, "")
-
-
-def described(name: str, terms, more: str = ""):
-    """A description of replay_data with a list of terms for each joint, and more parameters."""
-    text = with_friction((REPLAY / name / "robot.toml").read_text(), terms)
-    text = text.replace('"stribeck"]\n', '"stribeck"]\nstribeck_speed_deg_s = 20\n')
-    return robot_from_files({"robot.toml": f"{text}\n{more}".encode()}, f"{name}.toml")
-
-
-def model_of(robot):
-    model = InverseModel(robot)
-    base = base_parameters(model)
-    return model, base, described_parameters(model, base)
-
-
-def direct_of(model, base, beta):
-    return direct_model(model, base.standard_parameters(beta))
-
-
-def whole_arm():
-    """The TX40 with every term at every joint, and values for them."""
-    more = "".join(f"Off{j} = 0.{j}\nFa{j} = 0.1\nFr{j} = 0.7\nFs{j} = 0.4\nmu{j} = 0.{j + 1}\n" for j in range(1, 7))
-    return described("tx40", [ALL] * 6, f"{more}Frm6 = 0.5\nFsm6 = 0.3\n")
 
 
 @pytest.fixture(scope="module")
@@ -210,30 +189,6 @@ def test_export_counts_what_a_format_cannot_say_of_these_terms():
     np.testing.assert_array_equal(represented.frictionloss, [robot.parameters["Fc1"], robot.parameters["Fc2"]])
 
 
-class Exact:
-    """A motion known exactly, where that of a recording is filtered."""
-
-    def __init__(self, motion: Motion) -> None:
-        self.motion, self.weights = motion, {}
-
-    def between(self, start, stop, cutoff_hz):
-        m = self.motion
-        parts = (np.array(x[start:stop]) for x in (m.t_s, m.q, m.dq, m.ddq, m.tau))
-        return Motion(**dict(zip(("t_s", "q", "dq", "ddq", "tau"), parts, strict=True)))
-
-
-def exact_problem(robot, x, *, rate_hz=250.0, decimation=1, beta=None):
-    """The identification of a robot from q, dq, ddq (N, n) as they are, and their torque."""
-    model, base, known = model_of(robot)
-    tau = direct_of(model, base, known if beta is None else beta).torque(*x)
-    problem = make_problem(
-        signals_from_arrays(x[0], tau, rate_hz, robot),
-        Overrides(decimation=decimation, torque_lag_s="none", cutoff_hz=40.0),
-    )
-    motion = Motion(t_s=np.arange(len(tau)) / rate_hz, q=x[0], dq=x[1], ddq=x[2], tau=tau)
-    return dataclasses.replace(problem, motion=Exact(motion)), known
-
-
 @pytest.fixture(scope="module")
 def exact(arm):
     t = np.arange(0.0, 6.0, 1 / 250.0)  # of 3 s the first step cannot tell mu4
@@ -245,13 +200,6 @@ def test_exact_motion_gives_every_term_back(exact):
     settled, full = least_squares(system_of(problem))
     assert settled.problem.settings.warnings == problem.settings.warnings  # nothing is left out
     np.testing.assert_allclose(full.beta, known, rtol=1e-8, atol=1e-8)
-
-
-def upright(terms, more: str = ""):
-    """The SCARA turned upright, so that its links hang."""
-    robot = described("scara", terms, more)
-    text = robot.files["robot.toml"].decode()
-    return robot_from_files({"robot.toml": ("gravity_m_s2 = [0, -9.81, 0]\n" + text).encode()}, "upright")
 
 
 def test_blocks_and_reduced_rows_give_the_same_as_one_pass(monkeypatch):
@@ -301,17 +249,6 @@ def push(robot, force: float, v0: float, seconds: float = 0.4, rate_hz: float = 
         direct, free(1, rate_hz), Reference(zero, scale, zero), start=(np.zeros(1), np.array([v0])), bound=1e9
     )
     return np.arange(len(zero)) / rate_hz, done.q[:, 0], done.dq[:, 0]
-
-
-def axis(terms, vertical: bool = False, **values: float):
-    text = (REPLAY / "emps" / "robot.toml").read_text().split("[parameters]")[0]
-    if vertical:
-        text = text.replace("alpha_deg = 90", "alpha_deg = 0")
-    known = "".join(f"{name}1 = {value}\n" for name, value in {"M": 95.0, **values}.items())
-    text = with_friction(f"{text}[parameters]\n{known}", [terms])
-    return robot_from_files(
-        {"robot.toml": text.replace('"stribeck"]', '"stribeck"]\nstribeck_speed_m_s = 0.02').encode()}, "axis"
-    )
 
 
 def test_root_friction_stops_a_mass_as_its_equation_says():
@@ -376,16 +313,6 @@ def test_a_simulated_motion_obeys_the_inverse_model(arm):
 
 
 # --- what a recording cannot tell
-
-
-def two_speeds(robot, a_m_s2: float, speeds=(0.1, 0.2)):
-    """Exact motion of one axis to and fro at two speeds, with jumps of acceleration in between: q, dq, ddq (N, 1)."""
-    rate = 250.0
-    parts = [np.full(200, sign * speed) for speed in speeds for sign in (1.0, -1.0)] * 3
-    dq = np.concatenate(parts)[:, None]
-    ddq = a_m_s2 * np.sin(np.arange(len(dq)) / 7.0)[:, None]
-    q = np.cumsum(dq, axis=0) / rate
-    return exact_problem(robot, (q, dq, ddq), rate_hz=rate)
 
 
 def test_what_other_columns_leave_of_a_column_is_what_least_squares_leaves():
@@ -459,21 +386,6 @@ def test_friction_that_would_drive_a_joint_is_told_and_signs_of_its_terms_are_no
 # --- the choice of terms
 
 
-def recorded(robot, seed: int, noise_percent: float = 2.0, duration_s: float = 10.0):
-    """A recording of exact motion, and of torque with white noise, by the robot without its further terms."""
-    model, base, beta = model_of(robot)
-    t = np.arange(0.0, duration_s, 1e-3)
-    x = fourier_reference(robot, period_s=duration_s, seed=seed).at(t)
-    tau = direct_of(model, base, beta).torque(*x)
-    noise = 0.01 * noise_percent * np.sqrt((tau**2).mean(axis=0)) * np.random.default_rng(seed).normal(size=tau.shape)
-    plain = with_terms(robot, (frozenset(),) * robot.n)
-    return signals_from_arrays(x[0], tau + noise, 1000.0, plain)
-
-
-NONE, ROOT, LOAD = frozenset(), frozenset({"root"}), frozenset({"load"})
-WITHOUT_LAG = Overrides(torque_lag_s="none")
-
-
 @pytest.mark.parametrize("seed", range(4))
 def test_the_terms_that_a_robot_has_are_recommended(seed):
     usual = ["viscous", "coulomb"]
@@ -486,16 +398,6 @@ def test_the_terms_that_a_robot_has_are_recommended(seed):
 
 
 # --- several recordings
-
-
-def simulated(robot, *seeds: int):
-    """Recordings of a simulated cell by its own description."""
-    found = []
-    for seed in seeds:
-        q = random_reference(robot, duration_s=4.0, sample_rate_hz=1000.0, seed=seed)
-        signals = closed_loop(robot, q, 1000.0, noise=Noise(encoder_step=1e-6, effort_percent=2.0), seed=seed)
-        found.append(dataclasses.replace(signals, recording=f"r{seed}.mcap", sha256=f"{seed:064x}"))
-    return Recordings(sources=tuple(found))
 
 
 LINEAR = [["viscous", "coulomb", "offset", "asymmetric", "root"], ["viscous", "coulomb"]]

@@ -3,7 +3,6 @@
 The URDFs are those of the package example-robot-data. The robot that is moved is known, so what comes out is compared with it.
 """
 
-import importlib.metadata
 import json
 import shutil
 from pathlib import Path
@@ -11,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
+from urdfs import packaged_urdf
 
 from acquisition.commands import main as acquire
 from acquisition.robot import load_robot
@@ -18,25 +18,17 @@ from identification.commands import main as identify
 from identification.model import InverseModel
 
 ARMS = {
-    "ur5": ("ur_description/urdf/ur5_robot.urdf", []),
-    "panda": ("panda_description/urdf/panda.urdf", ["--joints", ",".join(f"panda_joint{j}" for j in range(1, 8))]),
+    "ur5": ("ur5_robot.urdf", []),
+    "panda": ("panda.urdf", ["--joints", ",".join(f"panda_joint{j}" for j in range(1, 8))]),
 }
 UNSTATED = ["--acceleration", "8", "--following-error", "0.2", "--bandwidth-hz", "10", "--range", "2"]
-
-
-def urdf_of(name: str) -> Path:
-    try:
-        files = importlib.metadata.files("example-robot-data") or []
-    except importlib.metadata.PackageNotFoundError:
-        pytest.skip("example-robot-data is not installed: pip install -e '.[test]' installs it")
-    return next(Path(str(file.locate())) for file in files if str(file).endswith(f"robots/{ARMS[name][0]}"))
 
 
 @pytest.fixture(scope="module", params=ARMS)
 def loop(request, tmp_path_factory):
     """The folder after init, excite, record, fit and export."""
     there = tmp_path_factory.mktemp(request.param)
-    shutil.copy(urdf_of(request.param), there / "arm.urdf")
+    shutil.copy(packaged_urdf(ARMS[request.param][0]), there / "arm.urdf")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(there)
         assert identify(["init", "arm.urdf", *ARMS[request.param][1], *UNSTATED, "-o", "robot.toml"]) == 0

@@ -1,6 +1,5 @@
 """The commonest law of arms: a PD, and gravity at the measured position; simulated by pinocchio alone."""
 
-import importlib.metadata
 import json
 import re
 import shutil
@@ -13,6 +12,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from conftest import PROGRAMS, REPLAY
+from urdfs import packaged_urdf
 
 from acquisition.errors import AcquisitionError
 from acquisition.robot import Controller, load_robot
@@ -23,8 +23,7 @@ from identification.model import InverseModel, base_parameters, direct_model, kn
 from identification.regression import Overrides
 from identification.simulation import Control, Reference, recorded_loop
 
-FILES = [file for file in importlib.metadata.files("example-robot-data") or [] if file.name == "ur5_robot.urdf"]
-UR5 = Path(str(FILES[0].locate()))
+UR5 = packaged_urdf("ur5_robot.urdf")
 RATE_HZ, DURATION_S, BANDWIDTH_HZ = 500.0, 12.0, 6.0
 ROTOR, VISCOUS, COULOMB = (
     np.array(x) for x in ([0.6, 0.6, 0.4, 0.1, 0.1, 0.1], [8, 8, 5, 1, 1, 1], [10, 12, 8, 2, 2, 2])

@@ -13,8 +13,8 @@ import pytest
 from browser import MISSING, browser
 from conftest import REPLAY
 from fits_of_records import iv_of, ls_of, signals_of
+from pictured_fits import Written
 from scipy import signal
-from test_viewer import Written
 
 from identification.commands import main
 from identification.view import draw_fit, join_pictures, write_html, write_rrd

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_runs import refused, run
 from conftest import REPLAY, robot_named
 
 from acquisition.recording import Header, RecordingWriter, sample_dtype
@@ -13,21 +14,6 @@ from acquisition.robot import Robot, robot_from_files
 from identification.commands import main
 
 SESSION = REPLAY / "scara" / "session.mcap"
-
-
-def run(capsys, *arguments) -> tuple[int, str, str]:
-    status = main([str(a) for a in arguments])
-    captured = capsys.readouterr()
-    return status, captured.out, captured.err
-
-
-def refused(capsys, *arguments) -> str:
-    """The one line on stderr of a command that must fail."""
-    status, _, err = run(capsys, *arguments)
-    assert status == 1
-    assert err.startswith("robot-identify: ")
-    assert err.count("\n") == 1
-    return err
 
 
 def test_fit_prints_a_table_and_writes_json(capsys, tmp_path):

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import scipy.io
 from conftest import REPLAY
+from friction_models import described, direct_of, model_of
 from gain_cases import CATALOGUE, robot_of, with_motors
 from independent_simulator import shifted
 from planned_pairs import RATE_HZ, planned_motion
-from test_friction_terms import described, direct_of, model_of
 
 from acquisition.commands import main as acquire
 from acquisition.robot import Robot, load_robot

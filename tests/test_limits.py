@@ -7,6 +7,7 @@ import msgspec
 import numpy as np
 import pytest
 from conftest import REPLAY, needs_data, robot_named
+from urdfs import TURN_AND_SLIDE, TURN_AND_SLIDE_TOML
 
 from acquisition.errors import AcquisitionError
 from acquisition.importing import import_tables
@@ -151,39 +152,11 @@ def test_real_records_pass_and_wrong_units_are_refused_at_import(tmp_path, emps,
     assert not out.exists()
 
 
-URDF_ARM = """<robot name="arm"><link name="base"/><link name="upper"/><link name="slide"/>
-<joint name="elbow" type="revolute"><parent link="base"/><child link="upper"/><axis xyz="0 0 1"/>
-<limit lower="-1" upper="1" velocity="1" effort="{effort}"/></joint>
-<joint name="rail" type="prismatic"><parent link="upper"/><child link="slide"/><axis xyz="1 0 0"/>
-<limit lower="-1" upper="1" velocity="1" effort="40"/></joint>
-<transmission name="t"><joint name="elbow"/></transmission></robot>"""
-URDF_TOML = """
-name = "arm"
-urdf = "arm.urdf"
-[[joint]]
-name = "elbow"
-type = "revolute"
-{elbow}
-[[joint]]
-name = "rail"
-type = "prismatic"
-{rail}
-[[motor]]
-name = "m1"
-ratio = 50
-drive_gain = 2.0
-drive_gain_unit = "N m/A"
-saturation = 0.3
-[[motor]]
-name = "m2"
-effort_unit = "N"
-[controller]
-bandwidth_hz = 5
-"""
-
-
 def urdf_arm(effort="80", elbow="", rail=""):
-    files = {"robot.toml": URDF_TOML.format(elbow=elbow, rail=rail), "robot.urdf": URDF_ARM.format(effort=effort)}
+    files = {
+        "robot.toml": TURN_AND_SLIDE_TOML.format(elbow=elbow, rail=rail),
+        "robot.urdf": TURN_AND_SLIDE.format(effort=effort),
+    }
     return robot_from_files({name: text.encode() for name, text in files.items()}, "here")
 
 
@@ -236,11 +209,11 @@ def test_the_range_of_an_object_is_no_limit_and_a_coupled_motor_has_one_of_its_o
 def test_efforts_in_newton_metres_do_not_limit_amperes():
     robot = robot_from_files(
         {
-            "robot.toml": URDF_TOML.format(elbow="", rail="")
+            "robot.toml": TURN_AND_SLIDE_TOML.format(elbow="", rail="")
             .replace('drive_gain = 2.0\ndrive_gain_unit = "N m/A"', 'effort_unit = "A"')
             .replace('effort_unit = "N"', 'effort_unit = "A"')
             .encode(),
-            "robot.urdf": URDF_ARM.format(effort="80").encode(),
+            "robot.urdf": TURN_AND_SLIDE.format(effort="80").encode(),
         },
         "here",
     )

@@ -8,8 +8,8 @@ import msgspec
 import numpy as np
 import pytest
 from fits_of_records import signals_of
+from friction_models import axis, described, direct_of, model_of, simulated, two_speeds
 from stacked_recordings import system_of
-from test_friction_terms import axis, described, direct_of, model_of, simulated, two_speeds
 
 import identification.methods.settled as settled
 from acquisition.robot import fourier_reference

@@ -5,8 +5,7 @@ import shutil
 import numpy as np
 import pytest
 from made_up_recordings import header, some_samples
-from test_viewer import Written
-from test_viewer_pages import urdf_robot
+from pictured_fits import Written, urdf_robot
 
 from acquisition.errors import AcquisitionError
 from acquisition.files import meshes

@@ -9,9 +9,9 @@ import msgspec
 import numpy as np
 import pytest
 from conftest import REPLAY, robot_named
+from made_up_bags import bag, message
 from made_up_buses import bus_text, robot_of, session
 from made_up_recordings import some_samples
-from test_ros_bags import bag, message
 from urdfs import ARM, joint, urdf
 
 from acquisition.commands import main

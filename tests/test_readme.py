@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import ACQUIRE, IDENTIFY, REPLAY, ROOT
-from test_dynamics import URDF
-from test_from_urdf_to_model import urdf_of
+from urdfs import TWO_TURNING, packaged_urdf
 
 from acquisition.recording import read_recording
 
@@ -82,7 +81,7 @@ def test_commands_without_hardware_run_as_they_stand(tmp_path, monkeypatch, caps
 
 def test_the_six_commands_from_a_urdf_to_mujoco_run_as_they_stand(tmp_path, monkeypatch):
     mujoco = pytest.importorskip("mujoco")
-    shutil.copy(urdf_of("ur5"), tmp_path)
+    shutil.copy(packaged_urdf("ur5_robot.urdf"), tmp_path)
     monkeypatch.chdir(tmp_path)
     section = TEXT[IDENTIFICATION].split("\n## Your arm in MuJoCo in six commands\n")[1].split("\n## ")[0]
     commands = re.findall(r"^ {4}(.*)$", section, flags=re.MULTILINE)
@@ -110,7 +109,7 @@ def test_the_description_of_your_own_robot_is_one(tmp_path, capsys):
     """The description shown, of one joint of a URDF of two, is read, and has base parameters."""
     (shown,) = re.findall(r"^```toml\n(.*?)^```", TEXT[FIRST], flags=re.MULTILINE | re.DOTALL)
     (tmp_path / "robot.toml").write_text(shown)
-    (tmp_path / tomllib.loads(shown)["urdf"]).write_text(URDF)
+    (tmp_path / tomllib.loads(shown)["urdf"]).write_text(TWO_TURNING)
     assert IDENTIFY.main(["base", str(tmp_path / "robot.toml")]) == 0
     assert "ZZ1R" in capsys.readouterr().out
 

@@ -6,9 +6,9 @@ Here no simulated robot is ever confirmed: a tracking error of 0 % is asked of i
 import dataclasses
 from pathlib import Path
 
+import crossed_recordings as crossings
 import numpy as np
 import pytest
-import test_crossings as crossings
 from conftest import REPLAY
 from independent_robots import plant
 from independent_simulator import (

@@ -1,17 +1,11 @@
 """Stacks of others: npm's `canopen` as drive and as master, and Python's `canopen` as master of our simulated drives."""
 
 import json
-import os
 import queue
 import re
-import shutil
 import signal
-import subprocess
 import threading
 import tomllib
-from collections.abc import Iterator
-from contextlib import contextmanager
-from pathlib import Path
 
 import canopen
 import numpy as np
@@ -19,7 +13,7 @@ import pytest
 from busy_machine import SYNC_S, slow_bus_text
 from conftest import ROOT
 from made_up_buses import bus_of, bus_text, robot_of
-from test_recording_processes import (
+from session_processes import (
     LAST,
     PATIENCE_S,
     acquire,
@@ -35,59 +29,14 @@ from test_recording_processes import (
     port,
     wait_for,
 )
+from third_party_drives import node, npm, third_party_drive
 from virtual_buses import Ear
 
 from acquisition.recording import read_recording
 from acquisition.simulated import SimulatedDrives, serve
 from acquisition.simulated import node as simulated_supervision
 
-__all__ = ["folder", "port"]  # fixtures
-
-THIRD_PARTY_DRIVE = ROOT.parent / "shared" / "tools" / "third_party_drive.js"
-PACKAGES = ("canopen@6.2.1", "@msgpack/msgpack@3")
-
-
-@pytest.fixture(scope="session")
-def npm(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the packages; skips where node or npm is missing or cannot fetch them."""
-    if shutil.which("node") is None or shutil.which("npm") is None:
-        pytest.skip("node and npm are not here: the third-party stack is npm's canopen")
-    where = tmp_path_factory.mktemp("npm")
-    # node-crc, which it depends on, is compiled on the spot; newer versions of npm must be asked to.
-    commands = (
-        ["npm", "install", "--no-audit", "--no-fund", *PACKAGES],
-        ["npm", "rebuild", "node-crc", "--foreground-scripts"],
-        ["node", "-e", "require('canopen'); require('@msgpack/msgpack')"],
-    )
-    for command in commands:
-        try:
-            done = subprocess.run(command, cwd=where, capture_output=True, text=True, timeout=90, check=False)
-        except subprocess.TimeoutExpired:
-            pytest.skip(f"the third-party stack did not come in 90 s: {' '.join(command)}")
-        if done.returncode:
-            pytest.skip(f"the third-party stack is not to be had: {' '.join(command)}: {done.stderr.strip()[-200:]}")
-    return where
-
-
-def node(npm: Path, script: Path, *arguments: str) -> "subprocess.Popen[str]":
-    environment = {**os.environ, "NODE_PATH": str(npm / "node_modules")}
-    return subprocess.Popen(
-        ["node", str(script), *arguments], env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
-
-
-@contextmanager
-def third_party_drive(folder: Path, npm: Path) -> Iterator["subprocess.Popen[str]"]:
-    """npm's drive, node 7, on the bus of a folder, for 120 s at most."""
-    if not THIRD_PARTY_DRIVE.exists():
-        pytest.skip("the third-party drive is not here: ../shared/tools/third_party_drive.js")
-    group, _, number = bus_at(folder).channel.partition(":")
-    drive = node(npm, THIRD_PARTY_DRIVE, "7", group, number, "120")
-    try:
-        assert "node 7" in drive.stderr.readline()
-        yield drive
-    finally:
-        end(drive, signal.SIGTERM)
+__all__ = ["folder", "npm", "port"]  # fixtures
 
 
 def test_a_third_party_drive_is_configured_and_recorded(folder, npm):

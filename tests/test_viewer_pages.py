@@ -11,10 +11,9 @@ import pinocchio as pin
 import pytest
 from conftest import REPLAY, robot_named
 from fits_of_records import iv_of, signals_of
+from pictured_fits import Written, fitted, fitted_iv, made_up, scara, urdf_robot, values
 from scipy.spatial.transform import Rotation
-from test_viewer import Written, fitted, fitted_iv, made_up, scara
 
-from acquisition.robot import robot_from_files
 from identification.commands import main
 from identification.data import load_signals
 from identification.errors import IdentificationError
@@ -29,23 +28,6 @@ from identification.view.robot_drawing import pose_stride, robot_scene
 from identification.view.signal_panels import event_logs, health_plots
 
 SESSION = REPLAY / "scara" / "session.mcap"
-LINK = "<inertial><mass value='1'/><inertia ixx='.1' iyy='.1' izz='.1' ixy='0' ixz='0' iyz='0'/></inertial>"
-
-
-def urdf_robot(shape):
-    visual = f"<visual><geometry>{shape}</geometry></visual>"
-    joint = (
-        "<joint name='{0}' type='revolute'><parent link='{1}'/><child link='{2}'/><origin xyz='0 0 .4'/>"
-        "<axis xyz='0 1 0'/><limit lower='-1' upper='1' effort='1' velocity='1'/></joint>"
-    )
-    urdf = f"<robot name='arm'><link name='base'>{visual}</link><link name='l1'>{LINK}{visual}</link>"
-    urdf += (
-        f"<link name='l2'>{LINK}{visual}</link>{joint.format('a', 'base', 'l1')}{joint.format('b', 'l1', 'l2')}</robot>"
-    )
-    text = 'name = "arm"\nurdf = "arm.urdf"\n[controller]\nbandwidth_hz = 10.0\n'
-    for name in "ab":
-        text += f'[[joint]]\nname = "{name}"\ntype = "revolute"\n[[motor]]\nname = "m{name}"\neffort_unit = "N m"\n'
-    return robot_from_files({"robot.toml": text.encode(), "robot.urdf": urdf.encode()}, "made up")
 
 
 @pytest.mark.parametrize("name", ["scara", "tx40", "emps"])
@@ -270,16 +252,6 @@ def test_a_robot_that_stands_still_is_shown(tmp_path):
     file = Written(tmp_path / "view.rrd")
     assert file.is_complete()
     assert "no joint moves" in file.static["/report"]["TextDocument:text"][0]
-
-
-def values(label, **parameters):
-    return ParameterSet(
-        label=label,
-        parameters={
-            name: Parameter(name=name, value=v, sigma=s, unit="kg", essential=True)
-            for name, (v, s) in parameters.items()
-        },
-    )
 
 
 def test_differences_are_in_deviations_of_the_difference():

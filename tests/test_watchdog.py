@@ -16,7 +16,7 @@ from busy_machine import SYNC_S, slow_bus_text, stalls, tried_again
 from dry_sessions import DrySession, SlowAnswers, Through, connected, dry_session
 from faulty_drives import Fault
 from made_up_buses import bus_of, bus_text, robot_of
-from test_recording_processes import (
+from session_processes import (
     PATIENCE_S,
     acquire,
     bus_at,
@@ -30,7 +30,7 @@ from test_recording_processes import (
     tracking,
     wait_for,
 )
-from test_third_party import npm, third_party_drive
+from third_party_drives import npm, third_party_drive
 
 import acquisition.session.process as process_module
 import acquisition.simulated.node as simulated_supervision
