@@ -6,12 +6,12 @@ import re
 import signal
 import threading
 import tomllib
+from pathlib import Path
 
 import canopen
 import numpy as np
 import pytest
 from busy_machine import SYNC_S, slow_bus_text
-from conftest import ROOT
 from made_up_buses import bus_of, bus_text, robot_of
 from session_processes import (
     LAST,
@@ -106,7 +106,7 @@ def test_a_third_party_master_is_recorded_passively(folder, npm):
     (folder / "passive.toml").write_text(text)
     out = folder / "passive.mcap"
     with drives(folder), listening(folder, "passive.toml", out) as listener:
-        script, period_ms = ROOT / "tests" / "third_party_master.js", f"{SYNC_S * 1e3:g}"
+        script, period_ms = Path(__file__).with_name("third_party_master.js"), f"{SYNC_S * 1e3:g}"
         output = output_of(node(npm, script, group, master_port, str(syncs), period_ms, "1", "2"))
         ids = (0x80, 0x181, 0x182, 0x201, 0x202)
         wait_for(out, lambda r: all(len(data) >= syncs for data in data_by_id(r, *ids).values()), listener)

@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import sys
 import zipfile
+from pathlib import Path
 
 import pytest
 from conftest import REPLAY, ROOT
@@ -63,7 +64,7 @@ def test_a_type_checker_sees_the_types_of_an_editable_installation(tmp_path):
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(packages)
     (packages / "borrowed.pth").write_text("\n".join(path for path in sys.path if "site-packages" in path))
-    shutil.copy(ROOT / "tests" / "user_script.py", tmp_path)
+    shutil.copy(Path(__file__).with_name("user_script.py"), tmp_path)
     names = [f"{package.__name__}.{name}" for package in (acquisition, identification) for name in package.__all__]
     (tmp_path / "names.py").write_text("\n".join(["import acquisition", "import identification", *names, ""]))
     checked = subprocess.run(

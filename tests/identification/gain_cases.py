@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 import numpy as np
-from conftest import REPLAY, ROOT
+from conftest import REPLAY
 from independent_robots import Plant, level_axis, plant, with_payload
 from independent_simulator import (
     Controller,
@@ -176,7 +176,7 @@ def with_gains(signals: Signals, gains: Array, half: Array | None) -> Signals:
 
 
 def toml_of(robot: RobotName) -> Path:
-    return ROOT / "tests" / "lone_axis.toml" if robot == "axis" else REPLAY / robot / "robot.toml"
+    return Path(__file__).with_name("lone_axis.toml") if robot == "axis" else REPLAY / robot / "robot.toml"
 
 
 class Fitted(NamedTuple):

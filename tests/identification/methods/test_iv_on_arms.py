@@ -1,7 +1,7 @@
 """Instrumental variables get through on arms: noise fed back through a loop unknown to the description, cuts of a real record,
 a light wrist without rotors. Descriptions here have no `[parameters]`: the nearest consistent links know nothing of the truth.
 
-With --benchmark-enable the whole samples run: `pytest tests/test_iv_on_arms.py -s --benchmark-enable`, some four minutes.
+`pytest tests/identification/methods/test_iv_on_arms.py -s --benchmark-enable` runs the whole samples, some four minutes.
 """
 
 import dataclasses

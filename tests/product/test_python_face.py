@@ -8,6 +8,7 @@ import subprocess
 import sys
 import textwrap
 from dataclasses import replace
+from pathlib import Path
 from unittest.mock import ANY
 
 import msgspec
@@ -376,7 +377,7 @@ def test_examples_and_the_script_of_a_user_run(tmp_path, monkeypatch, capsys):
     assert doctest.testmod(acquisition) == (0, 2)
     for name in ("log.mcap", "report.html", "robot.xml"):
         (tmp_path / name).unlink()
-    exec(compile((ROOT / "tests" / "user_script.py").read_text(), "user_script", "exec"), {})
+    exec(compile(Path(__file__).with_name("user_script.py").read_text(), "user_script", "exec"), {})
     assert capsys.readouterr().out.startswith("trust ['drive gains', ")
     assert "SCARA" in (tmp_path / "report.html").read_text()
     assert mujoco.MjModel.from_xml_path("robot.xml").nv == 2

@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import planned_pairs
 import pytest
-from conftest import ROOT
-from gain_cases import GainCase, fit_with_gains, pair_of, robot_of, with_gains, with_stated
+from gain_cases import GainCase, fit_with_gains, pair_of, robot_of, toml_of, with_gains, with_stated
 from planned_pairs import planned, planned_pair, written
 
 import identification.methods.idim as idim
@@ -432,7 +431,7 @@ def test_what_the_last_link_does_not_tell_apart_is_regrouped(robot, payload, nam
 
 def crossed_axes():
     """A level axis on an upright one, with efforts in N m."""
-    text = (ROOT / "tests" / "lone_axis.toml").read_text()
+    text = toml_of("axis").read_text()
     joint = re.search(r"(?s)\[\[joint\]\].*?(?=\[\[motor\]\])", text)[0]
     first = joint.replace("swing", "turn").replace("alpha_deg = 90", "alpha_deg = 0")
     second = joint.replace("d_m = 0,", "d_m = 0.3,").replace("r_m = 0 ", "r_m = 0.2 ")
