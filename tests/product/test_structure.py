@@ -1,4 +1,4 @@
-"""The house: rooms with a face and few files, files that stay small, a command line that starts at once.
+"""The house: rooms with a face, few files and tests, files that stay small, a command line that starts at once.
 
 That arrows between rooms run down, that rooms are entered by their faces and that heavy packages have one owner each is held
 by the contracts in pyproject.toml (`lint-imports`).
@@ -15,6 +15,7 @@ from conftest import PROGRAMS, ROOT
 PACKAGES = ("acquisition", "identification")
 ROOMS = sorted(path for package in PACKAGES for path in (ROOT / package).iterdir() if (path / "__init__.py").exists())
 FILES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
+TESTS = sorted((ROOT / "tests").rglob("*.py"))
 MOST_FILES, MOST_LINES = 15, 330
 
 
@@ -73,6 +74,26 @@ def test_every_room_is_in_the_contracts():
     rooms = {f"{room.parent.name}.{room.name}" for room in ROOMS}
     assert faces == rooms
     assert rooms <= layers
+
+
+@pytest.mark.parametrize("room", ROOMS, ids=lambda room: f"{room.parent.name}.{room.name}")
+def test_a_room_has_its_tests(room):
+    assert list((ROOT / "tests" / room.parent.name / room.name).glob("test_*.py"))
+
+
+def test_no_file_imports_a_file_of_tests():
+    """What two need stands in a helper beside them, which is imported by its name alone."""
+    names = [path.stem for path in TESTS]
+    assert {name for name in names if names.count(name) > 1} == set()
+    found = {
+        f"{path.name}: {module}"
+        for path in TESTS
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.Import | ast.ImportFrom)
+        for module in (*(alias.name for alias in node.names), getattr(node, "module", None))
+        if module in names and module.startswith("test_")
+    }
+    assert found == set()
 
 
 def test_files_stay_small():
