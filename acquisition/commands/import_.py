@@ -39,6 +39,8 @@ def add(parser: argparse.ArgumentParser) -> None:
         "one for all joints, or one per joint separated by commas"
     )
     bag.add_argument("--effort-unit", metavar="UNIT", help=text)
+    text = "topic of control_msgs/msg/JointTrajectoryControllerState with the reference (default: the only one with the joints)"
+    bag.add_argument("--reference-topic", metavar="NAME", help=text)
     text = "sample rate in Hz after interpolation (default: the rate of the time stamps, rounded)"
     bag.add_argument("--resample-hz", type=float, metavar="HZ", help=text)
     outputs = parser.add_argument_group("outputs")
@@ -72,7 +74,8 @@ def run(options: argparse.Namespace) -> None:
         elif options.topic is not None:
             _refuse_as_bag(options)
             units = [unit.strip() for unit in options.effort_unit.split(",")]
-            bag = BagOptions(topic=options.topic, effort_unit=units, resample_hz=options.resample_hz)
+            given = {"reference_topic": options.reference_topic, "resample_hz": options.resample_hz}
+            bag = BagOptions(topic=options.topic, effort_unit=units, **given)
             found = import_bag(tables[0], robot, out, bag, payload)
         else:
             _refuse_bag_options(options)
@@ -91,6 +94,8 @@ def _print(found: "ImportSummary", warnings: TextIO) -> None:
     print(one_line(", ".join([*parts, *(f"with {name.replace('_', ' ')}" for name in found.optional)])))
     if found.times:
         print(one_line(f"times: {found.times}"))
+    if found.reference:
+        print(one_line(f"reference: {found.reference}"))
     for text in found.warnings:
         print(one_line(f"warning: {text}"), file=warnings)
 
@@ -124,7 +129,8 @@ def _propose(options: argparse.Namespace, robot: "Robot | None") -> bool:
 
 
 def _refuse_bag_options(options: argparse.Namespace) -> None:
-    for name, value in (("--effort-unit", options.effort_unit), ("--resample-hz", options.resample_hz)):
+    for name in ("--effort-unit", "--reference-topic", "--resample-hz"):
+        value = getattr(options, name[2:].replace("-", "_"))
         if value is not None:
             expected = "--topic; for tables, time.resample_hz and effort.unit in MAP.toml"
             raise AcquisitionError("is only for ROS 2 bags", key=name, value=value, expected=expected)
