@@ -369,12 +369,12 @@ def test_of_two_controllers_one_is_named_and_one_of_other_joints_is_none(tmp_pat
     gripper = {"/gripper/controller_state": states_of(reversed_reference, names=("finger",))}
     two = {CONTROLLER: states_of(reversed_reference), "/other/state": states_of(lambda t: 0.5 * reversed_reference(t))}
     path = with_controllers(tmp_path / "a", gripper | two)
-    expected = f"expected one of {CONTROLLER}, /other/state, which all have the joints"
-    assert refusal(path, capsys) == f"robot-acquire: {path}: --reference-topic is missing: {expected}\n"
-    whole = import_bag(
-        path, robot_named("scara"), tmp_path / "1.mcap", replace(OPTIONS, reference_topic="/other/state")
-    )
-    assert whole.reference.startswith("/other/state, ")
+    expected = f"expected one of them after the topic, as --topic /joint_states,{CONTROLLER}"
+    told = f"robot-acquire: {path}: has the references {CONTROLLER}, /other/state: {expected}\n"
+    assert refusal(path, capsys) == told
+    options = ["--topic", "/joint_states, /other/state", "--effort-unit", "N m", "-o", str(tmp_path / "1.mcap")]
+    assert main(["import", str(path), "--robot", str(TOML), *options]) == 0
+    assert "reference: /other/state, " in capsys.readouterr().out
     reference = read_recording(tmp_path / "1.mcap").samples["reference"]
     assert np.abs(reference[:, 0]).max() == pytest.approx(0.3, abs=1e-3)
     alone = with_controllers(tmp_path / "b", gripper | {CONTROLLER: states_of(reversed_reference)})
@@ -430,7 +430,6 @@ def test_options_that_do_not_go_together(tmp_path, whole, capsys):
         *topic, "--effort-unit", "N m", "--resample-hz", "-1"
     )
     assert "--effort-unit = 'A': is only for ROS 2 bags: expected --topic" in told("--effort-unit", "A")
-    assert "--reference-topic = '/x': is only for ROS 2 bags: expected --topic" in told("--reference-topic", "/x")
 
 
 def test_files_that_are_no_bags(tmp_path, robot, capsys):

@@ -33,14 +33,16 @@ def add(parser: argparse.ArgumentParser) -> None:
     )
     add_options(inputs, RecordOptions, "payload")
     bag = parser.add_argument_group("ROS 2 bag")
-    bag.add_argument("--topic", metavar="NAME", help="topic of sensor_msgs/msg/JointState, such as /joint_states")
+    text = (
+        "topic of sensor_msgs/msg/JointState, such as /joint_states; after a comma that of a control_msgs/msg/"
+        "JointTrajectoryControllerState with the reference (default: the only one with the joints)"
+    )
+    bag.add_argument("--topic", metavar="NAME", help=text)
     text = (
         "required with --topic, unit of the effort: 'N m' at the joints (prismatic: force in N), or A, V, ... at the motors; "
         "one for all joints, or one per joint separated by commas"
     )
     bag.add_argument("--effort-unit", metavar="UNIT", help=text)
-    text = "topic of control_msgs/msg/JointTrajectoryControllerState with the reference (default: the only one with the joints)"
-    bag.add_argument("--reference-topic", metavar="NAME", help=text)
     text = "sample rate in Hz after interpolation (default: the rate of the time stamps, rounded)"
     bag.add_argument("--resample-hz", type=float, metavar="HZ", help=text)
     outputs = parser.add_argument_group("outputs")
@@ -74,8 +76,8 @@ def run(options: argparse.Namespace) -> None:
         elif options.topic is not None:
             _refuse_as_bag(options)
             units = [unit.strip() for unit in options.effort_unit.split(",")]
-            given = {"reference_topic": options.reference_topic, "resample_hz": options.resample_hz}
-            bag = BagOptions(topic=options.topic, effort_unit=units, **given)
+            topic, _, reference = (name.strip() for name in options.topic.partition(","))
+            bag = BagOptions(topic=topic, reference_topic=reference, effort_unit=units, resample_hz=options.resample_hz)
             found = import_bag(tables[0], robot, out, bag, payload)
         else:
             _refuse_bag_options(options)
@@ -129,8 +131,7 @@ def _propose(options: argparse.Namespace, robot: "Robot | None") -> bool:
 
 
 def _refuse_bag_options(options: argparse.Namespace) -> None:
-    for name in ("--effort-unit", "--reference-topic", "--resample-hz"):
-        value = getattr(options, name[2:].replace("-", "_"))
+    for name, value in (("--effort-unit", options.effort_unit), ("--resample-hz", options.resample_hz)):
         if value is not None:
             expected = "--topic; for tables, time.resample_hz and effort.unit in MAP.toml"
             raise AcquisitionError("is only for ROS 2 bags", key=name, value=value, expected=expected)

@@ -41,7 +41,7 @@ class BagOptions:
 
     topic: str
     effort_unit: Sequence[str]
-    reference_topic: str | None = None
+    reference_topic: str = ""
     resample_hz: float | None = None
 
 
@@ -70,7 +70,7 @@ def import_bag(
     position_side(robot, "joint", "position", place)
     read, controllers = _read(bag, options, joints)
     stamps_ns, received, parts, warnings = read.states(topic)
-    controller = options.reference_topic or _only_controller(controllers, joints, Place(str(bag)))
+    controller = options.reference_topic or _only_controller(controllers, joints, topic, Place(str(bag)))
     position = parts["position"]
     parts["effort"], provenance, effort_object = _effort(robot, parts.get("effort"), options.effort_unit, place)
     _refuse_several_publishers(position, parts["effort"], joints, place)
@@ -103,11 +103,16 @@ def import_bag(
     return write_samples(header, grid, warnings, str(place), out)
 
 
-def _only_controller(controllers: Mapping[str, Messages], joints: Sequence[str], place: Place) -> str | None:
+def _only_controller(
+    controllers: Mapping[str, Messages], joints: Sequence[str], topic: str, place: Place
+) -> str | None:
     """Topic of the controller of all joints; of one that lacks some if there is no other, None without any."""
     found = [topic for topic, rows in controllers.items() if rows and {*joints} <= {*rows[0][1].name}]
     if len(found) > 1:
-        place.refuse("--reference-topic", None, f"one of {listed(found)}, which all have the joints")
+        place.refuse(
+            expected=f"one of them after the topic, as --topic {topic},{found[0]}",
+            text=f"has the references {listed(found)}",
+        )
     return next(iter(found or controllers), None)
 
 
