@@ -369,7 +369,7 @@ def test_of_two_controllers_one_is_named_and_one_of_other_joints_is_none(tmp_pat
     gripper = {"/gripper/controller_state": states_of(reversed_reference, names=("finger",))}
     two = {CONTROLLER: states_of(reversed_reference), "/other/state": states_of(lambda t: 0.5 * reversed_reference(t))}
     path = with_controllers(tmp_path / "a", gripper | two)
-    expected = f"expected one of them after the topic, as --topic /joint_states,{CONTROLLER}"
+    expected = "expected one of them in --topic, after a comma"
     told = f"robot-acquire: {path}: has the references {CONTROLLER}, /other/state: {expected}\n"
     assert refusal(path, capsys) == told
     options = ["--topic", "/joint_states, /other/state", "--effort-unit", "N m", "-o", str(tmp_path / "1.mcap")]
@@ -394,8 +394,9 @@ def with_nan(t):
         (states_of(reversed_reference, np.delete(OWN_NS, slice(50, 60))), "time: a gap of 0.1375 s"),
         (states_of(reversed_reference, OWN_NS + 10**10), "time: from 10.103 s to 11.8905 s after the first joint state"),
         ([], "has no messages"),
+        (states_of(reversed_reference, np.full(9, -FIRST_NS)), "time: only one has them"),
     ],
-    ids=["a joint missing", "other joints", "nan", "a gap", "another time", "empty"],
+    ids=["a joint missing", "other joints", "nan", "a gap", "another time", "empty", "no stamps"],
 )  # fmt: skip
 def test_a_reference_that_cannot_be_used_is_a_warning_and_if_asked_for_a_refusal(tmp_path, robot, states, problem):
     path = with_controllers(tmp_path / "a", {CONTROLLER: states}, OLD)

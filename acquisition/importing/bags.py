@@ -70,7 +70,7 @@ def import_bag(
     position_side(robot, "joint", "position", place)
     read, controllers = _read(bag, options, joints)
     stamps_ns, received, parts, warnings = read.states(topic)
-    controller = options.reference_topic or _only_controller(controllers, joints, topic, Place(str(bag)))
+    controller = options.reference_topic or _only_controller(controllers, joints, Place(str(bag)))
     position = parts["position"]
     parts["effort"], provenance, effort_object = _effort(robot, parts.get("effort"), options.effort_unit, place)
     _refuse_several_publishers(position, parts["effort"], joints, place)
@@ -86,7 +86,9 @@ def import_bag(
     try:
         if controller:
             states = _Parts(joints, Place(f"{bag}: {controller}"))
-            grid, reference["reference"] = _with_reference(grid, states, controllers[controller], controller)
+            for received_ns, message in controllers[controller]:
+                states.add(received_ns, message)
+            grid, reference["reference"] = _with_reference(grid, states, received, controller)
     except AcquisitionError as error:
         if options.reference_topic:
             raise
@@ -103,26 +105,21 @@ def import_bag(
     return write_samples(header, grid, warnings, str(place), out)
 
 
-def _only_controller(
-    controllers: Mapping[str, Messages], joints: Sequence[str], topic: str, place: Place
-) -> str | None:
+def _only_controller(controllers: Mapping[str, Messages], joints: Sequence[str], place: Place) -> str | None:
     """Topic of the controller of all joints; of one that lacks some if there is no other, None without any."""
     found = [topic for topic, rows in controllers.items() if rows and {*joints} <= {*rows[0][1].name}]
     if len(found) > 1:
-        place.refuse(
-            expected=f"one of them after the topic, as --topic {topic},{found[0]}",
-            text=f"has the references {listed(found)}",
-        )
+        place.refuse(expected="one of them in --topic, after a comma", text=f"has the references {listed(found)}")
     return next(iter(found or controllers), None)
 
 
-def _with_reference(grid: GridValues, states: "_Parts", messages: Messages, topic: str) -> tuple[GridValues, str]:
-    """The part of the grid within the times of a controller's messages, with its reference; what was done."""
+def _with_reference(grid: GridValues, states: "_Parts", received: bool, topic: str) -> tuple[GridValues, str]:
+    """The part of the grid within the times of a controller's states, with its reference; what was done."""
     from scipy.interpolate import CubicSpline
 
-    for received_ns, message in messages:
-        states.add(received_ns, message)
-    stamps_ns, _, own, _ = states.states(topic)
+    stamps_ns, own_received, own, _ = states.states(topic)
+    if own_received != received:
+        states.place.refuse("time", expected="stamps in the headers of both topics", text="only one has them")
     own_s = np.asarray((stamps_ns - grid.first_ns) * np.float64(1e-9))
     own_s, rows, report = rows_to_interpolate(own_s, {"reference": own["position"]}, states.place)
     time_s = grid.start_s + np.arange(len(grid.parts["position"])) / grid.rate_hz
