@@ -33,7 +33,10 @@ def add(parser: argparse.ArgumentParser) -> None:
     )
     add_options(inputs, RecordOptions, "payload")
     bag = parser.add_argument_group("ROS 2 bag")
-    bag.add_argument("--topic", metavar="NAME", help="topic of sensor_msgs/msg/JointState, such as /joint_states")
+    text = (
+        "topic of JointState; after a comma of JointTrajectoryControllerState (default: the only one with the joints)"
+    )
+    bag.add_argument("--topic", metavar="NAME", help=text)
     text = (
         "required with --topic, unit of the effort: 'N m' at the joints (prismatic: force in N), or A, V, ... at the motors; "
         "one for all joints, or one per joint separated by commas"
@@ -72,7 +75,8 @@ def run(options: argparse.Namespace) -> None:
         elif options.topic is not None:
             _refuse_as_bag(options)
             units = [unit.strip() for unit in options.effort_unit.split(",")]
-            bag = BagOptions(topic=options.topic, effort_unit=units, resample_hz=options.resample_hz)
+            topic, _, other = (name.strip() for name in options.topic.partition(","))
+            bag = BagOptions(topic=topic, reference_topic=other, effort_unit=units, resample_hz=options.resample_hz)
             found = import_bag(tables[0], robot, out, bag, payload)
         else:
             _refuse_bag_options(options)
@@ -89,8 +93,9 @@ def _print(found: "ImportSummary", warnings: TextIO) -> None:
     parts += [f"effort in {', '.join(dict.fromkeys(found.effort_units))}"] if found.effort_units else []
     parts += ["with reference"] if found.has_reference else []
     print(one_line(", ".join([*parts, *(f"with {name.replace('_', ' ')}" for name in found.optional)])))
-    if found.times:
-        print(one_line(f"times: {found.times}"))
+    for name, text in (("times", found.times), ("reference", found.reference)):
+        if text:
+            print(one_line(f"{name}: {text}"))
     for text in found.warnings:
         print(one_line(f"warning: {text}"), file=warnings)
 

@@ -5,12 +5,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from controller_bags import CONTROLLER, HUMBLE, STORES, controller_bag
 from independent_simulator import Imperfections, designed_pd, references, simulate
 from independent_urdf import FRICTION_OF_TORQUE, arm_of
+from rosbags.rosbag2 import StoragePlugin
+from scipy.interpolate import CubicSpline
 from urdfs import SIX, six_joints
 
 from acquisition.commands import main as acquire
+from acquisition.recording import read_recording
+from acquisition.robot import load_robot
 from identification.commands import main as identify
+from identification.model import InverseModel, base_parameters
 
 RATIO, GAINS = 101.0, (0.13, 0.13, 0.13, 0.09, 0.09, 0.09)
 CELL = Imperfections(encoder_noise=1e-5, torque_noise_percent=1.0, recorded="mean")
@@ -44,6 +50,22 @@ def assert_friction_is_found() -> None:
         assert found[f"Fv{j}"] == pytest.approx(viscous, rel=0.1)
 
 
+def outside_their_intervals(urdf: str) -> list[str]:
+    """Base parameters whose true value, by an independent inverse model, is outside the 95 % interval."""
+    (body, _), dynamics, rng = arm_of(urdf), InverseModel(load_robot(Path("robot.toml"))), np.random.default_rng(0)
+    base = base_parameters(dynamics)
+    q, dq, ddq = (rng.uniform(low, high, (100, body.n)) for low, high in ((-2, 2), (0.5, 3), (-9, 9)))
+    dq *= rng.choice([-1, 1], dq.shape)
+    rows = dynamics.regressor(q, dq, ddq)[:, :, base.columns].reshape(-1, base.b)
+    true, *_ = np.linalg.lstsq(rows, body.inverse(q, dq, ddq).ravel(), rcond=None)
+    np.testing.assert_allclose(rows @ true, body.inverse(q, dq, ddq).ravel(), atol=1e-9)
+    found = {one["name"]: one for one in json.loads(Path("fit.json").read_text())["parameters"]}
+    assert list(found) == list(base.names)
+    return [
+        name for name, x in zip(base.names, true, strict=True) if not found[name]["low"] <= x <= found[name]["high"]
+    ]
+
+
 def test_a_ur5_in_the_format_of_rtde(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     Path("ur5.urdf").write_text(six_joints())
@@ -69,6 +91,40 @@ def test_a_ur5_in_the_format_of_rtde(tmp_path, monkeypatch, capsys):
     assert "six: IV (reference recorded), converged" in out
     assert Path("report.html").stat().st_size > 10_000
     assert_friction_is_found()
+    assert len(outside_their_intervals(six_joints())) <= 5  # of 52
+
+
+def test_a_bag_of_ros2_control(tmp_path, monkeypatch, capsys):
+    """Joint states at 250 Hz; states of the trajectory controller at 100 Hz, which begin later and end earlier."""
+    monkeypatch.chdir(tmp_path)
+    Path("arm.urdf").write_text(six_joints())
+    t, q, ref, tau, _ = run(six_joints(), 250.0, 8.0)
+    names, first_ns, path = [one[0] for one in SIX], 1_700_000_000_000_000_000, CubicSpline(t, ref)
+    types = STORES[HUMBLE].types
+    rows = []
+    for at_s, q_k, tau_k in zip(t, q, tau, strict=True):
+        stamp_ns = first_ns + round(1e9 * at_s)
+        stamp = types["builtin_interfaces/msg/Time"](*divmod(stamp_ns, 10**9))
+        header = types["std_msgs/msg/Header"](stamp, "")
+        rows.append((stamp_ns, types["sensor_msgs/msg/JointState"](header, names, q_k, np.zeros(0), tau_k)))
+    own_ns = 23_700_000 + 10_000_000 * np.arange(792)
+    states = [(first_ns + int(ns), names, path(1e-9 * ns)) for ns in own_ns]
+    controller_bag(Path("bag"), rows, {CONTROLLER: states}, storage=StoragePlugin.SQLITE3)
+    assert identify(["init", "arm.urdf", "--effort", "N m", "-o", "robot.toml"]) == 0
+    bag = ["import", "bag", "--topic", "/joint_states", "--effort-unit", "N m", "--robot", "robot.toml"]
+    assert acquire(bag) == 0
+    out, err = capsys.readouterr()
+    assert "bag.mcap: six, 1978 samples at 250 Hz, effort in N m, with reference\n" in out
+    assert f"reference: {CONTROLLER}, 792 rows at 100 Hz, interpolated; 23 samples before and after it left out" in out
+    assert err == ""
+    np.testing.assert_allclose(read_recording(Path("bag.mcap")).samples["reference"], ref[6:1984], atol=1e-6)
+    assert identify(["fit", "bag.mcap", "--report", "report.html", "--json", "fit.json"]) in (0, 3)
+    out, err = capsys.readouterr()
+    assert "six: IV (reference recorded), converged" in out
+    assert err == ""
+    assert Path("report.html").stat().st_size > 10_000
+    assert_friction_is_found()
+    assert len(outside_their_intervals(six_joints())) <= 5  # of 52
 
 
 def test_a_panda_with_torque_sensors_and_fingers(tmp_path, monkeypatch, capsys):
@@ -172,8 +228,6 @@ def test_without_a_description_the_map_is_written_and_init_is_named(tmp_path, mo
 
 
 def test_percent_of_the_rated_torque_goes_through_the_gain(tmp_path, monkeypatch):
-    from acquisition.recording import read_recording
-
     monkeypatch.chdir(tmp_path)
     small_table(tmp_path)
     gain = 'ratio = 50\ndrive_gain = 0.02\ndrive_gain_unit = "N m/%"'

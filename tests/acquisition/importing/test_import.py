@@ -200,6 +200,9 @@ def test_times_that_are_no_grid(tmp_path, two, time_s, rate, place, key, value, 
     assert (*found[:3], found[3].split(";")[0]) == (place, key, value, expected)
 
 
+CELLS = "4, as in line 1, the names of the columns; delete lines above them"
+
+
 @pytest.mark.parametrize(
     ("content", "place", "key", "value", "expected"),
     [
@@ -213,8 +216,8 @@ def test_times_that_are_no_grid(tmp_path, two, time_s, rate, place, key, value, 
         ("p1,p2,c1,c2\n1,2,3,4\n1,2,1_0,4\n", "a.csv: line 3", "c1", "1_0", "a number"),
         ("p1;p2;c1;c2\n1;2;3;4\n1.5;2;3,5;4\n", "a.csv: line 3", "c1", "3,5", "a number"),
         ("p1;p2;c1;c2\n1;2;3;4\n1;2;1.003,5;4\n", "a.csv: line 3", "c1", "1.003.5", "a number"),
-        ("p1,p2,c1,c2\n1,2,3,4\n1,2,3\n", "a.csv: line 3", "", None, "4"),
-        ("p1,p2,c1,c2\n1,2,3,4\n1,2,3,5,4\n", "a.csv: line 3", "", None, "4"),
+        ("p1,p2,c1,c2\n1,2,3,4\n1,2,3\n", "a.csv: line 3", "", None, CELLS),
+        ("p1,p2,c1,c2\n1,2,3,4\n1,2,3,5,4\n", "a.csv: line 3", "", None, CELLS),
         ("p1,p2,c1,c2\n1,2,3,4\n1,2,3,nan\n", "a.csv: row 2", "c2", np.nan, "a finite number"),
         ("p1,p2,c1,c2\n1,2,3,4\n1,-inf,3,4\n", "a.csv: row 2", "p2", -np.inf, "a finite number"),
         ("p1,p2,c1,c2\n1,2,3,4\n1,1e999,3,4\n", "a.csv: row 2", "p2", np.inf, "a finite number"),

@@ -7,7 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from acquisition.commands import main
 from acquisition.importing import propose_map
+from acquisition.recording import read_recording
 from acquisition.robot import FILL_IN, Robot, robot_from_files
 
 N = 6
@@ -145,7 +147,7 @@ HEADERS = [
     ),
     Header(
         tool="drive software", step=250.0, unit="us", scale=1e4,
-        columns={"time [us]": "t", "M{1} position actual value [inc]": "q", "M{1} torque actual value [%]": "tau",
+        columns={"time [µs]": "t", "M{1} position actual value [inc]": "q", "M{1} torque actual value [%]": "tau",
                  "M{1} following error": "other"},
         truth={POSITION: "q", EFFORT: "tau"}, units={EFFORT: "%"},
     ),
@@ -269,12 +271,66 @@ def test_a_reference_that_does_not_move_as_the_position_and_a_speed_that_is_none
     assert "# no [velocity]: not the derivative of the position: " in text
 
 
+SCOPE = """Name{0}YT Scope Project
+File{0}C:\\Users\\lab\\scope.tcscopex
+Starttime of export{0}133238090039920000{0}Monday, March 20, 2023{0}19:03:23.992
+Endtime of export{0}133238090049920000{0}Monday, March 20, 2023{0}19:03:24.992
+
+"""
+
+
+@pytest.mark.parametrize("separator", ["\t", ";"])
+@pytest.mark.parametrize("times", ["one", "each"])
+def test_an_export_of_twincat_scope(tmp_path, monkeypatch, capsys, separator, times):
+    """Above the table are lines on the project and the channels; each channel may have its own times."""
+    header = Header(tool="", columns={}, truth={}, units={}, step=2.0, unit="ms", joints=2, scale=57.3)
+    given, names, columns = values(header), [], []
+    for j in range(2):
+        for name, x in (("ActPos", given["q"]), ("SetPos", given["ref"]), ("ActTorque", given["tau"])):
+            names.append(f"Axis {j + 1}.{name}")
+            columns += [2.0 * np.arange(len(x))] * (times == "each" or not columns) + [x[:, j]]
+    pairs = {"Name": names, "SymbolComment": [""] * 6, "Data-Type": ["REAL64"] * 6, "SampleTime[ms]": ["2"] * 6}
+    lines = [
+        separator.join(x for k, text in enumerate(texts) for x in (*[key] * (times == "each" or not k), text))
+        for key, texts in pairs.items()
+    ]
+    rows = [separator.join(f"{x:.9g}".replace(".", ",") for x in row) for row in zip(*columns, strict=True)]
+    text = SCOPE.format(separator) + "\n".join([*lines, "", *rows, "EOF", ""])
+    (tmp_path / "x.csv").write_text(text)
+    row = "dh = { alpha_deg = 0, d_m = 0, theta_deg = 0, r_m = 0 }\n"
+    motor = '[[motor]]\nname = "m_{0}"\neffort_unit = "N m"\n'
+    joints = "".join(f'[[joint]]\nname = "j{j}"\ntype = "revolute"\n{row}' + motor.format(j) for j in (1, 2))
+    (tmp_path / "robot.toml").write_text(f'name = "arm"\n{joints}[controller]\n')
+    monkeypatch.chdir(tmp_path)
+    command = ["import", "x.csv", "--robot", "robot.toml"]
+    assert main(command) == 0
+    proposed = (tmp_path / "x.map.toml").read_text()
+    assert tomllib.loads(proposed)["time"]["unit"] == "ms"
+    (tmp_path / "x.map.toml").write_text(
+        proposed.replace('unit = "FILL IN"', 'unit = "N m"').replace('side = "FILL IN"', 'side = "joint"')
+    )
+    assert main(command) == 0
+    assert "x.mcap: arm, 600 samples at 500 Hz, effort in N m, with reference\n" in capsys.readouterr().out
+    samples = read_recording(tmp_path / "x.mcap").samples
+    for name, x, scale in (("position", "q", 180 / np.pi), ("reference", "ref", 180 / np.pi), ("effort", "tau", 1)):
+        np.testing.assert_allclose(samples[name] * scale, given[x], rtol=1e-7, atol=1e-6)
+
+
 def test_uneven_times_are_interpolated_and_a_time_that_fits_two_units_is_open(tmp_path):
     t = np.arange(300) * 0.01 + 0.003 * (np.arange(300) % 3 == 0)
     (tmp_path / "x.csv").write_text("t,q,tau\n" + "".join(f"{x:.4f},{np.sin(x):.6f},1\n" for x in t))
     assert "resample_hz = 100 # the steps are uneven" in propose_map(tmp_path / "x.csv", None)
     (tmp_path / "x.csv").write_text("t,q,tau\n" + "".join(f"{0.1 * k:.2f},{np.sin(k):.6f},1\n" for k in range(300)))
     assert tomllib.loads(propose_map(tmp_path / "x.csv", None))["time"]["unit"] == FILL_IN
+
+
+def test_lines_of_units_below_the_names_are_skipped(tmp_path):
+    rows = "".join(f"{0.01 * k:.2f};{np.sin(k):.6f};1\n" for k in range(300))
+    (tmp_path / "x.csv").write_text("t;q;tau\ns;rad;Nm\nLREAL;LREAL;LREAL\n" + rows)
+    with_units = propose_map(tmp_path / "x.csv", None)
+    (tmp_path / "x.csv").write_text("t;q;tau\n" + rows)
+    assert with_units == propose_map(tmp_path / "x.csv", None)
+    assert tomllib.loads(with_units)["position"]["columns"] == ["q"]
 
 
 def test_a_table_without_a_header_leaves_all_open(tmp_path):

@@ -1,11 +1,14 @@
 """ROS 2 bags: those that the package rosbags writes are read sample by sample."""
 
+import sqlite3
+from contextlib import closing
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from conftest import REPLAY, robot_named
-from made_up_bags import DQ, EFFORT, FIRST_NS, NAMES, RATE_HZ, STATE, STORE, N, Q, T, bag, message
+from controller_bags import CONTROLLER, HUMBLE, OLD, STORES, controller_bag
+from made_up_bags import DQ, EFFORT, FIRST_NS, NAMES, RATE_HZ, STATE, STORE, TEXT, N, Q, T, bag, message
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.rosbag2 import CompressionMode, StoragePlugin, Writer
 
@@ -290,6 +293,94 @@ def test_doubts_about_a_bag_are_told_and_kept(tmp_path, capsys):
     assert ", 1 doubled rows left out" in recording.metadata["times"]
     printed = capsys.readouterr().out
     assert all(f"warning: {text}" in printed for text in texts)
+
+
+# Every 12.5 ms, from 103 ms after the first joint state to 98 ms before the last.
+OWN_NS = 103_000_000 + 12_500_000 * np.arange(144)
+
+
+def states_of(q, own_ns=OWN_NS, names=NAMES[::-1]):
+    """States of a controller whose reference is the function `q` of time, the joints in another order."""
+    return [(FIRST_NS + int(ns), names, q(1e-9 * ns)[: len(names)]) for ns in own_ns]
+
+
+def reversed_reference(t):
+    return np.array([0.4 * np.sin(3 * t), 0.6 * np.sin(2 * t)])
+
+
+def with_controllers(path, topics, version=HUMBLE, storage=StoragePlugin.MCAP):
+    return controller_bag(path, [(FIRST_NS + k * 10_000_000, message(k)) for k in range(N)], topics, version, storage)
+
+
+@pytest.mark.parametrize("storage", ["mcap", "db3", "db3 without definitions"])
+@pytest.mark.parametrize("version", STORES)
+def test_the_reference_is_that_of_the_controller_at_the_times_of_the_joint_states(tmp_path, version, storage, capsys):
+    plugin = StoragePlugin.MCAP if storage == "mcap" else StoragePlugin.SQLITE3
+    path = with_controllers(tmp_path / "a", {CONTROLLER: states_of(reversed_reference)}, version, plugin)
+    if storage.endswith("definitions"):
+        (file,) = path.glob("*.db3")
+        with closing(sqlite3.connect(file)) as database, database:
+            database.execute("DELETE FROM message_definitions")
+    samples = imported(path, tmp_path / "out.mcap").samples
+    at_s = 1e-9 * (samples["stamp_ns"] - FIRST_NS).astype(float)
+    np.testing.assert_allclose(samples["reference"], reversed_reference(at_s).T[:, ::-1], atol=2e-7)
+    np.testing.assert_allclose(samples["position"], Q[11:190], atol=1e-12)
+    assert at_s[0] == pytest.approx(0.11)
+    told = f"reference: {CONTROLLER}, 144 rows at 80 Hz, interpolated; 21 samples before and after it left out\n"
+    out = capsys.readouterr().out
+    assert "with reference" in out
+    assert told in out
+
+
+def test_of_two_controllers_one_is_named_and_one_of_other_joints_is_none(tmp_path, capsys):
+    gripper = {"/gripper/controller_state": states_of(reversed_reference, names=("finger",))}
+    two = {CONTROLLER: states_of(reversed_reference), "/other/state": states_of(lambda t: 0.5 * reversed_reference(t))}
+    path = with_controllers(tmp_path / "a", gripper | two)
+    expected = "expected one of them in --topic, after a comma"
+    told = f"robot-acquire: {path}: has the references {CONTROLLER}, /other/state: {expected}\n"
+    assert refusal(path, capsys) == told
+    options = ["--topic", "/joint_states, /other/state", "--effort-unit", "N m", "-o", str(tmp_path / "1.mcap")]
+    assert main(["import", str(path), "--robot", str(TOML), *options]) == 0
+    assert "reference: /other/state, " in capsys.readouterr().out
+    reference = read_recording(tmp_path / "1.mcap").samples["reference"]
+    assert np.abs(reference[:, 0]).max() == pytest.approx(0.3, abs=1e-3)
+    alone = with_controllers(tmp_path / "b", gripper | {CONTROLLER: states_of(reversed_reference)})
+    assert import_bag(alone, robot_named("scara"), tmp_path / "2.mcap", OPTIONS).reference.startswith(CONTROLLER)
+
+
+def with_nan(t):
+    return np.array([np.nan if t > 1 else 0.0, 0.0])
+
+
+@pytest.mark.parametrize(
+    ("states", "problem"),
+    [
+        (states_of(reversed_reference, names=("elbow", "wrist")), "message 1: joints shoulder missing in elbow, wrist"),
+        (states_of(reversed_reference, names=("finger",)), "has finger: expected the joints shoulder, elbow"),
+        (states_of(with_nan), "state 73: position of joint elbow = nan"),
+        (states_of(reversed_reference, np.delete(OWN_NS, slice(50, 60))), "time: a gap of 0.1375 s"),
+        (states_of(reversed_reference, OWN_NS + 10**10), "time: from 10.103 s to 11.8905 s after the first joint state"),
+        ([], "has no messages"),
+        (states_of(reversed_reference, np.full(9, -FIRST_NS)), "time: only one has them"),
+    ],
+    ids=["a joint missing", "other joints", "nan", "a gap", "another time", "empty", "no stamps"],
+)  # fmt: skip
+def test_a_reference_that_cannot_be_used_is_a_warning_and_if_asked_for_a_refusal(tmp_path, robot, states, problem):
+    path = with_controllers(tmp_path / "a", {CONTROLLER: states}, OLD)
+    found = import_bag(path, robot, tmp_path / "out.mcap", OPTIONS)
+    assert not found.has_reference
+    (warning,) = found.warnings
+    assert warning.startswith(f"no reference: {path}: {CONTROLLER}: {problem}")
+    with pytest.raises(AcquisitionError) as refused:
+        import_bag(path, robot, tmp_path / "asked.mcap", replace(OPTIONS, reference_topic=CONTROLLER))
+    assert f"no reference: {refused.value}" == warning
+    assert not (tmp_path / "asked.mcap").exists()
+
+
+def test_a_reference_topic_of_another_type_or_none_is_told(tmp_path, robot, whole):
+    for topic, problem in (("/rosout", f"has type {TEXT}"), ("/away", "does not exist")):
+        with pytest.raises(AcquisitionError, match=f"topic {topic} {problem}: expected a topic of control_msgs/msg/"):
+            import_bag(whole, robot, tmp_path / "out.mcap", replace(OPTIONS, reference_topic=topic))
 
 
 def test_options_that_do_not_go_together(tmp_path, whole, capsys):
