@@ -26,11 +26,7 @@ CONCERNS = ("load", "own", "gains")
 CARRIED = Payload(1.0, CENTRE["scara"])
 KNOWN = np.array([1.0, 0.05])  # N m, known torques
 LONG_S = 10.0  # two blocks of rows
-STATED = {
-    "decimation": 5,
-    "ramp_rows": 0.5,
-    "torque_lag_s": 0.0,
-}  # else long recordings take theirs from their beginnings
+STATED = {"decimation": 5, "ramp_rows": 0.5, "torque_lag_s": 0.0}  # else long ones take theirs from their beginnings
 
 
 @cache

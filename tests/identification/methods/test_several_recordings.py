@@ -19,6 +19,7 @@ from identification.methods import (
     Iteration,
     fit_file,
     fitted_parameters,
+    identify,
     identify_iv,
     identify_ls,
     with_consistent,
@@ -34,6 +35,7 @@ from identification.regression import (
 from identification.report import ParameterSet, differences, read_fit, write_json
 from identification.study import Noise, closed_loop, random_reference, write_signals
 
+USUAL = ("viscous", "coulomb")
 CELL = Noise(encoder_step=1e-5, effort_percent=2.0)
 
 
@@ -57,10 +59,7 @@ def several(*signals: Signals, work=None) -> Recordings:
 
 @cache
 def fitted(method: str = "wls", seeds: tuple[int, ...] = (1, 2, 3)):
-    recordings = several(*map(recorded, seeds))
-    if method == "iv":
-        return identify_iv(recordings, Overrides(), Iteration())
-    return identify_ls(recordings, Overrides(), method=method)
+    return identify(several(*map(recorded, seeds)), Overrides(), method=method)
 
 
 def off(fit, beta) -> float:
@@ -100,8 +99,7 @@ def test_a_recording_twice_halves_the_variance(method):
     """The same samples under another name: the same estimate; variances of two recordings add up, degrees of freedom too."""
     one = recorded(1)
     again = replace(one, recording="again.mcap", sha256="f" * 64)
-    identify = identify_ls if method == "wls" else lambda s, o: identify_iv(s, o, Iteration())
-    single, twice = identify(one, Overrides()), identify(several(one, again), Overrides())
+    single, twice = (identify(given, Overrides(), method=method) for given in (one, several(one, again)))
     assert off(single, twice.estimate.beta) < 1e-3  # the ranks in the weights count half
     np.testing.assert_allclose(
         twice.intervals.sigma, single.intervals.sigma / np.sqrt(2), rtol=0.12
@@ -162,10 +160,7 @@ def test_the_same_bits_in_any_order(method):
     for order in ((3, 1, 2), (2, 3, 1)):
         assert bits(fitted(method, order)) == wanted
     recordings = several(*map(recorded, (1, 2, 3)), work=LastFirst())
-    found = (
-        identify_iv(recordings, Overrides(), Iteration()) if method == "iv" else identify_ls(recordings, Overrides())
-    )
-    assert bits(found) == wanted
+    assert bits(identify(recordings, Overrides(), method=method)) == wanted
 
 
 @pytest.fixture(scope="module")
@@ -184,28 +179,21 @@ def fit_files(tmp_path, name, *arguments) -> dict:
     return json.loads(out.read_text())
 
 
-@pytest.fixture(scope="module")
-def serial(files, tmp_path_factory):
-    return fit_files(tmp_path_factory.mktemp("serial"), "serial", *files, "--method", "iv", "--workers", "1")
-
-
-def same(found: dict, wanted: dict) -> bool:
+def test_the_same_bits_with_two_workers_and_with_two_of_dask(files, tmp_path):
     """Everything but the recording that is named first."""
-    return all(found[key] == wanted[key] for key in ("parameters", "covariance", "trust", "iterations", "essential"))
-
-
-def test_the_same_bits_with_two_workers(files, serial, tmp_path):
-    found = fit_files(tmp_path, "two", *files[::-1], "--method", "iv", "--workers", "2")
-    assert same(found, serial)
-    assert [one["recording"] for one in found["recordings"]] == ["r3.mcap", "r2.mcap", "r1.mcap"]
-
-
-def test_the_same_bits_on_two_workers_of_dask(files, serial, tmp_path):
     distributed = pytest.importorskip("distributed")
+
+    def fit(files, workers):
+        found = fit_files(tmp_path, "fit", *files, "--method", "iv", "--workers", workers)
+        bits = [found[key] for key in ("parameters", "covariance", "trust", "iterations", "essential")]
+        return bits, [one["recording"] for one in found["recordings"]]
+
+    serial, names = fit(files, "1")
+    assert fit(files[::-1], "2") == (serial, names[::-1])
     with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0") as dask:
-        found = fit_files(tmp_path, "dask", *files, "--method", "iv", "--workers", dask.scheduler_address)
+        assert fit(files, dask.scheduler_address) == (serial, names)
         distributed.default_client().close()
-    assert same(found, serial)
+    assert names == ["r1.mcap", "r2.mcap", "r3.mcap"]
 
 
 def test_workers_are_imported_when_asked_for_alone(files):
@@ -259,29 +247,28 @@ def test_reduced_rows_give_the_same_by_instruments(monkeypatch):
     )
 
 
-def one_joint(seed: int, still: int) -> Signals:
-    """The same of the exact model with noise, one joint held by its brake."""
+def with_a_joint_held(seed: int, still: int) -> Signals:
+    """The exact model with noise, one joint held by its brake."""
     like = recorded(seed)
     q = np.array(like.q_ref)
     q[:, still] = q[0, still]
     dq = np.gradient(q, 1e-3, axis=0)
-    ddq = np.gradient(dq, 1e-3, axis=0)
     dynamics = InverseModel(like.robot)
     base = base_parameters(dynamics)
-    tau = dynamics.regressor(q, dq, ddq)[:, :, base.columns] @ described_parameters(dynamics, base)
+    regressor = dynamics.regressor(q, dq, np.gradient(dq, 1e-3, axis=0))[:, :, base.columns]
+    tau = regressor @ described_parameters(dynamics, base)
     noise = np.random.default_rng(seed).normal(size=tau.shape) * 0.02 * tau.std(axis=0)
     return replace(like, q=q, q_ref=None, effort=tau + noise, recording=f"r{seed}.mcap")
 
 
-HALVES = one_joint(4, still=1), one_joint(5, still=0)
-
-
 def test_recordings_that_excite_half_the_parameters_each(tmp_path, capsys):
-    for one in HALVES:
+    halves = with_a_joint_held(4, still=1), with_a_joint_held(5, still=0)
+    for one in halves:
         with pytest.raises(IdentificationError):
             identify_ls(one, Overrides())
-    fit = identify_ls(several(*HALVES), Overrides())
-    dynamics = InverseModel(HALVES[0].robot)
+        write_signals(tmp_path / one.recording, one, source="test")
+    fit = identify_ls(several(*halves), Overrides())
+    dynamics = InverseModel(halves[0].robot)
     assert off(fit, described_parameters(dynamics, base_parameters(dynamics))) < 2.0
     shoulder, elbow = (one.held_out for one in fit.recordings)
     assert (shoulder.error_percent, elbow.error_percent) == (None, None)
@@ -290,10 +277,7 @@ def test_recordings_that_excite_half_the_parameters_each(tmp_path, capsys):
     line = fit.trust.line("held-out blocks")
     assert (line.level, line.value) == ("cannot tell", None)
     assert "r4.mcap cannot be predicted by the others" in line.text
-    paths = [tmp_path / one.recording for one in HALVES]
-    for path, one in zip(paths, HALVES, strict=True):
-        write_signals(path, one, source="test")
-    stored = fit_files(tmp_path, "halves", *paths, "--workers", "1")
+    stored = fit_files(tmp_path, "halves", *(tmp_path / one.recording for one in halves), "--workers", "1")
     assert [one["held_out_error_percent"] for one in stored["recordings"]] == [None, None]
     assert "ZZ1R" in stored["recordings"][0]["undetermined"]
     assert "r4.mcap cannot be predicted by the others: " in capsys.readouterr().out.replace("\n", " ")
@@ -313,22 +297,7 @@ def test_the_lowest_rate_of_rows_and_cutoff_is_common():
 def test_validate_and_pictures_of_several(files, tmp_path, capsys):
     pytest.importorskip("rerun")
     fit = tmp_path / "fit.json"
-    assert (
-        main(
-            [
-                "fit",
-                str(files[0]),
-                str(files[1]),
-                "--workers",
-                "1",
-                "--json",
-                str(fit),
-                "--rrd",
-                str(tmp_path / "f.rrd"),
-            ]
-        )
-        == 0
-    )
+    fit_files(tmp_path, "fit", *files[:2], "--workers", "1", "--rrd", tmp_path / "f.rrd")
     assert {path.name for path in tmp_path.glob("*.rrd")} == {"f_r1.rrd", "f_r2.rrd"}
     out = tmp_path / "v.json"
     assert main(["validate", str(fit), str(files[1]), str(files[2]), "--json", str(out)]) == 0
@@ -340,62 +309,46 @@ def test_validate_and_pictures_of_several(files, tmp_path, capsys):
     assert "--out = " in capsys.readouterr().err
 
 
-FRICTION = {  # of the elbow, described with viscous and Coulomb friction, by the keys
-    "without Coulomb friction": {"coulomb": False},
-    "root": {"friction": ("viscous", "root", "coulomb")},
-    "one-sided": {"friction": "asymmetric"},
-}
-
-
-def changed(what: str) -> Signals:
-    one = recorded(2)
-    joints, motors = one.robot.joints, one.robot.motors
-    if what == "joint":
-        robot = replace(one.robot, joints=(msgspec.structs.replace(joints[0], name="hip"), *joints[1:]))
-    elif what == "dh":
-        dh = msgspec.structs.replace(joints[1].dh, d_m=0.6)
-        robot = replace(one.robot, joints=(joints[0], msgspec.structs.replace(joints[1], dh=dh)))
-    elif what == "unit":
-        robot = replace(one.robot, motors=(msgspec.structs.replace(motors[0], effort_unit="N"), *motors[1:]))
-    elif what in FRICTION:
-        robot = replace(one.robot, joints=(joints[0], msgspec.structs.replace(joints[1], **FRICTION[what])))
-    elif what == "gravity":
-        robot = replace(one.robot, gravity=np.array([0.0, 0.0, 9.81]))
-    else:
-        robot = one.robot
-    return replace(one, robot=robot, **({"sha256": recorded(1).sha256} if what == "twice" else {}))
+def with_part(one: Signals, part: str, at: int, **values) -> Signals:
+    """The recording with other values of a joint or motor of its description."""
+    parts = list(getattr(one.robot, part))
+    parts[at] = msgspec.structs.replace(parts[at], **values)
+    return replace(one, robot=replace(one.robot, **{part: tuple(parts)}))
 
 
 @pytest.mark.parametrize(
-    ("what", "key"),
+    ("part", "at", "values", "key"),
     [
-        ("joint", "joint hip: name"),
-        ("dh", "joint elbow: dh"),
-        ("unit", "motor motor_1: effort_unit"),
-        *((what, "joint elbow: friction") for what in FRICTION),
-        ("gravity", "gravity_m_s2"),
-        ("twice", ""),
+        ("joints", 0, {"name": "hip"}, "joint hip: name"),
+        ("joints", 1, {"dh": robot_named("scara").joints[0].dh}, "joint elbow: dh"),
+        ("joints", 1, {"coulomb": False}, "joint elbow: friction"),  # described with viscous and Coulomb, by the keys
+        ("joints", 1, {"friction": ("viscous", "root", "coulomb")}, "joint elbow: friction"),
+        ("joints", 1, {"friction": "asymmetric"}, "joint elbow: friction"),
+        ("motors", 0, {"effort_unit": "N"}, "motor motor_1: effort_unit"),
+        ("robot", 0, {"gravity": np.array([0.0, 0.0, 9.81])}, "gravity_m_s2"),
+        ("recording", 0, {"sha256": f"{1:064x}"}, ""),
     ],
 )
-def test_recordings_of_another_robot_are_refused(what, key):
+def test_recordings_of_another_robot_are_refused(part, at, values, key):
+    other = recorded(2)
+    if part == "robot":
+        other = replace(other, robot=replace(other.robot, **values))
+    else:
+        other = replace(other, **values) if part == "recording" else with_part(other, part, at, **values)
     with pytest.raises(IdentificationError) as told:
-        identify_ls(several(recorded(1), changed(what)), Overrides())
+        identify_ls(several(recorded(1), other), Overrides())
     assert (told.value.place, told.value.key) == ("r2.mcap", key)
-    assert what == "twice" or "as in r1.mcap" in told.value.expected
+    assert part == "recording" or "as in r1.mcap" in told.value.expected
 
 
 def test_friction_terms_agree_in_any_order():
     """A list in another order, and the keys that mean the same, are of one robot; another Stribeck speed is not."""
-
-    def elbow(one, **friction):
-        joints = (one.robot.joints[0], msgspec.structs.replace(one.robot.joints[1], **friction))
-        return replace(one, robot=replace(one.robot, joints=joints))
-
-    keys, first = recorded(1), elbow(recorded(2), friction=("viscous", "coulomb"))
-    check_one_robot([keys, first, elbow(recorded(3), friction=("coulomb", "viscous"))])
-    slow, fast = (elbow(recorded(k), friction=("viscous", "stribeck"), stribeck_speed_deg_s=10.0 * k) for k in (1, 2))
+    lists = (with_part(recorded(k), "joints", 1, friction=x) for k, x in ((2, USUAL), (3, USUAL[::-1])))
+    check_one_robot([recorded(1), *lists])
+    stribeck = ("viscous", "stribeck")
+    speeds = (with_part(recorded(k), "joints", 1, friction=stribeck, stribeck_speed_deg_s=10.0 * k) for k in (1, 2))
     with pytest.raises(IdentificationError) as told:
-        check_one_robot([slow, fast])
+        check_one_robot(list(speeds))
     assert (told.value.key, told.value.value) == ("joint elbow: stribeck_speed_deg_s", 20.0)
 
 
@@ -427,10 +380,7 @@ def with_offsets(kinds: tuple[str, ...], offsets: tuple[float, ...] = (0.2, -0.1
 @pytest.mark.parametrize("method", ["wls", "iv"])
 def test_offsets_of_their_own(method):
     def fit(kinds, offsets=(0.2, -0.1, 0.05)):
-        recordings = several(*with_offsets(kinds, offsets))
-        if method == "iv":
-            return identify_iv(recordings, Overrides(), Iteration())
-        return identify_ls(recordings, Overrides())
+        return identify(several(*with_offsets(kinds, offsets)), Overrides(), method=method)
 
     found, shared = fit(("Off",)), fit(())
     names = found.estimate.names
@@ -553,21 +503,3 @@ def test_each_recording_is_simulated_with_its_own_parameters():
     for one, offset in zip(fit.recordings, (2.0, -2.0, 0.0), strict=True):
         model = one.replica.motion.tau.mean(axis=0) - fit.tau[one.rows].mean(axis=0)
         assert abs(model[0]) < 0.3, offset
-
-
-@pytest.mark.parametrize("method", ["wls", "iv"])
-def test_long_recordings_have_parameters_of_their_own(method, monkeypatch):
-    def fit():
-        recordings = several(*with_offsets(("Off",)))
-        if method == "iv":
-            return identify_iv(recordings, Overrides(), Iteration())
-        return identify_ls(recordings, Overrides())
-
-    held = fit()
-    monkeypatch.setattr(regression_system, "_MAX_NUMBERS", 500)
-    monkeypatch.setattr("identification.methods.equations.SPAN_S", 9.0)
-    found = fit()
-    assert (found.estimate.names, found.status) == (held.estimate.names, held.status)
-    assert (np.abs(found.estimate.beta - held.estimate.beta) < 0.3 * held.intervals.half).all()
-    np.testing.assert_allclose(found.intervals.half, held.intervals.half, rtol=0.2)
-    assert pytest.approx(held.own.F, rel=0.05) == found.own.F
