@@ -123,3 +123,16 @@ def simulated(robot, *seeds: int):
         signals = closed_loop(robot, q, 1000.0, noise=Noise(encoder_step=1e-6, effort_percent=2.0), seed=seed)
         found.append(dataclasses.replace(signals, recording=f"r{seed}.mcap", sha256=f"{seed:064x}"))
     return Recordings(sources=tuple(found))
+
+
+def moved(robot, *seeds: int, noise: float = 1.0):
+    """Recordings of 6 s of exact motion, and of torque with white noise in N or N m."""
+    model, base, beta = model_of(robot)
+    found = []
+    for k in seeds:
+        motion = fourier_reference(robot, period_s=6.0, seed=k).at(np.arange(0.0, 6.0, 1e-3))
+        tau = direct_of(model, base, beta).torque(*motion)
+        tau = tau + np.random.default_rng(k).normal(0, noise, tau.shape)
+        signals = signals_from_arrays(motion[0], tau, 1000.0, robot)
+        found.append(dataclasses.replace(signals, recording=f"r{k}.mcap", sha256=f"{k:064x}"))
+    return Recordings(sources=tuple(found))

@@ -5,6 +5,7 @@ import json
 import os
 import subprocess
 import sys
+from functools import cache
 
 import msgspec
 import numpy as np
@@ -78,35 +79,26 @@ def test_motors_in_another_order_than_joints_are_refused():
 
 
 @pytest.mark.parametrize(
-    ("options", "expected"),
+    ("key", "value", "cutoff_hz", "expected"),
     [
-        (["--cutoff-hz", "1e-9"], "cut-off = 1e-09 Hz: 5 periods are longer"),
-        (["--cutoff-hz", "1e-300"], "cut-off = 1e-300 Hz: 5 periods are longer"),
+        (None, None, "1e-9", "cut-off = 1e-09 Hz: 5 periods are longer"),
+        (None, None, "1e-300", "cut-off = 1e-300 Hz: 5 periods are longer"),
+        ("bandwidth_hz", "1e-9", "25", "controller.bandwidth_hz = 1e-09: expected a period shorter than"),
+        ("sample_rate_hz", "1e9", None, "expected at most 2e+07 steps"),
     ],
 )
-def test_cutoffs_that_no_recording_is_long_enough_for(capsys, options, expected):
-    assert expected in refused(capsys, "fit", SESSION, *options)
-
-
-@pytest.mark.parametrize(
-    ("key", "value", "expected"),
-    [
-        ("bandwidth_hz", "1e-9", "controller.bandwidth_hz = 1e-09: expected a period shorter than"),
-        ("sample_rate_hz", "1e9", "expected at most 2e+07 steps"),
-    ],
-)
-def test_controllers_that_cannot_be(capsys, robot_file, key, value, expected):
-    lines = [f"{key} = {value}" if li.startswith(key) else li for li in robot_file.read_text().splitlines()]
+def test_cutoffs_and_controllers_that_cannot_be(capsys, robot_file, key, value, cutoff_hz, expected):
+    lines = [f"{key} = {value}" if key and li.startswith(key) else li for li in robot_file.read_text().splitlines()]
     robot_file.write_text("\n".join(lines))
-    options = ["--method", "iv"] + (["--cutoff-hz", "25"] if key == "bandwidth_hz" else [])
-    assert expected in refused(capsys, "fit", SESSION, "--robot", robot_file, *options)
+    options = ["--robot", robot_file, "--method", "iv"] if key else []
+    options += ["--cutoff-hz", cutoff_hz] if cutoff_hz else []
+    assert expected in refused(capsys, "fit", SESSION, *options)
 
 
 def test_simulations_that_are_too_short_and_folders_that_cannot_be(capsys, tmp_path, robot_file):
     out = tmp_path / "x.mcap"
-    assert "0.1 samples; expected 100 to" in refused(
-        capsys, "simulate", robot_file, "-o", out, "--duration-s", "0.0001"
-    )
+    short = refused(capsys, "simulate", robot_file, "-o", out, "--duration-s", "0.0001")
+    assert "0.1 samples; expected 100 to" in short
     assert "/dev/null: cannot be created" in refused(capsys, "demo", "--out", "/dev/null")
     with pytest.raises(SystemExit):
         run(capsys, "simulate", robot_file, "-o", out, "--seed", "-1")
@@ -156,28 +148,28 @@ ARM = """<robot name="r"><link name="a"/><link name="flange"/>
 <joint name="mount" type="fixed"><parent link="c"/><child link="flange"/><axis xyz="0 0 0"/></joint></robot>"""
 
 
-@pytest.mark.parametrize("kind", ["revolute", "continuous", "prismatic"])
-def test_a_movable_joint_needs_an_axis(kind):
-    urdf = ARM.replace("TYPE", kind).replace("AXIS", "0 0 0")
-    with pytest.raises(IdentificationError, match="joint 'shoulder': axis = '0 0 0': expected a direction"):
-        InverseModel(dataclasses.replace(robot_named("scara"), urdf=urdf))
-
-
 @pytest.mark.parametrize("kind", ["revolute", "continuous"])
-def test_a_fixed_joint_needs_none(kind):
+def test_a_movable_joint_needs_an_axis_and_a_fixed_one_none(kind):
     """Exporters write `0 0 0` there. At q = 0 both arms are straight: inertias as of two unit masses by hand."""
-    urdf = ARM.replace("TYPE", kind).replace("AXIS", "0 0 1")
+    none, urdf = (ARM.replace("TYPE", kind).replace("AXIS", axis) for axis in ("0 0 0", "0 0 1"))
+    with pytest.raises(IdentificationError, match="joint 'shoulder': axis = '0 0 0': expected a direction"):
+        InverseModel(dataclasses.replace(robot_named("scara"), urdf=none))
     idm = InverseModel(dataclasses.replace(robot_named("scara"), urdf=urdf))
     chi = np.array([{"ZZ1": 1.0, "ZZ2": 2.0, "M2": 3.0}.get(name, 0.0) for name in idm.names])
     inertia = direct_model(idm, chi).inertia(np.zeros((1, 2)))[0]
     assert inertia == pytest.approx(np.array([[1.0 + 2.0 + 3.0 * 0.5**2, 2.0], [2.0, 2.0]]), abs=1e-5)
 
 
-def test_a_bandwidth_that_is_wrong_is_not_told_as_a_foreign_reference():
-    """The reference is compared with the position as it was measured, not as the stated bandwidth lets it through."""
+@cache
+def simulated():
     robot = robot_named("scara")
     q_ref = random_reference(robot, duration_s=10.0, sample_rate_hz=1000.0, seed=3)
-    signals = closed_loop(robot, q_ref, 1000.0, noise=Noise(position=1e-6, effort_percent=1.0), seed=3)
+    return closed_loop(robot, q_ref, 1000.0, noise=Noise(position=1e-6, effort_percent=1.0), seed=3)
+
+
+def test_a_bandwidth_that_is_wrong_is_not_told_as_a_foreign_reference():
+    """The reference is compared with the position as it was measured, not as the stated bandwidth lets it through."""
+    signals, robot = simulated(), robot_named("scara")
     low = msgspec.structs.replace(robot.controller, bandwidth_hz=0.45)
     slow = dataclasses.replace(signals, robot=dataclasses.replace(robot, controller=low))
     overrides = Overrides(cutoff_hz=25.0, decimation=20)
@@ -188,9 +180,7 @@ def test_a_bandwidth_that_is_wrong_is_not_told_as_a_foreign_reference():
 
 
 def test_a_joint_that_stands_is_named_by_its_own_parameters():
-    robot = robot_named("scara")
-    q_ref = random_reference(robot, duration_s=10.0, sample_rate_hz=1000.0, seed=3)
-    signals = closed_loop(robot, q_ref, 1000.0, noise=Noise(effort_percent=1.0), seed=3)
+    signals = simulated()
     rng = np.random.default_rng(1)
     q, effort = np.array(signals.q), np.array(signals.effort)
     q[:, 1] = 0.3 + 1e-6 * rng.standard_normal(len(q))

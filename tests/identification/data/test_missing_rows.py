@@ -21,11 +21,8 @@ def shares(q):
 
 def drawn(rows, percent):
     """Rows (N,) bool, so many of each hundred, none of them beside another."""
-    chosen = np.zeros(rows, dtype=bool)
-    chosen[np.random.default_rng(3).choice(np.arange(5, rows - 5, 2), round(0.01 * percent * rows), replace=False)] = (
-        True
-    )
-    return chosen
+    at = np.random.default_rng(3).choice(np.arange(5, rows - 5, 2), round(0.01 * percent * rows), replace=False)
+    return np.isin(np.arange(rows), at)
 
 
 def short(name, seed):
@@ -50,7 +47,7 @@ def test_the_share_is_told_to_a_tenth_of_a_percent(q, name, percent):
     assert of_held[:2].max() < 0.3 * of_held[2]
 
 
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("name", ["emps", "scara"])
 def test_nothing_is_found_where_nothing_is_lost(name, seed):
     signals = short(name, seed).recording(100 + seed)
@@ -91,9 +88,7 @@ def test_the_real_axis_has_all_its_rows_and_the_real_arm_a_slow_encoder(emps, tx
     note = line_of(fit_by_least_squares(arm))
     assert (note.level, note.value) == ("ok", None)
     assert "encoder of joint joint_3" in note.text
-    assert (
-        max(shares(axis.q[::50]).max(), shares(arm.q[2::5]).max()) == 0
-    )  # coarse text and abrupt motion at a low rate
+    assert max(shares(axis.q[::50]).max(), shares(arm.q[2::5]).max()) == 0  # coarse and abrupt motion at a low rate
 
 
 def test_the_verdict_of_arrays_and_recordings_with_lost_rows_is_caution():

@@ -11,7 +11,7 @@ import scipy.io
 from conftest import REPLAY, needs_data, robot_named
 from fits_of_records import iv_of, ls_of, signals_of
 
-from acquisition.robot import load_robot
+from acquisition.robot import Robot, load_robot
 from identification.commands import main
 from identification.data import Signals, load_signals
 from identification.errors import IdentificationError
@@ -22,6 +22,7 @@ from identification.simulation import recorded_loop
 from identification.study import Noise, closed_loop, random_reference
 
 RAW = Overrides(cutoff_hz=0)
+SERIES = "t_s", "q", "q_ref", "effort"
 SCARA = REPLAY / "scara" / "session.mcap"
 
 
@@ -79,9 +80,9 @@ def test_without_the_gain_update_the_first_instruments_of_the_tx40_are_along_the
     assert not np.array_equal(fit.replica.motion.q, updated.replica.motion.q)
 
 
-def test_fewer_instrument_samples_leave_the_estimate_where_it_is(tx40, monkeypatch):
+def test_fewer_instrument_samples_leave_the_estimate_where_it_is(monkeypatch):
     """All rows are used: which of them are slow turns on single samples, with either rate."""
-    signals = signals_of(tx40)
+    signals = signals_of(SCARA)
     to_the_end = Iteration(start="ls", tolerance_percent=0.01, max_iterations=6)
     every_row = Overrides(low_speed_percent=0.0)
     coarse = identify_iv(signals, every_row, to_the_end)
@@ -94,17 +95,20 @@ def test_fewer_instrument_samples_leave_the_estimate_where_it_is(tx40, monkeypat
 # Simulated robots
 
 
-def tx40_signals(noise: Noise, seed: int = 5) -> tuple[Signals, np.ndarray]:
-    robot = robot_named("tx40")
-    q_ref = random_reference(robot, duration_s=10.0, sample_rate_hz=1000.0, seed=seed)
+def true_of(robot: Robot) -> np.ndarray:
     dynamics = InverseModel(robot)
-    return closed_loop(robot, q_ref, 1000.0, noise=noise, seed=seed), described_parameters(
-        dynamics, base_parameters(dynamics)
-    )
+    return described_parameters(dynamics, base_parameters(dynamics))
+
+
+def simulated(name: str, noise: Noise, seed: int) -> tuple[Signals, np.ndarray]:
+    """10 s of a described robot, and its base parameters."""
+    robot = robot_named(name)
+    q_ref = random_reference(robot, duration_s=10.0, sample_rate_hz=1000.0, seed=seed)
+    return closed_loop(robot, q_ref, 1000.0, noise=noise, seed=seed), true_of(robot)
 
 
 def test_simulated_tx40_gives_the_truth_where_least_squares_does_not():
-    signals, true = tx40_signals(Noise(encoder_step=1e-5, position=1.7e-5, effort_percent=3.0))
+    signals, true = simulated("tx40", Noise(encoder_step=1e-5, position=1.7e-5, effort_percent=3.0), 5)
     fit = identify_iv(signals, RAW, Iteration())
     ls = identify_ls(signals, dataclasses.replace(RAW, low_speed_percent=0.0))  # of all rows
     assert (fit.status, fit.iv.reference) == ("converged", "recorded")
@@ -115,11 +119,7 @@ def test_simulated_tx40_gives_the_truth_where_least_squares_does_not():
 
 
 def test_scara_with_a_wrong_filter_and_with_the_tuned_one():
-    robot = robot_named("scara")
-    dynamics = InverseModel(robot)
-    true = described_parameters(dynamics, base_parameters(dynamics))
-    q_ref = random_reference(robot, duration_s=10.0, sample_rate_hz=1000.0, seed=3)
-    signals = closed_loop(robot, q_ref, 1000.0, noise=Noise(position=1e-4, effort_percent=2.0), seed=3)
+    signals, true = simulated("scara", Noise(position=1e-4, effort_percent=2.0), 3)
     # The wrong filter: none. Then, worse, rows at the full rate, with all the noise of the acceleration in W.
     for wrong, bias, right in ((RAW, 2.0, 0.5), (Overrides(cutoff_hz=0, decimation=1), 90.0, 5.0)):
         ls = identify_ls(signals, dataclasses.replace(wrong, low_speed_percent=0.0))
@@ -164,7 +164,7 @@ def test_noise_that_biases_least_squares_does_not_bias_instruments():
 def test_low_speed_rows_bias_friction_unless_left_out():
     """20 µm of noise, no filter: with all rows Fv is 20 to 30 % low and Fc as much high; without slow rows neither is."""
     bias = {0.0: [], None: []}
-    for seed in range(4):
+    for seed in range(2):
         signals = emps_like(20e-6, seed)
         for low in bias:
             fit = identify_iv(signals, Overrides(cutoff_hz=0, low_speed_percent=low), Iteration(start="ls"))
@@ -208,38 +208,16 @@ def test_too_few_passes_are_called_what_they_are():
         assert fit.iv.passes[-1].residual_settled == (told is None)
 
 
-def test_a_reference_of_another_recording_is_refused():
-    signals = signals_of(SCARA)
-    foreign = dataclasses.replace(signals, q_ref=np.array(signals.q_ref[::-1]))
-    with pytest.raises(IdentificationError, match="expected the reference of this recording"):
-        identify_iv(foreign, Overrides(), Iteration())
-
-
-def thinned(signals: Signals, step: int) -> Signals:
-    """Every step-th sample, for a controller that still runs at the full rate."""
-    return dataclasses.replace(
-        signals,
-        t_s=signals.t_s[::step],
-        q=signals.q[::step],
-        q_ref=signals.q_ref[::step],
-        effort=signals.effort[::step],
-        sample_rate_hz=signals.sample_rate_hz / step,
-    )
-
-
 def test_recordings_of_few_samples_are_fitted():
     """At 40 Hz, 8 times the bandwidth, the rule's cut-off is beyond half the rate; 2 s unfiltered are shorter than borders."""
-    robot = robot_named("scara")
-    dynamics = InverseModel(robot)
-    true = described_parameters(dynamics, base_parameters(dynamics))
-    q_ref = random_reference(robot, duration_s=10.0, sample_rate_hz=1000.0, seed=3)
-    signals = closed_loop(robot, q_ref, 1000.0, noise=Noise(position=1e-6, effort_percent=1.0), seed=3)
-    slow = identify_iv(thinned(signals, 25), Overrides(), Iteration())
+    signals, true = simulated("scara", Noise(position=1e-6, effort_percent=1.0), 3)
+    thinned = {name: getattr(signals, name)[::25] for name in SERIES}  # the controller still runs at the full rate
+    slow = identify_iv(dataclasses.replace(signals, sample_rate_hz=40.0, **thinned), Overrides(), Iteration())
     assert slow.settings.cutoff_hz is None
     assert any("no low-pass" in text for text in slow.warnings)
     assert slow.status == "converged"
     assert error_percent(slow.beta, true) < 5
-    short = dataclasses.replace(signals, **{k: getattr(signals, k)[3000:4250] for k in ("t_s", "q", "q_ref", "effort")})
+    short = dataclasses.replace(signals, **{k: getattr(signals, k)[3000:4250] for k in SERIES})
     fit = identify_iv(short, RAW, Iteration())
     assert fit.status == "converged"
     assert error_percent(fit.beta, true) < 10
@@ -269,11 +247,8 @@ def test_gains_tell_the_inertias_where_least_squares_has_none():
 def test_a_saturated_drive_is_reported(emps):
     signals = signals_of(emps)
     motor = msgspec.structs.replace(signals.robot.motors[0], saturation=2.0)
-    fit = identify_iv(
-        dataclasses.replace(signals, robot=dataclasses.replace(signals.robot, motors=(motor,))),
-        Overrides(),
-        Iteration(),
-    )
+    robot = dataclasses.replace(signals.robot, motors=(motor,))
+    fit = identify_iv(dataclasses.replace(signals, robot=robot), Overrides(), Iteration())
     assert fit.iv.saturated_percent > 1
     assert any(text.startswith("drives at their limit: motor (2 V) in") for text in fit.warnings)
 

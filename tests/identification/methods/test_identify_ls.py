@@ -9,9 +9,9 @@ from fits_of_records import ls_of
 
 import identification.regression.equations as regression_module
 from acquisition.robot import fourier_reference
-from identification.data import Signals, load_signals
+from identification.data import Signals, signals_from_arrays
 from identification.errors import IdentificationError
-from identification.estimation import System, essential_parameters, ordinary_least_squares, weighted_least_squares
+from identification.estimation import System, ordinary_least_squares, weighted_least_squares
 from identification.methods import identify_ls
 from identification.model import BaseParameters, InverseModel, base_parameters, described_parameters
 from identification.regression import (
@@ -22,7 +22,6 @@ from identification.regression import (
     make_settings,
     rows_of_recording,
 )
-from identification.study import Noise, closed_loop, random_reference, write_signals
 
 
 def exact_motion(model: InverseModel, *, duration_s: float, sample_rate_hz: float, seed: int) -> Motion:
@@ -55,18 +54,6 @@ def test_exact_motion_gives_back_the_true_parameters(name, count, solve):
     assert estimate.residual_norm < 1e-8 * np.linalg.norm(motion.tau * estimate.weights)
 
 
-def test_a_noisy_recording_gives_the_truth_within_its_deviations(tmp_path):
-    out = tmp_path / "scara.mcap"
-    noise = Noise(encoder_step=2e-5, effort_percent=5.0)
-    robot = robot_named("scara")
-    q_ref = random_reference(robot, duration_s=10.0, sample_rate_hz=1000.0, seed=8)
-    write_signals(out, closed_loop(robot, q_ref, 1000.0, noise=noise, seed=8), source="made for a test")
-    fit = identify_ls(load_signals(out), Overrides())
-    true = described_parameters(InverseModel(robot_named("scara")), fit.base)
-    assert (np.abs(fit.beta - true) < 2 * fit.intervals.half).all()
-    assert fit.status == "solved"
-
-
 def test_the_shipped_recording_gives_the_truth_it_was_made_from():
     fit = ls_of(REPLAY / "scara" / "session.mcap")
     true = described_parameters(InverseModel(robot_named("scara")), fit.base)
@@ -74,41 +61,11 @@ def test_the_shipped_recording_gives_the_truth_it_was_made_from():
     assert fit.errors[-1].moving_relative_error_percent < 1.0
 
 
-def white_problem(rng, sigma):
-    """Two joints with noise of different size on a known linear model."""
-    W = rng.normal(size=(600, 4))
-    W[:300, 3] = 0.0
-    joint_of_row = np.repeat([0, 1], 300)
-    beta = np.array([1.0, -2.0, 0.5, 3.0])
-    Y = W @ beta + sigma[joint_of_row] * rng.normal(size=600)
-    return System.whole(W, Y, joint_of_row, tuple("abcd")), beta
-
-
-def test_sigma_is_the_spread_over_repetitions():
-    rng, estimates, sigmas = np.random.default_rng(5), [], []
-    for _ in range(400):
-        problem, beta = white_problem(rng, np.array([0.1, 2.0]))
-        estimate = weighted_least_squares(problem)
-        estimates.append(estimate.beta)
-        sigmas.append(estimate.sigma)
-    spread = np.std(estimates, axis=0)
-    np.testing.assert_allclose(np.mean(sigmas, axis=0), spread, rtol=0.12)
-    assert (np.abs(np.mean(estimates, axis=0) - beta) < 5 * spread / np.sqrt(400)).all()
-
-
-def test_weights_are_the_joints_noise_and_beat_equal_rows():
-    rng, sigma = np.random.default_rng(6), np.array([0.1, 2.0])
-    problem, beta = white_problem(rng, sigma)
-    weighted = weighted_least_squares(problem)
-    np.testing.assert_allclose(1 / weighted.weights, sigma, rtol=0.15)
-    equal = ordinary_least_squares(problem)
-    assert np.abs(weighted.beta - beta)[:3].max() < 0.3 * np.abs(equal.beta - beta)[:3].max()
-
-
 def test_estimate_is_that_of_the_normal_equations():
-    problem, _ = white_problem(np.random.default_rng(7), np.array([1.0, 1.0]))
-    W, Y = problem.W, problem.Y
-    estimate = ordinary_least_squares(problem)
+    rng = np.random.default_rng(7)
+    W = rng.normal(size=(600, 4))
+    Y = W @ [1.0, -2.0, 0.5, 3.0] + rng.normal(size=600)
+    estimate = ordinary_least_squares(System.whole(W, Y, np.repeat([0, 1], 300), tuple("abcd")))
     beta = np.linalg.solve(W.T @ W, W.T @ Y)
     rho = Y - W @ beta
     np.testing.assert_allclose(estimate.beta, beta, rtol=1e-12)
@@ -116,32 +73,11 @@ def test_estimate_is_that_of_the_normal_equations():
     assert estimate.condition_number == pytest.approx(np.linalg.cond(W))
 
 
-def test_essential_parameters_leave_out_what_is_zero_and_keep_what_matters():
-    rng = np.random.default_rng(9)
-    W = rng.normal(size=(900, 6))
-    Y = W @ np.array([5.0, 0.0, -3.0, 0.0, 0.02, 4.0]) + 0.1 * rng.normal(size=900)
-    problem = System.whole(W, Y, np.zeros(900, dtype=int), tuple("abcdef"))
-    full = ordinary_least_squares(problem)
-    reduced = essential_parameters(problem, full, correlation=0.0)
-    # e is small but, at six deviations, more than noise: the F test keeps it though its %sigma is large.
-    assert reduced.estimate.names == ("a", "c", "e", "f")
-    assert reduced.p_value > 0.01
-    unconfirmed = essential_parameters(problem, full, correlation=0.95)
-    assert unconfirmed.estimate.names == ("a", "c", "f")
-    assert unconfirmed.F_effective == pytest.approx(unconfirmed.F * 0.05 / 1.95)
-
-
 def test_a_joint_that_does_not_move_is_named():
     dynamics = InverseModel(robot_named("scara"))
     base = base_parameters(dynamics)
     motion = exact_motion(dynamics, duration_s=5.0, sample_rate_hz=200.0, seed=1)
-    still = motion.q.copy()
-    still[:, 1] = 0.3
-    zero = np.zeros_like(still)
-    parts = {
-        name: np.c_[getattr(motion, name)[:, 0], zero[:, 1]] if name != "q" else still
-        for name in ("q", "dq", "ddq", "tau")
-    }
+    parts = {name: getattr(motion, name) * [1.0, 0.0] for name in ("q", "dq", "ddq", "tau")}
     observed = system_of(Motion(t_s=motion.t_s, **parts), dynamics, base)
     with pytest.raises(IdentificationError, match="not excited = Fv2, Fc2"):
         ordinary_least_squares(observed)
@@ -160,17 +96,8 @@ def synthetic_signals(name: str = "scara", seconds: float = 30.0) -> Signals:
     robot = robot_named(name)
     motion = exact_motion(InverseModel(robot), duration_s=seconds, sample_rate_hz=500.0, seed=3)
     noise = 0.02 * np.random.default_rng(1).normal(size=motion.tau.shape)
-    return Signals(
-        t_s=motion.t_s,
-        q=motion.q.copy(),
-        q_ref=None,
-        effort=motion.tau + noise,
-        sample_rate_hz=500.0,
-        track=None,
-        robot=robot,
-        recording="made.mcap",
-        sha256="",
-    )
+    signals = signals_from_arrays(motion.q.copy(), motion.tau + noise, 500.0, robot)
+    return dataclasses.replace(signals, recording="made.mcap")
 
 
 def test_blocks_give_what_one_pass_gives(monkeypatch):

@@ -19,7 +19,8 @@ from acquisition.robot import check_recorded_velocities, load_robot
 from identification.commands import main as identify
 from identification.data import Recordings, Signals, load_signals
 from identification.errors import IdentificationError
-from identification.methods import Fit, Iteration, fit_file, identify_iv, identify_ls, validate_all
+from identification.methods import Fit, fit_file, identify_ls, validate_all
+from identification.methods import identify as identify_signals
 from identification.model import InverseModel, described_parameters
 from identification.regression import Overrides, make_problem, weights_at
 from identification.study import write_signals
@@ -60,13 +61,7 @@ def records() -> tuple[Signals, ...]:
 
 @cache
 def fitted(signals: Signals, method: str) -> Fit:
-    if method == "iv":
-        return identify_iv(signals, Overrides(), Iteration())
-    return identify_ls(signals, Overrides())
-
-
-def line(fit: Fit, test: str):
-    return next(found for found in fit.trust.lines if found.test == test)
+    return identify_signals(signals, Overrides(), method=method)
 
 
 def inside(fit: Fit) -> np.ndarray:
@@ -79,29 +74,28 @@ def without(column: str) -> Signals:
     return replace(records()[0], **{column: None})
 
 
-@pytest.mark.parametrize("method", ["ls", "iv"])
+@pytest.mark.parametrize("method", ["wls", "iv"])
 def test_with_both_the_truth_is_in_the_intervals(method):
     fit = fitted(records()[0], method)
     assert inside(fit).all()
     doubted = [x.test for x in fit.trust.lines if x.level == "caution"]
     assert doubted == ([] if method == "iv" else ["lag"]), "least squares cannot find the lag"
     assert fit.errors[-1].moving_relative_error_percent < 2.0
-    assert line(fit, "control law").figures[0].value == pytest.approx(1.0, abs=0.002)
-    assert line(fit, "lag").figures[0].value == pytest.approx(-0.5, abs=0.1)
+    assert fit.trust.line("control law").figures[0].value == pytest.approx(1.0, abs=0.002)
+    assert fit.trust.line("lag").figures[0].value == pytest.approx(-0.5, abs=0.1)
     if fit.iv:
         assert fit.status == "converged"
-        assert (
-            fit.iv.passes[-1].z.tracking_percent < 0.01
-        )  # 0.03 without the pulses, and the robot is lost without the spring
+        # 0.03 without the pulses, and the robot is lost without the spring
+        assert fit.iv.passes[-1].z.tracking_percent < 0.01
         assert fit.iv.direct[0].torque_error_percent < 3.0
 
 
-@pytest.mark.parametrize("method", ["ls", "iv"])
+@pytest.mark.parametrize("method", ["wls", "iv"])
 def test_without_the_spring_the_fit_says_caution(method):
     fit = fitted(without("known_torque"), method)
     assert not inside(fit).all()
     assert fit.trust.verdict == "caution"
-    found = line(fit, "added columns")
+    found = fit.trust.line("added columns")
     assert found.level == "caution"
     kind, _, stiffness = found.text.partition(" N/m")[0].rpartition(" ")
     assert kind == "spring of joint axis"
@@ -109,11 +103,11 @@ def test_without_the_spring_the_fit_says_caution(method):
     assert "record its torque" in found.text
 
 
-@pytest.mark.parametrize("method", ["ls", "iv"])
+@pytest.mark.parametrize("method", ["wls", "iv"])
 def test_without_the_pulses_the_fit_says_caution(method):
     fit = fitted(without("feedforward"), method)
     assert fit.trust.verdict == "caution"
-    found = line(fit, "control law")
+    found = fit.trust.line("control law")
     assert found.level == "caution"
     assert found.value < 0.97
     if fit.iv:
@@ -121,7 +115,7 @@ def test_without_the_pulses_the_fit_says_caution(method):
 
 
 def test_a_validation_counts_the_known_torque():
-    fit = fitted(records()[0], "ls")
+    fit = fitted(records()[0], "wls")
     errors = [
         validate_all([(signals, Overrides())], fit_file(fit), "the fit")[1][-1]
         for signals in (records()[1], without("known_torque"))
@@ -191,38 +185,27 @@ def test_another_description_of_the_robot(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("added", "message"),
+    ("key", "column", "unit", "message"),
     [
-        (
-            '[known_torque]\ncolumns = ["k"]\nunit = "N m"',
-            "known_torque.unit: gives N m at the joint: expected N, as in robot",
-        ),
-        (
-            '[known_torque]\ncolumns = ["k"]\nunit = "N"\nside = "motor"',
-            "known_torque.side = 'motor': expected 'joint'",
-        ),
-        (
-            '[feedforward]\ncolumns = ["k"]\nunit = "A"',
-            "feedforward.unit: gives A at the motor: expected V, as in robot.toml",
-        ),
-        ('[feedforward]\ncolumns = ["k"]\nunit = "V"\nside = "joint"', "feedforward.side = 'joint': expected 'motor'"),
-        ('[velocity]\ncolumns = ["k"]\nunit = "rad/s"', "velocity.unit: in rad for joint 1 (axis): expected a length"),
-        (
-            '[velocity]\ncolumns = ["k"]\nunit = "m"',
-            "velocity.unit = 'm': expected one of rad/s, deg/s, rpm, m/s, mm/s",
-        ),
-        ('[velocity]\ncolumns = ["w"]\nunit = "m/s"', "velocity of joint axis = -1 x the derivative of its position"),
+        ("known_torque", "k", '"N m"', ".unit: gives N m at the joint: expected N, as in robot"),
+        ("known_torque", "k", '"N"\nside = "motor"', ".side = 'motor': expected 'joint'"),
+        ("feedforward", "k", '"A"', ".unit: gives A at the motor: expected V, as in robot.toml"),
+        ("feedforward", "k", '"V"\nside = "joint"', ".side = 'joint': expected 'motor'"),
+        ("velocity", "k", '"rad/s"', ".unit: in rad for joint 1 (axis): expected a length"),
+        ("velocity", "k", '"m"', ".unit = 'm': expected one of rad/s, deg/s, rpm, m/s, mm/s"),
+        ("velocity", "w", '"m/s"', " of joint axis = -1 x the derivative of its position"),
     ],
 )
-def test_columns_that_cannot_be(tmp_path, capsys, added, message):
+def test_columns_that_cannot_be(tmp_path, capsys, key, column, unit, message):
     t = np.arange(300) / 1000
     table = np.stack([0.02 * np.sin(9 * t), np.cos(t), np.cos(t), -0.18 * np.cos(9 * t)], axis=1)
     np.savetxt(tmp_path / "a.csv", table, delimiter=",", header="q,u,k,w", comments="")
     own = '[position]\ncolumns = ["q"]\nunit = "m"\n[effort]\ncolumns = ["u"]\nunit = "V"\n'
-    (tmp_path / "map.toml").write_text(f"sample_rate_hz = 1000\n{own}{added}\n")
+    added = f'[{key}]\ncolumns = ["{column}"]\nunit = {unit}\n'
+    (tmp_path / "map.toml").write_text(f"sample_rate_hz = 1000\n{own}{added}")
     arguments = ["--robot", str(REPLAY / "emps" / "robot.toml"), "--map", str(tmp_path / "map.toml")]
     assert acquire(["import", str(tmp_path / "a.csv"), *arguments, "-o", str(tmp_path / "out.mcap")]) == 1
-    assert message in capsys.readouterr().err
+    assert f"{key}{message}" in capsys.readouterr().err
     assert not (tmp_path / "out.mcap").exists()
 
 
@@ -243,7 +226,7 @@ def test_rates_of_torques_are_those_of_the_drives():
     """No drive records the spring: its rate is not in the column of a lag."""
     signals = records()[0]
     with_spring, plain = make_problem(signals, Overrides()), make_problem(without("known_torque"), Overrides())
-    beta, settings = fitted(signals, "ls").beta, with_spring.settings
+    beta, settings = fitted(signals, "wls").beta, with_spring.settings
     spring = 1e3 * np.gradient(signals.known_torque, axis=0)[settings.start : settings.stop]
     w = weights_at(with_spring, np.arange(settings.start, settings.stop) / signals.sample_rate_hz)
     rates = []
@@ -286,7 +269,7 @@ def test_a_gain_is_that_of_the_drive_and_not_of_the_known_torque():
     signals = flat_arm()
     known = np.stack([0 * signals.t_s, 20 * np.sin(4 * signals.t_s)], axis=1)
     wrong = replace(signals, effort=(signals.effort - known) * [1.0, 1.1], known_torque=known)
-    found = line(identify_ls(wrong, Overrides()), "added columns")
+    found = identify_ls(wrong, Overrides()).trust.line("added columns")
     assert found.text.startswith("relative gain of joint elbow ")
     assert float(found.text.split("elbow ")[1].split(" %")[0]) == pytest.approx(10.0, abs=0.5)
 
@@ -309,22 +292,22 @@ def arm(compensated: bool) -> Fit:
 
 
 def test_torques_without_the_weight_of_the_robot_are_told():
-    found = line(arm(compensated=True), "physical")
+    found = arm(compensated=True).trust.line("physical")
     assert found.level == "caution"
     assert "the torques fit a model without gravity better: " in found.text
     left, against = (float(part.split()[-1]) for part in found.text.split("better: ")[1].split(" %")[:2])
     assert left < 0.6 * against
-    assert line(arm(compensated=False), "physical").level == "ok"
+    assert arm(compensated=False).trust.line("physical").level == "ok"
 
 
 def test_a_robot_of_vertical_axes_has_no_weight_to_miss():
     signals = flat_arm()
-    assert "gravity" not in line(identify_ls(signals, Overrides()), "physical").text
+    assert "gravity" not in identify_ls(signals, Overrides()).trust.line("physical").text
     upright = replace(signals.robot, gravity=np.array([0.0, -9.81, 0.0]))  # a description that lays it on its side
     laid = replace(signals, robot=upright)
-    found = line(identify_ls(laid, Overrides()), "physical").text
+    found = identify_ls(laid, Overrides()).trust.line("physical").text
     assert "without gravity better" in found
     own = msgspec.structs.replace(upright.identification, own=["Fv"])
     twice = [replace(laid, robot=replace(upright, identification=own), recording=x, sha256=x) for x in ("a", "b")]
-    both = line(identify_ls(Recordings(sources=tuple(twice)), Overrides()), "physical").text
+    both = identify_ls(Recordings(sources=tuple(twice)), Overrides()).trust.line("physical").text
     assert "without gravity better" in both  # rows of both recordings, whose friction has columns of its own

@@ -8,15 +8,14 @@ import msgspec
 import numpy as np
 import pytest
 from fits_of_records import signals_of
-from friction_models import axis, described, direct_of, model_of, simulated, two_speeds
+from friction_models import axis, described, model_of, moved, simulated, two_speeds
 from stacked_recordings import system_of
 
 import identification.methods.settled as settled
-from acquisition.robot import fourier_reference
 from identification.commands import main
-from identification.data import RecordingFile, Recordings, Work, signals_from_arrays
+from identification.data import Recordings
 from identification.design import with_terms
-from identification.methods import Iteration, identify_iv, identify_ls, least_squares
+from identification.methods import Iteration, identify, identify_iv, identify_ls, least_squares
 from identification.regression import (
     Overrides,
     friction_states,
@@ -49,9 +48,7 @@ def scara(own: str = ""):
 
 
 def fitted(given, method: str):
-    if method == "iv":
-        return identify_iv(given, Overrides(), Iteration())
-    return identify_ls(given, Overrides())
+    return identify(given, Overrides(), method=method)
 
 
 @cache
@@ -155,9 +152,8 @@ def halves(signals) -> Recordings:
     for name, part in (("a.mcap", slice(0, N // 2)), ("b.mcap", slice(N // 2, N))):
         arrays = {key: x[part] for key in ("q", "q_ref", "effort") if (x := getattr(signals, key)) is not None}
         t_s = signals.t_s[part] - signals.t_s[part][0]
-        parts.append(
-            dataclasses.replace(signals, t_s=t_s, track=None, recording=name, sha256=name.encode().hex(), **arrays)
-        )
+        named = {"recording": name, "sha256": name.encode().hex()}
+        parts.append(dataclasses.replace(signals, t_s=t_s, track=None, **named, **arrays))
     return Recordings(sources=tuple(parts))
 
 
@@ -184,18 +180,6 @@ def files(tmp_path_factory):
     for path, signals in zip(paths, scara()[1].sources, strict=True):
         write_signals(path, signals, source="test")
     return paths
-
-
-def bits(fit) -> list[bytes]:
-    arrays = fit.estimate.beta, fit.intervals.covariance, fit.tau_predicted
-    return [x.tobytes() for x in arrays] + [repr(fit.trust.lines).encode()]
-
-
-def test_the_same_bits_with_one_and_two_workers(files):
-    sources = tuple(RecordingFile.at(path) for path in files[:2])
-    alone = [bits(fitted(Recordings(sources=sources), method)) for method in ("wls", "iv")]
-    both = [bits(fitted(Recordings(sources=sources[::-1], work=Work(2)), method)) for method in ("wls", "iv")]
-    assert both == alone
 
 
 @pytest.mark.parametrize("blocks", [False, True])
@@ -291,15 +275,7 @@ def test_terms_that_recordings_cannot_tell_are_left_out_of_all(a_m_s2, others):
 def test_load_friction_that_would_drive_is_told_in_the_rows_where_the_load_is():
     """Coulomb friction of 20 N against 0.3 of the weight: in the recording of a fast motion, whose load is the largest."""
     robot = axis(["viscous", "coulomb", "load"], vertical=True, Fv=10.0, Fc=20.0, mu=-0.3)
-    model, base, beta = model_of(robot)
-    sources = []
-    for k in (2, 3):
-        motion = fourier_reference(robot, period_s=6.0, seed=k).at(np.arange(0.0, 6.0, 1e-3))
-        tau = direct_of(model, base, beta).torque(*motion)
-        tau = tau + np.random.default_rng(k).normal(0, 1.0, tau.shape)
-        signals = signals_from_arrays(motion[0], tau, 1000.0, robot)
-        sources.append(dataclasses.replace(signals, recording=f"r{k}.mcap", sha256=f"{k:064x}"))
-    fit = identify_ls(Recordings(sources=tuple(sources)), Overrides(torque_lag_s="none", edges="smooth"))
+    fit = identify_ls(moved(robot, 2, 3), Overrides(torque_lag_s="none", edges="smooth"))
     line = fit.trust.line("physical")
     assert line.level == "do not use"
     assert "friction would drive joint axis at " in line.text
@@ -322,15 +298,13 @@ def test_consistent_parameters_and_validation_take_the_same_terms(files, tmp_pat
 # --- the real record
 
 
-@pytest.mark.parametrize("method", ["wls", "iv"])
-def test_the_real_tx40_record_cut_in_two(tx40, method):
+def test_the_real_tx40_record_cut_in_two(tx40):
     """The recommended terms: joint 3 is fitted as well as in one piece, and its load friction is the same."""
     terms = [frozenset({"root"})] * 4 + [frozenset(), frozenset({"root"})]
     terms[2] |= {"load"}
     signals = signals_of(tx40)
     signals = dataclasses.replace(signals, robot=with_terms(signals.robot, tuple(terms)))
-    whole, found = fitted(signals, method), fitted(halves(signals), method)
-    assert found.status == whole.status == ("converged" if method == "iv" else "solved")
+    whole, found = fitted(signals, "wls"), fitted(halves(signals), "wls")
     mu = found.estimate.names.index("mu3")
     assert found.estimate.names == whole.estimate.names
     assert found.estimate.beta[mu] == pytest.approx(whole.estimate.beta[mu], abs=0.3 * whole.intervals.half[mu])

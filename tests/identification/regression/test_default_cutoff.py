@@ -4,6 +4,7 @@ A default at which an estimate jumps is a defect: 1.0001 times the cut-off filte
 """
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import pytest
@@ -20,7 +21,7 @@ from independent_simulator import (
 )
 
 from acquisition.robot import Robot
-from identification.methods import Iteration, identify_iv, identify_ls
+from identification.methods import identify
 from identification.model import InverseModel, base_parameters, described_parameters
 from identification.regression import Overrides
 
@@ -39,50 +40,35 @@ class Simulated:
         """|beta - true|/|true| at the default cut-off, and at the one next to it."""
         signals = self.runs.signals(self.robot, seed)
         beside = Overrides(cutoff_hz=5 * self.robot.controller.bandwidth_hz * NEXT_TO_IT)
-        fits = [
-            identify_ls(signals, overrides) if method == "ls" else identify_iv(signals, overrides, Iteration())
-            for overrides in (Overrides(), beside)
-        ]
-        assert method == "ls" or {fit.status for fit in fits} == {"converged"}
+        fits = [identify(signals, overrides, method=method) for overrides in (Overrides(), beside)]
+        assert {fit.status for fit in fits} == {"converged" if method == "iv" else "solved"}
         default, other = (float(np.linalg.norm(fit.beta - self.true) / np.linalg.norm(self.true)) for fit in fits)
         return default, other
 
 
-def simulated(name: str, duration_s: float) -> Simulated:
+@cache
+def simulated(name: str, seeds: int) -> Simulated:
     toml = REPLAY / name / "robot.toml"
     body = plant(toml, smooth=0.005)
     controller = designed_pd(body, 10.0, 1000.0) if name == "tx40" else described_controller(body)
     counts = 2 * np.pi / 262144 if name == "scara" else 1e-5
     cell = Imperfections(encoder_noise=1e-5, encoder_step=counts, torque_noise_percent=2.0)
-    reference = references(body, range(SEEDS), duration_s=duration_s, rate_hz=1000.0)
+    reference = references(body, range(seeds), duration_s=8.0 if name == "tx40" else 6.0, rate_hz=1000.0)
     runs = simulate(body, controller, reference, cell)
     robot = description(toml, controller if name == "tx40" else None)
     dynamics = InverseModel(robot)
     return Simulated(robot, runs, described_parameters(dynamics, base_parameters(dynamics)))
 
 
-@pytest.fixture(scope="module")
-def scara() -> Simulated:
-    return simulated("scara", 6.0)
-
-
-@pytest.fixture(scope="module")
-def tx40() -> Simulated:
-    return simulated("tx40", 8.0)
-
-
-# Bounds of the median error. With --benchmark-enable both run on all seeds: two to three minutes.
-FIGURES = {("scara", "ls"): 0.016, ("scara", "iv"): 0.016, ("tx40", "ls"): 0.006, ("tx40", "iv"): 0.006}
-QUICK = {("tx40", "ls"): 4, ("scara", "ls"): 8, ("tx40", "iv"): 2, ("scara", "iv"): 6}
-
-
-@pytest.mark.parametrize(("name", "method"), FIGURES)
-def test_the_default_cutoff_is_as_good_as_the_next(name, method, request):
+@pytest.mark.parametrize(
+    ("name", "method", "seeds", "most"),
+    [("scara", "wls", 4, 0.016), ("scara", "iv", 2, 0.016), ("tx40", "wls", 2, 0.006), ("tx40", "iv", 1, 0.006)],
+)
+def test_the_default_cutoff_is_as_good_as_the_next(name, method, seeds, most, request):
+    """`most` is the median error. With --benchmark-enable all run on all seeds: two to three minutes."""
     whole = request.config.getoption("--benchmark-enable")
-    robot = request.getfixturevalue(name)
-    errors = np.array(
-        [robot.errors(method, seed) for seed in range(SEEDS if whole else QUICK.get((name, method), SEEDS))]
-    )
+    robot = simulated(name, SEEDS if whole else 4)
+    errors = np.array([robot.errors(method, seed) for seed in range(SEEDS if whole else seeds)])
     ratios = errors[:, 0] / errors[:, 1]
     told = (
         f"{name} {method}, {len(errors)} seeds: error median {100 * np.median(errors[:, 0]):.2f} %, largest "
@@ -90,4 +76,4 @@ def test_the_default_cutoff_is_as_good_as_the_next(name, method, request):
     )
     print(told)
     assert ratios.max() <= LARGEST_RATIO, told
-    assert np.median(errors[:, 0]) < FIGURES[name, method], told
+    assert np.median(errors[:, 0]) < most, told

@@ -38,10 +38,6 @@ def fitted(signals: Signals, *, method: str | None = None, torque_lag_s: float |
 NO_LAW = dict.fromkeys(("structure", "sample_rate_hz", "position_gain", "velocity_gain", "velocity_estimate"))
 
 
-def line(fit: Fit, test: str) -> TrustLine:
-    return next(found for found in fit.trust.lines if found.test == test)
-
-
 def with_controller(signals: Signals, **keys: object) -> Signals:
     robot = signals.robot
     return replace(signals, robot=replace(robot, controller=msgspec.structs.replace(robot.controller, **keys)))
@@ -70,7 +66,7 @@ def test_the_lag_is_found_corrected_and_counted(name, lag):
     assert (np.abs(fit.beta - stated.beta) < fit.intervals.half).all()
     wider = np.sqrt(stated.intervals.sigma**2 + found.moved**2)
     np.testing.assert_allclose(fit.intervals.sigma, wider, rtol=0.15)
-    told = line(fit, "lag")
+    told = fit.trust.line("lag")
     assert (told.level, told.value) == ("ok", pytest.approx(1e3 * found.value_s))
     assert "corrected, included in the intervals" in told.text
 
@@ -105,15 +101,15 @@ def test_data_that_contradict_what_is_known_count_alone():
     (found,) = fit.lags
     assert found.source == "data"
     assert 1e3 * found.value_s == pytest.approx(1.5, abs=0.2)
-    assert "contradicts it and is not used" in line(fit, "lag").text
+    assert "contradicts it and is not used" in fit.trust.line("lag").text
 
 
 def test_data_beside_a_lag_that_is_stated():
     late = recorded("emps", lag=3)
     fit = fitted(late, torque_lag_s=0.0025)
-    assert (line(fit, "lag").level, fit.settings.torque_lag_s) == ("ok", 0.0025)
+    assert (fit.trust.line("lag").level, fit.settings.torque_lag_s) == ("ok", 0.0025)
     assert "lag" in [one.what for one in fit.trust.assumed]
-    wrong = line(fitted(late, torque_lag_s=0.0), "lag")
+    wrong = fitted(late, torque_lag_s=0.0).trust.line("lag")
     assert wrong.level == "caution"
     assert "the data give 0.002" in wrong.text
 
@@ -123,7 +119,7 @@ def test_without_a_reference_the_lag_is_not_found_but_counted():
     fit = identify(bare, Overrides())
     (found,) = fit.lags
     assert (fit.method, found.found, found.value_s, found.sd_s) == ("wls", None, 0.0, 0.002)
-    told = line(fit, "lag")
+    told = fit.trust.line("lag")
     assert told.text.startswith("not known, 0 ± 2 ms: ±")
     assert "included in the intervals" in told.text
     exact = fitted(bare, method="wls", torque_lag_s=0.0)
@@ -216,7 +212,7 @@ def test_an_autoregression_is_taken_out():
 
 
 def law_line_of(signals: Signals) -> TrustLine:
-    return line(fitted(signals, method="wls"), "control law")
+    return fitted(signals, method="wls").trust.line("control law")
 
 
 @pytest.mark.parametrize("name", ["emps", "scara"])
@@ -249,17 +245,12 @@ def test_an_integral_is_found_and_missed_where_it_is_not_described():
     toml = REPLAY / "scara" / "robot.toml"
     body = plant(toml, smooth=0.002)
     c = described_controller(body)
-    c = replace(
-        c, structure="cascade_p_pi", position_gain=c.position_gain / c.velocity_gain, integral_gain=np.full(2, 20.0)
-    )
+    cascade = {"structure": "cascade_p_pi", "position_gain": c.position_gain / c.velocity_gain}
+    c = replace(c, **cascade, integral_gain=np.full(2, 20.0))
     path = references(body, range(1), duration_s=5.0, rate_hz=1000.0)
     runs = simulate(body, c, path, Imperfections(torque_noise_percent=1.0))
-    signals = with_controller(
-        runs.signals(robot_named("scara"), 0),
-        structure="cascade_p_pi",
-        position_gain=tuple(c.position_gain),
-        integral_gain=(20.0, 20.0),
-    )
+    keys = {"structure": c.structure, "position_gain": tuple(c.position_gain), "integral_gain": (20.0, 20.0)}
+    signals = with_controller(runs.signals(robot_named("scara"), 0), **keys)
     assert law_line_of(signals).level == "ok"
     assert law_line_of(with_controller(signals, structure="cascade_p_p", integral_gain=None)).level == "caution"
 
@@ -278,11 +269,8 @@ def test_a_law_that_cannot_be_looked_for_says_why_and_one_that_is_found_is_used(
     signals = recorded("scara")
     bare = with_controller(signals, **NO_LAW)
     torque = with_controller(signals, structure="computed_torque")
-    for one, why in (
-        (replace(signals, q_ref=None), "no reference"),
-        (torque, "own model"),
-    ):
-        found = line(identify_ls(one, Overrides()), "control law")
+    for one, why in ((replace(signals, q_ref=None), "no reference"), (torque, "own model")):
+        found = identify_ls(one, Overrides()).trust.line("control law")
         assert found.level == "not made"
         assert why in found.text
     fit = identify(bare, Overrides())
@@ -294,7 +282,7 @@ def test_a_law_that_cannot_be_looked_for_says_why_and_one_that_is_found_is_used(
 def test_the_real_emps(emps):
     """Controller confirmed. The volts are 0.75 to 0.8 ms early: half a period of hold, and 0.25 ms of the amplifier."""
     fit = identify(load_signals(emps), Overrides())
-    found = line(fit, "control law")
+    found = fit.trust.line("control law")
     assert found.level == "ok"
     assert found.value == pytest.approx(1.0, abs=1e-3)
     (lag,) = fit.lags
