@@ -90,15 +90,9 @@ ASYMMETRIC, LOADED = asymmetric(), (limited(loaded_scara()), limited(whole_arm()
 
 
 def information_of(robot, model, base):
-    rng = np.random.default_rng(3)
-    return Information(
-        model=model,
-        base=base,
-        noise=rng.uniform(0.5, 2.0, robot.n),
-        rows=300.0,
-        earlier=np.zeros((base.b, base.b)),
-        creep=0.05 * np.array([joint.si("speed") for joint in robot.joints]),
-    )
+    noise, earlier = np.random.default_rng(3).uniform(0.5, 2.0, robot.n), np.zeros((base.b, base.b))
+    creep = 0.05 * np.array([joint.si("speed") for joint in robot.joints])
+    return Information(model=model, base=base, noise=noise, rows=300.0, earlier=earlier, creep=creep)
 
 
 def random_x(robot, series=SERIES, seed=0, share=0.6):
@@ -170,9 +164,8 @@ def test_the_jacobian_of_the_limits_is_that_of_differences(robot):
     *_, direct = modelled(robot)
     limits, basis, x = limits_of(robot, (direct,), 0.8, "here"), SERIES.basis(40), random_x(robot, share=0.3)
     n, L = robot.n, len(limits.names)
-    J = limits.jacobian(
-        limits.shares_and_slopes(motion_of(x, basis))[1], basis, np.tile(np.arange(40)[:, None], (1, L))
-    )
+    slopes = limits.shares_and_slopes(motion_of(x, basis))[1]
+    J = limits.jacobian(slopes, basis, np.tile(np.arange(40)[:, None], (1, L)))
     assert J.shape == (40 * L, x.size)
     rng, h = np.random.default_rng(4), 1e-5
     for _ in range(4):
@@ -295,9 +288,8 @@ def test_a_search_that_makes_no_parameter_worse_goes_before_one_of_less_criterio
 
 def test_searches_that_all_leave_a_limit_end_in_one_line(monkeypatch):
     monkeypatch.setattr(search, "best_series", lambda problem, start, say: 2 * start)
-    with pytest.raises(
-        IdentificationError, match=r"no reference keeps the limits: \w+ of joint \w+ is exceeded by .* another seed or"
-    ):
+    told = r"no reference keeps the limits: \w+ of joint \w+ is exceeded by .* another seed or"
+    with pytest.raises(IdentificationError, match=told):
         excite(SCARA, ExcitationSettings(period_s=2.0, harmonics=3), prior_information(SCARA), "here")
 
 
@@ -365,9 +357,8 @@ def test_noise_is_stated_or_that_of_a_fit_or_a_share_of_the_torque(tmp_path):
     with pytest.raises(IdentificationError, match=r"noise.*expected one number, or one for each of 2 joints"):
         prior_information(SCARA, noise=(1.0, 2.0, 3.0))
     beta = described_parameters(model, base)
-    parameters = [
-        {"name": n, "value": v, "unit": u, "sigma": 0.1} for n, v, u in zip(base.names, beta, base.units, strict=True)
-    ]
+    values = zip(base.names, beta, base.units, strict=True)
+    parameters = [{"name": n, "value": v, "unit": u, "sigma": 0.1} for n, v, u in values]
     joints = [{"moving_relative_error_percent": 5.0, "autocorrelation": 0.6}] * 2
     (tmp_path / "fit.json").write_text(json.dumps({"parameters": parameters, "joints": joints, "method": "iv"}))
     known = prior_information(SCARA, fit=tmp_path / "fit.json")
@@ -470,11 +461,9 @@ def test_pairs_that_are_adjacent_or_always_near_are_left_out():
     checked = [name.replace("link of ", "") for name in obstacles.names]
     assert checked == [f"ground and {name}" for name in "abcde"] + apart
     assert obstacles.near == ("base and link of b",)
-    expected = [0.2] * 5 + [
-        x - (1.15 if "base" in name else 0.1) - 0.1
-        for name, x in zip(apart, (2.2, 3.2, 4.2, 1.2, 2.2, 3.2, 1.2, 2.2, 1.2), strict=True)
-    ]
-    assert obstacles.distances(np.zeros((1, 5)))[0] == pytest.approx(expected)
+    along = zip(apart, (2.2, 3.2, 4.2, 1.2, 2.2, 3.2, 1.2, 2.2, 1.2), strict=True)
+    expected = [x - (1.15 if "base" in name else 0.1) - 0.1 for name, x in along]
+    assert obstacles.distances(np.zeros((1, 5)))[0] == pytest.approx([0.2] * 5 + expected)
 
 
 def bent(q, base_m):
@@ -501,9 +490,8 @@ def test_links_keep_their_distance_between_the_samples_of_the_search(monkeypatch
     free = bent(unchecked(monkeypatch, robot, settings), base_m).min()
     assert apart == free if stays else free < 0
     assert found.nearest == (pytest.approx(apart, abs=1e-3), "base and link of b")
-    assert excitation_document(found).sections[1].lines == (
-        f"nearest: base and link of b, {found.nearest[0]:.3f} m apart",
-    )
+    told = f"nearest: base and link of b, {found.nearest[0]:.3f} m apart"
+    assert excitation_document(found).sections[1].lines == (told,)
     assert found.used.max() <= 0.8 + 1e-6
 
 
@@ -579,10 +567,8 @@ def test_the_report_has_the_intervals_and_the_limits_in_use(tx40_excitation):
     expected, limits = excitation_document(replace(found, warnings=("a warning",))).sections
     first = expected.table.rows[0]
     assert first[0] == "ZZ1R"
-    halves = [cell.exact for cell in first[2:5]]
-    assert halves == pytest.approx(
-        [1.96 * found.sigma[0], 1.96 * found.plain[0], found.plain[0] / found.sigma[0]], rel=1e-4
-    )
+    halves = [1.96 * found.sigma[0], 1.96 * found.plain[0], found.plain[0] / found.sigma[0]]
+    assert [cell.exact for cell in first[2:5]] == pytest.approx(halves, rel=1e-4)
     assert limits.warnings[-1] == "a warning"
     assert [row[0] for row in limits.table.rows] == [*(f"joint_{j}" for j in range(1, 7)), "motor motor_5"]
     assert limits.table.rows[0][4].exact == pytest.approx(80.0, abs=0.5)
@@ -615,18 +601,16 @@ def test_limits_with_a_payload_are_those_of_both_robots(robot):
 
 def test_a_reference_for_a_payload_keeps_the_efforts_with_and_without_it():
     robot = with_text("scara", "following_error_deg = 15\n", "following_error_deg = 15\neffort_nm = 40\n", 1)
-    found = excite(
-        robot, ExcitationSettings(period_s=4.0, harmonics=4), prior_information(robot, payload=PAYLOAD), "here"
-    )
+    settings, knowledge = ExcitationSettings(period_s=4.0, harmonics=4), prior_information(robot, payload=PAYLOAD)
+    found = excite(robot, settings, knowledge, "here")
     motion = found.reference.at(np.linspace(0, 4, 2001))
     *_, direct = modelled(robot)
     without, carrying = (np.abs(model.torque(*motion))[:, 0].max() for model in (direct, loaded(robot)))
     assert without < carrying
     assert 0.9 * 32 < carrying <= 0.8 * 40
     expected, limits = excitation_document(found).sections
-    assert expected.lines[-1].startswith(
-        "drive gains by a run without and a run with 2 kg at 0.03, 0.02, 0.08 ± 0.005 m"
-    )
+    told = "drive gains by a run without and a run with 2 kg at 0.03, 0.02, 0.08 ± 0.005 m"
+    assert expected.lines[-1].startswith(told)
     assert [row[0] for row in limits.table.rows][-2:] == ["shoulder with the payload", "elbow with the payload"]
 
 
@@ -639,17 +623,10 @@ def test_the_half_widths_of_gains_are_those_of_a_fit():
     carried = direct_model(model, add_payload(model, base.standard_parameters(fit.beta), Payload(2.0, CENTRE["scara"])))
     q = pair.free.q_ref
     motion = q, np.gradient(q, 1e-3, axis=0), np.gradient(np.gradient(q, 1e-3, axis=0), 1e-3, axis=0)
-    information = Information(
-        model=model,
-        base=base,
-        noise=np.std(fit.tau - fit.tau_predicted, axis=0),
-        rows=len(fit.tau) / 2,
-        earlier=np.zeros((base.b, base.b)),
-        creep=np.zeros(2),
-    )
-    found = 1.96 * information.gain_deviations(
-        motion, (arm, carried), Payload(2.0)
-    )  # as the fit, without centre of mass
+    noise, rows = np.std(fit.tau - fit.tau_predicted, axis=0), len(fit.tau) / 2
+    information = replace(information_of(pair.free.robot, model, base), noise=noise, rows=rows, creep=np.zeros(2))
+    # as the fit, without centre of mass
+    found = 1.96 * information.gain_deviations(motion, (arm, carried), Payload(2.0))
     # the fit leaves out slow rows, counts correlation, and has friction of each run
     ratio = fit.gains.half / fit.gains.values / found
     assert ((ratio > 1.0) & (ratio < 1.4)).all()
@@ -674,10 +651,8 @@ def test_efforts_count_load_friction_against_the_motion(robot):
     motion = motion_of(x, basis)
     n = robot.n
     of_links = torque_of_links(direct, motion)
-    smooth, mu = (
-        torque_without_sliding(direct, motion, of_links)[0],
-        described_parameters(model, base)[list(load_friction(model, base).places)],
-    )
+    smooth = torque_without_sliding(direct, motion, of_links)[0]
+    mu = described_parameters(model, base)[list(load_friction(model, base).places)]
     scaled = limits.effort.directions / limits.allowed[:, None]
     expected = np.abs(smooth @ scaled.T) + (mu * np.abs(of_links[0])) @ np.abs(scaled).T
     used, _ = limits.shares_and_slopes(motion)

@@ -110,13 +110,8 @@ def test_terms_whose_interval_holds_0_go_joint_by_joint():
 def test_of_sets_within_one_standard_error_of_the_best_the_smallest_is_taken():
     def trial(count, *scores):
         terms = tuple(frozenset({"root"} if k < count else ()) for k in range(3))
-        return Trial(
-            terms=terms,
-            significant_terms=terms,
-            fitted_error_percent=1.0,
-            held_out_percents=np.ones(4),
-            scores=np.array(scores, dtype=float),
-        )
+        errors = {"fitted_error_percent": 1.0, "held_out_percents": np.ones(4)}
+        return Trial(terms=terms, significant_terms=terms, scores=np.array(scores, dtype=float), **errors)
 
     best, near, far = trial(3, 9, 11, 10, 10), trial(2, 11, 10, 12, 9), trial(1, 12, 14, 12, 13)
     # The paired differences have the means 0.5 and 2.75 and the standard errors 0.87 and 0.25.
@@ -186,9 +181,8 @@ def test_the_command_prints_stores_and_writes_the_terms(names, tmp_path, capsys)
 def test_the_page_has_each_joint_over_all_recordings(terms, own, monkeypatch):
     """Rows of all recordings; curves and intervals of the shared parameters, at three loads; of own parameters the mean."""
     monkeypatch.setattr(charts, "MAX_DOTS", 10**9)  # each row
-    robot = with_own(
-        upright([[*USUAL, *terms], USUAL], "Fr1 = 0.8\nmu1 = 0.3\n" if len(terms) > 1 else "Fr1 = 0.8\n"), *own
-    )
+    values = "Fr1 = 0.8\nmu1 = 0.3\n" if len(terms) > 1 else "Fr1 = 0.8\n"
+    robot = with_own(upright([[*USUAL, *terms], USUAL], values), *own)
     sources = tuple(dataclasses.replace(one, robot=robot) for one in several())
     fit = identify_ls(Recordings(sources=sources), WITHOUT_LAG)
 
@@ -245,9 +239,8 @@ def test_the_page_of_the_command_has_the_friction_of_both_fits(tmp_path, count, 
         signals = (dataclasses.replace(one, robot=with_terms(one.robot, terms)) for one in several()[:count])
         fit = identify_ls(Recordings(sources=tuple(signals)), given)
         each = zip(page.groups.values(), charts.friction_charts(fit, name), fit.speed.T, strict=True)
-        for chart, wanted, v in (
-            (group[k], wanted, v[np.abs(v) > 0.02 * np.abs(v).max()]) for group, wanted, v in each
-        ):
+        for group, wanted, v in each:
+            chart, v = group[k], v[np.abs(v) > 0.02 * np.abs(v).max()]
             assert (chart.title, chart.path) == (wanted.title, wanted.path)
             assert chart.title.startswith(f"friction {chart.path[1]}, {name} [")
             for curve, other in zip(chart.curves, wanted.curves, strict=True):

@@ -13,6 +13,7 @@ from urdfs import ARM, BOX, LIMIT, PARTS, joint, link, urdf
 from acquisition.commands import main as acquire
 from acquisition.errors import AcquisitionError
 from acquisition.robot import check_limits, lines_to_fill_in, load_robot, resolve
+from acquisition.simulated import driven_plant
 from identification import read_robot
 from identification.commands import main
 from identification.errors import IdentificationError
@@ -84,11 +85,7 @@ def test_init_writes_what_the_urdf_says_and_marks_the_rest(here, capsys):
         "locked at zero: thumb: prismatic, mimics finger",
     ]
     assert "#     thumb: prismatic, mimics finger\n" in text
-    for links in (
-        "column",
-        "arm, sensor",
-        "beam, tool, left, right",
-    ):  # that move with one joint, before its parameters
+    for links in ("column", "arm, sensor", "beam, tool, left, right"):  # that move with one joint
         assert f"\n# {links}\n" in text
     robot = load_robot("robot.toml")
     assert robot.name == "made up"
@@ -161,9 +158,6 @@ def test_an_existing_file_is_not_replaced_and_the_urdf_is_found_from_it(here, ca
 
 def test_the_example_of_the_drives_is_one(here, capsys):
     """Without the mark of its lines: a description whose simulated drives can be resolved and moved."""
-    from acquisition.robot import resolve
-    from acquisition.simulated import driven_plant
-
     assert run(capsys, "init", "arm.urdf", *NAMES, *STATED, "-o", "robot.toml")[0] == 0
     (here / "cell.toml").write_text((here / "robot.toml").read_text().replace("\n#: ", "\n"))
     robot = load_robot("cell.toml")
@@ -221,12 +215,8 @@ def test_a_joint_without_limits_has_them_by_options_or_is_named(here, capsys):
 
 def test_options_and_limits_of_the_urdf_hold_together(here):
     """The narrower range, the smaller speed; one value holds for all joints of one kind, one bandwidth for the robot."""
-    stated = {
-        "--range": (1.0, 3.0, 0.3),
-        "--speed": (2.0, 5.0, 0.2),
-        "--acceleration": (8.0, 9.0, 2.0),
-        "--bandwidth-hz": (6.0, 5.0, 7.0),
-    }
+    stated = {"--range": (1.0, 3.0, 0.3), "--speed": (2.0, 5.0, 0.2), "--acceleration": (8.0, 9.0, 2.0)}
+    stated["--bandwidth-hz"] = (6.0, 5.0, 7.0)
     robot = robot_of_chain(read_chain(Path("arm.urdf"), ARM).with_options(stated))
     assert [j.si("position") for j in robot.joints] == [pytest.approx(x) for x in ((-1, 1), (-2, 1.5), (0.1, 0.3))]
     assert [j.si("speed") for j in robot.joints] == pytest.approx([2, 3, 0.2])
@@ -239,23 +229,17 @@ def test_options_and_limits_of_the_urdf_hold_together(here):
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        (["--acceleration", "1,2"], "arm.urdf: --acceleration = 2 values: expected one, or 3 for turn, lift, slide"),
-        (["--speed", "1"], "arm.urdf: --speed = 1.0: expected 3 values: some joints are in rad, others in m"),
-        (
-            ["--range", "1,1,0.1"],
-            "arm.urdf: joint 'slide': --range = 0.1: expected a range that overlaps the URDF's",
-        ),
-        (
-            ["--joints", "turn,elbow"],
-            "arm.urdf: --joints = 'elbow': expected one of turn, lift, slide, finger, each once",
-        ),
-        (["--joints", "turn,thumb"], "arm.urdf: --joints = 'thumb': expected one of turn, lift"),
-        (["--joints", "turn,turn"], "arm.urdf: --joints = 'turn': expected one of turn, lift"),
-        (["--joints", "lift,turn"], "order of joints = lift, turn: expected turn, lift"),
+        ("--acceleration 1,2", "arm.urdf: --acceleration = 2 values: expected one, or 3 for turn, lift, slide"),
+        ("--speed 1", "arm.urdf: --speed = 1.0: expected 3 values: some joints are in rad, others in m"),
+        ("--range 1,1,0.1", "arm.urdf: joint 'slide': --range = 0.1: expected a range that overlaps the URDF's"),
+        ("--joints turn,elbow", "arm.urdf: --joints = 'elbow': expected one of turn, lift, slide, finger, each once"),
+        ("--joints turn,thumb", "arm.urdf: --joints = 'thumb': expected one of turn, lift"),
+        ("--joints turn,turn", "arm.urdf: --joints = 'turn': expected one of turn, lift"),
+        ("--joints lift,turn", "order of joints = lift, turn: expected turn, lift"),
     ],
 )
 def test_options_that_do_not_fit_the_robot(here, capsys, given, message):
-    assert message in refused(capsys, "init", "arm.urdf", *NAMES, *given)
+    assert message in refused(capsys, "init", "arm.urdf", *NAMES, *given.split())
 
 
 def test_values_of_a_urdf_are_refused_with_a_description(here, capsys):
@@ -298,53 +282,42 @@ def turn(rest=LIMIT, kind="revolute", parent="base", name="turn", axis="0 0 1"):
 RING = link("x") + link("y") + joint("xy", "fixed", "x", "y") + joint("yx", "fixed", "y", "x")
 STIFF = f'<robot name="r">{PARTS["base"]}{PARTS["beam"]}{joint("j", "fixed", "base", "beam")}</robot>'
 UNKNOWN = urdf(turn='<joint name="turn" type="fixed"><child link="column"/></joint>')
+XACRO = '<xacro:macro xmlns:xacro="http://www.ros.org/wiki/xacro"/>'
+FLOATING = urdf(mid=joint("swing", "floating", "column", "arm"), lift="")
+PLANAR = urdf(lift=joint("lift", "planar", "column", "arm"))
+TWO_CHAINS = urdf(extra=link("mast") + joint("sway", "revolute", "arm", "mast"))
+BETWEEN = "between the base and joint 'slide': type = "
+AGAIN = "joint 'again': child = 'tool': expected one parent joint per link; 'mount' is another"
+EMPTY = "joint 'lift': mass of link 'arm' and those fixed to it = 0.0: expected more than 0: an <inertial>"
 BAD = (
     ("<robot", "is not XML: "),
     ('name = "x"', "is not XML: "),
     ("<sdf/>", "its root = <sdf>: expected <robot>"),
     ('<robot name="x"/>', "has no link: expected links"),
-    (
-        urdf(base='<xacro:macro xmlns:xacro="http://www.ros.org/wiki/xacro"/>'),
-        "has xacro elements: expected a URDF: xacro FILE > robot.urdf",
-    ),
+    (urdf(base=XACRO), "has xacro elements: expected a URDF: xacro FILE > robot.urdf"),
     (urdf(extra=link("island")), "2 root links: base, island: expected one base link"),
     (
         urdf(extra=joint("back", "fixed", "tool", "base")),
         "no root link: its joints form a loop: expected one base link",
     ),
     (urdf(extra=RING), "links x, y are in a loop of joints: expected a tree"),
-    (
-        urdf(extra=joint("again", "fixed", "base", "tool")),
-        "joint 'again': child = 'tool': expected one parent joint per link; 'mount' is another",
-    ),
+    (urdf(extra=joint("again", "fixed", "base", "tool")), AGAIN),
     (turn(parent="floor"), "joint 'turn': parent = 'floor': expected one of the links base, column"),
     (UNKNOWN, "joint 'turn': parent is missing: expected one of the links"),
     (urdf(extra=link("base")), "link 9: name = 'base': expected a name not used before"),
     (urdf(extra="<link/>"), "link 9: name is missing: expected a name"),
     (turn(kind="ball"), "type = 'ball': expected one of revolute, continuous, prismatic, fixed, floating, planar"),
-    (
-        urdf(mid=joint("swing", "floating", "column", "arm"), lift=""),
-        "joint 'swing', between the base and joint 'slide': type = 'floating': expected fixed, revolute",
-    ),
-    (
-        urdf(lift=joint("lift", "planar", "column", "arm")),
-        "joint 'lift', between the base and joint 'slide': type = 'planar': expected fixed, revolute",
-    ),
+    (FLOATING, f"joint 'swing', {BETWEEN}'floating': expected fixed, revolute"),
+    (PLANAR, f"joint 'lift', {BETWEEN}'planar': expected fixed, revolute"),
     (STIFF, "no joint moves: expected joints of the types revolute, continuous, prismatic"),
-    (
-        urdf(extra=link("mast") + joint("sway", "revolute", "arm", "mast")),
-        "2 chains of 3 joints each, which end at slide, sway: expected --joints",
-    ),
+    (TWO_CHAINS, "2 chains of 3 joints each, which end at slide, sway: expected --joints"),
     (turn('<limit lower="1" upper="-1"/>'), "joint 'turn': limit lower = 1.0: expected less than upper = -1"),
     (turn('<limit lower="low" upper="-1"/>'), "joint 'turn': limit lower = 'low': expected a finite number"),
     (turn('<limit velocity="-1"/>'), "joint 'turn': limit velocity = -1.0: expected a number from 0"),
     (turn('<dynamics damping="-0.1"/>'), "joint 'turn': dynamics damping = -0.1: expected a number from 0"),
     (turn(axis="0 0 0"), "joint 'turn': axis = '0 0 0': expected a direction"),
     (turn(name="a/b"), "name of a joint = 'a/b': expected 1 to 64 letters"),
-    (
-        urdf(arm=massless("arm")),
-        "joint 'lift': mass of link 'arm' and those fixed to it = 0.0: expected more than 0: an <inertial>",
-    ),
+    (urdf(arm=massless("arm")), EMPTY),
     (urdf(arm=link("arm", mass=-1)), "link 'arm': mass = -1.0: expected a number from 0"),
     (urdf(right=link("right", mass=-1)), "link 'right': mass = -1.0: expected a number from 0"),  # it is locked
     (urdf(arm=link("arm", inertia=BOX.replace("0.03", "-0.03"))), "link 'arm': principal moments = -0.03"),
@@ -402,10 +375,6 @@ def test_errors_carry_their_data(here):
     assert (unstated.value.place, unstated.value.key) == ("robot made up", "controller.bandwidth_hz")
 
 
-def motors_of(text):
-    return [{k: v for k, v in motor.items() if k != "name"} for motor in tomllib.loads(text)["motor"]]
-
-
 @pytest.mark.parametrize(
     ("given", "motors", "to_fill_in"),
     [
@@ -424,11 +393,10 @@ def test_the_motors_of_a_unit_have_numbers_by_options_only(here, capsys, given, 
     command = ["init", "arm.urdf", "--effort", *(word.replace("_", " ") for word in given.split())]
     assert run(capsys, *command, "-o", "robot.toml")[0] == 0
     text = (here / "robot.toml").read_text()
-    gains = [
-        x if isinstance(x, dict) else dict(zip(("drive_gain_unit", "ratio", "drive_gain"), x, strict=True))
-        for x in motors
-    ]
-    assert motors_of(text) == gains
+    keys = "drive_gain_unit", "ratio", "drive_gain"
+    expected = [x if isinstance(x, dict) else dict(zip(keys, x, strict=True)) for x in motors]
+    found = tomllib.loads(text)["motor"]
+    assert [{k: v for k, v in motor.items() if k != "name"} for motor in found] == expected
     marked = {line[2:].split(" = ")[0] for line in text.splitlines() if "FILL IN" in line} & {"ratio", "drive_gain"}
     assert marked == set(to_fill_in)
     robot = load_robot("robot.toml")
@@ -450,14 +418,10 @@ def test_options_of_motors_that_do_not_go_together(here, capsys):
 
 def test_a_description_is_replaced_if_that_is_asked_for(here, capsys):
     assert run(capsys, "init", "arm.urdf", "-o", "robot.toml")[0] == 0
-    status, out, _ = run(
-        capsys, "init", "arm.urdf", "--effort", "N m", "--torque-sensor", "--overwrite", "-o", "robot.toml"
-    )
-    assert status == 0
-    assert load_robot("robot.toml").joints[0].rotor_inertia is False
-    assert (
-        "rotor_inertia = false: torque sensors do not see rotors; a motor's torque referred to the joint does\n" in out
-    )
+    options = ["--effort", "N m", "--torque-sensor", "--overwrite", "-o", "robot.toml"]
+    status, out, _ = run(capsys, "init", "arm.urdf", *options)
+    assert (status, load_robot("robot.toml").joints[0].rotor_inertia) == (0, False)
+    assert "rotor_inertia = false: torque sensors do not see rotors; a motor's torque referred to the joint" in out
 
 
 def test_fingers_are_named_and_left_out_unless_there_is_nothing_else(here, capsys):
