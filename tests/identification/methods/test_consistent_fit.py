@@ -85,13 +85,8 @@ def test_the_report_has_intervals_and_names_what_left_the_fits(consistent, tx40)
     far = dataclasses.replace(consistent, consistent_set=dataclasses.replace(c, deviations=moves * c.reach))
     sections = {s.title: s for s in fit_document(signals_of(tx40), far).sections}
     standard = sections["physically consistent standard parameters"]
-    assert [heading for heading, _ in standard.table.columns] == [
-        "parameter",
-        "value",
-        "±95%",
-        "unit",
-        "mostly from",
-    ]
+    heads = ["parameter", "value", "±95%", "unit", "mostly from"]
+    assert [heading for heading, _ in standard.table.columns] == heads
     assert [row[2].value for row in standard.table.rows] == c.half.tolist()
     assert f"moved by more than one half-width: {c.base_names[3]} (+1.7)" in standard.lines
     of_base = sections["physically consistent base parameters"].table
@@ -139,6 +134,12 @@ def test_held_out_torque_is_predicted_no_worse(consistent, observed, expected):
     assert (errors[:, 1] < 1.1 * errors[:, 0]).all()
 
 
+def pull_of(physical, chi) -> float:
+    """Sum over the links of tr(P0⁻¹ P)."""
+    links = np.linalg.solve(physical.prior, pseudo_inertia(chi[physical.links]))
+    return float(np.trace(links, axis1=1, axis2=2).sum())
+
+
 def sdp(beta, covariance, K, physical, gamma, near):
     """Clarabel's optimum of the problem without its logarithms, and its dual, a bound from below.
 
@@ -179,11 +180,7 @@ def sdp(beta, covariance, K, physical, gamma, near):
     H = np.triu((A * d).T @ (A * d))
     solved = clarabel.DefaultSolver(csc_matrix(H), q * d, csc_matrix(G), -G @ (near / d), cones, settings).solve()
     assert solved.status in (clarabel.SolverStatus.Solved, clarabel.SolverStatus.AlmostSolved)
-    half = (
-        0.5 * t @ t
-        + gamma
-        * np.trace(np.linalg.solve(physical.prior, pseudo_inertia(near[physical.links])), axis1=1, axis2=2).sum()
-    )
+    half = 0.5 * t @ t + gamma * pull_of(physical, near)
     return solved.obj_val + half, solved.obj_val_dual + half
 
 
@@ -198,8 +195,7 @@ def test_without_its_barrier_the_optimum_is_that_of_an_sdp():
     gamma = 1e-8
     found = consistent_parameters(beta, C, K, physical, gamma=gamma, gamma_x=1.0)
     best, bound = sdp(beta, C, K, physical, gamma, found.chi)
-    pull = np.trace(np.linalg.solve(physical.prior, pseudo_inertia(found.chi[physical.links])), axis1=1, axis2=2).sum()
-    mine = 0.5 * found.chi_squared + gamma * pull
+    mine = 0.5 * found.chi_squared + gamma * pull_of(physical, found.chi)
     gap = gamma * (4 * len(physical.links) + len(physical.combinations) + 100 * sum(map(len, physical.matrices)))
     assert lowest(physical, found.chi) > 0
     assert best > 1.0
@@ -231,16 +227,9 @@ def test_what_comes_from_the_prior_is_what_the_recording_does_not_say():
         return 0.5 * divergence
 
     h = 1e-4 * np.maximum(np.abs(found.chi), 0.01) * np.eye(14)[:10]
-    H = np.array(
-        [
-            [
-                (prior_cost(found.chi + a + b) - prior_cost(found.chi + a - b))
-                - (prior_cost(found.chi - a + b) - prior_cost(found.chi - a - b))
-                for b in h
-            ]
-            for a in h
-        ]
-    ) / (4 * np.outer(np.diag(h), np.diag(h)))
+    signs = [(sign * other, sign, other) for sign in (1, -1) for other in (1, -1)]
+    H = [[sum(s * prior_cost(found.chi + x * a + y * b) for s, x, y in signs) for b in h] for a in h]
+    H = np.array(H) / (4 * np.outer(np.diag(h), np.diag(h)))
     of_data = (K.T @ np.linalg.solve(C, K))[:10, :10]  # what tells of the link is of no other parameter
     expected = np.diag(np.linalg.inv(H + of_data)) / np.diag(np.linalg.inv(H))
     assert not shares[10:].any()
@@ -346,13 +335,11 @@ def test_the_file_holds_what_a_model_is_made_of(tmp_path, capsys):
     assert c["prior"].startswith("prior.toml: ")
     assert f"chi² {c['chi2']:.3g} on 8 parameters" in printed
     assert f"{c['largest_move']:.2g} half-widths" in printed
-    left = {p["name"] for p in content["left_out"]}
-    assert left | {p["name"] for p in content["parameters"]} == set(
-        base_parameters(InverseModel(robot_named("scara"))).names
-    )
+    base = base_parameters(InverseModel(robot_named("scara"))).names
+    assert {p["name"] for p in content["left_out"] + content["parameters"]} == set(base)
     assert "robot.toml" in content["description"]
     assert [p.value for p in read_fit(out).standard_parameters] == [p["value"] for p in content["standard_parameters"]]
-    assert [p["name"] for p in c["base_parameters"]] == list(base_parameters(InverseModel(robot_named("scara"))).names)
+    assert [p["name"] for p in c["base_parameters"]] == list(base)
     moves = [abs(p["move"]) for p in c["base_parameters"]]
     assert max(moves) == pytest.approx(c["largest_move"])
     assert all(p["half_width"] > 0 for p in c["base_parameters"] + content["standard_parameters"])

@@ -13,8 +13,18 @@ from identification.methods import Fit, identify
 from identification.regression import Overrides
 
 
-@pytest.mark.parametrize("columns", [*COLUMNS, "all"])
-@pytest.mark.parametrize("concerns", ["plain", *CONCERNS, "all"])
+@pytest.mark.parametrize(
+    ("concerns", "columns"),
+    [
+        *(("all", columns) for columns in COLUMNS),
+        *((concerns, "all") for concerns in ("plain", *CONCERNS, "all")),
+        *((concerns, "reference") for concerns in CONCERNS),
+        *((concerns, "known_torque") for concerns in ("plain", *CONCERNS)),
+        *((concerns, "payload") for concerns in ("plain", "load", "own")),
+        ("own", "velocity"),
+        ("gains", "feedforward"),
+    ],
+)
 def test_two_recordings_are_fitted_with_what_they_have(concerns, columns, tmp_path):
     concerns = frozenset({"all": CONCERNS, "plain": ()}.get(concerns, (concerns,)))
     columns = frozenset(COLUMNS if columns == "all" else (columns,))

@@ -38,16 +38,10 @@ def recorded() -> Signals:
     data, rng, n = model.createData(), np.random.default_rng(3), model.nv
     t = np.arange(round(DURATION_S * RATE_HZ) + 1)[:, None] / RATE_HZ
     x = np.clip(np.minimum(t, DURATION_S - t) / 2.0, 0.0, 1.0)
-    omega, phase, size = (
-        2 * np.pi * rng.uniform(0.1, 1.0, (5, n)),
-        rng.uniform(0, 6.28, (5, n)),
-        rng.uniform(0.1, 0.2, (5, n)),
-    )
-    q_ref = (
-        x**3
-        * (10 - 15 * x + 6 * x**2)
-        * sum(s * np.sin(t * w + p) for w, p, s in zip(omega, phase, size / omega * 3, strict=True))
-    )
+    omega, phase = 2 * np.pi * rng.uniform(0.1, 1.0, (5, n)), rng.uniform(0, 6.28, (5, n))
+    size = 3 * rng.uniform(0.1, 0.2, (5, n)) / omega
+    path = sum(s * np.sin(t * w + p) for w, p, s in zip(omega, phase, size, strict=True))
+    q_ref = x**3 * (10 - 15 * x + 6 * x**2) * path
     q_ref[:, 1] -= 1.2
     dq_ref = np.gradient(q_ref, 1 / RATE_HZ, axis=0)
     w = 2 * np.pi * BANDWIDTH_HZ
@@ -84,7 +78,7 @@ def described(**keys: object) -> Signals:
 
 def of_test(signals: Signals, **options: object):
     fit = identify(signals, Overrides(), **options)
-    return fit, next(line for line in fit.trust.lines if line.test == "control law")
+    return fit, fit.trust.line("control law")
 
 
 def test_the_replay_subtracts_gravity_and_says_so():
@@ -120,9 +114,8 @@ def test_the_law_adds_gravity_at_the_measured_position():
     model, still = direct_model(dynamics, known_parameters(dynamics)), np.zeros(6)
     torques = []
     for gravity in (False, True):
-        loop = recorded_loop(
-            replace(robot, controller=msgspec.structs.replace(robot.controller, gravity_feedforward=gravity))
-        )
+        law = msgspec.structs.replace(robot.controller, gravity_feedforward=gravity)
+        loop = recorded_loop(replace(robot, controller=law))
         control = Control(model, loop, q, still)
         control.take(Reference(q[None] + 0.01, still[None], still[None]))
         torques.append(control.torque(0, q, still))

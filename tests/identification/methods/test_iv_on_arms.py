@@ -12,13 +12,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import REPLAY
-from fits_of_records import iv_of, signals_of
+from fits_of_records import iv_of, ls_of, signals_of
 from independent_robots import Plant, plant
 from independent_simulator import Controller, Imperfections, Runs, description, designed_pd, references, simulate
 
 from acquisition.robot import Robot
-from identification.data import Signals, load_signals
-from identification.methods import Fit, Iteration, identify_iv, identify_ls
+from identification.data import Signals
+from identification.methods import Fit, Iteration, identify_iv
 from identification.model import InverseModel, base_parameters, described_parameters
 from identification.regression import Overrides
 
@@ -39,12 +39,8 @@ def without_parameters(robot: Robot) -> Robot:
 def pi_loop(body: Plant, bandwidth_hz: float) -> Controller:
     """P of the position around PI of the speed: another law than the surrogate's."""
     w = 2 * np.pi * bandwidth_hz
-    return dataclasses.replace(
-        designed_pd(body, bandwidth_hz, 1000.0),
-        structure="cascade_p_pi",
-        position_gain=np.full(body.n, w / 1.6),
-        integral_gain=np.full(body.n, w / 2),
-    )
+    gains = {"position_gain": np.full(body.n, w / 1.6), "integral_gain": np.full(body.n, w / 2)}
+    return dataclasses.replace(designed_pd(body, bandwidth_hz, 1000.0), structure="cascade_p_pi", **gains)
 
 
 def half_widths_off(fit: Fit) -> float:
@@ -69,9 +65,8 @@ def test_a_loop_unknown_to_the_description_and_noise_in_it(whole):
     body, count = plant(REPLAY / "tx40" / "robot.toml", smooth=0.005), 40 if whole else 2
     cell = Imperfections(encoder_noise=5e-5, encoder_step=1e-5, torque_noise_percent=3.0, disturbance_percent=5.0)
     reference = references(body, range(count), duration_s=8.0 if whole else 6.0, rate_hz=1000.0)
-    found = list(
-        fits(simulate(body, pi_loop(body, 10.0), reference, cell), description(REPLAY / "tx40" / "robot.toml"))
-    )
+    runs = simulate(body, pi_loop(body, 10.0), reference, cell)
+    found = list(fits(runs, description(REPLAY / "tx40" / "robot.toml")))
     settled = [half_widths_off(fit) for fit in found if fit.status in SETTLED]
     print(Counter(fit.status for fit in found), f"worst essential parameter {max(settled):.2f} half-widths off")
     assert len(settled) >= 0.95 * count
@@ -92,9 +87,8 @@ def sensor_arm(count: int, duration_s: float) -> Runs:
     ddq = np.linalg.solve(M, (tau - bias - body.friction(v))[..., None])[..., 0]
     sensed = (tau - ddq * rotor).reshape(runs.effort.shape)
     rms = np.sqrt(np.mean(sensed**2, axis=1, keepdims=True))
-    return dataclasses.replace(
-        runs, effort=sensed + 0.01 * rms * np.random.default_rng(5).standard_normal(sensed.shape)
-    )
+    noise = 0.01 * rms * np.random.default_rng(5).standard_normal(sensed.shape)
+    return dataclasses.replace(runs, effort=sensed + noise)
 
 
 def test_an_arm_without_rotor_inertias_settles(whole):
@@ -114,11 +108,9 @@ def from_sample(signals: Signals, first: int) -> Signals:
 def test_where_a_real_record_is_cut_does_not_decide(tx40, whole):
     """The start moved through 20 positions by 0 to 5 % of the record: the same status, verdict, and values."""
     signals, first = signals_of(tx40), iv_of(tx40)
-    steps = range(1, POSITIONS) if whole else (POSITIONS // 2, POSITIONS - 1)
-    moved = [
-        identify_iv(from_sample(signals, int(0.05 * len(signals.t_s) * k / (POSITIONS - 1))), Overrides(), Iteration())
-        for k in steps
-    ]
+    steps = range(1, POSITIONS) if whole else (POSITIONS // 2,)
+    starts = (int(0.05 * len(signals.t_s) * k / (POSITIONS - 1)) for k in steps)
+    moved = [identify_iv(from_sample(signals, start), Overrides(), Iteration()) for start in starts]
     assert {fit.status for fit in moved} == {first.status}
     assert {fit.trust.verdict for fit in moved} == {first.trust.verdict}
     largest = max((np.abs(fit.beta - first.beta) / first.intervals.half).max() for fit in moved)
@@ -132,10 +124,8 @@ def test_half_of_a_real_record_settles_wherever_it_is_cut(tx40, whole):
     plain = dataclasses.replace(signals, robot=without_parameters(signals.robot))
     N = len(signals.t_s)
     for s, cuts in ((signals, range(POSITIONS) if whole else (14, 15)), *([(plain, (0, 10, 19))] if whole else [])):
-        found = [
-            identify_iv(from_sample(s, N // 2 + int(0.025 * N * k / (POSITIONS - 1))), Overrides(), Iteration())
-            for k in cuts
-        ]
+        starts = (N // 2 + int(0.025 * N * k / (POSITIONS - 1)) for k in cuts)
+        found = [identify_iv(from_sample(s, start), Overrides(), Iteration()) for start in starts]
         print(Counter(fit.status for fit in found), [round(fit.iv.tests.first_stage_F, 1) for fit in found])
         assert all(fit.status in SETTLED for fit in found)
         assert len({fit.trust.verdict for fit in found}) == 1
@@ -145,11 +135,10 @@ def test_half_of_a_real_record_settles_wherever_it_is_cut(tx40, whole):
 
 def test_the_distance_to_the_nearest_robot_is_told():
     """A torque of the wrong sign at the SCARA's elbow: no robot is near, and that is said."""
-    signals = load_signals(REPLAY / "scara" / "session.mcap")
-    right = identify_iv(signals, Overrides(), Iteration())
-    wrong = identify_iv(
-        dataclasses.replace(signals, effort=signals.effort * np.array([1.0, -1.0])), Overrides(), Iteration()
-    )
+    path = REPLAY / "scara" / "session.mcap"
+    signals, right = signals_of(path), iv_of(path)
+    turned = dataclasses.replace(signals, effort=signals.effort * np.array([1.0, -1.0]))
+    wrong = identify_iv(turned, Overrides(), Iteration())
     assert {p.z.kind for p in right.iv.passes} == {"simulated"}
     assert all(p.z.reason is not None for p in wrong.iv.passes if p.z.kind != "simulated")
     line = right.trust.line("consistent")
@@ -159,4 +148,4 @@ def test_the_distance_to_the_nearest_robot_is_told():
     assert line.level == "caution"
     assert line.value > 1000
     assert "signs and units" in line.text
-    assert identify_ls(signals, Overrides()).trust.line("consistent").level == "ok"
+    assert ls_of(path).trust.line("consistent").level == "ok"

@@ -46,9 +46,8 @@ def test_weights_are_those_of_the_formula_in_any_block():
     moves = np.ones((400, 2), dtype=bool)
     moves[150:160, 0] = moves[300:, 0] = moves[40:60, 1] = False
     problem = scara()
-    problem = dataclasses.replace(
-        problem, settings=dataclasses.replace(problem.settings, start=0, stop=400, decimation=10)
-    )
+    settings = dataclasses.replace(problem.settings, start=0, stop=400, decimation=10)
+    problem = dataclasses.replace(problem, settings=settings)
     weights = SampleWeights(problem, moves)
     expected = np.stack([by_formula(own, 20) for own in moves.T])
     np.testing.assert_allclose(weights.between(0, 400), expected, atol=1e-12)
@@ -126,9 +125,8 @@ def test_a_threshold_of_zero_is_the_method_without_weights():
     assert (plain.share == 1.0).all()
     np.testing.assert_allclose(plain.system.Y, plain.tau.T.reshape(-1), atol=1e-12)
     assert plain.system.rows.tolist() == [len(plain.tau)] * 2
-    np.testing.assert_array_equal(
-        weights_at(problem, np.arange(s.start, s.stop) / SCARA.sample_rate_hz), np.ones((2, s.stop - s.start))
-    )
+    found = weights_at(problem, np.arange(s.start, s.stop) / SCARA.sample_rate_hz)
+    np.testing.assert_array_equal(found, np.ones((2, s.stop - s.start)))
     given = LowSpeed(ls=0.0, iv=10.0)
     by_method = [identify(SCARA, Overrides(low_speed_percent=given), method=m).settings for m in ("wls", "iv", None)]
     assert [one.low_speed_percent for one in by_method] == [0.0, 10.0, 10.0]

@@ -58,14 +58,13 @@ def test_motion_and_torque_are_those_of_the_other_simulator(name):
     assert apart(independent(name), packaged(name)) < 0.005
 
 
-@pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize(
-    ("own", "theirs"),
+    ("name", "own", "theirs"),
     [
-        ({"position": 2e-5}, {"encoder_noise": 2e-5}),
-        ({"encoder_step": 1e-4}, {"encoder_step": 1e-4}),
-        ({"effort_percent": 3.0}, {"torque_noise_percent": 3.0}),
-        ({"coloured_percent": 3.0}, {"coloured_noise_percent": 3.0}),
+        ("emps", {"position": 2e-5}, {"encoder_noise": 2e-5}),
+        ("scara", {"encoder_step": 1e-4}, {"encoder_step": 1e-4}),
+        ("scara", {"effort_percent": 3.0}, {"torque_noise_percent": 3.0}),
+        ("emps", {"coloured_percent": 3.0}, {"coloured_noise_percent": 3.0}),
     ],
 )
 def test_noise_has_the_deviation_that_it_has_in_the_other_simulator(name, own, theirs):

@@ -38,10 +38,8 @@ def test_noise_of_the_real_record_moves_least_squares_and_not_instrumental_varia
     began = time.process_time()
     fits = vary(RecordingFile.at(emps), None, Work())
     spent = time.process_time() - began
-    moves = {
-        fit.variant.to: np.max([moves_of(fits, name)[k] for name in fits[0].values], axis=0)
-        for k, fit in enumerate(fits)
-    }
+    largest = np.max([moves_of(fits, name) for name in fits[0].values], axis=0)
+    moves = dict(zip((fit.variant.to for fit in fits), largest, strict=True))
     ls, iv, *_ = moves["1e-05 m rms"]
     print(f"{spent:.1f} s of CPU; 10 µm: LS {ls:.2g}, IV {iv:.2g}; 20 µm: {moves['2e-05 m rms']}")
     assert (ls > 5, iv < 1) == (True, True)
@@ -55,9 +53,8 @@ def test_noise_of_the_real_record_moves_least_squares_and_not_instrumental_varia
     shown = [line.split() for line in f"emps.mcap: LS moves{section}".splitlines()]
     assert len(shown) == 13
     # Moves by a start are rounding errors: their digits are of one machine.
-    assert [line for line in shown if line not in printed and line[0] != "start"] == [], (
-        "the page of the method shows the real record"
-    )
+    missing = [line for line in shown if line not in printed and line[0] != "start"]
+    assert missing == [], "the page of the method shows the real record"
 
 
 def test_each_variant_changes_one_thing():
@@ -78,9 +75,7 @@ def test_each_variant_changes_one_thing():
 
 def test_noise_and_settings_reach_the_fit():
     source, rules = RecordingFile.at(SCARA), Variant(changed="none", to="the rules")
-    one, noisy, again = (
-        fit_variant(source, v) for v in (rules, replace(rules, noise=1e-3), replace(rules, noise=1e-3))
-    )
+    one, noisy, again = (fit_variant(source, replace(rules, noise=x)) for x in (rules.noise, 1e-3, 1e-3))
     assert noisy == again
     assert set(one.essential) <= set(one.values)
     assert all(one.values[name][0] != noisy.values[name][0] for name in one.values)
@@ -100,11 +95,8 @@ def made_up():
     )
     noise, cut = Variant(changed="position noise", to="1e-05 m rms"), Variant(changed="cut-off", to="none")
     moved = {"M1": (14.0, 2.0, 10.25, 0.5), "Fc1": (3.0, 1.0, 3.75, 1.0), "Off1": (9.0, 1.0, 9.0, 1.0)}
-    return [
-        rules,
-        VariedFit(variant=cut, ended="too short"),
-        VariedFit(variant=noise, ended="max_iterations", passes=40, values=moved),
-    ]
+    noisy = VariedFit(variant=noise, ended="max_iterations", passes=40, values=moved)
+    return [rules, VariedFit(variant=cut, ended="too short"), noisy]
 
 
 def test_moves_are_in_half_widths_of_iv_by_the_rules_and_of_essential_parameters():

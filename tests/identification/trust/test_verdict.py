@@ -22,13 +22,11 @@ def verdict(tracking, errors, tests=GOOD):
         change_sigma=0.1, change_percent=0.1, changed="M1",
         residual_percent=0.1, residual_settled=True, parameters_settled=True,
     )  # fmt: skip
-    direct = [
-        DirectModelError(name=f"j{j}", position_error_percent=e, torque_error_percent=1.0) for j, e in enumerate(errors)
-    ]
+    of = DirectModelError
+    direct = [of(name=f"j{j}", position_error_percent=e, torque_error_percent=1.0) for j, e in enumerate(errors)]
     replica = SimpleNamespace(tracking_percent=tracking, direct=direct)
-    none = SimpleNamespace(
-        problems=(), unknowns=SimpleNamespace(arms=()), tasks=list
-    )  # whether M is positive is asked of each recording
+    # whether M is positive is asked of each recording
+    none = SimpleNamespace(problems=(), unknowns=SimpleNamespace(arms=()), tasks=list)
     return status_of(none, (settled,), dataclasses.replace(settled, replicas=(replica,)), tests)
 
 
