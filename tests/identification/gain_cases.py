@@ -297,39 +297,3 @@ def law_of(case: GainCase) -> str:
 
 def robot_of(text: str) -> Robot:
     return robot_from_files({"robot.toml": text.encode()}, "robot.toml")
-
-
-def exchanged(pair: Pair, other: Pair) -> tuple[Signals, Signals]:
-    """The payload is stated with the recording that has none."""
-    return replace(pair.free, payload=pair.loaded.payload), replace(pair.loaded, payload=None)
-
-
-def half_the_mass(pair: Pair, other: Pair) -> tuple[Signals, Signals]:
-    """The description has the true gains: all come out at half of them."""
-    free, loaded = (with_gains(one, pair.gains, None) for one in (pair.free, pair.loaded))
-    return free, with_stated(loaded, float(pair.payload[-1]) / 2)
-
-
-def nothing_mounted(pair: Pair, other: Pair) -> tuple[Signals, Signals]:
-    """A payload is stated with another recording of the bare arm."""
-    return pair.free, replace(other.free, payload=pair.loaded.payload)
-
-
-def same_twice(pair: Pair, other: Pair) -> tuple[Signals, Signals]:
-    return pair.free, pair.free
-
-
-def nothing_stated(pair: Pair, other: Pair) -> tuple[Signals, Signals]:
-    return pair.free, replace(pair.loaded, payload=None)
-
-
-BAD_INPUT = (
-    exchanged,
-    half_the_mass,
-    nothing_mounted,
-    same_twice,
-    nothing_stated,
-)  # of two pairs with other references
-LIGHT = GainCase(what="5 % white", mass_kg=0.04, white=5.0)  # the gains are not determined
-TORQUES = GainCase(what="efforts are torques", white=5.0, torques=True, catalogue=False)  # all gains are 1
-LONE_AXIS = GainCase(robot="axis", what="the mass alone tells no scale", white=5.0, law=True)

@@ -12,6 +12,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import urdfs
+from command_runs import refused
 from conftest import REPLAY, robot_named
 from fits_of_records import ls_of
 from loops import simulate
@@ -441,10 +442,7 @@ def test_what_no_simulator_should_have_is_refused_in_one_line(why, fits, tmp_pat
     change, words = REFUSED[why]
     path = changed(fits["consistent"], tmp_path, change)
     outputs = [f"--{kind}={tmp_path / 'out'}.{kind}" for kind in ("urdf", "mjcf", "toml")]
-    assert main(["export", str(path), *outputs]) == 1
-    err = capsys.readouterr().err
-    assert err.count("\n") == 1
-    assert words in err
+    assert words in refused(capsys, "export", path, *outputs)
     assert [p.name for p in tmp_path.iterdir()] == ["changed.json"]
 
 

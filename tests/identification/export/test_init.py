@@ -5,9 +5,11 @@ import re
 import tomllib
 from pathlib import Path
 
+import command_runs
 import numpy as np
 import pinocchio as pin
 import pytest
+from command_runs import run
 from urdfs import ARM, BOX, LIMIT, PARTS, joint, link, urdf
 
 from acquisition.commands import main as acquire
@@ -31,17 +33,8 @@ def here(tmp_path, monkeypatch) -> Path:
     return tmp_path
 
 
-def run(capsys, *arguments):
-    status = main([str(argument) for argument in arguments])
-    out, err = capsys.readouterr()
-    return status, out, err
-
-
 def refused(capsys, *arguments):
-    status, _, err = run(capsys, *arguments)
-    assert status == 1
-    assert err.count("\n") == 1
-    return err.strip().removeprefix("robot-identify: ")
+    return command_runs.refused(capsys, *arguments).strip().removeprefix("robot-identify: ")
 
 
 def torque_of_the_urdf(text, names, states):

@@ -44,6 +44,7 @@ from identification.methods import identify, identify_ls, least_squares, with_co
 from identification.methods.settled import independent_norm
 from identification.model import InverseModel, JointTerm
 from identification.regression import Overrides, recorded_power
+from identification.regression.filtering import lowpass
 from identification.simulation import Reference, surrogate_loop
 from identification.study import write_signals
 from identification.view.charts import friction_charts
@@ -490,6 +491,8 @@ def test_a_description_whose_lines_cannot_be_replaced_stays(tmp_path, capsys):
 
 def test_the_real_tx40_needs_root_friction_and_load_friction_of_joint_3(tx40):
     signals = signals_of(tx40)
+    thin = {x: lowpass(getattr(signals, x), 400.0, signals.sample_rate_hz)[::5] for x in ("q", "effort")}
+    signals = dataclasses.replace(signals, **thin, t_s=signals.t_s[::5], sample_rate_hz=signals.sample_rate_hz / 5)
     choice = select_friction(signals, Overrides())
     terms = choice.recommended.terms
     assert "load" in terms[2]
@@ -499,7 +502,7 @@ def test_the_real_tx40_needs_root_friction_and_load_friction_of_joint_3(tx40):
     fit = identify_ls(dataclasses.replace(signals, robot=with_terms(signals.robot, terms)), Overrides())
     assert fit.errors[2].moving_relative_error_percent < 3.2
     mu = fit.estimate.names.index("mu3")
-    assert fit.beta[mu] == pytest.approx(0.33, abs=0.01)
+    assert fit.beta[mu] == pytest.approx(0.32, abs=0.01)
     assert fit.trust.line("physical").level == "ok"
 
 

@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 import scipy.io
+from command_runs import refused
 from conftest import REPLAY, needs_data, robot_named
 from fits_of_records import iv_of, ls_of, signals_of
 
@@ -256,13 +257,6 @@ def test_a_saturated_drive_is_reported(emps):
     fit = identify_iv(dataclasses.replace(signals, robot=robot), Overrides(), Iteration())
     assert fit.iv.saturated_percent > 1
     assert any(text.startswith("drives at their limit: motor (2 V) in") for text in fit.warnings)
-
-
-def refused(capsys, *arguments) -> str:
-    assert main([str(a) for a in arguments]) == 1
-    err = capsys.readouterr().err
-    assert err.count("\n") == 1
-    return err
 
 
 def test_command_line(capsys, tmp_path):
