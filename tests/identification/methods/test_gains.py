@@ -360,18 +360,19 @@ def test_gains_cost_one_simulation_more_than_known_ones_at_most(pair, monkeypatc
     assert beyond_passes[1] <= beyond_passes[0] + 2
 
 
-def test_consistent_parameters_need_no_described_gain(folder, capsys):
+def test_consistent_parameters_need_no_described_gain(folder, capsys, tmp_path):
+    out = tmp_path / "k.json"
     assert run_fit(folder, "blank_free blank_loaded", "--consistent") == 1
     assert "motor[0].drive_gain is missing" in capsys.readouterr().err
+    assert run_fit(folder, "blank_free blank_loaded", "--gains", "--consistent", "--json", str(out)) == 0
+    found = {one["name"]: one for one in json.loads(out.read_text())["standard_parameters"]}
+    assert found["ZZ2"]["value"] == pytest.approx(0.061, abs=0.01)
 
 
 def test_files_of_a_fit_with_gains(folder, tmp_path, capsys):
     out, picture = tmp_path / "k.json", tmp_path / "k.rrd"
-    files = ["--json", str(out), "--rrd", str(picture)]
-    assert run_fit(folder, "blank_free blank_loaded", "--gains", "--consistent", *files) == 0
+    assert run_fit(folder, "blank_free blank_loaded", "--gains", "--json", str(out), "--rrd", str(picture)) == 0
     found = json.loads(out.read_text())
-    standard = {one["name"]: one["value"] for one in found["standard_parameters"]}
-    assert standard["ZZ2"] == pytest.approx(0.061, abs=0.01)
     gains = {one["motor"]: (one["value"], one["half_width"]) for one in found["gains"]}
     for name, true in zip(("motor_1", "motor_2"), WHITE.gains, strict=True):
         assert abs(gains[name][0] - true) <= gains[name][1]

@@ -11,7 +11,7 @@ import identification.regression.equations as regression_module
 from acquisition.robot import fourier_reference
 from identification.data import Signals, signals_from_arrays
 from identification.errors import IdentificationError
-from identification.estimation import System, ordinary_least_squares, weighted_least_squares
+from identification.estimation import System, essential_parameters, ordinary_least_squares, weighted_least_squares
 from identification.methods import identify_ls
 from identification.model import BaseParameters, InverseModel, base_parameters, described_parameters
 from identification.regression import (
@@ -71,6 +71,18 @@ def test_estimate_is_that_of_the_normal_equations():
     np.testing.assert_allclose(estimate.beta, beta, rtol=1e-12)
     np.testing.assert_allclose(estimate.covariance, rho @ rho / 599 * np.linalg.inv(W.T @ W), rtol=1e-10)
     assert estimate.condition_number == pytest.approx(np.linalg.cond(W))
+
+
+def test_essential_parameters_leave_out_what_is_zero_and_keep_what_matters():
+    rng = np.random.default_rng(9)
+    W = rng.normal(size=(900, 6))
+    Y = W @ np.array([5.0, 0.0, -3.0, 0.0, 0.02, 4.0]) + 0.1 * rng.normal(size=900)
+    problem = System.whole(W, Y, np.zeros(900, dtype=int), tuple("abcdef"))
+    full = ordinary_least_squares(problem)
+    # e is small but, at six deviations, more than noise: the F test keeps it though its %sigma is large.
+    kept, unconfirmed = (essential_parameters(problem, full, correlation=x) for x in (0.0, 0.95))
+    assert (kept.estimate.names, unconfirmed.estimate.names) == (("a", "c", "e", "f"), ("a", "c", "f"))
+    assert kept.p_value > 0.01
 
 
 def test_a_joint_that_does_not_move_is_named():
