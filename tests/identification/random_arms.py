@@ -22,11 +22,8 @@ def random_arm(seed: int) -> Robot:
         matrix[-1, -2] = matrix[-1, -1]
     text = f'name = "arm"\nmotor_matrix = {matrix.tolist()}\n[controller]\nbandwidth_hz = 5\n'
     for j in range(n):
-        kind = (
-            "prismatic"
-            if rng.random() < 0.15 and not matrix[j:, j][1:].any() and not matrix[j, :j].any()
-            else "revolute"
-        )
+        slides = rng.random() < 0.15 and not matrix[j:, j][1:].any() and not matrix[j, :j].any()
+        kind = "prismatic" if slides else "revolute"
         alpha, theta = rng.choice([-90, 0, 90, 17.3], 2)
         d, r = rng.uniform(-0.5, 0.5, 2) * (rng.random(2) < 0.7)
         text += f'[[joint]]\nname = "j{j}"\ntype = "{kind}"\noffset = {str(bool(rng.random() < 0.5)).lower()}\n'
@@ -38,10 +35,8 @@ def random_arm(seed: int) -> Robot:
 
 def random_body(rng: np.random.Generator) -> np.ndarray:
     """Ten parameters of a cloud of point masses."""
-    points, masses = (
-        rng.normal(size=(6, 3)) * rng.uniform(0.02, 0.15) + rng.normal(size=3) * 0.1,
-        rng.uniform(0.1, 3, 6),
-    )
+    points = rng.normal(size=(6, 3)) * rng.uniform(0.02, 0.15) + rng.normal(size=3) * 0.1
+    masses = rng.uniform(0.1, 3, 6)
     inertia = sum(m * (x @ x * np.eye(3) - np.outer(x, x)) for m, x in zip(masses, points, strict=True))
     return np.concatenate([inertia[np.triu_indices(3)], masses @ points, [masses.sum()]])
 

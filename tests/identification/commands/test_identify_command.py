@@ -167,8 +167,8 @@ def test_unknown_gains_give_volts_and_a_warning(capsys, tmp_path):
     status, out, _ = run(capsys, "fit", tmp_path / "volts.mcap", "--json", tmp_path / "fit.json")
     assert status == 0
     assert "drive gains are not known: torques and parameters are in V, not in N m" in out
-    first = json.loads((tmp_path / "fit.json").read_text())["parameters"][0]
-    assert (first["name"], first["unit"]) == ("M1", "V s²/m")
+    first, viscous, dry = json.loads((tmp_path / "fit.json").read_text())["parameters"][:3]
+    assert [(p["name"], p["unit"]) for p in (first, viscous, dry)] == [("M1", "V s²/m"), ("Fv1", "V s/m"), ("Fc1", "V")]
     assert first["value"] == pytest.approx(2.7, rel=0.01)
 
 

@@ -30,11 +30,8 @@ def test_a_narrow_terminal_loses_no_digit_of_a_fit(narrow, capsys, tmp_path):
     told = re.sub(r"\x1b\[[0-9;]*m", "", capsys.readouterr().out)
     assert "…" not in told
     for p in json.loads(out.read_text())["parameters"]:
-        (row,) = [
-            line
-            for line in told.splitlines()
-            if re.match(rf"{p['name']} +-?[0-9.]+ +[0-9.]+ ", line)  # not a folded line that begins with the name
-        ]
+        # not a folded line that begins with the name
+        (row,) = re.findall(rf"(?m)^{p['name']} +-?[0-9.]+ +[0-9.]+ .*", told)
         value, half = (float(x) for x in row.split()[1:3])
         assert value == pytest.approx(p["value"], abs=0.01 * p["sigma"])
         assert half == pytest.approx((p["high"] - p["low"]) / 2, rel=0.01)

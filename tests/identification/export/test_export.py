@@ -62,11 +62,8 @@ def exported(model, chi, folder, **outputs):
 
 def torque(model, chi, q, dq, ddq, *, without=()):
     """The fit's torque (N, n), terms of some kinds left out; `links` of all terms that are of joints."""
-    kept = [
-        c
-        for c, s in enumerate(model.sources)
-        if not isinstance(s, JointTerm) or (s.kind not in without and "terms" not in without)
-    ]
+    left_out = (isinstance(s, JointTerm) and ("terms" in without or s.kind in without) for s in model.sources)
+    kept = np.flatnonzero(~np.fromiter(left_out, bool))
     return model.regressor(q, dq, ddq)[:, :, kept] @ chi[kept]
 
 

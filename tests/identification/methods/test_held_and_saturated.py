@@ -38,10 +38,8 @@ def recorded(seed: int = 6, held: int | None = None, saturation: tuple[float, fl
 
 def scara(saturation: tuple[float, float] | None = None) -> Robot:
     robot = robot_named("scara")
-    motors = [
-        msgspec.structs.replace(motor, saturation=limit)
-        for motor, limit in zip(robot.motors, saturation or (None, None), strict=True)
-    ]
+    limits = zip(robot.motors, saturation or (None, None), strict=True)
+    motors = [msgspec.structs.replace(motor, saturation=limit) for motor, limit in limits]
     return dataclasses.replace(robot, motors=tuple(motors))
 
 

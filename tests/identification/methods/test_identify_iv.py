@@ -87,9 +87,9 @@ def test_fewer_instrument_samples_leave_the_estimate_where_it_is(monkeypatch):
     to_the_end = Iteration(start="ls", tolerance_percent=0.01, max_iterations=6)
     every_row = Overrides(low_speed_percent=0.0)
     coarse = identify_iv(signals, every_row, to_the_end)
-    monkeypatch.setattr("identification.simulation.instruments.RATE_PER_BANDWIDTH", 500.0)
+    monkeypatch.setattr("identification.simulation.instruments.RATE_PER_BANDWIDTH", 200.0)
     fine = identify_iv(signals, every_row, to_the_end)
-    assert len(fine.replica.q) == pytest.approx(5 * len(coarse.replica.q), rel=0.01)
+    assert len(fine.replica.q) == pytest.approx(2 * len(coarse.replica.q), rel=0.01)
     assert (np.abs(coarse.beta - fine.beta) < 0.1 * fine.estimate.sigma).all()
 
 

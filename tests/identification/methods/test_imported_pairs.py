@@ -65,14 +65,12 @@ def uneven_log(folder: Path, robot: Robot) -> list[Path]:
         rows = rows[rows < len(parts[0])]
         table = np.hstack([rows[:, None] / RATE_HZ, *(x[rows] for x in parts)])
         np.savetxt(folder / f"{name}.csv", table, "%.9g", ",", header=",".join(["timestamp", *heads]), comments="")
-    tables = zip(("position", "velocity", "effort"), ("rad", "rad/s", "A"), ("joint", "joint", "motor"), strict=True)
-    (folder / "map.toml").write_text(
-        "\n".join(
-            f'[{name}]\ncolumns = {json.dumps(heads[6 * k : 6 * k + 6])}\nunit = "{unit}"\nside = "{side}"'
-            for k, (name, unit, side) in enumerate(tables)
-        )
-        + '\n[time]\ncolumn = "timestamp"\nunit = "s"\nresample_hz = 100.0\n'
-    )
+    text = '[time]\ncolumn = "timestamp"\nunit = "s"\nresample_hz = 100.0\n'
+    kinds = ("position", "rad", "joint"), ("velocity", "rad/s", "joint"), ("effort", "A", "motor")
+    for k, (name, unit, side) in enumerate(kinds):
+        columns = json.dumps(heads[6 * k : 6 * k + 6])
+        text += f'[{name}]\ncolumns = {columns}\nunit = "{unit}"\nside = "{side}"\n'
+    (folder / "map.toml").write_text(text)
     return [folder / "one.csv", folder / "two.csv"]
 
 
@@ -102,18 +100,9 @@ def test_two_tables_with_speeds_are_fitted_together(tables, load, tmp_path):
 
 
 LATE_S = -0.8e-3  # torques are recorded that early, and no table says so
-EMPS_MAP = """[time]
-column = "t"
-[position]
-columns = ["q"]
-unit = "m"
-[reference]
-columns = ["r"]
-unit = "m"
-[effort]
-columns = ["v"]
-unit = "V"
-"""
+COLUMNS = {"position": ("q", "m"), "reference": ("r", "m"), "effort": ("v", "V")}
+EMPS_MAP = '[time]\ncolumn = "t"\n'
+EMPS_MAP += "".join(f'[{key}]\ncolumns = ["{name}"]\nunit = "{unit}"\n' for key, (name, unit) in COLUMNS.items())
 
 
 @pytest.fixture(scope="module")

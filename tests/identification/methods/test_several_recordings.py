@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 from conftest import robot_named
+from scipy import stats
 
 import identification.regression.equations as regression_system
 from acquisition.robot import robot_from_files
@@ -448,6 +449,7 @@ def test_own_parameters_by_hand():
         parameters = max(b, parameters)
     F = (left[False] - left[True]) / 4 / (left[True] / (rows - parameters))
     assert pytest.approx(F, rel=1e-6) == fit.own.F
+    assert fit.own.p_value == pytest.approx(stats.f.sf(F, 4, rows - parameters), rel=1e-4)
 
 
 def test_own_offsets_that_nothing_has_or_gravity_absorbs_are_refused(tmp_path):

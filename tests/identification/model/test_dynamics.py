@@ -192,14 +192,6 @@ def test_a_urdf_that_does_not_fit_is_refused_in_one_line(urdf, names, message):
     assert "\n" not in str(caught.value)
 
 
-def test_unknown_gain_leaves_parameters_in_amperes():
-    text = (REPLAY / "emps" / "robot.toml").read_text()
-    text = text.replace("drive_gain = 35.15065188\n", "").replace('drive_gain_unit = "N/V"', 'effort_unit = "V"')
-    dynamics = InverseModel(robot_from_files({"robot.toml": text.encode()}, "emps.toml"))
-    units = dict(zip(dynamics.names, dynamics.units, strict=True))
-    assert (units["M1"], units["Fv1"], units["Fc1"]) == ("V s²/m", "V s/m", "V")
-
-
 def test_a_priori_values_must_be_standard_parameters_of_the_robot():
     text = (REPLAY / "scara" / "robot.toml").read_text().replace("ZZ2 = 0.061", "ZZ7 = 0.061")
     dynamics = InverseModel(robot_from_files({"robot.toml": text.encode()}, "scara.toml"))

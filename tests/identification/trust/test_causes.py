@@ -47,10 +47,8 @@ def test_exchanged_efforts_are_named_and_what_is_left_without(fit_by):
 @pytest.mark.parametrize("motor", [0, 1])
 def test_a_wrong_sign_names_the_motor(motor):
     signals = setup("scara", 3).recording(3)
-    assert first(fit_by_least_squares(with_sign(signals, motor))) == (
-        "do not use",
-        f"the effort of motor_{motor + 1} has the wrong sign",
-    )
+    fit = fit_by_least_squares(with_sign(signals, motor))
+    assert first(fit) == ("do not use", f"the effort of motor_{motor + 1} has the wrong sign")
     turned = np.where(np.arange(2) == motor, -1.0, 1.0)
     fit = fit_by_least_squares(replace(signals, q=turned * signals.q, q_ref=turned * signals.q_ref))
     assert first(fit) == ("do not use", f"the position of motor_{motor + 1} has the wrong sign")

@@ -377,10 +377,8 @@ def test_the_noise_of_an_end_sample_is_told():
     effort = signals.effort.copy()
     effort[stop - 1] += 2.0
     noisy = replace(signals, effort=effort)
-    smooth, raw = (
-        identify_ls(noisy, Overrides(edges=edges, torque_lag_s=0.0)).trust.line("ends")
-        for edges in ("smooth", "matlab")
-    )
+    fits = (identify_ls(noisy, Overrides(edges=edges, torque_lag_s=0.0)) for edges in ("smooth", "matlab"))
+    smooth, raw = (fit.trust.line("ends") for fit in fits)
     assert smooth.level == "ok"
     assert raw.level == "caution"
     assert raw.value > 4 * smooth.value
@@ -415,10 +413,8 @@ def test_noise_that_falls_with_frequency_is_seen_by_its_spectrum():
 
 def test_the_move_that_position_noise_is_told_by_is_the_mean_of_both_signs():
     """It grows with the variance of the noise: what moves the estimate with the noise's sign cancels."""
-    told = [
-        examined("wls", "emps", replace(COARSE, encoder_noise=noise))[0].trust.line("position noise").text
-        for noise in (2e-6, 6e-6)
-    ]
+    fits = (examined("wls", "emps", replace(COARSE, encoder_noise=noise))[0] for noise in (2e-6, 6e-6))
+    told = [fit.trust.line("position noise").text for fit in fits]
     small, large = (float(re.search(r"\(([0-9.]+) %\)", text)[1]) for text in told)
     assert large / small == pytest.approx(9.0, rel=0.25)
 
