@@ -81,15 +81,15 @@ def test_without_the_gain_update_the_first_instruments_of_the_tx40_are_along_the
     assert not np.array_equal(fit.replica.motion.q, updated.replica.motion.q)
 
 
-def test_fewer_instrument_samples_leave_the_estimate_where_it_is(monkeypatch):
+def test_fewer_instrument_samples_leave_the_estimate_where_it_is(tx40, monkeypatch):
     """All rows are used: which of them are slow turns on single samples, with either rate."""
-    signals = signals_of(SCARA)
+    signals = signals_of(tx40)
     to_the_end = Iteration(start="ls", tolerance_percent=0.01, max_iterations=6)
     every_row = Overrides(low_speed_percent=0.0)
     coarse = identify_iv(signals, every_row, to_the_end)
-    monkeypatch.setattr("identification.simulation.instruments.RATE_PER_BANDWIDTH", 200.0)
+    monkeypatch.setattr("identification.simulation.instruments.RATE_PER_BANDWIDTH", 500.0)
     fine = identify_iv(signals, every_row, to_the_end)
-    assert len(fine.replica.q) == pytest.approx(2 * len(coarse.replica.q), rel=0.01)
+    assert len(fine.replica.q) == pytest.approx(5 * len(coarse.replica.q), rel=0.01)
     assert (np.abs(coarse.beta - fine.beta) < 0.1 * fine.estimate.sigma).all()
 
 
@@ -295,12 +295,12 @@ def test_gains_of_the_wrong_length_or_sign_are_refused(capsys, tmp_path):
 def test_study_reports_both_methods(capsys, tmp_path):
     out = tmp_path / "study.json"
     robot = str(REPLAY / "scara" / "robot.toml")
-    assert main(["study", robot, "--runs", "2", "--position-noise", "5e-6", "--json", str(out)]) == 0
+    assert main(["study", robot, "--runs", "4", "--position-noise", "5e-6", "--json", str(out)]) == 0
     told = capsys.readouterr().out
-    assert "SCARA: 2 runs" in told
+    assert "SCARA: 4 runs" in told
     assert "cell: position 5e-06, effort_percent 2" in told
     study = json.loads(out.read_text())
-    assert [r["number"] for r in study["runs"]] == [0, 1]
+    assert [r["number"] for r in study["runs"]] == [0, 1, 2, 3]
     assert [s["method"] for s in study["summaries"]] == ["wls", "iv"]
     for s, kind in zip(study["summaries"], ("ls", "iv"), strict=True):
         fits = [r[kind] for r in study["runs"]]
@@ -311,7 +311,7 @@ def test_study_reports_both_methods(capsys, tmp_path):
         bias = beta.mean(axis=0) - study["true"]
         assert s["bias_percent"] == pytest.approx(100 * np.linalg.norm(bias) / np.linalg.norm(study["true"]))
         assert s["bias_percent"] < 0.2
-        assert s["runs"] == 2
+        assert s["runs"] == 4
     for run in study["runs"]:
         assert run["status"] == "converged"
         assert run["iv"]["positive"]
