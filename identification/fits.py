@@ -57,7 +57,7 @@ class AnyFit:
     def compare(self, other: "AnyFit") -> tuple[Difference, ...]:
         """The differences of the parameters from those of another fit: `name`, `off`, `off_percent`, `off_sigma`.
 
-        Warns where the link frames differ. Raises `IdentificationError`: nothing in common, or other units.
+        Warns where the link frames differ. Raises `BadInputError`: nothing in common, or other units.
         """
         for line in report.frame_lines(self.file, other.file, ("this fit", "the other")):
             warnings.warn(line, stacklevel=2)
@@ -67,7 +67,7 @@ class AnyFit:
     def export(self, *, urdf: Out = None, mjcf: Out = None, toml: Out = None, allow_untrusted: bool = False) -> str:
         """Write the fit as a URDF, a MuJoCo model and a robot.toml; those of `consistent` if it was called.
 
-        Returns what each format cannot represent, as Markdown. Raises `IdentificationError`: the verdict is `do not use` and
+        Returns what each format cannot represent, as Markdown. Raises `BadInputError`: the verdict is `do not use` and
         not `allow_untrusted`; a fit in A or V; impossible parameters.
         """
         outputs = (("urdf", urdf), ("mjcf", mjcf), ("toml", toml))

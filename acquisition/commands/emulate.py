@@ -3,7 +3,7 @@
 import argparse
 import sys
 
-from ..errors import AcquisitionError, Place
+from ..errors import BadInputError, Place
 from .command_line import add_flag, add_path
 
 
@@ -36,7 +36,7 @@ def run(options: argparse.Namespace) -> None:
     else:
         recording = read_recording(options.replay)
         if recording.samples is None:
-            raise AcquisitionError(recording.no_samples, place=str(options.replay), expected="some to replay")
+            raise BadInputError(recording.no_samples, place=str(options.replay), expected="some to replay")
         plant = TablePlant(recording.samples, recording.sample_rate_hz)
         mechanism = DrivenPlant(plant=plant, loops=cascaded_loops(robot, np.ones(robot.n)))  # the loops have no effect
     stop, end_s = Stop(), time.monotonic() + (options.duration if options.duration is not None else float("inf"))

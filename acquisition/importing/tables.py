@@ -69,7 +69,7 @@ def import_tables(
 
     Raises
     ------
-    AcquisitionError
+    BadInputError
         With `place` (file), `key`, `value` and `expected`; nothing is written then.
     """
     place = Place(str(map_path))

@@ -16,7 +16,7 @@ from ..errors import Place
 from ..files import read_meshes
 from .bus import FILL_IN, BusFile, dictionary_label
 from .description import Capsule, Controller, Identification, Joint, Motor, PayloadFile, RobotFile
-from .toml import RefusedError, parse_toml
+from .toml import InvalidValueError, parse_toml
 
 SIMULATED_CONTROLLER = "simulated_controller.toml"  # of the drives of a dry run, replaces [controller]
 # Guards of [bus] and [[joint]] above these would stop nothing.
@@ -72,7 +72,7 @@ class Robot:
 
     @cached_property
     def bandwidth_hz(self) -> float:
-        """Bandwidth of the position loop; `AcquisitionError` if the description does not state it."""
+        """Bandwidth of the position loop; `BadInputError` if the description does not state it."""
         if self.controller.bandwidth_hz is None:
             expected = "the bandwidth of the position loop, Hz"
             Place(f"robot {self.name}").refuse("controller.bandwidth_hz", None, expected)
@@ -137,7 +137,7 @@ def load_robot(path: str | PathLike[str]) -> Robot:
 
     Raises
     ------
-    AcquisitionError
+    BadInputError
         With `place` (the file), `key`, `value` and `expected`.
     """
     path = Path(path)
@@ -212,7 +212,7 @@ def robot_from_files(files: Mapping[str, bytes], place: str) -> Robot:
         controller = parse_toml(law, Controller, f"{place}: {SIMULATED_CONTROLLER}")
         try:
             f = msgspec.structs.replace(f, controller=controller)
-        except RefusedError as refusal:
+        except InvalidValueError as refusal:
             at.refuse(*refusal.args)
     urdf = None
     if f.urdf is not None:

@@ -4,7 +4,7 @@ import argparse
 
 from acquisition.commands import Progress, add_flag, add_path
 
-from ..errors import IdentificationError
+from ..errors import BadInputError
 from .arguments import print_results, refuse_outputs
 
 
@@ -24,7 +24,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> None:
     """Write the requested files, and print what each format cannot represent."""
     if options.urdf is None and options.mjcf is None and options.toml is None:
-        raise IdentificationError("nothing to write", place="export", expected="--urdf, --mjcf or --toml with a file")
+        raise BadInputError("nothing to write", place="export", expected="--urdf, --mjcf or --toml with a file")
     refuse_outputs([options.fit], options.urdf, options.mjcf, options.toml)
     with Progress("reading"):
         from ..export import export_fit

@@ -8,7 +8,7 @@ from pathlib import Path
 from acquisition.commands import add_flag, add_path
 from acquisition.errors import one_line
 
-from ..errors import IdentificationError
+from ..errors import BadInputError
 from ..options import list_of_names, list_of_ratios, list_of_values
 from .arguments import refuse_outputs
 
@@ -57,17 +57,17 @@ def run(options: argparse.Namespace) -> None:
     refuse_outputs([path for path in (options.robot, options.bus) if path is not None], out)
     if out is not None and out.exists() and not options.overwrite:
         expected = "a new name, or --overwrite"
-        raise IdentificationError("already exists", place=str(out), expected=expected)
+        raise BadInputError("already exists", place=str(out), expected=expected)
     if (options.robot is None) == (options.dh is None) or (options.dh and options.joints):
         expected = "ROBOT.urdf, or --dh with a letter for each joint and without --joints"
-        raise IdentificationError(key="--dh", value=options.dh, expected=expected)
+        raise BadInputError(key="--dh", value=options.dh, expected=expected)
     chain = chain_of_letters(options.dh) if options.dh else read_chain(options.robot, options.joints or ())
     given = {option: getattr(options, option[2:].replace("-", "_")) for option in (*_URDF_OPTIONS, *_EFFORTS)}
     given = {option: values for option, values in given.items() if values}
     for option, units in _EFFORTS.items():
         if option in given and (options.effort not in units or (option == "--ratio" and options.torque_sensor)):
             expected = f"with --effort {' or '.join(map(repr, units))}, and --ratio not with --torque-sensor"
-            raise IdentificationError(key=option, value=given[option], expected=expected)
+            raise BadInputError(key=option, value=given[option], expected=expected)
     sensors = given.pop("--torque-sensor", False)
     chain = replace(chain.with_options(given), effort_unit=options.effort or "", torque_sensors=sensors)
     folder = Path.cwd() if out is None else out.absolute().parent
@@ -98,5 +98,5 @@ def _bus_of(path: Path, joints: int) -> str:
     drives = text.count("[[bus.drive]]")
     if drives != joints:
         expected = f"{joints} [[bus.drive]], one for each joint of the URDF"
-        raise IdentificationError(place=str(path), key="drives", value=drives, expected=expected)
+        raise BadInputError(place=str(path), key="drives", value=drives, expected=expected)
     return text

@@ -17,7 +17,7 @@ from acquisition.robot import FrictionTerm, Robot, low_speed_by_method
 
 from ..arrays import Array
 from ..data import Recordings, Signals
-from ..errors import IdentificationError
+from ..errors import BadInputError
 from ..estimation import (
     Estimate,
     are_moving,
@@ -148,7 +148,7 @@ def select_friction(
 ) -> TermChoice:
     """Try sets of friction terms on a recording, or on several of one robot, in this process.
 
-    Raises `IdentificationError`: if recordings are too long or too short, excite too little, are not of one robot, or if
+    Raises `BadInputError`: if recordings are too long or too short, excite too little, are not of one robot, or if
     fewer than two parts can be predicted by the others.
     """
     sources = signals.sources if isinstance(signals, Recordings) else (signals,)
@@ -217,7 +217,7 @@ class Trials:
         self.names = [problem.signals.recording for problem in whole.problems]
         if whole.reduced:
             expected = "a part of it, or a larger decimation"
-            raise IdentificationError("too long", place=", ".join(self.names), expected=expected)
+            raise BadInputError("too long", place=", ".join(self.names), expected=expected)
         self.by_recording = len(self.names) > 1 and not whole.unknowns.payloads
         if not self.by_recording:
             edges = [np.linspace(of.start, of.stop, FIFTHS + 1).round().astype(int) for of in recordings]
@@ -242,7 +242,7 @@ class Trials:
         if (left := len(self.names) - len(self.unpredicted)) < MIN_PARTS:
             text = "; ".join(self.unpredicted.values())
             expected = f"at least {MIN_PARTS}: recordings, or fifths of one, that each move all joints"
-            raise IdentificationError(text, key="parts held out", value=left, expected=expected)
+            raise BadInputError(text, key="parts held out", value=left, expected=expected)
 
     def of(self, terms: TermSet) -> Trial:
         """The trial of a set, without terms that are unidentifiable and load friction that does not settle."""

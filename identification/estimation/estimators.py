@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from ..arrays import Array
-from ..errors import IdentificationError
+from ..errors import NoFitError
 from .diagnostics import f_tests
 from .system import RANK_TOLERANCE, System, orthonormal, r_factor, refuse_rank_deficiency
 
@@ -119,7 +119,7 @@ def weighted_least_squares(system: System) -> Estimate:
 
     Raises
     ------
-    IdentificationError : where there are no more used rows than parameters, or W is rank deficient.
+    BadInputError : where there are no more used rows than parameters, or W is rank deficient.
     """
     return _estimated(system, joint_weights(system))
 
@@ -196,7 +196,7 @@ def instrumental_variables(system: System, Z: Array, weights: Array) -> Estimate
 
     Raises
     ------
-    IdentificationError : where QᵀW is singular, or as `weighted_least_squares` does.
+    BadInputError : where QᵀW is singular, or as `weighted_least_squares` does.
     """
     return _estimated(system, weights, Z)
 
@@ -205,7 +205,7 @@ def _estimated(system: System, weights: Array, Z: Array | None = None) -> Estima
     """Least squares, or with instruments Z (r, b), not weighted, instrumental variables."""
     r, b = float(system.rows.sum()), len(system.names)
     if r <= b:
-        raise IdentificationError(key="decimated rows", value=round(r), expected=f"more than the {b} parameters")
+        raise NoFitError(key="decimated rows", value=round(r), expected=f"more than the {b} parameters")
     W, Y = system.weighted(weights)
     spanning = W if Z is None else Z * (weights[system.joint_of_row] * system.used)[:, None]
     singular = refuse_rank_deficiency(spanning, system.names)
@@ -215,7 +215,7 @@ def _estimated(system: System, weights: Array, Z: Array | None = None) -> Estima
         condition = float(singular[0] / singular[-1])
     elif not condition < 1 / RANK_TOLERANCE:
         text, shown = "instruments and regressor have too little in common", f"{condition:.2g}"
-        raise IdentificationError(text, key="cond(ZᵀW)", value=condition, shown=shown)
+        raise NoFitError(text, key="cond(ZᵀW)", value=condition, shown=shown)
     return Estimate(
         names=system.names,
         beta=beta,

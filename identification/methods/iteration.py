@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..arrays import Array
-from ..errors import IdentificationError
+from ..errors import NoFitError
 from ..estimation import Estimate, InstrumentTests, System, instrument_tests, intervals_of
 from ..model import BaseParameters, InverseModel, direct_model, poses_of, why_not_positive
 from ..regression import Problem, Term
@@ -113,11 +113,11 @@ class NoEstimateError(Exception):
 def failed(passes: list[Pass], error: NoEstimateError, recordings: Sequence[str]) -> list[Pass]:
     """The passes; the last one has the reason why the next gave no estimate.
 
-    Raises `IdentificationError` if there is none.
+    Raises `BadInputError` if there is none.
     """
     text = "; ".join([f"pass {len(passes) + 1}: {error.__cause__}", *(str(reason) for reason in error.args if reason)])
     if not passes:
-        raise IdentificationError(f"no instruments: {text}", place=", ".join(recordings)) from error
+        raise NoFitError(f"no instruments: {text}", place=", ".join(recordings)) from error
     return [*passes[:-1], replace(passes[-1], failure=text)]
 
 
@@ -250,7 +250,7 @@ def inertia_prior(equations: Equations, ls: LeastSquares) -> Array:
 
     Without that filter the inertias are poorly determined; it is left out if the recording is too short.
     """
-    with suppress(IdentificationError):
+    with suppress(NoFitError):
         if (behind := equations.behind_rule()) is not None:
             return least_squares(behind)[1].values_of(equations.names)
     return ls.full.values_of(equations.names)

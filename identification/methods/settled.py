@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 
 from ..arrays import Array
-from ..errors import IdentificationError
+from ..errors import NoFitError
 from ..estimation import (
     Estimate,
     System,
@@ -40,7 +40,7 @@ LONG, SHORT, *OTHERS = RAMPS
 def least_squares(equations: Equations, method: Literal["ols", "wls"] = "wls") -> tuple[Equations, Estimate]:
     """Least squares with the terms that can be told.
 
-    Raises `IdentificationError` as the estimators.
+    Raises `BadInputError` as the estimators.
     """
     equations, solve = leave_out_collinear_terms(equations), solver_of(method)
     if equations.load is None:
@@ -174,7 +174,7 @@ def with_best_ramps(equations: Equations, *, instruments: bool) -> Equations:
 
 def _half_widths(equations: Equations, *, instruments: bool) -> dict[str, float]:
     """Half-widths by parameter, without load friction; {} where parameters are undetermined."""
-    with suppress(IdentificationError):
+    with suppress(NoFitError):
         equations = leave_out_collinear_terms(equations)
         system = equations.about().system
         columns = np.setdiff1d(np.arange(len(equations.names)), equations.load_places())

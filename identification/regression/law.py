@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from acquisition.robot import Controller
 
 from ..arrays import Array
-from ..errors import IdentificationError
+from ..errors import NoFitError
 from ..estimation import System, intervals, ordinary_least_squares
 from .motor_paths import MAX_RESIDUAL_PERCENT, LawSolution, MotorPaths, motor_paths, scaled_solution
 from .settings import KnownLag
@@ -113,7 +113,7 @@ def law_of(problem: "Problem") -> Law | None:
     described = "pd" if controller.structure == "cascade_p_p" else controller.structure
     if signals.q_ref is None or described == "computed_torque":
         return None
-    with suppress(IdentificationError):  # too few samples to filter
+    with suppress(NoFitError):  # too few samples to filter
         motors, rate_hz = motor_paths(problem)
         if min(len(motor.u) for motor in motors) >= MIN_ROWS:
             return _told(problem, motors, rate_hz, described)
@@ -233,7 +233,7 @@ def _values(one: LawSolution, known: KnownLag, name: str, rate_hz: float) -> tup
     letters, rows = STRUCTURES[name], np.zeros(len(one.rho), dtype=np.intp)
     names = tuple(map(str, range(one.J.shape[1])))
     unit = np.array([1.0, 1 / rate_hz, 1.0 if "q" in letters else rate_hz])
-    with suppress(IdentificationError):
+    with suppress(NoFitError):
         free = ordinary_least_squares(System.whole(one.J, one.rho, rows, names))
         sd_L = 1 / math.hypot(1 / intervals(free, one.rho, 1).sigma[-1], 1 / max(known.sd_s, 1e-9))
         sd_L = math.hypot(sd_L, LEAST_LAG_SD)

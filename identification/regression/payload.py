@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from acquisition.robot import Payload
 
 from ..arrays import Array
-from ..errors import IdentificationError
+from ..errors import NoFitError
 from ..estimation import Estimate, PhysicalParameters, consistent_parameters, parameter_certainty, pseudo_inertia
 from ..model import LINK, InverseModel, link_columns, payload_parameters
 from .problem import Problem
@@ -103,7 +103,7 @@ class PayloadColumns:
             )
             found = consistent_parameters(np.r_[phi, self.fixed[stated]], C, K, body)
             (sigma, share), _ = parameter_certainty(found, C, K, body)
-        except (IdentificationError, np.linalg.LinAlgError):  # no body is near: what is known
+        except (NoFitError, np.linalg.LinAlgError):  # no body is near: what is known
             return self.fixed, np.zeros(len(LINK)), np.ones(len(LINK), dtype=bool)
         return found.chi, sigma, share > PRIOR_SHARE
 

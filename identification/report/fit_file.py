@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import UNSET, UnsetType
 
-from ..errors import IdentificationError
+from ..errors import BadInputError
 from .document import FORMAT, ResultFile
 from .parameters import (
     AboveZero,
@@ -262,22 +262,22 @@ class ValidationFile(OnRecording, frozen=True, kw_only=True):
 def read_fit(path: str | PathLike[str]) -> FitFile:
     """Read a fit's JSON file, or one of known values.
 
-    Raises `IdentificationError` where it cannot be read, or is not a fit of this format; `place` is the file.
+    Raises `BadInputError` where it cannot be read, or is not a fit of this format; `place` is the file.
     """
     try:
         stored = msgspec.json.decode(Path(path).read_bytes(), type=FitFile)
     except OSError as error:
-        raise IdentificationError(f"cannot be read: {error.strerror}", place=str(path)) from error
+        raise BadInputError(f"cannot be read: {error.strerror}", place=str(path)) from error
     except msgspec.MsgspecError as error:
-        raise IdentificationError(
+        raise BadInputError(
             f"not a fit: {error}", place=str(path), expected="a fit as `robot-identify fit --json` writes it"
         ) from error
     if stored.format != FORMAT:
-        raise IdentificationError(
+        raise BadInputError(
             place=str(path), key="format", value=stored.format, expected=f"{FORMAT}, read by this version"
         )
     if not all(math.isfinite(p.value) and p.sigma >= 0 and p.half >= 0 for p in stored.parameters):
-        raise IdentificationError(
+        raise BadInputError(
             place=str(path), key="parameters", expected="finite values, sigmas of at least 0, low not above high"
         )
     return stored

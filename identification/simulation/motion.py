@@ -9,7 +9,7 @@ import numpy as np
 from acquisition.files import release_pages
 
 from ..arrays import Array
-from ..errors import IdentificationError
+from ..errors import NoFitError
 from ..model import DirectModel, inertias, nearest_consistent, why_not_positive
 from ..regression import Decimation, Motion, RowBlock
 from ..report import DirectModelError
@@ -133,5 +133,5 @@ def nearest(e: Experiment, beta: Array, covariance: Array, payload: Array | floa
     """Consistent base parameters (b,) nearest to beta, of which `payload` (b,) stays; beta itself if none are found."""
     try:
         return nearest_consistent(e.problem.model, e.problem.base, beta - payload, covariance).beta + payload
-    except IdentificationError:
+    except NoFitError:
         return beta

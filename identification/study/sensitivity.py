@@ -10,7 +10,7 @@ import numpy as np
 
 from ..arrays import Array
 from ..data import RecordingFile, Work
-from ..errors import IdentificationError
+from ..errors import NoFitError
 from ..estimation import one_thread
 from ..methods import Iteration, identify_iv
 from ..regression import Overrides, make_settings
@@ -55,7 +55,7 @@ class VariedFit:
 def vary(source: RecordingFile, noises: Sequence[float] | None, work: Work) -> list[VariedFit]:
     """The fit by the rules, and a fit per variant; `noises` of the position are in rad or m rms, None by the travel.
 
-    Raises `IdentificationError`: the recording cannot be fitted by the rules.
+    Raises `BadInputError`: the recording cannot be fitted by the rules.
     """
     signals = source.load()
     robot, decimation = signals.robot, make_settings(signals, Overrides()).decimation
@@ -74,7 +74,7 @@ def vary(source: RecordingFile, noises: Sequence[float] | None, work: Work) -> l
     variants.append(Variant(changed="gain update", to="off", gain_update=False))
     fits = list(work.run(fit_variant, [(source, variant) for variant in variants]))
     if not fits[0].values:
-        raise IdentificationError(fits[0].ended)
+        raise NoFitError(fits[0].ended)
     return fits
 
 
@@ -87,7 +87,7 @@ def fit_variant(source: RecordingFile, variant: Variant) -> VariedFit:
     try:
         iteration = Iteration(inertias=np.full(signals.robot.n, variant.start), gain_update=variant.gain_update)
         fit = identify_iv(signals, variant.overrides, iteration)
-    except IdentificationError as error:
+    except NoFitError as error:
         return VariedFit(variant=variant, ended=error.args[0])
     ls = fit.least_squares
     numbers = (ls.estimate.beta, ls.intervals.half, fit.estimate.beta, fit.intervals.half)

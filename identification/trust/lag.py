@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..errors import IdentificationError
+from ..errors import NoFitError
 from ..estimation import LEVEL, Estimate, System, instrumental_variables, intervals, t_quantile, whitened
 from ..regression import LAG_ORDER, KnownLag, Problem, Rows, differentiate, fast_for_lag, weighted
 from ..report import Level
@@ -36,7 +36,7 @@ def lags_in(
     """Lags (K,) of the torques in s besides those already corrected, deviations (K,) and their degrees of freedom.
 
     `along` the simulated motion: the instruments Z (r, b) of all parameters, the columns (r, K) of `by_group`, and by recording
-    which rows (n, T) are fast. Raises `IdentificationError` where the instruments do not determine the lags.
+    which rows (n, T) are fast. Raises `BadInputError` where the instruments do not determine the lags.
     """
     Z, columns, fast = along
     system, b, lengths = rows.system, len(rows.system.names), [one.shape[1] for one in fast]
@@ -48,7 +48,7 @@ def lags_in(
     rho = (system.Y - system.W @ first.beta) * system.used
     size = np.sqrt(np.bincount(system.joint_of_row, weights=rho**2) / np.maximum(1, system.rows))
     if not size.max() > 0:
-        raise IdentificationError("the fit is exact")
+        raise NoFitError("the fit is exact")
     found = instrumental_variables(system, Z, 1 / np.maximum(size, 1e-9 * size.max()))
     w = found.weights[system.joint_of_row] * system.used
     within = intervals(found, w * (system.Y - system.W @ found.beta), len(size), tuple(lengths))

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..errors import IdentificationError
+from ..errors import NoFitError
 from ..estimation import (
     Estimate,
     Intervals,
@@ -213,7 +213,7 @@ def consistent_test(evidence: FitData) -> TrustLine:
     try:
         power = recorded_power(moved, beta)
         nearest = nearest_consistent(problem.model, problem.base, beta, covariance[np.ix_(first, first)], power)
-    except IdentificationError as error:
+    except NoFitError as error:
         return TrustLine("consistent", "cannot tell", error.args[0])
     moves, bound = (
         np.abs(nearest.deviations) / evidence.intervals.reach,

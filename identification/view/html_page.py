@@ -20,7 +20,7 @@ _POLICY = "default-src 'none'; style-src 'unsafe-inline'"
 def write_html(path: Path, picture: Picture) -> None:
     """Write the report, all panels but the moving robot, versions and digests as HTML, complete or not at all.
 
-    Raises `AcquisitionError`: the file cannot be written.
+    Raises `BadInputError`: the file cannot be written.
     """
     style = files(__package__).joinpath("report.css").read_text(encoding="utf-8")
     pages = [text for page in picture.pages if (text := _page(page))]

@@ -20,7 +20,7 @@ from acquisition.recording import Block, RecordingFollower
 from acquisition.robot import Robot, effort_limits
 
 from ..arrays import Array
-from ..errors import IdentificationError
+from ..errors import BadInputError
 from ..methods import stored_beta, with_stored_gains
 from ..model import InverseModel, base_parameters
 from ..regression import Decimation, later, motion_between, predicted_torque
@@ -44,8 +44,8 @@ Lines = dict[str, tuple[Color, float]]  # level lines of a plot by name
 def follow_recording(path: Path, fit: Path | None, out: Path | None, warn: Callable[[str], None]) -> None:
     """Show the recording at `path` until it is whole, in a viewer on this machine, or written to `out`.
 
-    With `fit`, its JSON file, also the residual torque. `warn` gets warnings, one line each. Raises `AcquisitionError` or
-    `IdentificationError` where the recording cannot be followed any more: it is gone, replaced, cut, or not written.
+    With `fit`, its JSON file, also the residual torque. `warn` gets warnings, one line each. Raises `BadInputError` or
+    `BadInputError` where the recording cannot be followed any more: it is gone, replaced, cut, or not written.
     """
     follower = RecordingFollower(path)
     residual = None if fit is None else Residual(read_fit(fit), str(fit), follower.robot)
@@ -63,9 +63,7 @@ def follow_recording(path: Path, fit: Path | None, out: Path | None, warn: Calla
             page.add(follower, stalled=now_s - grown_s > STALLED_S, warn=warn)
             if now_s - grown_s > (MAX_FINISH_S if page.over else GIVE_UP_S):
                 expected = "the recorder to write; `robot-acquire import` repairs a recording that was cut"
-                raise IdentificationError(
-                    f"has not grown for {now_s - grown_s:.0f} s", place=str(path), expected=expected
-                )
+                raise BadInputError(f"has not grown for {now_s - grown_s:.0f} s", place=str(path), expected=expected)
             _wait()
     finally:
         recording.disconnect()
@@ -95,7 +93,7 @@ class Residual:
         self._beta = stored_beta(stored, self._base, place)
         rms = [joint.residual_rms for joint in stored.joints]
         if stored.sample_rate_hz is None or UNSET in rms:
-            raise IdentificationError("has no rms residuals", place=place, expected="a fit of this version: fit again")
+            raise BadInputError("has no rms residuals", place=place, expected="a fit of this version: fit again")
         self.band = [BAND * float(value) for value in rms if value is not UNSET]
         assert robot.bus is not None
         self._rate_hz, ratio = 1.0 / robot.bus.sync_period_s, stored.sample_rate_hz * robot.bus.sync_period_s

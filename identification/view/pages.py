@@ -6,7 +6,7 @@ from dataclasses import replace
 from ..arrays import Array
 from ..data import Signals
 from ..design import Excitation
-from ..errors import IdentificationError
+from ..errors import NoFitError
 from ..methods import (
     Fit,
     Validated,
@@ -97,7 +97,7 @@ def draw_recording(signals: Signals, overrides: Overrides) -> Picture:
     refusal, settings, signals = None, None, with_bandwidth(signals)
     try:
         settings = make_settings(signals, overrides)
-    except IdentificationError as error:
+    except NoFitError as error:
         refusal = error.args[0]
     document = recording_document(signals, settings, refusal).followed_by(numbers_of_plots(signals, None))
     return Picture(
@@ -111,7 +111,7 @@ def draw_recording(signals: Signals, overrides: Overrides) -> Picture:
 def draw_comparison(own: ParameterSet, other: ParameterSet, document: Document, sha256: Mapping[str, str]) -> Picture:
     """Two sets of parameters.
 
-    Raises `IdentificationError`: the sets do not belong together (`report.differences`).
+    Raises `BadInputError`: the sets do not belong together (`report.differences`).
     """
     page = Page(name="parameters", groups={"deviations": charts.deviation_charts(own, [other])})
     return Picture(name=f"{own.label} and {other.label}", document=document, pages=(page,), sha256=sha256)

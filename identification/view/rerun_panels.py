@@ -30,7 +30,7 @@ def write_rrd(path: Path, picture: Picture) -> None:
     """Write a picture as a Rerun file with its own layout (`rerun FILE.rrd`), paused at its start.
 
     The viewer stores one layout per application: the digest of the report makes each file an application of its own.
-    Raises `AcquisitionError`: the file cannot be written.
+    Raises `BadInputError`: the file cannot be written.
     """
     named, report = re.sub(r"[^A-Za-z0-9 _-]+", "-", picture.name), to_markdown(picture.document)  # else Rerun warns
     recording = rr.RecordingStream(f"{named} {hashlib.sha256(report.encode()).hexdigest()[:8]}")

@@ -23,7 +23,7 @@ from acquisition.bus import (
     read_log,
     socket_of,
 )
-from acquisition.errors import AcquisitionError
+from acquisition.errors import RobotIdimError
 from acquisition.recording import ERROR, EXTENDED, FRAME, REMOTE_REQUEST, SENT, Header, RecordingWriter
 from acquisition.robot import BusFile, DriveFile
 from acquisition.simulated import LockStepLink
@@ -47,7 +47,7 @@ def test_rows_that_are_no_frames(tmp_path, length, time_ns, good):
         if good:
             writer.frames("can0", block)
             return
-        with pytest.raises(AcquisitionError) as caught:
+        with pytest.raises(RobotIdimError) as caught:
             writer.frames("can0", block)
     assert caught.value.place == f"{tmp_path / 'a.mcap'}: /can/can0/frames: row 2"
     assert f"length = {length}, time_ns = {time_ns}: expected 8 bytes" in str(caught.value)
@@ -219,7 +219,7 @@ def test_what_a_link_sends():
 
 def test_a_passive_link_sends_nothing():
     fake, tapped = FakeBus(), []
-    with pytest.raises(AcquisitionError, match="bus: passive: nothing is ever sent"):
+    with pytest.raises(RobotIdimError, match="bus: passive: nothing is ever sent"):
         Link(fake, passive=True, tap=tapped.append).send(0x80, b"")
     assert (fake.sent, tapped) == ([], [])
 
@@ -227,13 +227,13 @@ def test_a_passive_link_sends_nothing():
 def test_a_bus_that_takes_no_frame_is_told_and_nothing_is_noted():
     fake, tapped = FakeBus(), []
     fake.send = raising(can.CanOperationError("buffer full"))
-    with pytest.raises(AcquisitionError, match="bus: frame 0x605 cannot be sent: buffer full"):
+    with pytest.raises(RobotIdimError, match="bus: frame 0x605 cannot be sent: buffer full"):
         Link(fake, passive=False, tap=tapped.append).send(0x605, b"")
     assert tapped == []
 
 
 def test_a_bus_that_cannot_be_read_is_told():
-    with pytest.raises(AcquisitionError, match="bus: cannot be read: gone"):
+    with pytest.raises(RobotIdimError, match="bus: cannot be read: gone"):
         Link(FakeBus(OSError("gone")), passive=True).take(0)
 
 
@@ -249,7 +249,7 @@ def test_a_datagram_that_is_no_frame_ends_nothing_on_a_group_unless_its_socket_f
     broken.__cause__ = OSError(19, "No such device")
     assert Link(group(datagram, message()), passive=False).take(0.1).can_id == 0x185
     for fake, why in ((FakeBus(datagram), "no frame"), (group(broken), "failed to wait")):
-        with pytest.raises(AcquisitionError, match=f"bus: cannot be read: {why}"):
+        with pytest.raises(RobotIdimError, match=f"bus: cannot be read: {why}"):
             Link(fake, passive=False).take(0.01)
     noisy = group()
     noisy.messages = SimpleNamespace(pop=lambda _: datagram)  # again and again
@@ -374,15 +374,15 @@ def test_how_a_bus_is_opened(monkeypatch, keys, passive, expected):
 def test_a_bus_that_cannot_be_opened_is_told(monkeypatch, error):
     monkeypatch.setattr(can, "Bus", raising(error))
     why = "ImportError" if error is ImportError else "no such device"
-    with pytest.raises(AcquisitionError, match=f"bus: pcan PCAN_USBBUS1: cannot be opened: {why}"):
+    with pytest.raises(RobotIdimError, match=f"bus: pcan PCAN_USBBUS1: cannot be opened: {why}"):
         open_bus(bus_file(interface="pcan", channel="PCAN_USBBUS1"), passive=False)
 
 
 def test_a_bus_opened_passively_cannot_send(monkeypatch):
     _, bus = opened(monkeypatch, passive=True)
-    with pytest.raises(AcquisitionError, match="passive"):
+    with pytest.raises(RobotIdimError, match="passive"):
         bus.send(message())
-    with pytest.raises(AcquisitionError, match="passive"):
+    with pytest.raises(RobotIdimError, match="passive"):
         bus.send_periodic(message(), 0.1)
     _, bus = opened(monkeypatch)
     bus.send(message())

@@ -10,7 +10,7 @@ from conftest import REPLAY, robot_named
 from jittered_time import MAP, covered
 
 from acquisition.commands import main
-from acquisition.errors import AcquisitionError, Place
+from acquisition.errors import Place, RobotIdimError
 from acquisition.importing import import_tables
 from acquisition.importing.stamps import rows_in_time, stamps_warning, ticks_from_velocity
 from acquisition.importing.time_base import rate_warnings, resample, roundest_rate_hz, time_report
@@ -74,12 +74,12 @@ def test_rows_that_contradict_each_other_are_refused():
     twice = np.insert(UNEVEN, 7, UNEVEN[7])
     q = motion(twice)
     q[8, 1] += 1e-6
-    with pytest.raises(AcquisitionError) as caught:
+    with pytest.raises(RobotIdimError) as caught:
         on_grid(twice, position=q)
     assert str(caught.value).startswith("log: row 9: position differs from the row before at the same time, ")
-    with pytest.raises(AcquisitionError, match=r"row 6: time runs backwards: 0\.0\d+ s after 0\.0\d+ s"):
+    with pytest.raises(RobotIdimError, match=r"row 6: time runs backwards: 0\.0\d+ s after 0\.0\d+ s"):
         on_grid(np.concatenate([UNEVEN[:5], UNEVEN[2:]]))
-    with pytest.raises(AcquisitionError, match="3 rows of different times: expected 4 at least"):
+    with pytest.raises(RobotIdimError, match="3 rows of different times: expected 4 at least"):
         on_grid(UNEVEN[[0, 0, 1, 2]])
 
 
@@ -90,7 +90,7 @@ def test_gaps_beyond_what_is_stated_are_refused(missing, refused):
     if not refused:
         assert on_grid(t).report.missing == missing
         return
-    with pytest.raises(AcquisitionError) as caught:
+    with pytest.raises(RobotIdimError) as caught:
         on_grid(t)
     assert "log: time: a gap of 0.04 s after 0.49 s, 4.0 periods: expected 3 periods of 0.01 s" in str(caught.value)
     assert "time.largest_gap_periods" in str(caught.value)
@@ -197,7 +197,7 @@ def test_grids_coarser_or_much_finer_than_the_rows_are_told():
     assert rate_warnings(time_report(UNEVEN)) == []
     for rate_hz in (1e-3, 1e9):
         with pytest.raises(
-            AcquisitionError, match=r"resample_hz = .*: expected about the 100 Hz of the rows, which last"
+            RobotIdimError, match=r"resample_hz = .*: expected about the 100 Hz of the rows, which last"
         ):
             doubts(rate_hz)
 
@@ -273,7 +273,7 @@ def test_ticks_are_counted_by_speeds_where_a_pc_stamps_late(tmp_path):
     assert int(imported.times.split(" doubled rows")[0].split(", ")[-1]) == pytest.approx(
         (np.diff(ticks) == 0).sum(), rel=0.3
     )
-    with pytest.raises(AcquisitionError) as refused:
+    with pytest.raises(RobotIdimError) as refused:
         run(tmp_path, path, by_speed)
     assert (refused.value.key, refused.value.value) == ("time.ticks", "from velocity")
 
@@ -288,7 +288,7 @@ def test_a_last_row_after_a_stop_keeps_the_tick_of_its_stamp():
 
 def test_times_that_cannot_be_read_that_way(tmp_path):
     def told(text: str, **more: np.ndarray) -> str:
-        with pytest.raises(AcquisitionError) as caught:
+        with pytest.raises(RobotIdimError) as caught:
             run(tmp_path, table(tmp_path, columns(UNEVEN, **more)), text)
         assert not (tmp_path / "out.mcap").exists()
         return str(caught.value)

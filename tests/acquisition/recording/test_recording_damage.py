@@ -15,7 +15,7 @@ from made_up_recordings import attempt, is_prefix, same, write
 from mcap.writer import Writer
 
 from acquisition.bus import WallClock
-from acquisition.errors import AcquisitionError
+from acquisition.errors import RobotIdimError
 from acquisition.importing import import_recording
 from acquisition.recording import FRAME, read_recording
 from acquisition.recording import content as mcap_content
@@ -75,7 +75,7 @@ def test_a_flipped_bit_in_a_cut_file_is_found_in_all_it_tells(whole, tmp_path):
         data[place] ^= 1
         (tmp_path / "bad.mcap").write_bytes(data)
         data[place] ^= 1
-        with pytest.raises(AcquisitionError, match=r"crc32|CRC"):
+        with pytest.raises(RobotIdimError, match=r"crc32|CRC"):
             read_recording(tmp_path / "bad.mcap")
     chunks = data.index(b"zstd")
     for place in range(chunks + 20, len(data), 251):
@@ -113,10 +113,10 @@ def test_what_unpacks_to_too_much_is_refused(tmp_path, robot, whole, monkeypatch
         writer.add_message(channel, 0, bytes(70 * 2**20), 0)
         writer.finish()
     assert (tmp_path / "bomb.mcap").stat().st_size < 20_000
-    with pytest.raises(AcquisitionError, match=r"a chunk of 7.* bytes: expected 67108864"):
+    with pytest.raises(RobotIdimError, match=r"a chunk of 7.* bytes: expected 67108864"):
         read_recording(tmp_path / "bomb.mcap")
     monkeypatch.setattr(mcap_content, "_MAX_TOTAL_BYTES", 10_000)
-    with pytest.raises(AcquisitionError, match="more than 10000 bytes unpacked"):
+    with pytest.raises(RobotIdimError, match="more than 10000 bytes unpacked"):
         read_recording(whole)
 
 
@@ -200,7 +200,7 @@ def test_files_that_are_no_recording_are_refused_in_one_line(
 ):
     path = tmp_path / "odd.mcap"
     record(path, metadata, dict(robot.files), messages)
-    with pytest.raises(AcquisitionError, match=message.replace("| null", r"\| null")) as caught:
+    with pytest.raises(RobotIdimError, match=message.replace("| null", r"\| null")) as caught:
         read_recording(path)
     assert str(caught.value).startswith(str(path))
     assert "\n" not in str(caught.value)
@@ -225,7 +225,7 @@ def test_what_stands_twice_or_belongs_to_nothing_is_damage(tmp_path, robot):
             writer = described(file, robot)
             change(writer)
             writer.finish()
-        with pytest.raises(AcquisitionError, match=message):
+        with pytest.raises(RobotIdimError, match=message):
             read_recording(tmp_path / "a.mcap")
 
 
@@ -243,20 +243,20 @@ def test_a_channel_without_messages_holds_nothing(tmp_path, robot):
 @pytest.mark.parametrize("content", [b"", b"time,q1\n0,1\n", b"\x89MCAP0\r", b"\x89HDF\r\n\x1a\n" * 50])
 def test_what_is_not_mcap_is_refused(tmp_path, content):
     (tmp_path / "a.mcap").write_bytes(content)
-    with pytest.raises(AcquisitionError, match="is not an MCAP file"):
+    with pytest.raises(RobotIdimError, match="is not an MCAP file"):
         read_recording(tmp_path / "a.mcap")
 
 
 def test_no_file_a_folder_or_no_description(tmp_path):
-    with pytest.raises(AcquisitionError, match=r"none\.mcap: cannot be read: No such file"):
+    with pytest.raises(RobotIdimError, match=r"none\.mcap: cannot be read: No such file"):
         read_recording(tmp_path / "none.mcap")
-    with pytest.raises(AcquisitionError, match="cannot be read: Is a directory"):
+    with pytest.raises(RobotIdimError, match="cannot be read: Is a directory"):
         read_recording(tmp_path)
     record(tmp_path / "a.mcap", GOOD, {}, [])
-    with pytest.raises(AcquisitionError, match=r"holds no robot.toml: expected the robot's description"):
+    with pytest.raises(RobotIdimError, match=r"holds no robot.toml: expected the robot's description"):
         read_recording(tmp_path / "a.mcap")
     record(tmp_path / "a.mcap", GOOD, {"robot.toml": b"name = 1"}, [])
-    with pytest.raises(AcquisitionError, match=r"a\.mcap: robot.toml: name = 1: expected `str`"):
+    with pytest.raises(RobotIdimError, match=r"a\.mcap: robot.toml: name = 1: expected `str`"):
         read_recording(tmp_path / "a.mcap")
 
 

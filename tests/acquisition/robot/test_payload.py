@@ -15,14 +15,13 @@ from made_up_recordings import some_samples
 from urdfs import ARM, joint, urdf
 
 from acquisition.commands import main
-from acquisition.errors import AcquisitionError
+from acquisition.errors import RobotIdimError
 from acquisition.importing import import_recording
 from acquisition.options import RecordOptions
 from acquisition.recording import Header, RecordingWriter, read_recording
 from acquisition.robot import Payload, Robot, load_robot, parse_payload, robot_from_files
 from acquisition.session import UserInterface, record
 from acquisition.session.logs import ProcessLog, Role
-from identification.errors import IdentificationError
 from identification.model import InverseModel, add_payload, payload_parameters
 from identification.simulation import described_robot
 
@@ -77,7 +76,7 @@ def test_a_payload_is_read_and_written(text, payload, words):
     ],
 )  # fmt: skip
 def test_no_payload(text):
-    with pytest.raises(AcquisitionError) as refused:
+    with pytest.raises(RobotIdimError) as refused:
         parse_payload(text, robot_named("tx40"), "--payload")
     assert (refused.value.key, refused.value.value) == ("--payload", text)
     assert refused.value.expected.startswith("KG or KG@X,Y,Z")
@@ -101,13 +100,13 @@ def test_the_table_says_how_the_numbers_are_meant():
     ],
 )
 def test_a_table_that_means_nothing_is_refused(table, key):
-    with pytest.raises(AcquisitionError) as refused:
+    with pytest.raises(RobotIdimError) as refused:
         robot_from_files({"robot.toml": f"{TX40}\n[payload]\n{table}\n".encode()}, "robot.toml")
     assert (refused.value.place, refused.value.key) == ("robot.toml", key)
 
 
 def test_a_frame_that_the_urdf_does_not_name_is_refused_before_anything_is_recorded():
-    with pytest.raises(AcquisitionError) as refused:
+    with pytest.raises(RobotIdimError) as refused:
         arm('[payload]\nframe = "tool0"\n')
     assert (refused.value.place, refused.value.key, refused.value.value) == ("arm.toml", "payload.frame", "tool0")
 
@@ -136,7 +135,7 @@ def test_the_frame_of_a_fixed_link_gives_the_parameters_of_its_place():
 
 @pytest.mark.parametrize("frame", ["sensor", "arm", "base", "mount", "nothing"])
 def test_a_frame_that_the_last_joint_does_not_carry_is_refused(frame):
-    with pytest.raises(IdentificationError) as refused:
+    with pytest.raises(RobotIdimError) as refused:
         payload_parameters(InverseModel(arm()), Payload(2.0, frame=frame))
     error = refused.value
     assert (error.place, error.key, error.value) == ("robot arm", "payload.frame", frame)
@@ -144,7 +143,7 @@ def test_a_frame_that_the_last_joint_does_not_carry_is_refused(frame):
 
 
 def test_an_unknown_mass_has_no_parameters():
-    with pytest.raises(IdentificationError) as refused:
+    with pytest.raises(RobotIdimError) as refused:
         payload_parameters(InverseModel(arm()), Payload(None))
     assert refused.value.key == "payload"
 
@@ -210,7 +209,7 @@ def test_later_versions_may_say_more_of_a_payload(tmp_path):
 )
 def test_a_recording_with_a_payload_that_is_none_is_refused(tmp_path, text):
     path = recorded(tmp_path / "a.mcap", None, payload=text)
-    with pytest.raises(AcquisitionError) as refused:
+    with pytest.raises(RobotIdimError) as refused:
         read_recording(path)
     assert (refused.value.place, refused.value.key, refused.value.value) == (str(path), "payload", text)
     assert "\n" not in str(refused.value)
@@ -356,12 +355,12 @@ def test_the_drives_of_a_dry_run_have_the_gains_of_the_unloaded_robot(tmp_path):
 
 def test_a_dry_run_refuses_a_frame_that_the_last_link_does_not_carry():
     robot = replace(arm(), parameters={"M1": 1.0, "XX1": 1.0, "YY1": 1.0, "ZZ1": 1.0, "M2": 1.0, "M3": 1.0})
-    with pytest.raises(AcquisitionError, match=r"payload.frame = 'sensor': expected a link that slide carries: beam"):
+    with pytest.raises(RobotIdimError, match=r"payload.frame = 'sensor': expected a link that slide carries: beam"):
         described_robot(robot, Payload(1.0, frame="sensor"))
 
 
 def test_a_dry_run_in_amperes_refuses_a_payload():
     motors = tuple(msgspec.structs.replace(m, effort_unit="A") for m in arm().motors)
-    with pytest.raises(AcquisitionError) as refused:
+    with pytest.raises(RobotIdimError) as refused:
         described_robot(replace(arm(), motors=motors, parameters={"M1": 1.0}), Payload(1.0))
     assert (refused.value.place, refused.value.key) == ("robot arm", "payload")

@@ -36,7 +36,7 @@ import acquisition.session.process as process_module
 import acquisition.simulated.node as simulated_supervision
 from acquisition.bus import Master, open_link
 from acquisition.commands import main
-from acquisition.errors import AcquisitionError
+from acquisition.errors import RobotIdimError
 from acquisition.protocol import State, state_of
 from acquisition.recording import Recording, read_recording
 from acquisition.session import InlineLog, Task
@@ -219,7 +219,7 @@ def test_an_answer_that_does_not_come_is_awaited_with_signs_of_life():
     run.drives.silent.add(0)
     began_ns = run.now_ns()
     master.while_awaiting = lambda: times.append(run.now_ns() - began_ns)
-    with pytest.raises(AcquisitionError, match=r"no answer in 0.3 s"):
+    with pytest.raises(RobotIdimError, match=r"no answer in 0.3 s"):
         master.read(1, 0x6041)
     assert times == [k * 50_000_000 for k in range(6)]
     assert run.now_ns() - began_ns == 300_000_000
