@@ -10,7 +10,7 @@ import numpy as np
 
 from ..arrays import Array
 from ..data import RecordingFile, Work
-from ..errors import NoFitError
+from ..errors import NoFitError, RobotIdimError
 from ..estimation import one_thread
 from ..methods import Iteration, identify_iv
 from ..regression import Overrides, make_settings
@@ -87,7 +87,7 @@ def fit_variant(source: RecordingFile, variant: Variant) -> VariedFit:
     try:
         iteration = Iteration(inertias=np.full(signals.robot.n, variant.start), gain_update=variant.gain_update)
         fit = identify_iv(signals, variant.overrides, iteration)
-    except NoFitError as error:
+    except RobotIdimError as error:
         return VariedFit(variant=variant, ended=error.args[0])
     ls = fit.least_squares
     numbers = (ls.estimate.beta, ls.intervals.half, fit.estimate.beta, fit.intervals.half)

@@ -11,7 +11,7 @@ from acquisition.robot import Payload, Robot, robot_from_files
 
 from ..arrays import Array
 from ..data import Signals, Work
-from ..errors import NoFitError
+from ..errors import RobotIdimError
 from ..estimation import one_thread
 from ..methods import Fit, Iteration, identify_iv, identify_ls
 from ..model import InverseModel, direct_model, poses_of, why_not_positive
@@ -110,7 +110,7 @@ def one_run(files: Mapping[str, bytes], study: Study, number: int) -> Run:
         signals = _simulated(robot, study, int(np.random.default_rng([study.seed, number]).integers(2**31)))
         run = replace(run, ls=result(identify_ls(signals, Overrides())))
         iv = identify_iv(signals, Overrides(), Iteration())
-    except NoFitError as error:
+    except RobotIdimError as error:
         return replace(run, reason=error.args[0])
     assert iv.iv is not None
     return replace(run, status=iv.status, reason=iv.iv.reason, iv=result(iv))

@@ -6,7 +6,7 @@ from dataclasses import replace
 from ..arrays import Array
 from ..data import Signals
 from ..design import Excitation
-from ..errors import NoFitError
+from ..errors import RobotIdimError
 from ..methods import (
     Fit,
     Validated,
@@ -97,7 +97,7 @@ def draw_recording(signals: Signals, overrides: Overrides) -> Picture:
     refusal, settings, signals = None, None, with_bandwidth(signals)
     try:
         settings = make_settings(signals, overrides)
-    except NoFitError as error:
+    except RobotIdimError as error:
         refusal = error.args[0]
     document = recording_document(signals, settings, refusal).followed_by(numbers_of_plots(signals, None))
     return Picture(
