@@ -19,7 +19,7 @@ from .arguments import (
 )
 
 if TYPE_CHECKING:
-    from ..report import TorqueError
+    from ..report import TorqueResidual
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -60,7 +60,7 @@ def run(options: argparse.Namespace) -> int:
             notes += lines + of_lag
         progress.say("predicting")
         validated, errors = methods.validate_all(recordings, stored, place)
-        of_set: tuple[TorqueError, ...] = ()
+        of_set: tuple[TorqueResidual, ...] = ()
         if consistent is not None:
             _, of_set = methods.validate_all(recordings, consistent, place)
     of_settings = dict.fromkeys(text for one in validated for text in one.settings.warnings)

@@ -11,7 +11,7 @@ from ..errors import NoFitError
 from ..estimation import Estimate, InstrumentTests, System, instrument_tests, intervals_of
 from ..model import BaseParameters, InverseModel, direct_model, poses_of, why_not_positive
 from ..regression import Problem, Term
-from ..report import DirectModelError, Status
+from ..report import DirectModelResidual, Status
 from ..simulation import ClosedLoops, Instruments, Replica, join_reasons, max_or_none
 from ..trust import covariance_of_all
 from .equations import Equations
@@ -226,12 +226,12 @@ def tests_of(system: System, estimate: Estimate) -> InstrumentTests:
     return instrument_tests(estimate.Q, W, estimate.rows)
 
 
-def direct_errors(replicas: Sequence[Replica]) -> tuple[DirectModelError, ...]:
+def direct_errors(replicas: Sequence[Replica]) -> tuple[DirectModelResidual, ...]:
     """Largest errors of the simulated robot in any recording, by joint; none if one could not be simulated."""
     if any(not one.direct for one in replicas):
         return ()
     return tuple(
-        DirectModelError(
+        DirectModelResidual(
             name=joint[0].name,
             position_error_percent=largest([d.position_error_percent for d in joint]),
             torque_error_percent=largest([d.torque_error_percent for d in joint]),

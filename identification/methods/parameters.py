@@ -18,7 +18,7 @@ from ..errors import BadInputError
 from ..estimation import Estimate, Intervals, one_thread, torque_errors
 from ..model import BaseParameters, InverseModel, base_parameters, base_prior, direct_model
 from ..regression import Overrides, Problem, base_name, make_problem, payload_of, torque_of_recording
-from ..report import FitFile, Parameter, ParameterSet, TorqueError
+from ..report import FitFile, Parameter, ParameterSet, TorqueResidual
 from .consistent import read_prior, refuse_unknown_gain
 from .fit import Fit, essential_names
 from .recording_report import Validated
@@ -217,7 +217,7 @@ def signals_as_fitted(
 @one_thread
 def validate_all(
     recordings: Sequence[tuple[Signals, Overrides]], stored: FitFile, place: str
-) -> tuple[tuple[Validated, ...], tuple[TorqueError, ...]]:
+) -> tuple[tuple[Validated, ...], tuple[TorqueResidual, ...]]:
     """Torque errors of a stored fit on recordings of one robot, each with its settings; nothing is fitted.
 
     Parameters

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from ..arrays import Array
 from ..data import ON_GRID, Signals
 from ..regression import Settings, forward_backward_3db_hz
-from ..report import Document, FTest, Number, Row, Section, Table, TorqueError, columns
+from ..report import Document, FTest, Number, Row, Section, Table, TorqueResidual, columns
 from .fit import FittedRecording
 
 ERROR_COLUMNS = ("all rows", "moving", "standing")
@@ -53,7 +53,7 @@ class Validated:
 
     signals: Signals
     settings: Settings
-    errors: tuple[TorqueError, ...]
+    errors: tuple[TorqueResidual, ...]
     tau: Array
     tau_predicted: Array
 
@@ -61,9 +61,9 @@ class Validated:
 def validation_document(
     recordings: Sequence[Validated],
     fit: str,
-    errors: tuple[TorqueError, ...],
+    errors: tuple[TorqueResidual, ...],
     warnings: tuple[str, ...],
-    consistent: tuple[TorqueError, ...] = (),
+    consistent: tuple[TorqueResidual, ...] = (),
 ) -> Document:
     """The torque errors of a fit on recordings that it was not made from."""
     units = recordings[0].signals.robot.effort_units
@@ -119,18 +119,18 @@ def recordings_section(recordings: Sequence[FittedRecording], own: FTest | None)
     return Section(title="recordings: relative torque error, %", table=table, lines=tuple(lines), short=short)
 
 
-def _error_cells(error: TorqueError) -> tuple[Number, ...]:
+def _error_cells(error: TorqueResidual) -> tuple[Number, ...]:
     """The cells of `ERROR_COLUMNS`."""
     percents = error.relative_error_percent, error.moving_relative_error_percent, error.standing_relative_error_percent
     return tuple(Number(percent, ".4f") for percent in percents)
 
 
-def headline(errors: tuple[TorqueError, ...]) -> str:
+def headline(errors: tuple[TorqueResidual, ...]) -> str:
     """The main figure of a report: over moving rows, since the model has no static friction."""
     return f"{_percent(errors[-1].moving_relative_error_percent)} % torque error of moving rows"
 
 
-def error_line(errors: tuple[TorqueError, ...]) -> str:
+def error_line(errors: tuple[TorqueResidual, ...]) -> str:
     """The relative torque error of all joints together, by kind of row."""
     whole = errors[-1]
     moving, standing = (
@@ -142,7 +142,7 @@ def error_line(errors: tuple[TorqueError, ...]) -> str:
     )
 
 
-def errors_section(errors: tuple[TorqueError, ...], units: tuple[str, ...]) -> Section:
+def errors_section(errors: tuple[TorqueResidual, ...], units: tuple[str, ...]) -> Section:
     """Relative torque errors by joint: whole, moving, standing; all joints together last."""
     heads = columns("joint", "unit", numbers=ERROR_COLUMNS)
     rows: list[Row] = [
