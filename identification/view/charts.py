@@ -74,15 +74,11 @@ def _look(known: bool) -> tuple[Color, Shape]:
 
 
 def trust_charts(trust: Trust) -> list[Rows]:
-    """Figures of the tests that have a limit, as shares of it, and those by joint or block with expected values."""
+    """Figures of the tests by joint or block, with expected values."""
     charts = list[Rows]()
-    names, shares = list[tuple[str, Color]](), list[Mark]()
     for line in trust.lines:
-        color = LEVEL_COLORS.get(line.level, GREY)
-        if line.value is not None and line.limit:
-            shares.append(Mark(row=len(names), value=abs(line.value) / line.limit, color=color, shape="bar"))
-            names.append((f"{line.test}: {line.value:.3g} of {line.limit:.3g}", color))
         if line.figures:
+            color = LEVEL_COLORS.get(line.level, GREY)
             marks = [Mark(row=k, value=f.expected, color=GREEN, shape="tick") for k, f in enumerate(line.figures)]
             marks += [Mark(row=k, value=f.value, half=f.half_width, color=color) for k, f in enumerate(line.figures)]
             column = Column(head=line.unit, axis=_around(marks), marks=marks)
@@ -90,9 +86,7 @@ def trust_charts(trust: Trust) -> list[Rows]:
             value = "● value ± 95 %" if any(f.half_width for f in line.figures) else "● value"
             legend = ((value, color), ("| expected", GREEN))
             charts.append(Rows(path=("tests", line.test), title=title, names=heads, columns=[column], legend=legend))
-    of_limit = Axis(low=0.0, high=1.3, ticks={0.0: "0", 1.0: "limit"})
-    columns = [Column(head="", axis=of_limit, marks=shares, lines=(1.0,))]
-    return [Rows(path=("tests",), title="tests with a limit", names=names, columns=columns)] * bool(names) + charts
+    return charts
 
 
 def _around(marks: Sequence[Mark]) -> Axis:
@@ -218,7 +212,7 @@ def noise_chart(fits: Sequence[VariedFit]) -> Graph | None:
     known, described = fits[0].known
     if name in described:
         line = x[[0, -1]], np.full(2, described[name])
-        curves.append(Curve(key="", name=known, color=GREEN, line=line, width=2.0, dashed=True))
+        curves.append(Curve(key="true", name=known, color=GREEN, line=line, width=2.0, dashed=True))
     unit = re.sub(r"\b(rad|m)\b", r"µ\1", noisy[-1].variant.to.partition(" ")[2])
     title = f"{name} [{fits[0].units.get(name, '')}] over position noise [{unit}]"
     return Graph(path=("noise", name), title=title, curves=tuple(curves))

@@ -19,7 +19,6 @@ from .panels import Curve, Line, Plot
 
 BUCKETS = 5000  # of a long curve, each drawn as its minimum and maximum; a screen has fewer columns
 SAMPLES_PER_PERIOD = 20.0  # drawn samples per cut-off period of long filtered curves, which then look smooth
-MAX_NOISE_RATIO = 3.0  # a raw derivative is hidden if its peak is larger, relative to the filtered one's
 _BLOCK = 200_000  # samples processed at a time, which limits memory
 
 # For `measured`, `filtered`, `reference` or `simulated` and a quantity (q, dq, ddq, torque, error), a line per joint.
@@ -40,13 +39,15 @@ NAMES = {  # key and name of some of them
 def lines_of(signals: Signals, settings: Settings | None, fit: Fit | None) -> Lines:
     """Decimated curves of a recording; `settings` are those of the filter.
 
-    `measured` covers the whole recording, with differences of the raw position. `filtered` covers the fitted span, if there is
-    a low-pass. `simulated` is the robot with the estimate, if the fit simulated one. Errors are positions minus
-    the measured one.
+    `measured` covers the whole recording. `filtered` covers the fitted span, if there is a low-pass, and stands in place of
+    differences of the raw position. `simulated` is the robot with the estimate, if the fit simulated one. Errors are positions
+    minus the measured one.
     """
-    lines = {("measured", quantity): joints for quantity, joints in _decimate(signals, None).items()}
-    if settings is not None and settings.cutoff_hz is not None:
-        lines |= {("filtered", quantity): joints for quantity, joints in _decimate(signals, settings).items()}
+    filtered = {} if settings is None or settings.cutoff_hz is None else _decimate(signals, settings)
+    lines = {("filtered", quantity): joints for quantity, joints in filtered.items()}
+    for quantity, joints in _decimate(signals, None).items():
+        if quantity in ("q", "torque") or not filtered:
+            lines["measured", quantity] = joints
     if signals.q_ref is not None:
         for quantity, x in (("q", signals.q_ref), ("error", signals.q_ref - signals.q)):
             lines["reference", quantity] = [_line(signals.t_s, column) for column in x.T]
@@ -141,17 +142,9 @@ def torque_plots(signals: Signals, lines: Lines) -> list[Plot]:
 
 
 def motion_plots(signals: Signals, lines: Lines, j: int) -> list[Plot]:
-    """Position, speed and acceleration of joint j; no position if the first page has it, noisy derivatives hidden."""
-    first_has_position = not any(quantity == "error" for _, quantity in lines)
-    plots = [] if first_has_position else [_plot(signals, lines, "q", j, alone=True)]
-    for quantity in ("dq", "ddq"):
-        plot = _plot(signals, lines, quantity, j, alone=True)
-        raw, *rest = plot.curves
-        if ("filtered", quantity) in lines:
-            noisy = np.abs(raw.line[1]).max() > MAX_NOISE_RATIO * np.abs(rest[0].line[1]).max()
-            plot = replace(plot, curves=(replace(raw, visible=not noisy), *rest))
-        plots.append(plot)
-    return plots
+    """Position, speed and acceleration of joint j; no position if the first page has it."""
+    errors = any(quantity == "error" for _, quantity in lines)
+    return [_plot(signals, lines, quantity, j, alone=True) for quantity in (("q",) if errors else ()) + ("dq", "ddq")]
 
 
 def _plot(signals: Signals, lines: Lines, quantity: str, j: int, *, alone: bool = False) -> Plot:
@@ -175,7 +168,7 @@ def row_plots(robot: Robot, t_s: Array, tau: Array, tau_predicted: Array) -> tup
     """Per joint measured and modelled torque (T, n) of decimated rows with their residual, and the residual alone."""
     torques, residuals = [], []
     for j, (joint, unit) in enumerate(zip(robot.joints, robot.effort_units, strict=True)):
-        measured = Curve(key="measured", color=MEASURED, line=(t_s, tau[:, j]), width=2.0)
+        measured = Curve(key="measured", color=MEASURED, line=(t_s, tau[:, j]), width=5.0)  # behind the model
         model = Curve(key="model", color=PREDICTED, line=(t_s, tau_predicted[:, j]))
         rest = Curve(key="residual", color=RESIDUAL, line=(t_s, tau[:, j] - tau_predicted[:, j]))
         path, title = ("residual", joint.name), f"residual {joint.name} [{unit}]"

@@ -22,7 +22,7 @@ from ..study import Run, VariedFit
 from . import charts, curves
 from .panels import Page, Panel, Picture, Plot
 from .robot_drawing import excitation_scene, robot_scene
-from .signal_panels import event_logs, health_plots, numbers_of_plots, spectrum_charts
+from .signal_panels import event_logs, health_plots, spectrum_charts
 
 
 def draw_fit(signals: Signals, fit: Fit, *, truth: Array | None = None) -> Picture:
@@ -38,7 +38,7 @@ def draw_fit(signals: Signals, fit: Fit, *, truth: Array | None = None) -> Pictu
     others = [least_squares_parameters(fit)] if fit.iv else []
     others += [true_parameters(fit.base, truth)] if truth is not None else []
     compared = (comparison_section(own, other) for other in others)
-    more = (replace(section, short=Section()) for section in (numbers_of_plots(signals, fit), *compared))
+    more = (replace(section, short=Section()) for section in compared)
     document = fit_document(signals, fit).followed_by(*more)
     torque, residual = curves.row_plots(signals.robot, fit.t_s, fit.tau, fit.tau_predicted)
     overview, *of_signals = _signal_pages(signals, fit.settings, fit, residual)
@@ -98,10 +98,9 @@ def draw_recording(signals: Signals, overrides: Overrides) -> Picture:
         settings = make_settings(signals, overrides)
     except IdentificationError as error:
         refusal = error.args[0]
-    document = recording_document(signals, settings, refusal).followed_by(numbers_of_plots(signals, None))
     return Picture(
         name=f"{signals.robot.name}, {signals.recording}",
-        document=document,
+        document=recording_document(signals, settings, refusal),
         pages=tuple(_signal_pages(signals, settings, None, [])),
         sha256={signals.recording: signals.sha256},
     )
