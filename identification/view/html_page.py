@@ -78,7 +78,7 @@ def _figure(panel: Panel) -> str:
         rest = f"<p>{len(panel.lines) - MAX_EVENTS} more in the recording</p>" if len(panel.lines) > MAX_EVENTS else ""
         return f'<figure class="wide"><figcaption>{title}</figcaption>{lines}{rest}</figure>'
     if isinstance(panel, Graph):
-        named = {c.name or c.key: c for c in panel.curves if c.visible} if panel.legend else {}
+        named = {c.name or c.key: c for c in panel.curves} if panel.legend else {}
         drawn, keys = draw_graph(panel), "".join(_key(name, c.color, dashed=c.dashed) for name, c in named.items())
     elif isinstance(panel, Rows):
         drawn = draw_rows(panel)
