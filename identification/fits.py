@@ -82,18 +82,20 @@ class StoredFit(AnyFit):
         self.file, self.place = report.read_fit(path), str(path)
 
     def _repr_html_(self) -> str:
+        from .view import deviation_charts, notebook_figure
+
         best = sorted(self.parameters, key=lambda p: p.half / (abs(p.value) or 1.0))[:10]
         rows = [(p.name, p.unit, Number(p.value, report.value_form(p.spread)), Number(p.half, ".2g")) for p in best]
         table = report.Table(columns=report.columns("name", "unit", numbers=("value", "±95%")), rows=tuple(rows))
         doubts = tuple(line.text for line in self.file.trust or () if line.level in ("do not use", "caution"))
         moving, held = self.file.moving_relative_error_percent, self.file.held_out_error_percent or None
-        errors = (("torque error of moving rows", moving), ("held out", held))
-        shown = report.Section(title=f"the {len(rows)} best known `parameters`", warnings=doubts, table=table)
-        return report.to_html(
-            report.Document(
-                title=f"{self.place}: {self.file.summary}",
-                badge=self.verdict or "",
-                figures=tuple((what, f"{value:.2g} %") for what, value in errors if value is not None),
-                sections=(shown,),
-            )
+        errors = {"torque error of moving rows": moving, "held out": held}
+        shown = report.Section(title=f"the {len(rows)} best known parameters", warnings=doubts, table=table)
+        document = report.Document(
+            title=f"{self.place}: {self.file.summary}",
+            badge=self.verdict or "",
+            figures=methods.main_figures(errors, self.parameters),
+            sections=(shown,),
         )
+        (chart,) = deviation_charts(report.ParameterSet(label=self.place, parameters={p.name: p for p in best}), ())
+        return report.to_html(document) + notebook_figure(chart)

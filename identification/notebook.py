@@ -85,7 +85,11 @@ class Fit(AnyFit, methods.Fit):
         return Fit(**vars(methods.with_consistent(self, found)))
 
     def _repr_html_(self) -> str:
-        return report.to_html(methods.fit_document(self.problem.signals, self).short)
+        from .view import draw_fit, notebook_figure
+
+        one, document = self.recordings[0], methods.fit_document(self.problem.signals, self).short
+        torque = draw_fit(one.problem.signals, self.on(one)).first
+        return report.to_html(document, figures=notebook_figure(torque) if torque else "")
 
 
 def _of_user(found: methods.Fit) -> Fit:

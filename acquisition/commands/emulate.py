@@ -29,8 +29,8 @@ def run(options: argparse.Namespace) -> None:
     robot = load_robot(options.robot)
     bus = resolve(robot, str(options.robot))
     if bus.file.interface == "virtual":
-        expected = "udp_multicast, for programs on this computer"
-        Place(str(options.robot), "bus").refuse("interface", "virtual", expected, text="nobody else can join it")
+        expected = "udp_multicast or socketcan"
+        Place(str(options.robot), "bus").refuse("interface", "virtual", expected, text="other programs cannot join it")
     if options.replay is None:
         mechanism = driven_plant(robot, bus)
     else:

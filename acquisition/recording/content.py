@@ -23,6 +23,7 @@ from ..errors import BadInputError
 from ..files import GrowingBytes
 
 _MAGIC = b"\x89MCAP0\r\n"
+_IMPORTED = (".csv", ".mat", ".log", ".asc", ".blf", ".trc", ".db3")
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 _MAX_CHUNK_BYTES = 64 * 2**20  # bytes; chunks are written at about 1 MiB, a larger size is hostile or damaged
 _MAX_TOTAL_BYTES = 4 * 2**30  # bytes of all chunks unpacked
@@ -74,8 +75,12 @@ def read_content(path: Path, name: str, accept: Accept, wanted: Wanted) -> Conte
 
 def _read(records: "_Records", place: str, name: str, accept: Accept, wanted: Wanted) -> Content:
     if records.first != _MAGIC:
-        expected = f"a recording: `robot-acquire import {place} --robot ROBOT.toml --map MAP.toml -o LOG.mcap` makes it"
-        raise BadInputError(f"is not an MCAP file (begins with {records.first!r})", place=place, expected=expected)
+        kind = Path(place).suffix.lower()
+        if kind in _IMPORTED:
+            expected = f"a recording: first `robot-acquire import {place} --robot ROBOT.toml`"
+            raise BadInputError(f"is a {kind[1:].upper()} file", place=place, expected=expected)
+        expected = "a recording, as `robot-acquire record` or `import` writes it"
+        raise BadInputError("is not an MCAP file", place=place, expected=expected)
     found = _Found(place, name, accept, wanted)
     for opcode, at, content in records:
         try:

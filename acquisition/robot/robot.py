@@ -22,6 +22,11 @@ SIMULATED_CONTROLLER = "simulated_controller.toml"  # of the drives of a dry run
 # Guards of [bus] and [[joint]] above these would stop nothing.
 MAX_BUS_GUARDS = {"heartbeat_s": 1.0, "late_sync_s": 1.0, "enable_motion_deg": 10.0, "enable_motion_m": 0.1}
 MAX_JOINT_GUARDS = {"following_error_deg": 30.0, "following_error_m": 0.3, "speed_deg_s": 3000.0, "speed_m_s": 20.0}
+_OTHER_FILES = {  # by their first byte
+    b"<": ("is a URDF", "; `robot-identify init {0} -o robot.toml` makes one"),
+    b"{": ("is a JSON file", "; `robot-identify export {0} --toml robot.toml` makes one of a fit"),
+    b"\x89": ("is a recording", ""),
+}
 _MESH = "mesh:"  # before a mesh's name in the URDF: the name of its attachment, a label, never a path
 
 
@@ -146,9 +151,10 @@ def load_robot(path: str | PathLike[str]) -> Robot:
         files = {"robot.toml": path.read_bytes()}
     except OSError as error:
         place.refuse(text=f"cannot be read: {error.strerror}")
-    if files["robot.toml"].lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<"):
-        expected = f"a robot.toml; `robot-identify init {path} -o robot.toml` makes one"
-        place.refuse(text="is a URDF", expected=expected)
+    begin = files["robot.toml"].lstrip(b"\xef\xbb\xbf \t\r\n")[:1]
+    if begin in _OTHER_FILES:
+        text, way_out = _OTHER_FILES[begin]
+        place.refuse(text=text, expected=f"a robot.toml{way_out.format(path)}")
     document = parse_toml(files["robot.toml"], RobotFile, str(path))
     _refuse_idle_keys(document.controller, place.at("controller"))
     if document.bus is not None:

@@ -32,4 +32,4 @@ def run(options: argparse.Namespace) -> None:
 
         outputs = {"urdf": options.urdf, "mjcf": options.mjcf, "toml": options.toml}
         document = export_fit(read_fit(options.fit), str(options.fit), untrusted=options.allow_untrusted, **outputs)
-    print_results(document)
+    print_results(document, everything=False)

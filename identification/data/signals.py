@@ -45,7 +45,7 @@ class Signals:
         health: the recorder's counters by name: t_s (k,) from the first sample, and the counts (k,).
         effort_timing: `command` of an instant, held after it; `mean` over the control period around it, as this package
             simulates; `measured` at the instant, as in ROS joint states; or `unknown`.
-        provenance: origin of the efforts, in words; `effort_object`: the part of it that tells one effort from another.
+        provenance: origin of the efforts, in words; `effort_object`: the part of it that distinguishes efforts.
         velocity: (N, n) measured speeds of the joints, rad/s or m/s, or None.
         known_torque: (N, n) known external torques on the joints, N m or N, or None.
         feedforward: (N, n) feedforward added to the controller's output, by motor in the unit of the recorded effort, or None.

@@ -203,7 +203,7 @@ class Trials:
     Attributes:
         whole: their system with all tried terms; `added`: joint and term of the base parameters of these, by name.
         parts: instants that are held out: fifths of time of a single recording, and of recordings that differ in payload, which
-            only all of them tell; else each of several; `names`: of the parts.
+            only all of them determine; else each of several; `names`: of the parts.
         weights: (n,) 1/s_j of the fit with the usual terms.
         unpredicted: messages about the parts whose parameters the others do not determine, by name.
         done: the trials; `left_out`: joints and terms that some of them leave out, each with the reason.

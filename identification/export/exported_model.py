@@ -1,7 +1,7 @@
 """Standard parameters in the form that simulators use, and the losses of a format.
 
 Formats have the friction Fv u + Fc sign(u) of each joint and, if they have couplings, of each motor that turns with several
-joints; none is negative. Other terms are left out, and their torque is told.
+joints; none is negative. Other terms are left out, and their torque is reported.
 """
 
 from dataclasses import dataclass

@@ -134,8 +134,8 @@ def refuse_unknown_gain(robot: Robot) -> None:
 
 
 def _in_words(sources: tuple[str, ...]) -> str:
-    """`links 1, 2 of its URDF; link 3 plausible`."""
-    words = {"[parameters]": "of its [parameters]", "URDF": "of its URDF", "plausible": "plausible by their lengths"}
+    """`links 1, 2 by the URDF; link 3 by their lengths (guess)`."""
+    words = {"[parameters]": "by [parameters]", "URDF": "by the URDF", "plausible": "by their lengths (guess)"}
     of = {source: [str(j + 1) for j, s in enumerate(sources) if s == source] for source in words}
     return "; ".join(
         f"{'all links' if len(links) == len(sources) else 'links ' + ', '.join(links)} {words[source]}"

@@ -252,7 +252,7 @@ class Fit:
     consistent_set: ConsistentSet | None = None
     consistent_errors: tuple[TorqueResidual, ...] = ()
     own: FTest | None = None
-    method_reason: str = "asked for"
+    method_reason: str = "as requested"
     gains: Gains | None = None
     payloads: tuple[EstimatedPayload, ...] = ()
 

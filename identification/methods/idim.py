@@ -84,7 +84,7 @@ def identify(
     # (2): tau = IDM(q, dq, ddq) beta; (5), (6): Y(tau) = W(q, dq, ddq) beta + rho
     asked = replace(overrides, method="iv" if overrides.gains else method)
     equations = read_equations(signals, asked, say)
-    chosen, reason = (method, "asked for") if method is not None else _default_method(equations)
+    chosen, reason = (method, "as requested") if method is not None else _default_method(equations)
     settings = [problem.settings for problem in equations.problems]
     low = settings[0].low_speed.iv if "iv" in (asked.method, chosen) else settings[0].low_speed.ls
     if any(one.low_speed_percent != low for one in settings):  # not every recording has its reference

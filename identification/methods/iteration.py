@@ -43,7 +43,7 @@ def start_values(
     equations: Equations, iteration: Iteration, ls: LeastSquares
 ) -> tuple[Array, Array | None, Array | None]:
     """Values of x to start from, least squares, their covariance, and what is simulated first in their place: neither a regular
-    start nor given values tell the torques that a lag is found by.
+    start nor given values give the torques by which a lag is found.
     """
     problem, repeated = equations.problem, equations.unknowns.repeated
     x = ls.full.values_of(equations.names)

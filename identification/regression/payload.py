@@ -111,7 +111,7 @@ class PayloadColumns:
 def payload_columns(problems: Sequence[Problem], labels: Sequence[str], *, scale: bool) -> list[PayloadColumns | None]:
     """The payload of each recording, None for none; equal payloads have the same parameters.
 
-    A stated centre of mass of some half-width is estimated, unless the mass alone would not tell the `scale` of gains.
+    A stated centre of mass of some half-width is estimated, unless the mass alone would not determine the `scale` of gains.
 
     If no recording is without payload, the unknown part of the lightest is left out: the base parameters are those of the
     robot that carries it.

@@ -1,4 +1,4 @@
-"""The control law of the simulated robot: the described controller, the one that the recording tells, or a surrogate.
+"""The control law of the simulated robot: the described controller, the one found in the recording, or a surrogate.
 
 Control acts on motor positions q_m = R q, once per controller period, and is held in between (sample and hold):
 

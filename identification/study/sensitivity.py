@@ -13,6 +13,7 @@ from ..data import RecordingFile, Work
 from ..errors import NoFitError, RobotIdimError
 from ..estimation import one_thread
 from ..methods import Iteration, identify_iv
+from ..model import described_parameters
 from ..regression import Overrides, make_settings
 from ..report import Document, Number, Row, Section, Table, columns, value_form
 
@@ -41,8 +42,8 @@ class Variant:
 
 @dataclass(frozen=True, kw_only=True)
 class VariedFit:
-    """The `values` of a variant by parameter, empty without a fit; `ended` is the status of iv after so many `passes`, or why
-    there is no fit.
+    """The `values` of a variant by parameter, with `units`, empty without a fit; `ended` is the status of iv after so many
+    `passes`, or why there is no fit. `known`: whether the values of `[parameters]` are `true`, of a simulation, or `described`.
     """
 
     variant: Variant
@@ -50,6 +51,8 @@ class VariedFit:
     passes: int = 0
     values: Mapping[str, Values] = field(default_factory=dict)
     essential: tuple[str, ...] = ()
+    units: Mapping[str, str] = field(default_factory=dict)
+    known: tuple[str, Mapping[str, float]] = ("", {})
 
 
 def vary(source: RecordingFile, noises: Sequence[float] | None, work: Work) -> list[VariedFit]:
@@ -93,7 +96,18 @@ def fit_variant(source: RecordingFile, variant: Variant) -> VariedFit:
     numbers = (ls.estimate.beta, ls.intervals.half, fit.estimate.beta, fit.intervals.half)
     values = dict(zip(fit.estimate.names, zip(*(x.tolist() for x in numbers), strict=True), strict=True))
     passes = len(fit.iv.passes) if fit.iv else 0
-    return VariedFit(variant=variant, ended=fit.status, passes=passes, values=values, essential=fit.essential_names)
+    base, model = fit.base, fit.problem.model
+    described = described_parameters(model, base).tolist() if signals.robot.parameters else ()
+    known = "true" if signals.provenance.startswith("simulated") else "described"
+    return VariedFit(
+        variant=variant,
+        ended=fit.status,
+        passes=passes,
+        values=values,
+        essential=fit.essential_names,
+        units=dict(zip(base.names, base.units, strict=True)),
+        known=(known, dict(zip(base.names, described, strict=False))),
+    )
 
 
 def moves_of(fits: Sequence[VariedFit], name: str) -> Array:

@@ -1,7 +1,7 @@
 """A-priori links, of a URDF or `[parameters]`, as a witness of the recording: by joint, held out, and exchanged joints.
 
 The recorded torque of joint j is f_j times that of the prior's links, beside all that the prior does not know (rotors,
-friction), with instruments and weights of the fit. Only rows of joint j tell f_j: a wrong gain of a joint does not move others.
+friction), with instruments and weights of the fit. Only rows of joint j determine f_j: a wrong gain of a joint moves no other.
 """
 
 from contextlib import suppress
@@ -95,7 +95,7 @@ def _known_and_free(evidence: FitData) -> tuple[Array, NDArray[np.intp]]:
 
 def _factor(evidence: FitData, j: int) -> tuple[float, float, float, float]:
     """The factor of joint j and half its 95 % interval, and shares of the square of its torque, both without what is not of
-    links: what the prior's links explain with the factor, and their own. Zeros where nothing tells it.
+    links: what the prior's links explain with the factor, and their own. Zeros where it is undetermined.
     """
     system, (known, free) = evidence.observed.system, _known_and_free(evidence)
     own = system.joint_of_row == j

@@ -256,7 +256,7 @@ def test_the_report_tells_result_settings_and_parameters(written):
     text = written(signals).static["/report"]["TextDocument:text"][0]
     moving = fit.errors[-1].moving_relative_error_percent
     assert text.startswith(
-        f"# made up: WLS (asked for), solved, {fit.trust.verdict}: {fit.trust.finding}; {moving:.3g} %"
+        f"# made up: WLS (as requested), solved, {fit.trust.verdict}: {fit.trust.finding}; {moving:.3g} %"
     )
     for warning in fit.warnings:
         assert f"warning: {warning}" in text
