@@ -51,7 +51,9 @@ def test_noise_of_the_real_record_moves_least_squares_and_not_instrumental_varia
     assert spent < 60
     print_whole(sensitivity_document("emps.mcap", fits), short=True)
     printed = [line.split() for line in capsys.readouterr().out.splitlines()]
-    section = (ROOT / "identification" / "method.md").read_text().split("      emps.mcap: LS moves")[1].split("\n\n")[0]
+    section = (
+        (ROOT / "identification" / "results.md").read_text().split("      emps.mcap: LS moves")[1].split("\n\n")[0]
+    )
     shown = [line.split() for line in f"emps.mcap: LS moves{section}".splitlines()]
     assert len(shown) == 13
     # Moves by a start are rounding errors: their digits are of one machine.
