@@ -17,7 +17,7 @@ from identification.commands import main
 
 EMPS, TX40 = (REPLAY / robot / "session.mcap" for robot in ("emps", "tx40"))
 NOISE = ",".join(f"{k}e-6" for k in range(2, 21, 2))  # m rms
-MARGIN = 12  # pixels around a figure
+MARGIN = 4  # pixels around a figure
 # Name of a picture, command, script of the element to cut out of its report, and pixels per pixel of the page.
 PICTURES = {
     "noise.png": (["sensitivity", EMPS, "--position-noise", NOISE], "return document.querySelector('.first')", 2),

@@ -10,7 +10,6 @@ import pytest
 from test_viewer import FS, fitted, made_up
 from test_viewer_pages import values
 
-from identification.methods import Gains
 from identification.study import Run, RunFit
 from identification.trust import Figure, Trust, TrustLine
 from identification.view import charts
@@ -19,7 +18,6 @@ from identification.view.charts import (
     MAX_ROWS,
     STUDY_ROWS,
     deviation_charts,
-    gains_chart,
     study_chart,
     trust_charts,
 )
@@ -114,19 +112,6 @@ def test_figures_of_the_trust_tests_have_their_intervals_and_what_was_expected()
     ]
     assert column.axis.low < -0.5
     assert column.axis.high > 1.4
-
-
-def test_identified_gains_stand_beside_the_described_ones():
-    described, of_motors, half = np.array([2.0, math.nan]), np.array([2.2, 5.0]), np.array([0.1, 2.0])
-    names = {"motors": ("m1", "m2"), "units": ("N m/A",) * 2}
-    chart = gains_chart(Gains(**names, described=described, values=of_motors, half=half, cragg_donald=9.0))
-    assert chart.names == [("m1: 2 to 2.2 ± 0.1 N m/A", ORANGE), ("m2: 5 ± 2 N m/A", GREY)]
-    (column,) = chart.columns
-    assert column.lines == (100.0,)
-    assert [(m.shape, m.value, m.half) for m in column.marks] == [
-        ("dot", pytest.approx(110.0), pytest.approx(5.0)),
-        ("ring", 100.0, pytest.approx(40.0)),  # of a gain that is not described in percent of itself
-    ]
 
 
 def a_run(number, ls, iv, status="converged"):

@@ -42,8 +42,6 @@ def draw_fit(signals: Signals, fit: Fit, *, truth: Array | None = None) -> Pictu
     document = fit_document(signals, fit).followed_by(*more)
     torque, residual = curves.row_plots(signals.robot, fit.t_s, fit.tau, fit.tau_predicted)
     overview, *of_signals = _signal_pages(signals, fit.settings, fit, residual)
-    parameters: dict[str, Sequence[Panel]] = {"deviations": charts.deviation_charts(own, others)}
-    parameters["gains"] = [charts.gains_chart(fit.gains)] if fit.gains else []
     return Picture(
         name=f"{signals.robot.name}, {signals.recording}, {fit.method.upper()}",
         first=_largest(signals, torque, fit),
@@ -51,7 +49,7 @@ def draw_fit(signals: Signals, fit: Fit, *, truth: Array | None = None) -> Pictu
         pages=(
             overview,
             Page(name="trust", groups={"tests": charts.trust_charts(fit.trust)}),
-            Page(name="parameters", groups=parameters),
+            Page(name="parameters", groups={"deviations": charts.deviation_charts(own, others)}),
             Page(name="residual", groups={"residual": residual}),
             _friction_page({"": fit}),
             *of_signals,
