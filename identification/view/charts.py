@@ -176,9 +176,7 @@ def sensitivity_charts(fits: Sequence[VariedFit]) -> list[Rows]:
 
 
 def noise_chart(fits: Sequence[VariedFit]) -> Graph | None:
-    """The parameter that position noise moves most with LS, over this noise, by both methods, and its known value; None
-    without noise.
-    """
+    """The parameter that noise moves most with LS, over this noise, by both methods, and its known value, if there is noise."""
     noisy = [fits[0], *(fit for fit in fits if fit.values and fit.variant.noise)]
     if len(noisy) < 2:
         return None
