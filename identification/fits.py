@@ -89,12 +89,12 @@ class StoredFit(AnyFit):
         table = report.Table(columns=report.columns("name", "unit", numbers=("value", "±95%")), rows=tuple(rows))
         doubts = tuple(line.text for line in self.file.trust or () if line.level in ("do not use", "caution"))
         moving, held = self.file.moving_relative_error_percent, self.file.held_out_error_percent or None
-        errors = {"torque error of moving rows": moving, "held out": held}
+        percents = {p.name: 100 * p.half / abs(p.value) for p in self.parameters if p.essential}
         shown = report.Section(title=f"the {len(rows)} best known parameters", warnings=doubts, table=table)
         document = report.Document(
             title=f"{self.place}: {self.file.summary}",
             badge=self.verdict or "",
-            figures=methods.main_figures(errors, self.parameters),
+            figures=methods.main_figures(moving, held, {}, percents),
             sections=(shown,),
         )
         (chart,) = deviation_charts(report.ParameterSet(label=self.place, parameters={p.name: p for p in best}), ())

@@ -112,9 +112,7 @@ def open_bus(file: BusFile, *, passive: bool) -> Any:
         problem = str(error) or type(error).__name__
         place, expected = f"bus: {file.interface} {file.channel}", ""
         if file.interface == "socketcan":
-            expected = (
-                "CAN in Linux (modprobe can_raw) and its channel in `ip link`; or another interface, such as slcan"
-            )
+            expected = "CAN in Linux (modprobe can_raw) and its channel in `ip link`; or another interface"
         raise BusFaultError(f"cannot be opened: {problem}", place=place, expected=expected) from error
     if file.interface == "udp_multicast" and file.loopback:
         stay_on_loopback(bus, file)

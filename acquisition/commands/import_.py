@@ -25,12 +25,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     )
     add_path(inputs, "tables", "FILE", text, nargs="+")
     add_path(inputs, "--robot", "ROBOT.toml", "the robot's description; a recording has its own")
-    add_path(
-        inputs,
-        "--map",
-        "MAP.toml",
-        "meaning of the columns (default: FILE.map.toml, proposed by the table if it does not exist)",
-    )
+    add_path(inputs, "--map", "MAP.toml", "meaning of the columns (default: FILE.map.toml; proposed if it is missing)")
     add_options(inputs, RecordOptions, "payload")
     bag = parser.add_argument_group("ROS 2 bag")
     text = (

@@ -16,9 +16,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     outputs = parser.add_argument_group("outputs")
     add_path(outputs, "--urdf", "OUT.urdf", "the description's own URDF with new values, or a new one")
     add_path(outputs, "--mjcf", "OUT.xml", "a MuJoCo model")
-    add_path(
-        outputs, "--toml", "OUT.toml", "the description with the fitted values in [parameters], and the drive gains"
-    )
+    add_path(outputs, "--toml", "OUT.toml", "the description with the fitted [parameters] and drive gains")
 
 
 def run(options: argparse.Namespace) -> None:

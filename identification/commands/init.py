@@ -32,16 +32,13 @@ def add(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--joints", type=list_of_names, metavar="A,B", help=text)
     for option, (metavar, text) in _URDF_OPTIONS.items():
         group.add_argument(option, type=list_of_values, metavar=metavar, help=text)
-    group.add_argument(
-        "--effort", choices=_EFFORTS["--ratio"], help="unit of the recorded efforts; %% of the rated torque"
-    )
+    text = "unit of the recorded efforts; %% of the rated torque"
+    group.add_argument("--effort", choices=_EFFORTS["--ratio"], help=text)
     text = "with --effort: motor rad (or m) per joint rad (or m), sign included"
     group.add_argument("--ratio", type=list_of_ratios, metavar="R", help=text)
     text = "with --effort A or %%: motor torque in N m (or force in N) per unit of effort"
     group.add_argument("--drive-gain", type=list_of_values, metavar="K", help=text)
-    add_flag(
-        group, "--torque-sensor", "with --effort 'N m': of torque sensors behind the gears, which do not see the rotors"
-    )
+    add_flag(group, "--torque-sensor", "with --effort 'N m': of torque sensors behind the gears, without the rotors")
     add_path(parser, "--bus", "BUS.toml", "the [bus] that `robot-acquire scan` wrote, instead of example drives")
     add_path(parser, "-o --out", "ROBOT.toml", "the description to write (default: standard output)")
     add_flag(parser, "--overwrite", "replace an existing description")
@@ -84,9 +81,7 @@ def run(options: argparse.Namespace) -> None:
     lines += [f"locked at zero: {locked}" for locked in chain.locked]
     lines += [f"note: {note}" for note in chain.notes]
     if chain.torque_sensors:
-        lines += [
-            "rotor_inertia = false: torque sensors do not see rotors; a motor's torque referred to the joint does"
-        ]
+        lines += ["rotor_inertia = false: torque sensors do not measure rotors; a motor's torque includes its rotor"]
     missing = sum(FILL_IN in line for line in text.splitlines()[1:])
     for line in [*lines, f"to be filled in: {missing} lines with {FILL_IN}"]:
         print(one_line(line))

@@ -1,7 +1,7 @@
 """Choice of friction terms by cross-validation: over parts of a recording, or of a pair, or over recordings.
 
 Of the sets without terms whose interval contains 0, the smallest that predicts parts nearly as well as the best, as
-identification/method.md says. The score of a part is the sum of squared residuals of its weighted rows, each divided by
+identification/results.md says. The score of a part is the sum of squared residuals of its weighted rows, each divided by
 its joint's s_j of the fit with the usual terms.
 """
 

@@ -115,7 +115,7 @@ def ordinary_least_squares(system: System) -> Estimate:
 
 
 def weighted_least_squares(system: System) -> Estimate:
-    """Least squares with the rows of joint j divided by s_j, the residual deviation of that joint's own least squares.
+    """Equation (B): least squares with the rows of joint j divided by s_j, the residual deviation of its own least squares.
 
     Raises
     ------
@@ -183,7 +183,7 @@ def essential_parameters(system: System, full: Estimate, *, correlation: float, 
 
 
 def instrumental_variables(system: System, Z: Array, weights: Array) -> Estimate:
-    """beta = (ZᵀW)⁻¹ ZᵀY, section 3 of Janot2014, with Z, W and Y weighted.
+    """Equation (D): beta = (ZᵀW)⁻¹ ZᵀY, section 3 of Janot2014, with Z, W and Y weighted.
 
     Solved through the QR factors of Z: Z = Q R gives (QᵀW) beta = QᵀY. The covariance is s² (ZᵀW)⁻¹ ZᵀZ (WᵀZ)⁻¹, in which
     R drops out.

@@ -184,10 +184,8 @@ def _parameters(chain: Chain, robot: Robot) -> Iterator[str]:
     yield ""
     yield "# A-priori values: the URDF's inertials about the joints' frames (fixed and locked links lumped), its damping and"
     yield "# friction. Simulations use them; a fit does not."
-    unless = (
-        "missing friction" if chain.torque_sensors else "rotor inertias, which are not in a URDF, and missing friction"
-    )
-    yield f"# {FILL_IN}: {unless}; without values they are 0."
+    rotors = "" if chain.torque_sensors else "rotor inertias, which are not in a URDF, and "
+    yield f"# {FILL_IN}: {rotors}missing friction; without values they are 0."
     yield "[parameters]"
     for j, joint in enumerate(chain.joints):
         mass = values[j, LINK.index("M")]

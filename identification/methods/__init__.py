@@ -13,7 +13,7 @@ from .consistent import Known, consistent_set, read_prior, refuse_unknown_gain, 
 from .equations import Equations, read_equations
 from .fit import Fit, FittedRecording, Pass
 from .fit_files import fit_file, validation_file
-from .fit_report import PARAMETERS, fit_document, main_figures
+from .fit_report import PARAMETERS, fit_document
 from .gain_results import Gains
 from .idim import identify, identify_iv, identify_ls
 from .iteration import Iteration, regular_start
@@ -31,6 +31,6 @@ from .parameters import (
     validate_all,
     with_stored_gains,
 )
-from .recording_report import Validated, recording_document, validation_document
+from .recording_report import Validated, main_figures, recording_document, validation_document
 from .settled import least_squares, with_best_ramps
 from .timing import correct_known_lags

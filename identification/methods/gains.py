@@ -1,4 +1,5 @@
-"""Drive gains by instrumental variables: the recorded effort is a regressor, its instrument the effort that the model predicts.
+"""Drive gains by instrumental variables, equation (I): the recorded effort is a regressor, its instrument the
+effort that the model predicts.
 
     X x = Y,  X = [W L -E],  x = (beta, phi, kappa),  Y = known torques - L phi_known;    Z = [W L -Ê]
 

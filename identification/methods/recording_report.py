@@ -1,6 +1,6 @@
 """Reports of a recording: settings and ranges before a fit; torque errors of a fit on other recordings."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,7 +10,7 @@ from ..arrays import Array
 from ..data import ON_GRID, Signals
 from ..regression import Settings, forward_backward_3db_hz
 from ..report import Document, FTest, Number, Row, Section, Table, TorqueResidual, columns
-from .fit import FittedRecording
+from .fit import Fit, FittedRecording
 
 ERROR_COLUMNS = ("all rows", "moving", "standing")
 
@@ -140,6 +140,26 @@ def error_line(errors: tuple[TorqueResidual, ...]) -> str:
         f"relative torque error: {moving} % of moving rows, {standing} % of standing rows, "
         f"{_percent(whole.relative_error_percent)} % of all rows"
     )
+
+
+def half_width_percents(fit: Fit) -> dict[str, float]:
+    """The half-width in percent of each essential parameter."""
+    e, essential = fit.estimate, {*fit.essential_names}
+    found = zip(e.names, fit.intervals.half, np.abs(e.beta), strict=True)
+    return {name: 100 * float(half / value) for name, half, value in found if name in essential}
+
+
+def main_figures(
+    moving: float | None, held_out: float | None, more: Mapping[str, float | None], percents: Mapping[str, float]
+) -> tuple[tuple[str, str], ...]:
+    """The figures to read first, by what they are: torque errors, and half-widths of essential parameters (`percents`)."""
+    errors = {"torque error of moving rows": moving, "held out": held_out} | {**more}
+    shown = {what: f"{value:.2g} %" for what, value in errors.items() if value is not None}
+    if percents:
+        worst = max(percents, key=percents.__getitem__)
+        shown[f"half of the {len(percents)} determined parameters"] = f"±{np.median([*percents.values()]):.2g} %"
+        shown[f"the worst, {worst}"] = f"±{percents[worst]:.2g} %"
+    return tuple(shown.items())
 
 
 def errors_section(errors: tuple[TorqueResidual, ...], units: tuple[str, ...]) -> Section:

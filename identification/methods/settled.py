@@ -74,8 +74,8 @@ def leave_out_load(equations: Equations, x: Array, solve: Callable[[System], Est
 
 
 def settle(equations: Equations, x: Array, solve: Callable[[Rows], Estimate]) -> tuple[Rows, Estimate]:
-    """Steps x + (Z'J)^-1 Z'r until none is above a thousandth of a deviation, halved where the next one would move more
-    torque, by the weights of the step before: those of least squares rise as the residual falls.
+    """Steps x + (Z'J)^-1 Z'r, equation (C), until none is above a thousandth of a deviation, halved where the next one would
+    move more torque, by the weights of the step before: those of least squares rise as the residual falls.
 
     `solve` gives the whole step from the rows about x: one is enough without load friction. Returns the rows about the last x,
     and its estimate.

@@ -24,7 +24,7 @@ MIN_RESPONSE = 1e-14  # of an input: below rounding
 
 
 def lowpass(x: Array, cutoff_hz: float, sample_rate_hz: float) -> Array:
-    """Butterworth of order 4, forward and backward, along axis 0 (time); `cutoff_hz` is of one direction, as in papers."""
+    """Equation (A): Butterworth of order 4, forward and backward, along axis 0 (time); `cutoff_hz` is of one direction."""
     if not 0 < cutoff_hz < sample_rate_hz / 2:
         raise BadInputError(
             key="cut-off",

@@ -74,7 +74,8 @@ class Experiment:
         rate_per_bandwidth: float = RATE_PER_BANDWIDTH,
         spans: int = 0,
     ) -> None:
-        """The recorded gains are assumed to suit the inertias of `beta_ls`; with `gain_update` they follow each estimate's.
+        """The recorded gains are assumed to suit the inertias of `beta_ls`; with `gain_update`, equation (E), they follow each
+        estimate's.
 
         A period of the bandwidth has at least `rate_per_bandwidth` simulated steps and instrument samples. A long recording has
         `spans` of QR factors in place of rows, and no whole motion of it is stored.

@@ -1,9 +1,10 @@
 """The lag of the recorded torque behind the motion: one per group of recordings, estimated with instruments.
 
-To first order tau(t - L) = tau(t) - L d/dt tau(t): the column -d/dt tau takes the coefficient L. It is that of the simulated
-torque, as column and as instrument, so that position noise does not bias it; least squares would find a false lag. Rows slower
-than a fifth of the peak are left out: after a reversal friction rises smoothly where the model has a step, which looks like a
-lag. Residuals are whitened, as position noise grows with frequency and would hide a lag.
+To first order, equation (G), tau(t - L) = tau(t) - L d/dt tau(t): the column -d/dt tau takes the coefficient L. It is
+that of the simulated torque, as column and as instrument, so that position noise does not bias it; least squares would
+find a false lag. Rows slower than a fifth of the peak are left out: after a reversal friction rises smoothly where the
+model has a step, which looks like a lag. Residuals are whitened, as position noise grows with frequency and would hide
+a lag.
 
 Prior information (effort timing of the recording, replay of the described controller) is combined with it by variances.
 """

@@ -222,8 +222,6 @@ def consistent_test(evidence: FitData) -> TrustLine:
     text = f"the nearest physical robot is at chi² = {nearest.chi_squared:.3g} ({len(names)} parameters), "
     text += f"{names[int(moves.argmax())]} moved by {moves.max():.2g} half-widths of its interval"
     if nearest.chi_squared > bound:
-        text += (
-            f", above {bound:.3g}, the limit of chance: check signs and units of efforts and positions, and the frames"
-        )
+        text += f", above {bound:.3g}, the limit of chance: check signs and units of efforts and positions, and frames"
         return TrustLine("consistent", "caution", text, nearest.chi_squared, limit=bound)
     return TrustLine("consistent", "ok", text, nearest.chi_squared, limit=bound)

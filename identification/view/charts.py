@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..design import Excitation
-from ..methods import Fit, Gains
+from ..methods import Fit
 from ..model import friction_alone
 from ..regression import base_name, rigid_torque_at_rows
 from ..report import Level, ParameterSet, differences
@@ -95,22 +95,6 @@ def _around(marks: Sequence[Mark]) -> Axis:
     return linear(min(ends) - margin, max(ends) + margin, 4)
 
 
-def gains_chart(gains: Gains) -> Rows:
-    """Drive gains by motor: the described one, and the identified one with its 95 % interval, in percent of it."""
-    of = np.where(np.isfinite(gains.described), gains.described, gains.values)
-    percent, half = 100 * gains.values / of, 100 * gains.half / np.abs(of)
-    low, high = min(95.0, float((percent - half).min())), max(105.0, float((percent + half).max()))
-    marks, names = list[Mark](), list[tuple[str, Color]]()
-    for k, motor in enumerate(gains.motors):
-        color, shape = _look(bool(gains.determined[k]))
-        described = f"{gains.described[k]:.4g} to " if np.isfinite(gains.described[k]) else ""
-        names.append((f"{motor}: {described}{gains.values[k]:.4g} ± {gains.half[k]:.2g} {gains.units[k]}", color))
-        marks.append(Mark(row=k, value=percent[k], half=half[k], color=color, shape=shape))
-    column = Column(head="% of described", axis=linear(max(low, 0.0), min(high, 300.0), 4), marks=marks, lines=(100.0,))
-    legend = (("● identified ± 95 %", ORANGE), ("○ not determined", GREY))
-    return Rows(path=("gains",), title="drive gains", names=names, columns=[column], legend=legend)
-
-
 def friction_charts(fit: Fit, of: str = "") -> list[Graph]:
     """Friction of each joint over its speed: rows as dots, the identified curve with its 95 % interval; a color per load.
 
@@ -192,9 +176,7 @@ def sensitivity_charts(fits: Sequence[VariedFit]) -> list[Rows]:
 
 
 def noise_chart(fits: Sequence[VariedFit]) -> Graph | None:
-    """The parameter that position noise moves most with LS, over this noise, by both methods, and its known value; None
-    without noise.
-    """
+    """The parameter that noise moves most with LS, over this noise, by both methods, and its known value, if there is noise."""
     noisy = [fits[0], *(fit for fit in fits if fit.values and fit.variant.noise)]
     if len(noisy) < 2:
         return None

@@ -39,9 +39,8 @@ NAMES = {  # key and name of some of them
 def lines_of(signals: Signals, settings: Settings | None, fit: Fit | None) -> Lines:
     """Decimated curves of a recording; `settings` are those of the filter.
 
-    `measured` covers the whole recording. `filtered` covers the fitted span, if there is a low-pass, and stands in place of
-    differences of the raw position. `simulated` is the robot with the estimate, if the fit simulated one. Errors are positions
-    minus the measured one.
+    `measured` covers the recording. `filtered`, if there is a low-pass, covers the fitted span, in place of raw derivatives.
+    `simulated` is the robot with the estimate, if the fit simulated one. Errors are positions minus the measured one.
     """
     filtered = {} if settings is None or settings.cutoff_hz is None else _decimate(signals, settings)
     lines = {("filtered", quantity): joints for quantity, joints in filtered.items()}

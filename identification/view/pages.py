@@ -37,13 +37,10 @@ def draw_fit(signals: Signals, fit: Fit, *, truth: Array | None = None) -> Pictu
     own = fitted_parameters(fit)
     others = [least_squares_parameters(fit)] if fit.iv else []
     others += [true_parameters(fit.base, truth)] if truth is not None else []
-    compared = (comparison_section(own, other) for other in others)
-    more = (replace(section, short=Section()) for section in compared)
+    more = (replace(comparison_section(own, other), short=Section()) for other in others)
     document = fit_document(signals, fit).followed_by(*more)
     torque, residual = curves.row_plots(signals.robot, fit.t_s, fit.tau, fit.tau_predicted)
     overview, *of_signals = _signal_pages(signals, fit.settings, fit, residual)
-    parameters: dict[str, Sequence[Panel]] = {"deviations": charts.deviation_charts(own, others)}
-    parameters["gains"] = [charts.gains_chart(fit.gains)] if fit.gains else []
     return Picture(
         name=f"{signals.robot.name}, {signals.recording}, {fit.method.upper()}",
         first=_largest(signals, torque, fit),
@@ -51,7 +48,7 @@ def draw_fit(signals: Signals, fit: Fit, *, truth: Array | None = None) -> Pictu
         pages=(
             overview,
             Page(name="trust", groups={"tests": charts.trust_charts(fit.trust)}),
-            Page(name="parameters", groups=parameters),
+            Page(name="parameters", groups={"deviations": charts.deviation_charts(own, others)}),
             Page(name="residual", groups={"residual": residual}),
             _friction_page({"": fit}),
             *of_signals,

@@ -394,7 +394,7 @@ def test_a_computer_without_can_is_told_what_to_do(capsys, monkeypatch):
     assert acquire(["scan", "--interface", "socketcan", "--channel", "can0"]) == 1
     assert capsys.readouterr().err == (
         "robot-acquire: bus: socketcan can0: cannot be opened: [Errno 97] Address family not supported by protocol: expected "
-        "CAN in Linux (modprobe can_raw) and its channel in `ip link`; or another interface, such as slcan\n"
+        "CAN in Linux (modprobe can_raw) and its channel in `ip link`; or another interface\n"
     )
 
 
