@@ -205,6 +205,21 @@ class Master:
         """The answer of any kind to a read request. Raises `AcquisitionError` when there is none."""
         return answer_of(self._exchange(node, read_request(index, sub), _place(node, index, sub)))
 
+    def upload_segments(self, node: int, index: int) -> Transfer:
+        """The value whose upload has begun with an answer of kind `other`, or an abort. Raises as `upload`."""
+        data = b""
+        for k in range(64):  # 448 bytes
+            request = bytes((0x60 | (k & 1) << 4,)).ljust(8, b"\0")  # with the toggle bit
+            answer = self._exchange(node, request, _place(node, index, 0))
+            if answer[0] >> 5:
+                return answer_of(answer)
+            self._unanswered[node] -= 1
+            data += answer[1 : 8 - (answer[0] >> 1 & 7)]
+            if answer[0] & 1:
+                self._unanswered[node] -= 1  # the request that began it
+                break
+        return Transfer(kind="value", index=index, data=data)
+
     def write(self, node: int, index: int, sub: int, value: int, size: int) -> None:
         """Write an object of `size` bytes. Raises `AcquisitionError` when refused or not answered."""
         place = f"{_place(node, index, sub)} = {value}"
@@ -219,7 +234,11 @@ class Master:
     def answered(self, node: int, request: bytes) -> bytes | None:
         """The answer to a request sent by `post`, once; None until it has arrived."""
         answer = self._answers.pop(node, None)
-        return answer if answer is not None and len(answer) == 8 and answer[1:4] == request[1:4] else None
+        if answer is None or len(answer) != 8:
+            return None
+        if request[0] >> 5 == 3:  # for a segment: the answer has its toggle bit, or is an abort
+            return answer if answer[0] >> 5 == 4 or answer[0] & 0xF0 == request[0] & 0x10 else None
+        return answer if answer[1:4] == request[1:4] else None
 
     def _exchange(self, node: int, request: bytes, place: str) -> bytes:
         self.post(node, request)

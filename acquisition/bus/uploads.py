@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from ..errors import AcquisitionError
-from ..protocol import BITS, DEVICE_TYPE, REQUEST, check_answer, error_frame_words, object_type, read_request
+from ..protocol import BITS, DEVICE_TYPE, REQUEST, TEXTS, check_answer, error_frame_words, object_type, read_request
 from ..recording import ERROR
 from ..robot import Bus, BusFile
 from .before_motion import LISTEN_S
@@ -20,10 +20,11 @@ MAX_ENTRIES = 8  # of an array
 
 
 class Reading(NamedTuple):
-    """The value of an object, or None, and what is wrong with the answer: none, an abort, another size; else empty."""
+    """The value (or text) of an object, and what is wrong with the answer: none, an abort, another size; else empty."""
 
     value: int | None
     problem: str = ""
+    text: str = ""
 
 
 NO_ANSWER = Reading(None, "no answer")
@@ -49,7 +50,9 @@ class Uploads:
         """Send a read request, a millisecond after the last one and after a look at all frames received until then."""
         while (frame := self._link.receive(self._next_ns)) is not None:
             self._received.append(self._checked(frame))
-        if not REQUEST < can_id <= REQUEST + 127 or data[:1] != b"\x40" or data[4:] != bytes(4):
+        is_read = data[:1] == b"\x40" and data[4:] == bytes(4)
+        is_read |= data[:1] in (b"\x60", b"\x70") and data[1:] == bytes(7)  # the next segment
+        if not REQUEST < can_id <= REQUEST + 127 or not is_read:
             self._refusal = f"frame 0x{can_id:03X} is no SDO read"
         self._refuse()
         self._say(f"asking node {can_id - REQUEST} of 1 to 127")
@@ -107,6 +110,8 @@ def _read(master: Master, node: int, index: int, sub: int) -> Reading:
     for _ in range(TRIES):
         try:
             answer = master.upload(node, index, sub)
+            if answer.kind == "other" and index in TEXTS:
+                answer = master.upload_segments(node, index)
         except AcquisitionError as error:
             if error.place == "bus":
                 raise
@@ -117,6 +122,8 @@ def _read(master: Master, node: int, index: int, sub: int) -> Reading:
             check_answer(answer, "value", "")
         except AcquisitionError as error:
             return Reading(None, str(error).removeprefix("refused by the drive: "))
+        if index in TEXTS:
+            return Reading(None, text=answer.data.decode(errors="replace").strip("\0 "))
         value = int.from_bytes(answer.data[:size], "little", signed=signed)
         return Reading(value, "" if len(answer.data) == size else f"{len(answer.data)} bytes: expected {size}")
     return NO_ANSWER
