@@ -16,6 +16,7 @@ from made_up_buses import bus_of, bus_text, robot_of
 from virtual_buses import Ear, bus_file, served
 
 from acquisition.bus import Frame, Link, Master, Uploads, open_bus, open_link, scan_nodes
+from acquisition.bus.uploads import upload_segments
 from acquisition.commands import checking, main
 from acquisition.commands.checking import table
 from acquisition.commands.command_line import Progress
@@ -255,7 +256,7 @@ def test_a_text_in_segments_byte_for_byte_and_its_requests_are_all_answered():
 
     master = Master(Answering(answer), bus_of(robot_of(bus_text(1))))
     assert master.upload(5, 0x1008).kind == "other"
-    assert master.upload_segments(5, 0x1008).data == b"Drive 1B\xb03"
+    assert upload_segments(master, 5, 0x1008).data == b"Drive 1B\xb03"
     assert sent == [b"\x40\x08\x10\x00" + bytes(4), *SEGMENTS]
     master.dispatch(Frame(0, 0x585, value_answer(0x6041, 0, 0, 2)))
     assert master.doubled == {5}

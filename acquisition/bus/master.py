@@ -77,7 +77,7 @@ class Master:
         self.by_node = {watch.drive.node: watch for watch in self.nodes}
         self._by_pdo = {pdo.can_id: (watch, pdo) for watch in self.nodes for pdo in watch.drive.tpdos}
         self._answers: dict[int, bytes] = {}
-        self._unanswered = Counter[int]()  # SDO requests of any master, by node; a late answer is one too
+        self.unanswered = Counter[int]()  # SDO requests of any master, by node; a late answer is one too
         self.doubled: set[int] = set()  # nodes with more SDO answers than requests: two devices have their id
         self.sync_times: list[int] = []
         self.synced_ns: int | None = None  # when we sent the last SYNC
@@ -131,14 +131,14 @@ class Master:
             if code:  # 0: the error is cleared
                 self.by_node[node].emergency = code
         else:
-            self._unanswered[node] += function == REQUEST
+            self.unanswered[node] += function == REQUEST
             self._note_sign(frame)
 
     def _note_answer(self, node: int, answer: Transfer) -> None:
         # Transfers in segments are left open here: their server may abort them, besides the next answer or in time.
         if answer.kind != "other" and (answer.kind, answer.number) != ("abort", ABORTS["timed out"]):
-            self._unanswered[node] -= 1
-            self.doubled |= {node} if self._unanswered[node] < 0 else set()
+            self.unanswered[node] -= 1
+            self.doubled |= {node} if self.unanswered[node] < 0 else set()
 
     def refuse_doubled(self) -> None:
         """Raise `AcquisitionError` where two devices have answered as one node."""
@@ -203,33 +203,18 @@ class Master:
 
     def upload(self, node: int, index: int, sub: int = 0) -> Transfer:
         """The answer of any kind to a read request. Raises `AcquisitionError` when there is none."""
-        return answer_of(self._exchange(node, read_request(index, sub), _place(node, index, sub)))
-
-    def upload_segments(self, node: int, index: int) -> Transfer:
-        """The value whose upload has begun with an answer of kind `other`, or an abort. Raises as `upload`."""
-        data = b""
-        for k in range(64):  # 448 bytes
-            request = bytes((0x60 | (k & 1) << 4,)).ljust(8, b"\0")  # with the toggle bit
-            answer = self._exchange(node, request, _place(node, index, 0))
-            if answer[0] >> 5:
-                return answer_of(answer)
-            self._unanswered[node] -= 1
-            data += answer[1 : 8 - (answer[0] >> 1 & 7)]
-            if answer[0] & 1:
-                self._unanswered[node] -= 1  # the request that began it
-                break
-        return Transfer(kind="value", index=index, data=data)
+        return answer_of(self.exchange(node, read_request(index, sub), _place(node, index, sub)))
 
     def write(self, node: int, index: int, sub: int, value: int, size: int) -> None:
         """Write an object of `size` bytes. Raises `AcquisitionError` when refused or not answered."""
         place = f"{_place(node, index, sub)} = {value}"
-        check_answer(answer_of(self._exchange(node, write_request(index, sub, value, size), place)), "written", place)
+        check_answer(answer_of(self.exchange(node, write_request(index, sub, value, size), place)), "written", place)
 
     def post(self, node: int, request: bytes) -> None:
         """Send an SDO request without waiting; `answered` returns its answer."""
         self._answers.pop(node, None)
         self.link.send(REQUEST + node, request)
-        self._unanswered[node] += 1
+        self.unanswered[node] += 1
 
     def answered(self, node: int, request: bytes) -> bytes | None:
         """The answer to a request sent by `post`, once; None until it has arrived."""
@@ -240,7 +225,8 @@ class Master:
             return answer if answer[0] >> 5 == 4 or answer[0] & 0xF0 == request[0] & 0x10 else None
         return answer if answer[1:4] == request[1:4] else None
 
-    def _exchange(self, node: int, request: bytes, place: str) -> bytes:
+    def exchange(self, node: int, request: bytes, place: str) -> bytes:
+        """The answer to an SDO request. Raises `AcquisitionError` with `place` when there is none."""
         self.post(node, request)
         until_ns = self.link.now_ns()
         for _ in range(SDO_TIMEOUT_NS // _SLICE_NS):

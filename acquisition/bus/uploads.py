@@ -5,7 +5,18 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from ..errors import AcquisitionError
-from ..protocol import BITS, DEVICE_TYPE, REQUEST, TEXTS, check_answer, error_frame_words, object_type, read_request
+from ..protocol import (
+    BITS,
+    DEVICE_TYPE,
+    REQUEST,
+    TEXTS,
+    Transfer,
+    answer_of,
+    check_answer,
+    error_frame_words,
+    object_type,
+    read_request,
+)
 from ..recording import ERROR
 from ..robot import Bus, BusFile
 from .before_motion import LISTEN_S
@@ -105,13 +116,30 @@ def _read_node(master: Master, node: int, objects: Sequence[tuple[int, int]], ar
     return readings
 
 
+def upload_segments(master: Master, node: int, index: int) -> Transfer:
+    """The value whose upload has begun with an answer of kind `other`, or an abort. Raises as `Master.upload`."""
+    data = b""
+    for k in range(64):  # 448 bytes
+        answer = master.exchange(
+            node, bytes((0x60 | (k & 1) << 4,)).ljust(8, b"\0"), f"node {node}"
+        )  # with the toggle bit
+        if answer[0] >> 5:
+            return answer_of(answer)
+        master.unanswered[node] -= 1
+        data += answer[1 : 8 - (answer[0] >> 1 & 7)]
+        if answer[0] & 1:
+            master.unanswered[node] -= 1  # the request that began it
+            break
+    return Transfer(kind="value", index=index, data=data)
+
+
 def _read(master: Master, node: int, index: int, sub: int) -> Reading:
     size, signed = BITS[object_type(index, sub)] // 8, object_type(index, sub)[0] == "I"
     for _ in range(TRIES):
         try:
             answer = master.upload(node, index, sub)
             if answer.kind == "other" and index in TEXTS:
-                answer = master.upload_segments(node, index)
+                answer = upload_segments(master, node, index)
         except AcquisitionError as error:
             if error.place == "bus":
                 raise

@@ -25,7 +25,6 @@ from ..protocol import (
     REQUEST,
     STANDARD,
     STOP_OPTIONS,
-    TEXTS,
     TRANSITIONS,
     Command,
     Pdo,
@@ -235,8 +234,6 @@ def simulated_node(drive: Drive) -> SimulatedNode:
         # CiA 402: fault signal; off.
         values |= {(IDENTITY, 0): 4, (ABORT_CONNECTION, 0): 1, (FOLLOWING_ERROR_WINDOW, 0): 2**32 - 1}
         values |= dict.fromkeys(((option, 0) for option in STOP_OPTIONS), 2)  # quick stop ramp
-        for index, text in zip(TEXTS, (b"sim", b"none", b"none"), strict=True):  # of four bytes: in one frame
-            types[index, 0], values[index, 0] = "U32", int.from_bytes(text, "little")
         values |= {(first + k, 1): NOT_VALID for first, _ in PARAMETERS.values() for k in range(4)}
     values |= {(index, 0): raw for index, raw in drive.rated.items() if (index, 0) in values}
     node = SimulatedNode(drive=drive, types=types, values=values, read_only=read_only)
