@@ -15,7 +15,7 @@ from made_up_buses import bus_text
 from acquisition.bus import listening_words, open_bus
 from acquisition.bus.passive import LISTEN_ONLY
 from acquisition.commands import main
-from acquisition.errors import AcquisitionError
+from acquisition.errors import RobotIdimError
 from acquisition.robot import BusFile
 
 Asked = list[tuple[object, ...]]
@@ -114,9 +114,7 @@ def test_an_adapter_is_told_to_only_listen(monkeypatch, interface):
 def test_a_pcan_that_does_not_confirm_is_no_passive_bus(monkeypatch, confirms):
     asked: Asked = []
     pcan_driver(monkeypatch, asked, confirms)
-    with pytest.raises(
-        AcquisitionError, match="bus: pcan PCAN_USBBUS1: does not confirm listen-only: expected a driver"
-    ):
+    with pytest.raises(RobotIdimError, match="bus: pcan PCAN_USBBUS1: does not confirm listen-only: expected a driver"):
         open_bus(bus_at("pcan", "PCAN_USBBUS1"), passive=True)
     assert asked[-1][0] == "Uninitialize"
     open_bus(bus_at("pcan", "PCAN_USBBUS1"), passive=False).shutdown()
@@ -165,7 +163,7 @@ def test_the_user_is_told_before_the_bus_is_opened(tmp_path, monkeypatch, capsys
     robot.write_text(bus_text(1, interface=interface, channel="0"))
 
     def opened(*_: object, **__: object) -> None:
-        raise AcquisitionError(f"opened; before: {capsys.readouterr().err}")
+        raise RobotIdimError(f"opened; before: {capsys.readouterr().err}")
 
     monkeypatch.setattr("acquisition.session.running.ProcessLog", opened)
     assert main(["record", str(robot), "-o", str(tmp_path / "a.mcap"), "--passive"]) == 1

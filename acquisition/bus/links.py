@@ -11,7 +11,7 @@ from collections import deque
 from contextlib import suppress
 from typing import Any, Protocol
 
-from ..errors import AcquisitionError
+from ..errors import BusFaultError, RefusedError
 from ..recording import SENT
 from ..robot import BusFile
 from .frames import Frame, Tap, frame_of
@@ -74,8 +74,10 @@ logging.getLogger("can").addHandler(logging.NullHandler())
 
 
 def refuse_to_send(*_: object, **__: object) -> None:
-    """Raise `AcquisitionError`: replaces the sending functions of a passive bus."""
-    raise AcquisitionError("passive: nothing is ever sent", place="bus", expected="an active session for that")
+    """Raise `BadInputError`: replaces the sending functions of a passive bus."""
+    raise RefusedError(
+        "passive: nothing is ever sent", what="sending", place="bus", expected="an active session for that"
+    )
 
 
 def is_group(bus: Any) -> bool:
@@ -117,10 +119,8 @@ def open_bus(file: BusFile, *, passive: bool) -> Any:
         problem = str(error) or type(error).__name__
         expected = ""
         if file.interface == "socketcan":
-            expected = (
-                "CAN in Linux (modprobe can_raw) and its channel in `ip link`; or another interface, such as slcan"
-            )
-        raise AcquisitionError(f"cannot be opened: {problem}", place=place, expected=expected) from error
+            expected = "CAN in Linux (modprobe can_raw) and its channel in `ip link`; or another interface"
+        raise BusFaultError(f"cannot be opened: {problem}", place=place, expected=expected) from error
     if file.interface == "udp_multicast" and file.loopback:
         stay_on_loopback(bus, file)
     if passive:
@@ -143,10 +143,10 @@ class MasterLink(Protocol):
         """Time of this link, of events and deadlines."""
 
     def send(self, can_id: int, data: bytes) -> None:
-        """Send a frame. Raises `AcquisitionError` where that fails."""
+        """Send a frame. Raises `BadInputError` where that fails."""
 
     def receive(self, until_ns: int) -> Frame | None:
-        """The next frame, None when there is none until `until_ns`. Raises `AcquisitionError` when the bus fails."""
+        """The next frame, None when there is none until `until_ns`. Raises `BadInputError` when the bus fails."""
 
 
 class Link:
@@ -164,7 +164,7 @@ class Link:
         return self._epoch_ns + time.monotonic_ns()
 
     def send(self, can_id: int, data: bytes) -> None:
-        """Send a frame. Raises `AcquisitionError` where the link is passive or the bus does not take it."""
+        """Send a frame. Raises `BadInputError` where the link is passive or the bus does not take it."""
         if self._passive:
             refuse_to_send()
         import can
@@ -174,7 +174,7 @@ class Link:
         try:
             self._bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False), timeout=0.05)
         except can.CanError as error:
-            raise AcquisitionError(f"frame 0x{can_id:03X} cannot be sent: {error}", place="bus") from error
+            raise BusFaultError(f"frame 0x{can_id:03X} cannot be sent: {error}", place="bus") from error
         if self._tap is not None:
             self._tap(Frame(self.now_ns(), can_id, data, SENT))
 
@@ -183,7 +183,7 @@ class Link:
         return self.take(max(0.0, (until_ns - self.now_ns()) * 1e-9))
 
     def take(self, timeout_s: float) -> Frame | None:
-        """The next frame, None when there is none within `timeout_s`. Raises `AcquisitionError` when the bus fails."""
+        """The next frame, None when there is none within `timeout_s`. Raises `BadInputError` when the bus fails."""
         import can
 
         until_s = time.monotonic() + timeout_s
@@ -195,7 +195,7 @@ class Link:
                     if time.monotonic() >= until_s:
                         return None
                     continue
-                raise AcquisitionError(f"cannot be read: {error}", place="bus") from error
+                raise BusFaultError(f"cannot be read: {error}", place="bus") from error
             if message is None:
                 return None
             if getattr(message, "is_fd", False):

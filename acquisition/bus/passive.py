@@ -5,7 +5,7 @@ import subprocess
 from contextlib import suppress
 from typing import Any
 
-from ..errors import AcquisitionError
+from ..errors import RefusedError
 from ..robot import BusFile
 
 # What python-can opens an adapter with so that it only listens. Adapters that are not here acknowledge all frames.
@@ -39,11 +39,11 @@ def listening_words(file: BusFile) -> str:
 
 
 def refuse_unconfirmed(bus: Any, place: str) -> None:
-    """Raise `AcquisitionError` if a PCAN, the only adapter that can be asked, does not confirm that it only listens."""
+    """Raise `RefusedError` if a PCAN, the only adapter that can be asked, does not confirm that it only listens."""
     if (driver := getattr(bus, "m_objPCANBasic", None)) is not None:
         from can.interfaces.pcan.basic import PCAN_ERROR_OK, PCAN_LISTEN_ONLY
 
         if driver.GetValue(bus.m_PcanHandle, PCAN_LISTEN_ONLY) != (PCAN_ERROR_OK, 1):
             bus.shutdown()
             expected = "a driver and an adapter that can; no other program may have it open"
-            raise AcquisitionError("does not confirm listen-only", place=place, expected=expected)
+            raise RefusedError("does not confirm listen-only", what="recording", place=place, expected=expected)

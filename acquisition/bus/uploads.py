@@ -4,7 +4,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from ..errors import AcquisitionError
+from ..errors import NoAnswerError, RefusedError, SdoAbortedError
 from ..protocol import (
     BITS,
     DEVICE_TYPE,
@@ -71,7 +71,7 @@ class Uploads:
         self._link.send(can_id, data)
 
     def receive(self, until_ns: int) -> Frame | None:
-        """The next frame. Raises `AcquisitionError` for one of another master, and for an error frame."""
+        """The next frame. Raises `BadInputError` for one of another master, and for an error frame."""
         frame = None if self._received else self._link.receive(until_ns)
         return self._received.popleft() if self._received else frame and self._checked(frame)
 
@@ -90,7 +90,7 @@ class Uploads:
     def _refuse(self) -> None:
         if self._refusal:
             sent = f"{self._sent} SDO reads were sent" if self._sent else "nothing was sent"
-            raise AcquisitionError(self._refusal, place="bus", expected=f"none during a scan; {sent}")
+            raise RefusedError(self._refusal, what="sending", place="bus", expected=f"none during a scan; {sent}")
 
 
 def scan_nodes(uploads: Uploads, objects: Sequence[tuple[int, int]], arrays: Sequence[int]) -> dict[int, Readings]:
@@ -140,16 +140,14 @@ def _read(master: Master, node: int, index: int, sub: int) -> Reading:
             answer = master.upload(node, index, sub)
             if answer.kind == "other" and index in TEXTS:
                 answer = upload_segments(master, node, index)
-        except AcquisitionError as error:
-            if error.place == "bus":
-                raise
+        except NoAnswerError:
             continue
         if answer.kind == "other":
             return Reading(None, f"more than 4 bytes: expected {size}")
         try:
-            check_answer(answer, "value", "")
-        except AcquisitionError as error:
-            return Reading(None, str(error).removeprefix("refused by the drive: "))
+            check_answer(answer, "value", node, "")
+        except SdoAbortedError as error:
+            return Reading(None, f"{error.meaning} (0x{error.code:08X})")
         if index in TEXTS:
             return Reading(None, text=answer.data.decode(errors="replace").strip("\0 "))
         value = int.from_bytes(answer.data[:size], "little", signed=signed)

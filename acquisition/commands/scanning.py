@@ -5,7 +5,7 @@ from collections.abc import Collection, Iterator, Mapping
 from contextlib import suppress
 
 from ..bus import Readings
-from ..errors import AcquisitionError
+from ..errors import BusFaultError
 from ..protocol import EFFORT_OBJECTS, NOT_VALID, PARAMETERS, RULES, TEXTS, position_units_per_turn, state_of
 from ..robot import FILL_IN, BusFile
 from .checking import Finding
@@ -62,7 +62,7 @@ def _words(readings: Readings, index: int, sub: int) -> str:
         return f"{words} -" if "not exist" in problem else f"{words} ({problem})"
     words += f" 0x{value:X}" if index in _HEXADECIMAL else f" {value}"
     if index == 0x6041:
-        with suppress(AcquisitionError):  # bits of no state
+        with suppress(BusFaultError):  # bits of no state
             words += f" {state_of(value).words}"
     if index == 0x6502:
         words += f" modes {', '.join(str(bit + 1) for bit in range(32) if value >> bit & 1)}"

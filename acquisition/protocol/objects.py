@@ -12,7 +12,7 @@ from functools import lru_cache
 import numpy as np
 
 from ..arrays import Array, Ints
-from ..errors import AcquisitionError, Place
+from ..errors import BadInputError, Place
 
 # Types of dictionaries by their number in CiA 301.
 INTEGERS = {2: "I8", 3: "I16", 4: "I32", 5: "U8", 6: "U16", 7: "U32"}
@@ -197,14 +197,14 @@ def saturated(value: Array, kind: str) -> Ints:
 
 
 def interpolation_period(period_s: float) -> tuple[int, int]:
-    """60C2h: count (U8) and power of ten (I8) of the SYNC period. Raises `AcquisitionError` if it has no exact form."""
+    """60C2h: count (U8) and power of ten (I8) of the SYNC period. Raises `BadInputError` if it has no exact form."""
     for unit in (-3, -4, -5, -6):
         count = period_s / 10.0**unit
         if round(count) in range(1, 256) and abs(count - round(count)) < 1e-6 * count:
             return round(count), unit
     problem = "not representable as the drives' interpolation period (60C2)"
     expected = "up to 255 times 1 ms, 0.1 ms, 10 µs or 1 µs"
-    raise AcquisitionError(problem, key="bus.sync_period_s", value=period_s, shown=f"{period_s:g}", expected=expected)
+    raise BadInputError(problem, key="bus.sync_period_s", value=period_s, shown=f"{period_s:g}", expected=expected)
 
 
 IDENTITY = 0x1018
@@ -250,7 +250,7 @@ class ObjectDictionary:
 def load_dictionary(data: bytes, place: str, node: int) -> ObjectDictionary:
     """Types, access and values of an object dictionary (EDS or DCF, CiA 306) by index and sub-index.
 
-    `data` is the file's content, `node` replaces `$NODEID`. Raises `AcquisitionError` with `place`, the file's name, and the
+    `data` is the file's content, `node` replaces `$NODEID`. Raises `BadInputError` with `place`, the file's name, and the
     line: the file cannot be read, holds an entry twice, or holds no objects.
     """
     import canopen

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import AcquisitionError
+from ..errors import BadInputError
 from ..recording import (
     CAN_FD,
     FRAME,
@@ -53,7 +53,7 @@ class RecordedSummary:
 
 
 class Recorder:
-    """Writes the recording `path`; flushed data survives a kill. Raises `AcquisitionError` if it exists or writing fails."""
+    """Writes the recording `path`; flushed data survives a kill. Raises `BadInputError` if it exists or writing fails."""
 
     def __init__(self, path: Path, robot: Robot, *, source: str, place: str, payload: Payload | None = None) -> None:
         assert robot.bus is not None
@@ -62,7 +62,7 @@ class Recorder:
         self._bus: Bus | None = None if file.mapped_by_traffic else resolve(robot, place)
         if path.exists():
             expected = "a new name; recordings are not replaced"
-            raise AcquisitionError("already exists", place=str(path), expected=expected)
+            raise BadInputError("already exists", place=str(path), expected=expected)
         header = Header(
             robot=robot,
             source=source,
@@ -81,7 +81,7 @@ class Recorder:
         try:
             self._writer = RecordingWriter(path, header)
         except OSError as error:
-            raise AcquisitionError(f"cannot be written: {error.strerror or error}", place=str(path)) from error
+            raise BadInputError(f"cannot be written: {error.strerror or error}", place=str(path)) from error
         self.channel = "".join(c if c.isalnum() or c in "_.-" else "_" for c in file.channel)[:64] or "can"
         self._recent: list[Block] = []  # since the last status
         self._status = Status()
@@ -125,7 +125,7 @@ class Recorder:
     def _next_status(self, recent: Block, elapsed_s: float, drops: int) -> Status:
         last = self._status
         low, high, counted = last.lowest, last.highest, dict.fromkeys(("late", "missing", "duplicate", "short"), 0)
-        with suppress(AcquisitionError):  # while there is no SYNC, or no drive answers
+        with suppress(BadInputError):  # while there is no SYNC, or no drive answers
             if self._bus is None:
                 self._bus = resolve(self._robot, self._place, written_by_master(recent))
             decoded = decode(recent, self._robot, self._bus, self._place, max_missing=1.0)
@@ -170,9 +170,9 @@ def write_decoded(writer: RecordingWriter, frames: Block, robot: Robot, stamp_ns
     try:
         bus = resolve(robot, place, written_by_master(frames))
         decoded = decode(frames, robot, bus, place)
-    except AcquisitionError as error:
-        writer.event(stamp_ns, "warning", f"{NO_SAMPLES}{error}")
-        return RecordedSummary(frames=len(frames), samples=0, warnings=(), no_samples=str(error))
+    except BadInputError as error:
+        writer.event(stamp_ns, "warning", f"{NO_SAMPLES}{error.args[0]}")
+        return RecordedSummary(frames=len(frames), samples=0, warnings=(), no_samples=error.args[0])
     decoded.write(writer, stamp_ns)
     return RecordedSummary(frames=len(frames), samples=len(decoded.stamps), warnings=decoded.warnings)
 
