@@ -10,7 +10,7 @@ import numpy as np
 
 from ..errors import BadInputError
 from ..protocol import ANSWER, EMERGENCY, HEARTBEAT, REQUEST, usual_can_id
-from ..recording import ERROR, EXTENDED, FRAME, MAX_STAMP_NS, REMOTE_REQUEST, SENT, Block
+from ..recording import CAN_FD, ERROR, EXTENDED, FRAME, MAX_STAMP_NS, REMOTE_REQUEST, SENT, Block
 from ..robot import Bus
 
 
@@ -45,6 +45,7 @@ def frame_of(message: Any) -> Frame:
         | (ERROR if message.is_error_frame else 0)
         | (REMOTE_REQUEST if message.is_remote_frame else 0)
         | (0 if message.is_rx else SENT)
+        | (CAN_FD if message.is_fd else 0)
     )
     return Frame(round(message.timestamp * 1e9), message.arbitration_id, bytes(message.data)[:8], flags)
 

@@ -15,6 +15,7 @@ from ..errors import BusFaultError, RefusedError
 from ..recording import SENT
 from ..robot import BusFile
 from .frames import Frame, Tap, frame_of
+from .passive import LISTEN_ONLY, refuse_unconfirmed
 
 QUEUE_BYTES = 4 * 2**20  # of the kernel's receive queue; the default of 212992 holds 31 ms of a full bus
 
@@ -93,30 +94,37 @@ def is_no_frame(bus: Any, error: Exception) -> bool:
 
 
 def open_bus(file: BusFile, *, passive: bool) -> Any:
-    """The python-can bus of a description. A `passive` bus cannot send, and an slcan adapter does not even acknowledge."""
+    """The python-can bus of a description. A `passive` bus cannot send, and an adapter of `LISTEN_ONLY` only listens."""
     import can
 
+    place = f"bus: {file.interface} {file.channel}"
     options: dict[str, Any] = {"interface": file.interface, "channel": file.channel, "ignore_config": True}
     if file.interface == "udp_multicast":
         # A hop limit of 0 keeps every frame on this machine.
         options |= {"hop_limit": 0 if file.loopback else 1, "fd": False}
         group, _, port = file.channel.partition(":")
         options |= {"channel": group} | ({"port": int(port)} if port.isdigit() else {})
+    elif file.interface == "socketcan":
+        options["fd"] = True  # frames of CAN FD are received too, to be counted
     elif file.interface not in SHARED:
         options["bitrate"] = file.bitrate
-    if passive and file.interface == "slcan":
-        options["listen_only"] = True
+        if file.interface == "gs_usb" and file.channel.isdigit():
+            options["channel"] = int(file.channel)  # the number of the device; python-can takes no text
+        options |= LISTEN_ONLY.get(file.interface, {}) if passive else {}
+    if "state" in options:
+        options["state"] = can.BusState[options["state"]]
     try:
         bus = can.Bus(**options)
     except (can.CanError, OSError, ValueError, TypeError, ImportError, NotImplementedError) as error:
         problem = str(error) or type(error).__name__
-        place, expected = f"bus: {file.interface} {file.channel}", ""
+        expected = ""
         if file.interface == "socketcan":
             expected = "CAN in Linux (modprobe can_raw) and its channel in `ip link`; or another interface"
         raise BusFaultError(f"cannot be opened: {problem}", place=place, expected=expected) from error
     if file.interface == "udp_multicast" and file.loopback:
         stay_on_loopback(bus, file)
     if passive:
+        refuse_unconfirmed(bus, place)
         for name in ("send", "send_periodic"):
             setattr(bus, name, refuse_to_send)
     sock = socket_of(bus)
@@ -191,6 +199,8 @@ class Link:
             if message is None:
                 return None
             if getattr(message, "is_fd", False):
+                if self._tap is not None:
+                    self._tap(frame_of(message))
                 continue
             sent = (message.arbitration_id, bytes(message.data))
             if not self._own or sent not in self._own or (message.is_rx and not is_group(self._bus)):

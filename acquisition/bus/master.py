@@ -77,7 +77,7 @@ class Master:
         self.by_node = {watch.drive.node: watch for watch in self.nodes}
         self._by_pdo = {pdo.can_id: (watch, pdo) for watch in self.nodes for pdo in watch.drive.tpdos}
         self._answers: dict[int, bytes] = {}
-        self._unanswered = Counter[int]()  # SDO requests of any master, by node; a late answer is one too
+        self.unanswered = Counter[int]()  # SDO requests of any master, by node; a late answer is one too
         self.doubled: set[int] = set()  # nodes with more SDO answers than requests: two devices have their id
         self.sync_times: list[int] = []
         self.synced_ns: int | None = None  # when we sent the last SYNC
@@ -131,14 +131,14 @@ class Master:
             if code:  # 0: the error is cleared
                 self.by_node[node].emergency = code
         else:
-            self._unanswered[node] += function == REQUEST
+            self.unanswered[node] += function == REQUEST
             self._note_sign(frame)
 
     def _note_answer(self, node: int, answer: Transfer) -> None:
         # Transfers in segments are left open here: their server may abort them, besides the next answer or in time.
         if answer.kind != "other" and (answer.kind, answer.number) != ("abort", ABORTS["timed out"]):
-            self._unanswered[node] -= 1
-            self.doubled |= {node} if self._unanswered[node] < 0 else set()
+            self.unanswered[node] -= 1
+            self.doubled |= {node} if self.unanswered[node] < 0 else set()
 
     def refuse_doubled(self) -> None:
         """Raise `BadInputError` where two devices have answered as one node."""
@@ -203,27 +203,32 @@ class Master:
         return check_answer(self.upload(node, index, sub), "value", node, _place(node, index, sub))
 
     def upload(self, node: int, index: int, sub: int = 0) -> Transfer:
-        """The answer of any kind to a read request. Raises `BadInputError` when there is none."""
-        return answer_of(self._exchange(node, read_request(index, sub), _place(node, index, sub)))
+        """The answer of any kind to a read request. Raises `NoAnswerError` when there is none."""
+        return answer_of(self.exchange(node, read_request(index, sub), _place(node, index, sub)))
 
     def write(self, node: int, index: int, sub: int, value: int, size: int) -> None:
         """Write an object of `size` bytes. Raises `BadInputError` when refused or not answered."""
         place = f"{_place(node, index, sub)} = {value}"
-        answer = answer_of(self._exchange(node, write_request(index, sub, value, size), place))
+        answer = answer_of(self.exchange(node, write_request(index, sub, value, size), place))
         check_answer(answer, "written", node, place)
 
     def post(self, node: int, request: bytes) -> None:
         """Send an SDO request without waiting; `answered` returns its answer."""
         self._answers.pop(node, None)
         self.link.send(REQUEST + node, request)
-        self._unanswered[node] += 1
+        self.unanswered[node] += 1
 
     def answered(self, node: int, request: bytes) -> bytes | None:
         """The answer to a request sent by `post`, once; None until it has arrived."""
         answer = self._answers.pop(node, None)
-        return answer if answer is not None and len(answer) == 8 and answer[1:4] == request[1:4] else None
+        if answer is None or len(answer) != 8:
+            return None
+        if request[0] >> 5 == 3:  # for a segment: the answer has its toggle bit, or is an abort
+            return answer if answer[0] >> 5 == 4 or answer[0] & 0xF0 == request[0] & 0x10 else None
+        return answer if answer[1:4] == request[1:4] else None
 
-    def _exchange(self, node: int, request: bytes, place: str) -> bytes:
+    def exchange(self, node: int, request: bytes, place: str) -> bytes:
+        """The answer to an SDO request. Raises `NoAnswerError` with `place` when there is none."""
         self.post(node, request)
         until_ns = self.link.now_ns()
         for _ in range(SDO_TIMEOUT_NS // _SLICE_NS):

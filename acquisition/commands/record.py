@@ -60,10 +60,13 @@ def run(options: argparse.Namespace) -> int:
     def show(status: "Status", left_s: float | None) -> None:
         line.show(*live_line(robot, status, left_s))
 
+    def note(text: str) -> None:
+        print(one_line(text), file=sys.stderr, flush=True)
+
     if sys.stderr.isatty():
         print(f"watch it in a second terminal: robot-identify view {options.output} --follow", file=sys.stderr)
     line.show(("starting", False))
-    interface = UserInterface(stop=stop, confirm=confirm, show=show, announce=announce)
+    interface = UserInterface(stop=stop, confirm=confirm, show=show, announce=announce, note=note)
     try:
         with stop_on_signals(stop):
             chosen = from_options(RecordOptions, options)

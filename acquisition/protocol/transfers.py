@@ -1,7 +1,7 @@
 """PDO and SDO of CiA 301 as bytes, without I/O: mapping, configuration and bus load; expedited transfers.
 
 The SDO functions are for our requests, the answers of simulated drives, and another master's traffic. Every object read or
-written here has at most four bytes: longer transfers are not needed.
+written here has at most four bytes, but for the texts that a scan reads in segments.
 """
 
 from collections.abc import Iterable, Iterator, Mapping

@@ -2,13 +2,14 @@
 
 import shutil
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from ..errors import BadInputError
 from ..recording import (
+    CAN_FD,
     FRAME,
     NO_SAMPLES,
     Block,
@@ -86,9 +87,13 @@ class Recorder:
         self._status = Status()
         self.granted: dict[str, float] = {}  # constant counters, for every line of `/health`
         self._flushed_ns: int | None = None
+        self._fd_frames = 0
 
     def add(self, block: Block) -> None:
-        """Write frames in the order of reception; programs that follow the file see them at once."""
+        """Write frames in the order of reception; programs that follow the file see them at once. CAN FD is only counted."""
+        of_fd = (block["flags"] & CAN_FD) != 0
+        self._fd_frames += int(of_fd.sum())
+        block = block[~of_fd]
         if len(block):
             self._writer.frames(self.channel, block)
             self._writer.flush(sync=False)
@@ -143,6 +148,10 @@ class Recorder:
         self._writer.flush()
         frames = read_recording(self._path).frames.get(self.channel, np.zeros(0, FRAME))
         found = write_decoded(self._writer, frames, self._robot, stamp_ns, str(self._path))
+        if self._fd_frames:
+            text = f"frames left out: {self._fd_frames} of CAN FD"
+            self._writer.event(stamp_ns, "warning", text)
+            found = replace(found, warnings=(*found.warnings, text))
         self._note_marks(stamp_ns, last=True)
         self._writer.close()
         return found

@@ -18,6 +18,7 @@ from ..bus import (
     Master,
     WallClock,
     confirm_motion,
+    listening_words,
     open_link,
     refuse_unsupervised,
     second_stop,
@@ -62,6 +63,7 @@ class UserInterface:
     confirm: Confirm = lambda words, faults: False
     show: ShowStatus = lambda status, left_s: None  # called twice a second
     announce: Callable[[Outcome], None] = lambda outcome: None  # called as soon as the outcome is known
+    note: Callable[[str], None] = lambda text: None  # what a passive recording does to the bus, before it is opened
 
 
 def record(
@@ -180,7 +182,10 @@ def _listen(
     robot: Robot, place: str, out: Path, task: Task, operator: UserInterface, payload: Payload | None
 ) -> tuple[Outcome, RecordedSummary]:
     """Record the frames of the bus. Only the recorder's process opens it, and cannot send."""
-    stop, clock = operator.stop, WallClock()
+    assert robot.bus is not None
+    stop, clock, words = operator.stop, WallClock(), listening_words(robot.bus)
+    if words:
+        operator.note(words)
     log = ProcessLog(out, robot, place, Role.LISTENER, clock.now_ns() - time.monotonic_ns(), payload)
     try:
         started_s = time.monotonic()

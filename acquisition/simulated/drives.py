@@ -75,6 +75,7 @@ class SimulatedDrives:
             self._set_ramps(node, limit)
         for i, node in enumerate(self.nodes):
             stated = units_and_limits(robot, bus, i) if node.drive.dictionary is None else {}
+            node.types |= dict.fromkeys(stated.keys() - node.types, "U32")
             node.values |= stated
             node.initial |= stated
         self._reports_demand = np.array([drive.reports_demand for drive in bus.file.drive])
