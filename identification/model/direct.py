@@ -5,9 +5,12 @@ the regressor is, row by row, a derivative of RNEA with the function's derivativ
 Mansard: Analytical Derivatives of Rigid Body Dynamics Algorithms, RSS 2018.
 """
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+import eigenpy
 import numpy as np
 import pinocchio as pin
 
@@ -62,6 +65,19 @@ class DirectModel:
         """Upper triangle of M (n, n) without rotors, and h (n,) without friction, at one state."""
         bias = pin.nonLinearEffects(self.rigid, self.data, q, dq)
         return pin.crba(self.rigid, self.data, q), bias
+
+    def lone_bias(self) -> Callable[[float], float]:
+        """h of a lone joint, without friction, as a function of its position: a + b cos q + c sin q."""
+        at = np.array([[0.0], [0.5 * np.pi], [np.pi]])
+        ahead, up, behind = (self.inertia_and_bias(q, np.zeros(1))[1].item() for q in at)
+        a, b = 0.5 * (ahead + behind), 0.5 * (ahead - behind)
+        c, cos, sin = up - a, math.cos, math.sin
+
+        def bias(q: float) -> float:
+            q = q if abs(q) < math.inf else math.nan  # the cosine of infinity is an error
+            return a + b * cos(q) + c * sin(q)
+
+        return bias if b or c else lambda q: a
 
     def of_links(self, q: Array, dq: Array, ddq: Array) -> Array:
         """tau_rigid (n,), the links' torque at one state."""
@@ -180,6 +196,17 @@ def direct_model(dynamics: InverseModel, chi: Array) -> DirectModel:
         shapes={kind: shapes[kind] for kind in SHAPES if kind in shapes and shapes[kind][0].any()},
         offset=offset,
     )
+
+
+def cholesky_solver(n: int) -> Callable[[Array, Array], Any]:
+    """A function that solves A x = b for x (n,), of the upper triangle of A (n, n); its x is None if A is not positive."""
+    factors = eigenpy.LLT(n)
+
+    def solve(A: Array, b: Array) -> Any:
+        factors.compute(A.T)  # of which Eigen reads the lower triangle
+        return None if factors.info() else factors.solve(b).ravel()  # for a lone joint it is (1, 1)
+
+    return solve
 
 
 def poses_of(q: Array) -> Array:
