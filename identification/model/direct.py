@@ -83,10 +83,6 @@ class DirectModel:
 
         return bias if b or c else lambda q: a
 
-    def of_links(self, q: Array, dq: Array, ddq: Array) -> Array:
-        """tau_rigid (n,), the links' torque at one state."""
-        return np.asarray(pin.rnea(self.rigid, self.data, q, dq, ddq))
-
     def gravity(self, q: Array, along: Array | None = None) -> Array:
         """Torques (N, n) that hold the robot at rest at the positions q (N, n), without friction.
 

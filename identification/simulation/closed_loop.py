@@ -111,7 +111,7 @@ class Friction:
                 break
             self.set_modes(found)
         if self._shaped:
-            self._rigid = self._model.of_links(q, v, dv / h)
+            self._rigid = self._model.torques_of_links(q[None], v[None], dv[None] / h)[0]
         return np.asarray(w)
 
     def _shapes(self, rigid: Array, v: Array) -> tuple[Array, Array]:
@@ -170,13 +170,7 @@ class ClosedLoop:
     """A robot in closed loop, simulated span by span; the states of robot and controller continue from one to the next."""
 
     def __init__(
-        self,
-        model: DirectModel,
-        loop: ControlLaw,
-        start: tuple[Array, Array],
-        *,
-        fastest: Array,
-        substeps: int = 1,
+        self, model: DirectModel, loop: ControlLaw, start: tuple[Array, Array], *, fastest: Array, substeps: int = 1
     ) -> None:
         """`start` is position and speed, (n,) each; `fastest` (c,) maximum speeds of the directions of Coulomb friction.
 

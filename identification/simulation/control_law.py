@@ -172,11 +172,7 @@ class Control:
         self._start = q
         self._integral: Any = np.zeros(len(loop.Kp))  # of a lone joint a float
         self._integral_unset = self._integrates
-        # A linear law is mapped directly to joint torques.
-        self._plain = loop.velocity_estimate == "exact" and not loop.computed_torque
-        self._plain &= not self._limited and not self._integrates and not loop.gravity_at_q
         self._P, self._D = loop.Kp[:, None] * loop.R, loop.Kd[:, None] * loop.R
-        self._to_torque = (self._to_joints @ self._P, self._to_joints @ self._D)
 
     def take(self, reference: Reference) -> None:
         """Set the reference, or its next span; instants are counted from its start."""
@@ -187,8 +183,6 @@ class Control:
         self._added = reference.feedforward if loop.computed_torque else None
         if reference.feedforward is not None and not loop.computed_torque:
             self._reference_part = self._reference_part + reference.feedforward
-        if self._plain:
-            self._reference_part = self._reference_part @ self._to_joints.T
         if self._integral_unset:
             self._integral, self._integral_unset = self._initial_integral(), False
 
@@ -211,9 +205,6 @@ class Control:
         if self._reference.encoder is not None:
             q = self._reference.encoder.seen(q, k)
         loop, dq = self._loop, v
-        if self._plain:
-            P, D = self._to_torque
-            return np.asarray(self._reference_part[k] - P.dot(q) - D.dot(v))
         if loop.velocity_estimate == "backward_difference":
             dq = (q - self._q1) / self._T
         elif loop.velocity_estimate == "two_sample_mean":
@@ -260,8 +251,7 @@ class LoneControl(Control):
     def __init__(self, model: DirectModel, loop: ControlLaw, q: Array, v: Array) -> None:
         """See `Control`."""
         super().__init__(model, loop, q, v)
-        gains = (*self._to_torque, np.ones(1)) if self._plain else (self._P, self._D, self._to_joints)
-        self._lone_P, self._lone_D, self._lone_G = (x.item() for x in gains)
+        self._lone_P, self._lone_D, self._lone_G = (x.item() for x in (self._P, self._D, self._to_joints))
         self._lone_R, self._Ki, self._share = loop.R.item(), loop.Ki.item(), loop.position_share.item()
         self._limit, self._offset, self._bias = loop.saturation.item(), model.offset.item(), model.lone_bias()
         samples = {"exact": 0, "backward_difference": 1, "two_sample_mean": 2}[loop.velocity_estimate]
