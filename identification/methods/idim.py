@@ -50,6 +50,7 @@ from .timing import correct_known_lags, with_lags, with_lags_found
 Say = Callable[[str], None]
 
 
+@one_thread
 def identify(
     signals: Signals | Recordings,
     overrides: Overrides,
@@ -143,7 +144,6 @@ def identify_iv(
     return identify(signals, overrides, method="iv", iteration=iteration, essential=essential, say=say)
 
 
-@one_thread
 def _by_least_squares(equations: Equations, method: Literal["ols", "wls"], *, essential: bool) -> Fit:
     """IDIM-LS: W and Y from the measured torque and the filtered position."""
     equations, full = least_squares(equations, method)
@@ -160,7 +160,6 @@ def _by_least_squares(equations: Equations, method: Literal["ols", "wls"], *, es
     return fit_of(equations, replace(evidence, position_noise=noise), ls)
 
 
-@one_thread
 def _by_instruments(equations: Equations, iteration: Iteration, *, essential: bool, say: Say) -> Fit:
     """IDIM-IV; long recordings start where their beginnings end, with the lags of these."""
     motors, begun = motors_of(equations), equations.beginning()

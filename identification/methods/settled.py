@@ -23,7 +23,6 @@ from ..estimation import (
     condensed,
     instrumental_variables,
     intervals_of,
-    one_thread,
     weighted_least_squares,
 )
 from ..model import SHAPES
@@ -143,7 +142,6 @@ def independent_norm(system: System, names: Collection[str]) -> dict[str, float]
     return shares | {name: float(share) for name, share in zip(of_seen, left, strict=True) if name in shares}
 
 
-@one_thread
 def with_best_ramps(equations: Equations, *, instruments: bool) -> Equations:
     """The recordings with the ramps that give smaller half-widths, in the median of the parameters.
 
