@@ -140,7 +140,7 @@ def test_known_errors_are_one_line_and_leave_nothing(folder, capsys):
     assert "not valid TOML" in refused(capsys, [*command[:3], str(folder / "a.csv"), *command[4:]])
     assert "No such file" in refused(capsys, import_command(folder, folder / "none" / "log.mcap"))
     assert "found a folder or a device" in refused(capsys, import_command(folder, folder))
-    assert "is not an MCAP file" in refused(capsys, ["info", str(folder / "a.csv")])
+    assert "is a CSV file" in refused(capsys, ["info", str(folder / "a.csv")])
     assert "a b.mcap: cannot be read" in refused(capsys, ["info", str(folder / "a\nb.mcap")])
     recording = ["import", str(folder / "a.mcap"), "-o", str(folder / "out")]
     assert "a.mcap: cannot be read" in refused(capsys, recording)

@@ -153,8 +153,8 @@ def test_what_comes_out_of_wrong_pairs(folder, capsys, names, options, status, w
         ("free free2", ["--gains"], "gains: no recording differs in payload: expected one recording without and one with"),
         ("loaded", ["--gains"], "loaded.mcap: gains: no recording differs in payload: expected one recording without and "),
         ("axis_free axis_loaded", ["--gains", "--payload", "axis_loaded=2"],
-         "payload: the mass alone does not tell the scale: give its centre of mass: expected KG@X,Y,Z"),
-        ("free loaded", ["--gains", "--payload", "loaded=unknown"], "of an unknown mass no scale can be told: weigh it"),
+         "payload: the mass alone does not determine the scale: give its centre of mass: expected KG@X,Y,Z"),
+        ("free loaded", ["--gains", "--payload", "loaded=unknown"], "an unknown mass does not determine the scale: weigh it"),
         *(("free loaded", ["--gains", "--method", x],
            f"method = '{x}': least squares is biased towards drive gains of 0: expected iv with --gains")
           for x in ("wls", "ols")),

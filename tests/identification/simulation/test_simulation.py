@@ -19,7 +19,7 @@ from identification.model import (
     why_not_positive,
 )
 from identification.regression import Overrides
-from identification.simulation import ClosedLoop, Control, ControlLaw, Reference, surrogate_loop
+from identification.simulation import ClosedLoop, Control, ControlLaw, Encoder, Reference, surrogate_loop
 from identification.study import Noise, closed_loop, random_reference
 
 RATE = 1000.0
@@ -315,3 +315,66 @@ def test_regular_start_is_a_regular_inertia_matrix_with_two_on_the_coupled_joint
     M = direct_model(dynamics, base.standard_parameters(regular_start(dynamics, base, J))).inertia(np.zeros((1, 6)))[0]
     np.testing.assert_allclose(np.diag(M), J + np.array([0, 0, 0, 0, 0.01, 0]), rtol=1e-9)
     assert why_not_positive(direct_model(dynamics, base.standard_parameters(beta)).inertia(np.zeros((1, 6)))) is None
+
+
+LONE_UNITS = {"revolute": "N m/A", "prismatic": "N/A"}
+LAWS_OF_A_LONE_JOINT = {
+    "plain": {},
+    "integral": {"Ki": np.array([900.0]), "velocity_estimate": "backward_difference", "gravity_at_q": True},
+    "saturated": {"saturation": np.array([1.5]), "velocity_estimate": "two_sample_mean"},
+    "cascade": {
+        "Ki": np.array([90.0]),
+        "saturation": np.array([1.5]),
+        "feedforward": 0.0,
+        "position_share": np.array([30.0]),
+    },
+}
+
+
+@pytest.mark.parametrize("law", LAWS_OF_A_LONE_JOINT)
+@pytest.mark.parametrize("friction", ["symmetric", "asymmetric", "none", "load"])
+@pytest.mark.parametrize("kind", ["revolute", "prismatic"])
+def test_a_lone_joint_moves_as_one_of_several(kind, friction, law):
+    """In Python floats as in arrays, to which further friction leads, here of size zero."""
+    terms = {"none": "[]", "load": '["viscous", "coulomb", "load"]'}.get(friction, f'"{friction}"')
+    robot = robot_from_files(
+        {
+            "robot.toml": (
+                f'name = "lone"\ngravity_m_s2 = [3, 0, -9.81]\n[[joint]]\nname = "x"\ntype = "{kind}"\nfriction = {terms}\n'
+                "dh = { alpha_deg = 50, d_m = 0.1, theta_deg = 20, r_m = 0.2 }\n"
+                f'[[motor]]\nname = "m"\ndrive_gain = 10\ndrive_gain_unit = "{LONE_UNITS[kind]}"\nratio = 2\n'
+                "[controller]\nbandwidth_hz = 5\n"
+            ).encode()
+        },
+        "lone.toml",
+    )
+    dynamics = InverseModel(robot)
+    values = {"M1": 9.0, "MX1": 0.7, "MY1": -0.4, "ZZ1": 0.9, "Ia1": 0.3, "Fv1": 3.0, "Fc1": 5.0, "mu1": 0.2}
+    values |= {"Fvp1": 3.0, "Fvn1": 2.0, "Fcp1": 6.0, "Fcn1": 4.0}
+    model = dataclasses.replace(
+        direct_model(dynamics, np.array([values.get(name, 0.0) for name in dynamics.names])), offset=np.ones(1)
+    )
+    size_0 = {"stribeck": (np.zeros(len(model.directions)), np.ones(len(model.directions)))}
+    loop = dataclasses.replace(
+        surrogate_loop(5.0, np.ones(1), RATE), R=np.full((1, 1), 2.0), G=np.full(1, 10.0), gravity=law != "integral"
+    )
+    loop = dataclasses.replace(loop, Kp=0.03 * loop.Kp, Kd=0.03 * loop.Kd, **LAWS_OF_A_LONE_JOINT[law])
+    t_s, rng = np.arange(300)[:, None] / RATE, np.random.default_rng(1)
+    q_ref = 0.2 * (1 - np.cos(36 * t_s)) * (t_s < 0.17)
+    noise = rng.normal(0, 1e-5, q_ref.shape)
+    inputs = {
+        "known_torque": 3.0 * (t_s > 0.3),
+        "feedforward": 0.1 * (t_s > 0.6),
+        "encoder": Encoder(noise=noise, step=2e-5),
+    }
+    reference = Reference(q_ref, np.gradient(q_ref, axis=0) * RATE, 0 * q_ref, **inputs)
+    start = np.array([0.01]), np.array([0.2])
+    alone, general = (
+        simulate(one, loop, reference, start=start, bound=9.0, substeps=2)
+        for one in (model, dataclasses.replace(model, shapes={} if friction == "load" else size_0))
+    )
+    assert alone.reason is general.reason is None
+    assert np.ptp(alone.q) > 0.03
+    assert (np.abs(alone.tau) == 30.0).any() == ("saturation" in LAWS_OF_A_LONE_JOINT[law])
+    same = [np.abs(x - y).max() <= 1e-12 * np.abs(y).max() for x, y in zip(alone[:4], general[:4], strict=True)]
+    assert all(same) == (friction != "load")

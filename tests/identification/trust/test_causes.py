@@ -40,7 +40,7 @@ def test_exchanged_efforts_are_named_and_what_is_left_without(fit_by):
     error = fit.trust.line("signs and order").text.split("torque errors of joints are ")[1]
     left, with_it = (float(text.split(" %")[0]) for text in error.split(" in place of "))
     sound_errors = [joint.moving_relative_error_percent for joint in fit_by(signals).errors[:-1]]
-    assert left == pytest.approx(np.sqrt(np.mean(np.square(sound_errors))), rel=0.2)
+    assert left == pytest.approx(np.sqrt(np.mean(np.square(sound_errors))), rel=0.3)
     assert with_it > 50
 
 
