@@ -21,7 +21,7 @@ def verdict(tracking, errors, tests=GOOD):
         change_sigma=0.1, change_percent=0.1, changed="M1",
         residual_percent=0.1, residual_settled=True, parameters_settled=True,
     )  # fmt: skip
-    of = DirectModelError
+    of = DirectModelResidual
     direct = [of(name=f"j{j}", position_error_percent=e, torque_error_percent=1.0) for j, e in enumerate(errors)]
     replica = SimpleNamespace(tracking_percent=tracking, direct=direct)
     # whether M is positive is asked of each recording
