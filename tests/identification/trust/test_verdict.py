@@ -11,6 +11,7 @@ from identification.estimation import InstrumentTests
 from identification.methods import Iteration, Pass, identify_iv
 from identification.methods.iteration import status_of
 from identification.regression import Overrides
+from identification.report import DirectModelResidual
 
 GOOD = InstrumentTests(strength=0.9, first_stage_F=500.0)
 
