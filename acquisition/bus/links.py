@@ -74,7 +74,7 @@ logging.getLogger("can").addHandler(logging.NullHandler())
 
 
 def refuse_to_send(*_: object, **__: object) -> None:
-    """Raise `BadInputError`: replaces the sending functions of a passive bus."""
+    """Raise `RefusedError`: replaces the sending functions of a passive bus."""
     raise RefusedError(
         "passive: nothing is ever sent", what="sending", place="bus", expected="an active session for that"
     )
@@ -143,10 +143,10 @@ class MasterLink(Protocol):
         """Time of this link, of events and deadlines."""
 
     def send(self, can_id: int, data: bytes) -> None:
-        """Send a frame. Raises `BadInputError` where that fails."""
+        """Send a frame. Raises `BusFaultError` where that fails."""
 
     def receive(self, until_ns: int) -> Frame | None:
-        """The next frame, None when there is none until `until_ns`. Raises `BadInputError` when the bus fails."""
+        """The next frame, None when there is none until `until_ns`. Raises `BusFaultError` when the bus fails."""
 
 
 class Link:
@@ -164,7 +164,7 @@ class Link:
         return self._epoch_ns + time.monotonic_ns()
 
     def send(self, can_id: int, data: bytes) -> None:
-        """Send a frame. Raises `BadInputError` where the link is passive or the bus does not take it."""
+        """Send a frame. Raises `RobotIdimError` where the link is passive or the bus does not take it."""
         if self._passive:
             refuse_to_send()
         import can
@@ -183,7 +183,7 @@ class Link:
         return self.take(max(0.0, (until_ns - self.now_ns()) * 1e-9))
 
     def take(self, timeout_s: float) -> Frame | None:
-        """The next frame, None when there is none within `timeout_s`. Raises `BadInputError` when the bus fails."""
+        """The next frame, None when there is none within `timeout_s`. Raises `BusFaultError` when the bus fails."""
         import can
 
         until_s = time.monotonic() + timeout_s

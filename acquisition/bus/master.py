@@ -141,7 +141,7 @@ class Master:
             self.doubled |= {node} if self.unanswered[node] < 0 else set()
 
     def refuse_doubled(self) -> None:
-        """Raise `BadInputError` where two devices have answered as one node."""
+        """Raise `RefusedError` where two devices have answered as one node."""
         if self.doubled:
             expected = "one device for each node id: disconnect one, and change its id"
             problem = f"two devices answer as node {min(self.doubled)}"
@@ -195,11 +195,11 @@ class Master:
             watch.heard_ns = self.link.now_ns()
 
     def state(self, drive: Drive) -> State:
-        """State of a drive, read by SDO (6041h). Raises `BadInputError` when it does not answer."""
+        """State of a drive, read by SDO (6041h). Raises `BusFaultError` when it does not answer."""
         return state_of(self.read(drive.node, drive.status.index, drive.status.sub))
 
     def read(self, node: int, index: int, sub: int = 0) -> int:
-        """Read an object, as an unsigned number. Raises `BadInputError` when refused or not answered."""
+        """Read an object, as an unsigned number. Raises `BusFaultError` when refused or not answered."""
         return check_answer(self.upload(node, index, sub), "value", node, _place(node, index, sub))
 
     def upload(self, node: int, index: int, sub: int = 0) -> Transfer:
@@ -207,7 +207,7 @@ class Master:
         return answer_of(self.exchange(node, read_request(index, sub), _place(node, index, sub)))
 
     def write(self, node: int, index: int, sub: int, value: int, size: int) -> None:
-        """Write an object of `size` bytes. Raises `BadInputError` when refused or not answered."""
+        """Write an object of `size` bytes. Raises `BusFaultError` when refused or not answered."""
         place = f"{_place(node, index, sub)} = {value}"
         answer = answer_of(self.exchange(node, write_request(index, sub, value, size), place))
         check_answer(answer, "written", node, place)
@@ -262,7 +262,7 @@ class Master:
             self.write(node, HEARTBEAT_TIME, 0, every_ms, len(answer.data))
 
     def choose_mode(self, mode: Mode) -> None:
-        """Set mode of operation (6060h) and interpolation period (60C2h). Raises `BadInputError` unless 6061h follows."""
+        """Set mode of operation (6060h) and interpolation period (60C2h). Raises `BusFaultError` unless 6061h follows."""
         for drive in self.bus.drives:
             axis = axis_of(drive)
             if drive.dictionary is None or (INTERPOLATION_PERIOD + axis, 1) in drive.dictionary.entries:
@@ -308,7 +308,7 @@ Orders = list[tuple[int, int]]  # controlword and target counts of each drive, i
 
 
 def send_orders(master: Master, orders: Orders) -> None:
-    """Send the orders to all drives by PDO. Raises `BadInputError` when the bus accepts no frame."""
+    """Send the orders to all drives by PDO. Raises `BusFaultError` when the bus accepts no frame."""
     for watch, (control, target) in zip(master.nodes, orders, strict=True):
         send_order(master, watch, control, target)
 

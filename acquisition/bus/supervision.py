@@ -38,7 +38,7 @@ def entry_of(file: BusFile) -> int:
 
 
 def heartbeat_consumers(master: Master, node: int) -> list[int]:
-    """Entries of a drive's 1016h, from sub-index 1. Raises `BadInputError` where it has none."""
+    """Entries of a drive's 1016h, from sub-index 1. Raises `BusFaultError` where it has none."""
     return [master.read(node, CONSUMER_HEARTBEAT, k + 1) for k in range(master.read(node, CONSUMER_HEARTBEAT, 0))]
 
 
@@ -172,7 +172,7 @@ def stop_ramp(master: Master, drive: Drive) -> tuple[str, str]:
 
 
 def refuse_slow_ramps(master: Master) -> list[str]:
-    """Read the ramps for a later stop; a line for each unknown ramp. Raises `BadInputError` if one is too slow."""
+    """Read the ramps for a later stop; a line for each unknown ramp. Raises `RefusedError` if one is too slow."""
     unknown = []
     for watch in master.nodes:
         place = f"node {watch.drive.node} ({watch.drive.name})"
@@ -199,7 +199,7 @@ def supervision_refusal(master: Master, drive: Drive) -> str:
 
 
 def refuse_unsupervised(master: Master) -> None:
-    """Raise `BadInputError` where a drive does not supervise its master or its following error."""
+    """Raise `RefusedError` where a drive does not supervise its master or its following error."""
     for drive in master.bus.drives:
         if refusal := supervision_refusal(master, drive):
             where, expected = f"node {drive.node} ({drive.name})", "both; or --unsupervised-drives"

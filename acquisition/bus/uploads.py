@@ -71,7 +71,7 @@ class Uploads:
         self._link.send(can_id, data)
 
     def receive(self, until_ns: int) -> Frame | None:
-        """The next frame. Raises `BadInputError` for one of another master, and for an error frame."""
+        """The next frame. Raises `RefusedError` for one of another master, and for an error frame."""
         frame = None if self._received else self._link.receive(until_ns)
         return self._received.popleft() if self._received else frame and self._checked(frame)
 

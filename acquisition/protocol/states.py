@@ -77,7 +77,7 @@ DISABLED = frozenset(State) - {_S.OPERATION_ENABLED, _S.QUICK_STOP_ACTIVE, _S.FA
 
 
 def state_of(statusword: int) -> State:
-    """State in a statusword (6041h). Raises `BadInputError` for bits of no state."""
+    """State in a statusword (6041h). Raises `BusFaultError` for bits of no state."""
     for state in State:
         mask, value = state.value
         if statusword & mask == value:
@@ -95,7 +95,7 @@ def command_of(controlword: int) -> Command | None:
 
 
 def toward(state: State, goal: State) -> Command | None:
-    """First command on the shortest way to `goal`, None if none is needed. Raises `BadInputError` if there is no way."""
+    """First command on the shortest way to `goal`, None if none is needed. Raises `BusFaultError` if there is no way."""
     reached: dict[State, Command | None] = {state: None}
     queue = [state]
     for at in queue:

@@ -76,7 +76,7 @@ class InlineLog:
 class ProcessLog:
     """A recorder in a separate process. In the role `FED`, and only then, the session's link calls `tap`.
 
-    Raises `BadInputError` where the process cannot open the bus or the file.
+    Raises `BusFaultError` where the process cannot open the bus or the file.
     """
 
     def __init__(
@@ -142,7 +142,7 @@ class ProcessLog:
     def poll(self, stamp_ns: int) -> Status | None:
         """Latest status, None if there is no new one. Called at every SYNC by the SYNC loop, as a sign of life.
 
-        Raises `BadInputError` when the recorder has ended, hangs, or stops the drives.
+        Raises `BusFaultError` when the recorder has ended, hangs, or stops the drives.
         """
         self.alive()
         if self._watchdog_pipe is not None and (reason := self._watchdog_pipe.stopped()):
@@ -169,7 +169,7 @@ class ProcessLog:
         return status
 
     def finish(self, stamp_ns: int) -> RecordedSummary:
-        """End the recording. Raises `BadInputError` when the recorder has ended before."""
+        """End the recording. Raises `BusFaultError` when the recorder has ended before."""
         self.ended()
         if self._frames:
             self._hand_over()

@@ -73,7 +73,7 @@ def record(
 
     `robot` has a `[bus]` section; `place` names it in errors. `out` is the recording to write; an existing file is never
     replaced. Errors of a running session are in the returned outcome; those of options, description, bus or file are raised as
-    `BadInputError` before it runs.
+    `RobotIdimError` before it runs.
     """
     if robot.bus is None:
         expected = "its drives, for --dry-run too: remove `#: ` in robot.toml, or `init --bus`"
@@ -114,7 +114,7 @@ def record(
 
 
 def _task_of(robot: Robot, period_s: float, options: RecordOptions, operator: UserInterface) -> Task:
-    """The task in the options. Raises `BadInputError` for options that contradict each other."""
+    """The task in the options. Raises `RobotIdimError` for options that contradict each other."""
     if options.track is not None and options.duration_s is not None:
         raise BadInputError("lasts as long as its reference", place="--track", expected="no --duration")
     if options.track is None and options.speed != 1.0:
@@ -240,7 +240,7 @@ def replay(path: Path, file: BusFile, stop: Stop, *, speed: float = 1.0, onto_bu
     Commands are never sent. `file` is the bus to send on, `speed` a factor on the recorded speed, and `onto_bus` allows
     interfaces with hardware. Returns the number of frames sent.
 
-    Raises `BadInputError`: `speed` or the interface is refused, the recording holds no frames of drives, a frame of another
+    Raises `RobotIdimError`: `speed` or the interface is refused, the recording holds no frames of drives, a frame of another
     node is received before or between the frames sent, or the bus accepts no frames.
     """
     if not speed > 0:
@@ -258,7 +258,7 @@ def replay(path: Path, file: BusFile, stop: Stop, *, speed: float = 1.0, onto_bu
     count, sync_can_id = 0, recording.robot.bus.sync_can_id
 
     def listen_until(until_s: float) -> None:
-        """Wait. Raises `BadInputError` at the first frame that is not our own."""
+        """Wait. Raises `RefusedError` at the first frame that is not our own."""
         while not stop.reason:
             left_s = until_s - time.monotonic()
             frame = link.take(min(max(left_s, 0.0), 0.1))

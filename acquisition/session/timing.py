@@ -45,7 +45,7 @@ class Pace:
     def sync(self, *, in_motion: bool) -> None:
         """Wait until SYNC is due, send it (or await that of the other producer), and take the answers.
 
-        Raises `BadInputError` where SYNC is later than allowed in motion, or absent: drives would stop at their last
+        Raises `BusFaultError` where SYNC is later than allowed in motion, or absent: drives would stop at their last
         target, and the next target would be a step.
         """
         if self._ours:
@@ -144,7 +144,7 @@ def sync_jitter(master: Master) -> Jitter:
     """Measure the jitter of SYNC over 200 periods or a second, 20 periods at least. Nothing is sent.
 
     Where this master produces SYNC, the times at which it would be sent are measured, else the times at which it arrives.
-    Raises `BadInputError` where SYNC of the other producer is absent for 50 periods.
+    Raises `BusFaultError` where SYNC of the other producer is absent for 50 periods.
     """
     file, period_ns, link = master.bus.file, master.bus.period_ns, master.link
     count = min(MAX_JITTER_SYNCS, max(MIN_JITTER_SYNCS, round(MAX_JITTER_S * 1e9 / period_ns)))
@@ -171,7 +171,7 @@ def sync_jitter(master: Master) -> Jitter:
 
 
 def refuse_jitter(master: Master) -> Jitter:
-    """Measured jitter of SYNC. Raises `BadInputError` where it is too large to move a robot."""
+    """Measured jitter of SYNC. Raises `RefusedError` where it is too large to move a robot."""
     found = sync_jitter(master)
     if not found.fit_for_motion:
         raise RefusedError(

@@ -291,7 +291,7 @@ def serve(drives: SimulatedDrives, stopped: Callable[[], bool], ready: Callable[
     """Boot simulated drives and run them in real time on the bus of their description, for any master.
 
     `stopped` is called at least every 50 ms, and True ends the simulation; `ready` is called once the drives have booted.
-    Raises `BadInputError` where the bus cannot be opened or fails.
+    Raises `BusFaultError` where the bus cannot be opened or fails.
     """
     link = open_link(drives.bus.file, passive=False)
     try:

@@ -96,7 +96,7 @@ def consistent_parameters(
 
     Raises
     ------
-    BadInputError : where the optimum is not reached, as with an estimate that is not finite.
+    NoFitError : where the optimum is not reached, as with an estimate that is not finite.
     """
     root = _inverse_root(beta, covariance)
     objective = _Objective(beta, root, K, physical, gamma, gamma * gamma_x)

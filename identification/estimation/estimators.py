@@ -119,7 +119,7 @@ def weighted_least_squares(system: System) -> Estimate:
 
     Raises
     ------
-    BadInputError : where there are no more used rows than parameters, or W is rank deficient.
+    NoFitError : where there are no more used rows than parameters, or W is rank deficient.
     """
     return _estimated(system, joint_weights(system))
 
@@ -196,7 +196,7 @@ def instrumental_variables(system: System, Z: Array, weights: Array) -> Estimate
 
     Raises
     ------
-    BadInputError : where QᵀW is singular, or as `weighted_least_squares` does.
+    NoFitError : where QᵀW is singular, or as `weighted_least_squares` does.
     """
     return _estimated(system, weights, Z)
 

@@ -79,7 +79,7 @@ def identify(
 
     Raises
     ------
-    BadInputError : a recording is too short, the recordings excite too little or are not of one robot, the first pass
+    NoFitError or BadInputError : a recording is too short, the recordings excite too little or are not of one robot, the first pass
         gives no estimate, or an `iteration` is given to least squares.
     """
     # (2): tau = IDM(q, dq, ddq) beta; (5), (6): Y(tau) = W(q, dq, ddq) beta + rho

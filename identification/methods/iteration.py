@@ -113,7 +113,7 @@ class NoEstimateError(Exception):
 def failed(passes: list[Pass], error: NoEstimateError, recordings: Sequence[str]) -> list[Pass]:
     """The passes; the last one has the reason why the next gave no estimate.
 
-    Raises `BadInputError` if there is none.
+    Raises `NoFitError` if there is none.
     """
     text = "; ".join([f"pass {len(passes) + 1}: {error.__cause__}", *(str(reason) for reason in error.args if reason)])
     if not passes:

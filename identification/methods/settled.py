@@ -39,7 +39,7 @@ LONG, SHORT, *OTHERS = RAMPS
 def least_squares(equations: Equations, method: Literal["ols", "wls"] = "wls") -> tuple[Equations, Estimate]:
     """Least squares with the identifiable terms.
 
-    Raises `BadInputError` as the estimators.
+    Raises `NoFitError` as the estimators.
     """
     equations, solve = leave_out_collinear_terms(equations), solver_of(method)
     if equations.load is None:

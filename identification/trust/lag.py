@@ -37,7 +37,7 @@ def lags_in(
     """Lags (K,) of the torques in s besides those already corrected, deviations (K,) and their degrees of freedom.
 
     `along` the simulated motion: the instruments Z (r, b) of all parameters, the columns (r, K) of `by_group`, and by recording
-    which rows (n, T) are fast. Raises `BadInputError` where the instruments do not determine the lags.
+    which rows (n, T) are fast. Raises `NoFitError` where the instruments do not determine the lags.
     """
     Z, columns, fast = along
     system, b, lengths = rows.system, len(rows.system.names), [one.shape[1] for one in fast]
