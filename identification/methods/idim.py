@@ -79,8 +79,8 @@ def identify(
 
     Raises
     ------
-    NoFitError or BadInputError : a recording is too short, the recordings excite too little or are not of one robot, the first pass
-        gives no estimate, or an `iteration` is given to least squares.
+    NoFitError : a recording is too short, the recordings excite too little, or the first pass gives no estimate.
+    BadInputError : the recordings are not of one robot, or an `iteration` is given to least squares.
     """
     # (2): tau = IDM(q, dq, ddq) beta; (5), (6): Y(tau) = W(q, dq, ddq) beta + rho
     asked = replace(overrides, method="iv" if overrides.gains else method)
