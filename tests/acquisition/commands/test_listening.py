@@ -237,6 +237,8 @@ def test_an_enabled_drive_without_a_master_is_left_as_it_is(tmp_path, task):
     assert session.sent["can_id"].tolist() == [0x601]
     assert session.sent["data"].tolist() == [[0x40, 0x41, 0x60, 0, 0, 0, 0, 0]]
     assert session.drives.states == [State.SWITCH_ON_DISABLED] * 2
+    assert not any(node.operational for node in session.drives.nodes)
+    assert session.events("disabled") + session.events("not disabled") == []
 
 
 INTRUDERS = [
@@ -286,13 +288,6 @@ def test_frames_of_the_second_stop_are_not_those_of_another_master(tmp_path, can
 
     session = dry_session(tmp_path / "a.mcap", LONG, through=intruder(can_id), log_of=Stopped)
     assert session.outcome.reason == "the recorder's process stopped the drives"
-
-
-def test_nmt_goes_to_our_drives_only(tmp_path):
-    session = dry_session(tmp_path / "a.mcap", TASKS[1])
-    nmt = session.frames[session.frames["can_id"] == 0]
-    assert nmt["length"].tolist() == [2] * len(nmt)
-    assert nmt["data"][:, :2].tolist() == [[128, 1], [128, 2], [1, 1], [1, 2], [128, 1], [128, 2]]
 
 
 def test_a_check_beside_another_master_sends_nothing_and_says_what_it_leaves_out():

@@ -177,14 +177,6 @@ def test_a_mark_without_a_recording_that_is_written(tmp_path, capsys, kind):
     assert not list(tmp_path.glob("*.marks*"))
 
 
-def test_phases_say_how_long_they_take(tmp_path):
-    done = dry_session(tmp_path / "log.mcap", Task(reference=swing(2, seconds=1.0)))
-    plans = done.events("plan")
-    assert [text.split()[0] for text in plans] == ["approach", "track"]
-    tracked_s = (done.phases["stop"] - done.phases["track"]) * 1e-9
-    assert float(plans[1].split()[1]) == pytest.approx(tracked_s, abs=0.01)
-
-
 def test_info_shows_marks_behind_many_other_events(tmp_path, capsys):
     path = tmp_path / "log.mcap"
     recorder = Recorder(path, robot_of(bus_text(2)), source="test", place="robot.toml")
