@@ -8,14 +8,13 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
-import canopen
 import pytest
 from dry_sessions import Answering, Through, connected, dry_session, heard_at_once, swing
 from faulty_drives import FaultyDrives
 from made_up_buses import bus_text, robot_of
 from virtual_buses import Ear, bus_file, served
 
-from acquisition.bus import Frame, Link, Uploads, open_bus, open_link, scan_nodes
+from acquisition.bus import Frame, Link, Uploads, open_bus, scan_nodes
 from acquisition.commands import checking, main
 from acquisition.commands.checking import table
 from acquisition.commands.command_line import Progress
@@ -240,37 +239,6 @@ def test_a_server_that_aborts_the_long_upload_before_is_asked_again():
     again = scan_nodes(Uploads(plain, bus_file()), OBJECTS, ARRAYS)
     assert aborted == ["done"]
     assert again == nodes
-
-
-def test_pythons_canopen_as_a_node():
-    """An SDO server of others: an upload in segments, a size of its own, an object without a value, and none at all."""
-    dictionary = canopen.ObjectDictionary()
-    for index, kind, value in (
-        (0x1000, canopen.objectdictionary.UNSIGNED32, 0x20192),
-        (0x6041, canopen.objectdictionary.UNSIGNED16, 0x21),
-        (0x6064, canopen.objectdictionary.INTEGER32, -5),
-        (0x6502, canopen.objectdictionary.UNSIGNED64, 0x80),
-        (0x6075, canopen.objectdictionary.UNSIGNED32, None),
-        (0x6076, canopen.objectdictionary.UNSIGNED16, 420),
-    ):
-        variable = canopen.objectdictionary.ODVariable(f"object {index:04X}", index)
-        variable.data_type, variable.value = kind, value
-        dictionary.add_object(variable)
-    network = canopen.Network()
-    network.connect(interface="virtual", channel="scan_canopen")
-    link = open_link(bus_file("scan_canopen"), passive=False)
-    try:
-        network.create_node(9, dictionary)
-        uploads = Uploads(link, bus_file())
-        nodes = scan_nodes(uploads, OBJECTS, ARRAYS)
-    finally:
-        link.close()
-        network.disconnect()
-    assert list(nodes) == [9]
-    assert row(nodes, {}, "state", 9).found == "6041 0x21 ready to switch on, 6064 -5"
-    assert row(nodes, {}, "modes", 9).found == "6502 (more than 4 bytes: expected 4)"
-    assert row(nodes, {}, "rated mA, mN m", 9).found == "6075 (abort (0x060A0023)), 6076 420 (2 bytes: expected 4)"
-    assert row(nodes, {}, "limits", 9).found == "607D:1 -, 607D:2 -, 607F -, 6080 -, 6085 -"
 
 
 def test_a_node_that_falls_silent_does_not_hold_up_the_scan():

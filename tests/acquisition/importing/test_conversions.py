@@ -3,7 +3,6 @@
 import can
 import numpy as np
 import pytest
-from conftest import needs_data
 from made_up_buses import bus_of, bus_text, flat, robot_of, session
 from made_up_recordings import header, some_samples
 
@@ -88,17 +87,6 @@ def test_import_of_a_trace_asks_for_no_map(tmp_path, capsys):
         assert told in capsys.readouterr().err
 
 
-def test_a_third_partys_candump_by_the_command(tmp_path, capsys):
-    log = needs_data("can_logs", "third_party_2drives.log")
-    text = bus_text(2, period_s=0.01, ratio=1.0, drive='mapping = "traffic"').replace("65536", "6553600")
-    (tmp_path / "r.toml").write_text(text.replace("node = 1\n", "node = 5\n").replace("node = 2\n", "node = 6\n"))
-    arguments = ["import", str(log), "--robot", str(tmp_path / "r.toml"), "-o", str(tmp_path / "a.mcap")]
-    assert main(arguments) == 0
-    captured = capsys.readouterr()
-    assert captured.out.endswith("a.mcap: made up, 299 samples at 100 Hz\n")
-    assert "TPDO 1 of node 6, motor_2: 2 late of 299" in captured.err
-
-
 def test_csv_holds_every_digit(tmp_path):
     log, mcap, out = tmp_path / "a.log", tmp_path / "a.mcap", tmp_path / "a.csv"
     write_log(log, flat(session(targets=True)))
@@ -166,52 +154,38 @@ def test_a_time_that_no_recording_holds(tmp_path, time, told):
     assert list(tmp_path.iterdir()) == [log]
 
 
-def test_an_error_frame_is_not_a_second_interface(tmp_path):
-    """python-can's reader tells no interface of a candump's error frame."""
-    log, out = tmp_path / "a.log", tmp_path / "a.mcap"
+@pytest.mark.parametrize(
+    ("channel", "more", "left_out", "count"),
+    [
+        ("test", "(1.2) can0 181##1000102030405060708090A0B\n", ("frames left out: 1 of CAN FD",), 150),
+        ("can1", None, ("frames left out: 150 of interface can0",), 150),
+        # python-can's reader tells no interface of a candump's error frame.
+        ("test", "(1.098500) can0 20000080#0000000000000000\n", (), 151),
+    ],
+)
+def test_frames_of_a_log_that_are_left_out(tmp_path, channel, more, left_out, count):
+    log, out = tmp_path / "a.log", tmp_path / "o.mcap"
     write_log(log, flat(session()))
-    log.write_text(log.read_text() + "(1.098500) can0 20000080#0000000000000000\n")
-    found = import_log(log, out, ROBOT, "robot.toml")  # its bus.channel is none of the log's
-    assert found.samples == 50
-    frames = read_recording(out).frames["log"]
-    assert (len(frames), int(frames["flags"][-1])) == (151, ERROR)
+    log.write_text(log.read_text() + (log.read_text().replace("can0", "can1") if more is None else more))
+    found = import_log(log, out, robot_of(bus_text(channel=channel)), "robot.toml")
+    assert (found.samples, found.warnings) == (50, left_out)
+    recording = read_recording(out)
+    frames = recording.frames["log"]
+    assert (len(frames), bool(frames["flags"][-1] & ERROR)) == (count, count == 151)
+    assert recording.metadata.get("left_out", "") == "".join(left_out)
 
 
-def log_of_two_interfaces(path) -> None:
-    write_log(path, flat(session()))
-    text = path.read_text()
-    path.write_text("".join(line + "\n" + line.replace("can0", "can1") + "\n" for line in text.splitlines()))
-
-
-def test_two_interfaces_are_not_taken_for_one(tmp_path):
+def test_two_interfaces_are_not_taken_for_one_and_can_fd_alone_is_no_log(tmp_path):
     log = tmp_path / "a.log"
-    log_of_two_interfaces(log)
+    write_log(log, flat(session()))
+    log.write_text(log.read_text() + log.read_text().replace("can0", "can1"))
     with pytest.raises(AcquisitionError) as caught:
         import_log(log, tmp_path / "o.mcap", ROBOT, "robot.toml")
     told = "frames: 150 of interface can0, 150 of interface can1: expected one interface: filter the log, or name one"
     assert str(caught.value) == f"{log}: {told} of them as bus.channel in robot.toml"
-
-
-def test_of_two_interfaces_the_one_that_the_description_names(tmp_path):
-    log, out = tmp_path / "a.log", tmp_path / "o.mcap"
-    log_of_two_interfaces(log)
-    found = import_log(log, out, robot_of(bus_text(channel="can1")), "robot.toml")
-    assert (found.samples, found.warnings) == (50, ("frames left out: 150 of interface can0",))
-    recording = read_recording(out)
-    assert len(recording.frames["log"]) == 150
-    assert recording.metadata["left_out"] == "frames left out: 150 of interface can0"
-
-
-def test_can_fd_frames_are_left_out(tmp_path):
-    log, out = tmp_path / "a.log", tmp_path / "o.mcap"
-    write_log(log, flat(session()))
-    log.write_text(log.read_text() + "(1.2) can0 181##1000102030405060708090A0B\n")
-    found = import_log(log, out, ROBOT, "robot.toml")
-    assert (found.samples, found.warnings) == (50, ("frames left out: 1 of CAN FD",))
-    assert len(read_recording(out).frames["log"]) == 150
     log.write_text("(1.2) can0 181##1000102030405060708090A0B\n")
     with pytest.raises(AcquisitionError, match=r"a\.log: holds no CAN frames \(1 of CAN FD\): expected some"):
-        import_log(log, out, ROBOT, "robot.toml")
+        import_log(log, tmp_path / "o.mcap", ROBOT, "robot.toml")
 
 
 def test_what_has_no_frames_or_no_samples_is_told(tmp_path):

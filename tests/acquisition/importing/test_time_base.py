@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import REPLAY, robot_named
-from jittered_time import MAP, covered
+from jittered_time import MAP
 
 from acquisition.commands import main
 from acquisition.errors import AcquisitionError, Place
@@ -37,15 +37,6 @@ def test_values_are_interpolated_at_their_times():
     off = np.abs(found.parts["q"] - motion(t))[20:-20].max(axis=0)
     assert (off < 5 / 384 * 0.013**4 * np.array([40.5, 125])).all()
     assert off.max() > 1e-10  # of a line through the rows it is a thousand times as much
-
-
-def test_a_cubic_is_exact():
-    def cubic(t: np.ndarray) -> np.ndarray:
-        return (1 - 2 * t + 3 * t**2 - 0.5 * t**3)[:, None]
-
-    found = on_grid(UNEVEN, q=cubic(UNEVEN))
-    t = found.start_s + np.arange(len(found.parts["q"])) / 100
-    np.testing.assert_allclose(found.parts["q"], cubic(t), rtol=1e-12)
 
 
 def test_the_report_by_hand():
@@ -331,19 +322,3 @@ def test_the_report_is_printed_kept_and_shown(tmp_path, capsys):
     assert json.loads(capsys.readouterr().out)["times"] == told
     assert main(["info", str(log)]) == 0
     assert "times" in capsys.readouterr().out
-
-
-def test_estimates_from_uneven_times_are_inside_their_intervals(tmp_path):
-    """A small sample of `tests/benchmarks/test_jittered_time.py`."""
-    found = covered(tmp_path, 4, duration_s=8.0)
-    assert found.inside.mean() >= 0.85
-    times = found.imported.times
-    low, high = (float(x) for x in times.split("steps ")[1].split(" ms")[0].split(" to "))
-    assert 6 <= low <= 8
-    assert 13 <= high <= 15
-    assert float(times.split("jitter sd ")[1].split(" ms")[0]) == pytest.approx(1.29, abs=0.1)
-    off, rest = times.split("no doubled rows, ")[1].split(" rows left out whose stamps the motion contradicts, ")
-    assert float(off) == pytest.approx(0.05 * 790, abs=12)
-    assert rest == "interpolated to 100 Hz"
-    (warning,) = found.imported.warnings
-    assert "% of the rows are left out" in warning

@@ -4,7 +4,6 @@ import hashlib
 import json
 import os
 import struct
-import time
 
 import mcap.reader
 import numpy as np
@@ -114,13 +113,6 @@ def write_rows(folder, samples) -> None:
         writer.samples(samples)
 
 
-@pytest.mark.parametrize("stamps", [[0, 1, 2], [0, 1, 2**31 * 10**9 - 1]])
-def test_stamps_that_a_recording_takes(tmp_path, stamps):
-    samples = some_samples(3)
-    samples["stamp_ns"] = stamps
-    write_rows(tmp_path, samples)
-
-
 GROWING, FINITE = "growing stamps from 0 to 2147483647999999999", "a finite number"
 
 
@@ -146,9 +138,11 @@ def test_values_that_a_recording_does_not_take(tmp_path, field, values, row, val
     assert (str(error.value), error.expected) == (str(value), expected)
 
 
-def test_a_row_that_is_refused_is_counted_from_the_first_of_all_blocks(tmp_path, monkeypatch):
+def test_a_row_that_is_refused_is_counted_from_the_first_of_all_blocks_and_a_late_stamp_is_taken(tmp_path, monkeypatch):
     monkeypatch.setattr("acquisition.recording.rows._AT_ONCE", 700)
     samples = some_samples(2000)
+    samples["stamp_ns"][-1] = 2**31 * 10**9 - 1
+    write_rows(tmp_path, samples)
     samples["effort"][1500, 0] = np.nan
     with pytest.raises(AcquisitionError, match="row 1501"):
         write_rows(tmp_path, samples)
@@ -254,20 +248,6 @@ def test_the_file_ends_properly_when_a_session_fails(tmp_path, robot):
     recording = read_recording(tmp_path / "a.mcap")
     assert not recording.cut
     assert len(recording.samples) == 10
-
-
-def test_reads_nine_seconds_of_six_joints_at_5_khz_quickly(tmp_path):
-    robot = robot_named("tx40")
-    samples = some_samples(45_000, n=6, rate_hz=5000.0)
-    with RecordingWriter(tmp_path / "a.mcap", header(robot, 5000.0)) as writer:
-        writer.samples(samples)
-    times_s = []
-    for _ in range(3):
-        start_s = time.process_time()
-        recording = read_recording(tmp_path / "a.mcap")
-        times_s.append(time.process_time() - start_s)
-    assert recording.samples.tobytes() == samples.tobytes()
-    assert min(times_s) < 0.25  # about 0.03 s; ten times that means rows are read one by one
 
 
 def test_flush_reaches_the_disk(tmp_path, robot, monkeypatch):

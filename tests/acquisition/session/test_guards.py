@@ -1,12 +1,13 @@
 """Each guard provoked in motion on both sides of its limit, and every fault in every phase."""
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 import pytest
-from dry_sessions import DrySession, Through, dry_session, say, swing
+from dry_sessions import Through, dry_session, say, swing
 from faulty_drives import Fault, FaultyDrives
 from made_up_buses import bus_text, robot_of
 
@@ -48,57 +49,50 @@ def there_and_back(height: float, speed: float) -> Callable[[float], float]:
     return lambda t: height * (1 - abs(t - top_s) / top_s) if t < 2 * top_s else 0.0
 
 
-def run(path, where, *, text: str = "") -> DrySession:
-    text = text or bus_text(2)
-    return dry_session(path, REST, robot=robot_of(text), plant=Scripted(where))
-
-
 def with_limits(position: str = "[-150, 150]", following: float = 90.0) -> str:
-    return (
-        bus_text(2)
-        .replace("position_deg = [-150, 150]", f"position_deg = {position}", 1)
-        .replace("following_error_deg = 5", f"following_error_deg = {following}", 1)
-    )
+    """Limits of joint 1 in degrees."""
+    text = bus_text(2).replace("position_deg = [-150, 150]", f"position_deg = {position}", 1)
+    return text.replace("following_error_deg = 5", f"following_error_deg = {following}", 1)
 
 
-def outcome_of(tmp_path, where, text) -> str:
-    session = run(tmp_path / f"{len(list(tmp_path.iterdir()))}.mcap", where, text=text)
-    assert not session.outcome.unconfirmed
-    assert session.outcome.fault is (session.outcome.reason != "finished")
-    return session.outcome.reason
+FAST, LOW, HIGH, OFF = 1.2 * LIMIT, np.radians(-10), np.radians(20), np.radians(1.0)
 
 
-def test_over_speed_in_both_directions(tmp_path):
-    text = with_limits()
-    within, beyond = 0.99 * 1.2 * LIMIT, 1.01 * 1.2 * LIMIT
-    # There and back: both directions.
-    assert outcome_of(tmp_path, there_and_back(0.1, within), text) == "finished"
-    expected = "joint_1: speed = 4.231 rad/s: expected 3.491 at most"
-    assert outcome_of(tmp_path, lambda t: min(t * beyond, 0.1), text) == expected
-    assert outcome_of(tmp_path, lambda t: max(-t * beyond, -0.1), text) == expected
+def one_after_the_other(first, then, at_s: float) -> Callable[[float], float]:
+    return lambda t: first(t) if t < at_s else then(t - at_s)
 
 
-def test_both_ends_of_the_range(tmp_path):
-    text = with_limits(position="[-10, 20]")
-    low, high = np.radians([-10, 20])
-    up, down = there_and_back(0.999 * high, 3.0), there_and_back(0.999 * low, 3.0)
-    assert outcome_of(tmp_path, lambda t: up(t) if t < 0.24 else down(t - 0.24), text) == "finished"
-    for beyond in (high, low):
-        reason = outcome_of(tmp_path, there_and_back(1.05 * beyond, 3.0), text)
-        value = float(reason.removeprefix("joint_1: position = ").split()[0])
-        assert 1.0 < value / beyond < 1.05
-        assert reason.endswith("rad: expected -0.1745 to 0.3491")
-
-
-def test_following_errors_of_both_signs(tmp_path):
-    text = with_limits(following=1.0)
-    largest = np.radians(1.0)
-    up, down = there_and_back(0.99 * largest, 1.0), there_and_back(-0.99 * largest, 1.0)
-    assert outcome_of(tmp_path, lambda t: up(t) if t < 0.04 else down(t - 0.04), text) == "finished"
-    for sign in (1, -1):
-        reason = outcome_of(tmp_path, there_and_back(sign * 1.15 * largest, 1.0), text)
-        assert reason.startswith("joint_1: following error = 0.01")
-        assert reason.endswith("rad: expected 0.01745 at most")
+@pytest.mark.parametrize(
+    ("limits", "inside", "beyond", "key", "low", "high", "expected"),
+    [
+        # Speed in both directions, both ends of the range, following errors of both signs.
+        ({}, there_and_back(0.1, 0.99 * FAST),
+         [lambda t: min(t * 1.01 * FAST, 0.1), lambda t: max(-t * 1.01 * FAST, -0.1)], "speed", 4.2305, 4.2315,
+         "rad/s: expected 3.491 at most"),
+        ({"position": "[-10, 20]"},
+         one_after_the_other(there_and_back(0.999 * HIGH, 3.0), there_and_back(0.999 * LOW, 3.0), 0.24),
+         [there_and_back(1.05 * LOW, 3.0)], "position", 1.05 * LOW, LOW, "rad: expected -0.1745 to 0.3491"),
+        ({"position": "[-10, 20]"}, there_and_back(0.999 * HIGH, 3.0), [there_and_back(1.05 * HIGH, 3.0)], "position",
+         HIGH, 1.05 * HIGH, "rad: expected -0.1745 to 0.3491"),
+        ({"following": 1.0},
+         one_after_the_other(there_and_back(0.99 * OFF, 1.0), there_and_back(-0.99 * OFF, 1.0), 0.04),
+         [there_and_back(1.15 * OFF, 1.0), there_and_back(-1.15 * OFF, 1.0)], "following error", OFF, 0.02,
+         "rad: expected 0.01745 at most"),
+    ],
+)  # fmt: skip
+def test_a_joint_beyond_a_limit_stops_and_one_just_inside_does_not(
+    tmp_path, limits, inside, beyond, key, low, high, expected
+):
+    for k, where in enumerate([inside, *beyond]):
+        robot = robot_of(with_limits(**limits))
+        session = dry_session(tmp_path / f"{k}.mcap", REST, robot=robot, plant=Scripted(where))
+        assert not session.outcome.unconfirmed
+        assert session.outcome.fault is (k > 0)
+        if k == 0:
+            assert session.outcome.reason == "finished"
+            continue
+        found = re.fullmatch(rf"joint_1: {key} = (\S+) {re.escape(expected)}", session.outcome.reason)
+        assert low < float(found[1]) < high
 
 
 class Obedient:
@@ -128,8 +122,8 @@ def test_a_following_error_is_that_of_the_target_which_the_drive_has_had_a_perio
 
     # 0.216° from SYNC to SYNC, in which a drive that follows at once has no error.
     task = Task(reference=swing(2, seconds=1.0, amplitude=0.3))
-    text = with_limits(following=0.15)
-    session = dry_session(tmp_path / "a.mcap", task, robot=robot_of(text), plant=plant, simulated=Here)
+    robot = robot_of(with_limits(following=0.15))
+    session = dry_session(tmp_path / "a.mcap", task, robot=robot, plant=plant, simulated=Here)
     assert session.outcome.reason == "finished"
 
 

@@ -4,7 +4,6 @@ import itertools
 import multiprocessing
 import signal
 import struct
-import threading
 import time
 from contextlib import closing
 from dataclasses import dataclass
@@ -33,15 +32,13 @@ from session_processes import (
 from third_party_drives import npm, third_party_drive
 
 import acquisition.session.process as process_module
-import acquisition.simulated.node as simulated_supervision
 from acquisition.bus import Master, open_link
 from acquisition.commands import main
 from acquisition.errors import AcquisitionError
 from acquisition.protocol import State, state_of
-from acquisition.recording import Recording, read_recording
+from acquisition.recording import Recording
 from acquisition.session import InlineLog, Task
 from acquisition.session.process import Watchdog, WatchdogPipe, silence_s
-from acquisition.simulated import serve
 
 __all__ = ["folder", "npm", "port"]  # fixtures
 LONGEST_S = 0.3 + 2 * SYNC_S  # from the last SYNC of the session to the quick stop of every drive
@@ -184,19 +181,18 @@ class Beating(InlineLog):
         self.signs.append((self.link.now_ns(), "ended"))
 
 
+@dataclass(kw_only=True)
+class Clocked(Through):
+    def __post_init__(self):
+        Beating.link = self.link
+        Beating.signs.clear()
+
+
 def beating_session(path, faults=()) -> DrySession:
     """Six drives with slow answers."""
-
-    @dataclass(kw_only=True)
-    class Clocked(Through):
-        def __post_init__(self):
-            Beating.link = self.link
-
-    Beating.signs.clear()
     robot, task = robot_of(bus_text(6)), Task(reference=np.zeros((51, 6)))
-    return dry_session(
-        path, task, robot=robot, faults=faults, through=Clocked, simulated=SlowAnswers, log_of=Beating
-    )  # fmt: skip
+    how = {"through": Clocked, "simulated": SlowAnswers, "log_of": Beating}
+    return dry_session(path, task, robot=robot, faults=faults, **how)
 
 
 def test_six_slow_drives_end_without_a_word_of_the_second_stop(tmp_path):
@@ -239,35 +235,6 @@ def test_a_fault_of_slow_drives_is_no_death_either(tmp_path, kind):
     emergencies = frames[(frames["can_id"] > 0x80) & (frames["can_id"] < 0x87)]
     assert emergencies["can_id"].tolist() == ([] if kind == "silent" else [0x83])
     assert len(session.outcome.reports) == (kind == "emergency")
-
-
-@tried_again
-def test_six_slow_drives_over_processes(folder, monkeypatch):
-    monkeypatch.setattr(simulated_supervision, "SYNC_LOST_NS", 3600 * 10**9)  # this machine may be busy
-    channel = bus_at(folder).channel
-    text = slow_bus_text(6, channel=channel)
-    (folder / "six.toml").write_text(text)
-    names = ",".join(f"joint_{k}" for k in range(1, 7))
-    (folder / "rest.csv").write_text(f"time_s,{names}\n0{',0' * 6}\n0.5{',0' * 6}\n")
-    robot, out, over, ready = robot_of(text), folder / "six.mcap", threading.Event(), threading.Event()
-    six = SlowAnswers(robot, bus_of(robot))
-    thread = threading.Thread(target=serve, args=(six, over.is_set, ready.set))
-    thread.start()
-    try:
-        assert ready.wait(20)
-        track = ("--yes", "--track", str(folder / "rest.csv"))
-        session = acquire(folder, "record", str(folder / "six.toml"), "-o", str(out), *track)
-        _, errors = session.communicate(timeout=PATIENCE_S)
-        assert (session.returncode, errors.count("no sign of life")) == (0, 0), errors
-    finally:
-        over.set()
-        thread.join(20)
-    recording = read_recording(out)
-    assert texts(recording, "fault") == []
-    assert texts(recording, "end") == ["finished"]
-    assert not [text for text in texts(recording, "warning") if "another" in text]  # a group gives back what is sent
-    (disabled_ns,) = [e.stamp_ns for e in recording.events if e.kind == "disabled"]
-    assert recording.samples["stamp_ns"][-1] <= disabled_ns  # no second program sent SYNC
 
 
 def test_signs_never_wait_for_a_recorder_that_hangs():
