@@ -136,21 +136,13 @@ def test_logs_that_are_none(tmp_path, name, content, expected):
     assert not (tmp_path / "o.mcap").exists()
 
 
-@pytest.mark.parametrize(
-    ("time", "told"),
-    [
-        ("99999999999999999999.0", "time 1e+20 s"),
-        ("-5.0", "time -5 s"),
-        ("2147483649.0", "time 2147483649 s"),
-        ("nan", "time nan s"),
-    ],
-)
-def test_a_time_that_no_recording_holds(tmp_path, time, told):
+@pytest.mark.parametrize("time", ["99999999999999999999.0", "-5.0", "2147483649.0", "nan"])
+def test_a_time_that_no_recording_holds(tmp_path, time):
     log = tmp_path / "a.log"
     log.write_text(f"(1.0) can0 080#\n(1.001) can0 181#00\n({time}) can0 080#\n")
     with pytest.raises(AcquisitionError) as caught:
         import_log(log, tmp_path / "o.mcap", ROBOT, "robot.toml")
-    assert str(caught.value) == f"{log}: frame 3: {told}: expected 0 to 2147483648"
+    assert str(caught.value) == f"{log}: frame 3: time {float(time):.10g} s: expected 0 to 2147483648"
     assert list(tmp_path.iterdir()) == [log]
 
 
@@ -213,6 +205,12 @@ def recorded(path, frames, samples=None) -> None:
             writer.samples(samples)
 
 
+def recorder_of(path, frames) -> Recorder:
+    recorder = Recorder(path, ROBOT, source="x", place="robot.toml")
+    recorder.add(frames)
+    return recorder
+
+
 def told(capsys, *arguments) -> str:
     status = main([str(argument) for argument in arguments])
     captured = capsys.readouterr()
@@ -221,8 +219,7 @@ def told(capsys, *arguments) -> str:
 
 def test_why_there_are_no_samples_is_said_by_all_who_need_some(tmp_path, capsys):
     log, cut = tmp_path / "a.mcap", tmp_path / "cut.mcap"
-    recorder = Recorder(log, ROBOT, source="x", place="robot.toml")
-    recorder.add(lossy(1 / 8))
+    recorder = recorder_of(log, lossy(1 / 8))
     why = "12.0% of the PDOs of a drive are missing: expected 5% at most"
     assert why in recorder.finish(3 * 10**9).no_samples
     assert read_recording(log).samples is None
@@ -236,8 +233,7 @@ def test_why_there_are_no_samples_is_said_by_all_who_need_some(tmp_path, capsys)
 
 
 def test_a_recording_that_was_cut_is_recovered_with_its_samples(tmp_path, capsys):
-    recorder = Recorder(tmp_path / "a.mcap", ROBOT, source="x", place="robot.toml")
-    recorder.add(flat(session()))
+    recorder = recorder_of(tmp_path / "a.mcap", flat(session()))
     recorder.tick(1, 0, now=True)
     (tmp_path / "cut.mcap").write_bytes((tmp_path / "a.mcap").read_bytes())
     recorder.finish(3 * 10**9)
@@ -259,9 +255,7 @@ def test_a_late_sync_of_ours_is_called_late(tmp_path, capsys):
         ("a", late, "1, 0 samples missing, 1 SYNC late"),
         ("b", lost, "1, 2 samples missing, 0 SYNC"),
     ):
-        recorder = Recorder(tmp_path / f"{name}.mcap", ROBOT, source="x", place="robot.toml")
-        recorder.add(block)
-        recorder.finish(3 * 10**9)
+        recorder_of(tmp_path / f"{name}.mcap", block).finish(3 * 10**9)
         assert words in told(capsys, "info", tmp_path / f"{name}.mcap")
     exported = told(capsys, "export", tmp_path / "b.mcap", "-o", tmp_path / "b.csv")
     assert "warning: 2 samples are missing in 1 gaps" in exported
@@ -277,9 +271,8 @@ def test_what_goes_block_by_block_is_the_same(tmp_path, monkeypatch, capsys):
         monkeypatch.setattr(f"acquisition.recording.{name}", 7)
     assert told(capsys, "info", tmp_path / "b.mcap") == overview
     import_recording(tmp_path / "a.mcap", tmp_path / "c.mcap", None, "x")
-    assert (
-        read_recording(tmp_path / "c.mcap").samples.tobytes() == read_recording(tmp_path / "b.mcap").samples.tobytes()
-    )
+    b, c = (read_recording(tmp_path / name).samples for name in ("b.mcap", "c.mcap"))
+    assert b.tobytes() == c.tobytes()
     export_csv(tmp_path / "b.mcap", tmp_path / "c.csv")
     assert (tmp_path / "c.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
 

@@ -498,18 +498,14 @@ def test_heartbeats_as_a_master_takes_them(bus, text, nmt, booted):
     assert (master.nodes[0].nmt, master.nodes[0].booted) == (nmt, booted)
 
 
-def test_emergencies_as_a_master_takes_them(bus):
-    master = Master(Answering(), bus)
-    master.dispatch(Frame(0, 0x086, data("10 23 01 00 00 00 00 00")))
-    master.dispatch(Frame(0, 0x085, data("00 00 00 00 00 00 00 00")))  # no error any more
-    assert master.nodes[0].emergency is None
-    master.dispatch(Frame(0, 0x085, data("10 23 02 00 00 00 00 00")))
-    assert master.nodes[0].emergency == 0x2310
-
-
-def test_pdos_as_a_master_takes_them(bus):
+def test_emergencies_and_pdos_as_a_master_takes_them(bus):
     master = Master(Answering(), bus)
     watch = master.nodes[0]
+    master.dispatch(Frame(0, 0x086, data("10 23 01 00 00 00 00 00")))
+    master.dispatch(Frame(0, 0x085, data("00 00 00 00 00 00 00 00")))  # no error any more
+    assert watch.emergency is None
+    master.dispatch(Frame(0, 0x085, data("10 23 02 00 00 00 00 00")))
+    assert watch.emergency == 0x2310
     master.dispatch(Frame(0, 0x185, data("37 12 FB FF FF FF D4")))  # too short
     assert (watch.statusword, watch.counts, watch.answers) == (None, None, 0)
     master.dispatch(Frame(0, 0x185, data("37 12 FB FF FF FF D4 FE")))

@@ -17,6 +17,12 @@ from acquisition.recording import EXTENDED, FRAME, SENT, Header, RecordingWriter
 from acquisition.robot import load_robot
 
 
+def messages_of(path, *topics: str) -> list:
+    """Schemas, channels and messages as the package mcap reads them."""
+    with path.open("rb") as file:
+        return list(mcap.reader.make_reader(file).iter_messages(topics=topics or None))
+
+
 def test_reads_what_was_written(whole, robot):
     recording = read_recording(whole)
     assert recording.samples.tobytes() == some_samples(240).tobytes()
@@ -42,8 +48,7 @@ def test_one_large_block_is_stored_in_small_ones(tmp_path, robot):
         writer.frames("can0", some_frames(301))
     recording = read_recording(tmp_path / "a.mcap")
     assert recording.samples.tobytes() == samples.tobytes()
-    with (tmp_path / "a.mcap").open("rb") as file:
-        found = [(c.topic, len(m.data)) for _, c, m in mcap.reader.make_reader(file).iter_messages()]
+    found = [(c.topic, len(m.data)) for _, c, m in messages_of(tmp_path / "a.mcap")]
     row = samples.dtype.itemsize
     assert [size // row for topic, size in found if topic == "/samples"] == [2000, 2000, 2000, 2000, 1001]
     assert [size // 22 for topic, size in found if topic == "/can/can0/frames"] == [100, 100, 100, 1]  # of 100 ms
@@ -61,9 +66,8 @@ def test_blocks_byte_for_byte(tmp_path, robot):
         writer.frames("can0", frames)
         writer.event(13, "phase", "track")
         writer.health(14, {"late": 2})
-    with (tmp_path / "a.mcap").open("rb") as file:
-        messages = mcap.reader.make_reader(file).iter_messages()
-        found = {c.topic: (s.encoding, s.data.decode(), c.message_encoding, m) for s, c, m in messages if s}
+    messages = messages_of(tmp_path / "a.mcap")
+    found = {c.topic: (s.encoding, s.data.decode(), c.message_encoding, m) for s, c, m in messages if s}
     encoding, layout, kind, message = found["/samples"]
     row = "('stamp_ns', '<i8'), ('position', '<f8', (2,)), ('effort', '<f8', (2,)), ('reference', '<f8', (2,))"
     assert (encoding, layout, kind, message.log_time) == ("numpy", f"[{row}]", "numpy", 7)
@@ -179,8 +183,7 @@ def test_joint_states_are_cdr_at_100_hz_at_most(tmp_path, robot, rate_hz, step):
             writer.samples(samples[k : k + 7])
     store = get_typestore(Stores.ROS2_JAZZY)
     for topic, field in (("/joint_states/measured", "position"), ("/joint_states/reference", "reference")):
-        with (tmp_path / "a.mcap").open("rb") as file:
-            found = list(mcap.reader.make_reader(file).iter_messages(topics=[topic]))
+        found = messages_of(tmp_path / "a.mcap", topic)
         shown = samples[::step]
         assert len(found) == len(shown)
         assert np.diff([m.log_time for _, _, m in found]).min() >= 10_000_000 - 1
@@ -199,8 +202,7 @@ def test_amperes_are_no_joint_state_effort(tmp_path, robot):
     (tmp_path / "robot.toml").write_bytes(toml)
     in_amperes = load_robot(tmp_path / "robot.toml")
     write(tmp_path / "a.mcap", in_amperes, blocks=1)
-    with (tmp_path / "a.mcap").open("rb") as file:
-        messages = list(mcap.reader.make_reader(file).iter_messages(topics=["/joint_states/measured"]))
+    messages = messages_of(tmp_path / "a.mcap", "/joint_states/measured")
     store = get_typestore(Stores.ROS2_JAZZY)
     assert messages
     assert all(store.deserialize_cdr(m.data, "sensor_msgs/msg/JointState").effort.size == 0 for _, _, m in messages)
@@ -229,18 +231,11 @@ def test_writer_refuses_what_the_reader_would(tmp_path, robot):
     assert len(recording.samples) == 20
 
 
-def test_a_counter_that_is_not_known_is_read_as_nan(tmp_path, robot):
-    with RecordingWriter(tmp_path / "a.mcap", header(robot, 1.0)) as writer:
-        writer.health(3, {"drops": float("nan"), "late": 2})
-    (health,) = read_recording(tmp_path / "a.mcap").health
-    assert np.isnan(health.counters["drops"])
-    assert health.counters["late"] == 2
-
-
-def test_the_file_ends_properly_when_a_session_fails(tmp_path, robot):
+def test_the_file_ends_properly_when_a_session_fails_and_an_unknown_counter_is_nan(tmp_path, robot):
     def session() -> None:
         with RecordingWriter(tmp_path / "a.mcap", header(robot)) as writer:
             writer.samples(some_samples(10))
+            writer.health(3, {"drops": float("nan"), "late": 2})
             raise RuntimeError("a drive reports a fault")
 
     with pytest.raises(RuntimeError):
@@ -248,6 +243,9 @@ def test_the_file_ends_properly_when_a_session_fails(tmp_path, robot):
     recording = read_recording(tmp_path / "a.mcap")
     assert not recording.cut
     assert len(recording.samples) == 10
+    (health,) = recording.health
+    assert np.isnan(health.counters["drops"])
+    assert health.counters["late"] == 2
 
 
 def test_flush_reaches_the_disk(tmp_path, robot, monkeypatch):

@@ -11,14 +11,14 @@ import pytest
 from conftest import REPLAY, robot_named
 from made_up_bags import bag, message
 from made_up_buses import bus_text, robot_of, session
-from made_up_recordings import some_samples
+from made_up_recordings import header, some_samples
 from urdfs import ARM, joint, urdf
 
 from acquisition.commands import main
 from acquisition.errors import AcquisitionError
 from acquisition.importing import import_recording
 from acquisition.options import RecordOptions
-from acquisition.recording import Header, RecordingWriter, read_recording
+from acquisition.recording import RecordingWriter, read_recording
 from acquisition.robot import Payload, Robot, load_robot, parse_payload, robot_from_files
 from acquisition.session import UserInterface, record
 from acquisition.session.logs import ProcessLog, Role
@@ -43,21 +43,9 @@ def arm(table: str = "", **parts: str) -> Robot:
     ("text", "payload", "words"),
     [
         ("2.805", Payload(2.805), "2.805 kg, centre of mass not stated"),
-        (
-            "2.805@0.03,0.15,-0.16",
-            Payload(2.805, (0.03, 0.15, -0.16)),
-            "2.805 kg at 0.03, 0.15, -0.16 ± 0.005 m in the frame of the last joint",
-        ),
-        (
-            " 1e-3 @ 0, 0 ,5",
-            Payload(0.001, (0.0, 0.0, 5.0)),
-            "0.001 kg at 0, 0, 5 ± 0.005 m in the frame of the last joint",
-        ),
-        (
-            "2@0,0,0.1+-1e-3",
-            Payload(2.0, (0.0, 0.0, 0.1), center_half_width_m=0.001),
-            "2 kg at 0, 0, 0.1 ± 0.001 m in the frame of the last joint",
-        ),
+        ("2.805@0.03,0.15,-0.16", Payload(2.805, (0.03, 0.15, -0.16)), "2.805 kg at 0.03, 0.15, -0.16 ± 0.005 m in"),
+        (" 1e-3 @ 0, 0 ,5", Payload(0.001, (0.0, 0.0, 5.0)), "0.001 kg at 0, 0, 5 ± 0.005 m in"),
+        ("2@0,0,0.1+-1e-3", Payload(2.0, (0.0, 0.0, 0.1), center_half_width_m=0.001), "2 kg at 0, 0, 0.1 ± 0.001 m in"),
         (f"{1 / 3!r}@{0.1 + 0.2!r},0,0", Payload(1 / 3, (0.1 + 0.2, 0.0, 0.0)), None),
     ],
 )
@@ -65,7 +53,7 @@ def test_a_payload_is_read_and_written(text, payload, words):
     found = parse_payload(text, robot_named("tx40"))
     assert found == payload
     assert parse_payload(found.text, robot_named("tx40")) == payload
-    assert words is None or str(found) == words
+    assert words is None or str(found) == words + " the frame of the last joint" * words.endswith("in")
 
 
 @pytest.mark.parametrize(
@@ -81,7 +69,6 @@ def test_no_payload(text):
         parse_payload(text, robot_named("tx40"), "--payload")
     assert (refused.value.key, refused.value.value) == ("--payload", text)
     assert refused.value.expected.startswith("KG or KG@X,Y,Z")
-    assert "\n" not in str(refused.value)
 
 
 def test_the_table_says_how_the_numbers_are_meant():
@@ -175,15 +162,7 @@ HEAVY = Payload(2.805, (0.03, 0.15, -0.16), None, 0.01)
 
 def recorded(path: Path, payload: Payload | None, /, **metadata: str) -> Path:
     """A recording of the SCARA."""
-    header = Header(
-        robot=robot_named("scara"),
-        source="",
-        sample_rate_hz=1000.0,
-        effort_provenance="",
-        payload=payload,
-        notes=metadata,
-    )
-    with RecordingWriter(path, header) as writer:
+    with RecordingWriter(path, replace(header(robot_named("scara")), payload=payload, notes=metadata)) as writer:
         writer.samples(some_samples(100))
     return path
 

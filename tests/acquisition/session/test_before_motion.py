@@ -41,22 +41,15 @@ def test_joint_positions_in_words_by_hand():
     assert position_words(robot_named("emps"), np.array([0.25]))[0].endswith(" = 0.25000 m")
 
 
-def faulted(node: int = 2) -> tuple[object, Master]:
-    run, master = drives_of(bus_text(2))
-    run.drives.nodes[node - 1].emergency(0x8611)
-    run.drives.nodes[node - 1].tick()
-    run.drives.nodes[node - 1].tick()
-    return run, master
-
-
 def test_a_reset_of_faults_is_asked_together_with_the_joint_angles():
-    robot, (_, master) = robot_of(bus_text(2)), faulted()
-    shown: list[list[str]] = []
+    robot, (run, master), shown = robot_of(bus_text(2)), drives_of(bus_text(2)), list[list[str]]()
+    run.drives.nodes[1].emergency(0x8611)
+    for _ in range(2):
+        run.drives.nodes[1].tick()
     with pytest.raises(AcquisitionError) as caught:
         confirm_motion(robot, master, lambda *asked: bool(shown.extend(asked)))
     words, faults = shown
-    assert len(words) == 2
-    assert len(faults) == 1
+    assert (len(words), len(faults)) == (2, 1)
     assert faults[0].startswith("in fault: node 2 (motor_2): ")
     assert "error code 603F = 0x8611 (following error)" in faults[0]
     assert caught.value.place == "drives"
@@ -194,16 +187,14 @@ def test_speeds_that_are_none(tmp_path, speed):
 
 
 def test_what_is_granted_is_given_back(monkeypatch):
-    calls = []
+    calls, before = [], os.sched_getscheduler(0)
     monkeypatch.setattr(os, "sched_setscheduler", lambda *arguments: calls.append(arguments))
     monkeypatch.setattr(resource, "getrlimit", lambda _: (65536, resource.RLIM_INFINITY))
-    before = os.sched_getscheduler(0)
     with real_time_scheduling() as granted:
         assert not gc.isenabled()
         assert (granted.fifo, granted.locked) == (True, False)  # memory is locked only where the limit is unlimited
-        assert calls[0][1] == os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
     assert gc.isenabled()
-    assert calls[1][1] == before
+    assert [policy for _, policy, *_ in calls] == [os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, before]
 
     def denied(*_):
         raise PermissionError
@@ -226,19 +217,17 @@ class Late(Through):
         return super().receive(until_ns + (self.late_ns if self.turn else 0))
 
 
-@pytest.mark.parametrize(("bound_s", "refused"), [(0.0121, False), (0.0119, True)])
-def test_jitter_that_would_be_a_fault_in_motion_is_refused(monkeypatch, bound_s, refused):
+def test_jitter_that_would_be_a_fault_in_motion_is_refused(monkeypatch):
     """Intervals of 5 ± 4 ms by turns have a standard deviation of 4 ms, and three of them are 12 ms."""
     run, master = connected(robot_of(bus_text(1, period_s=0.005)))
     master.link = Late(link=run, late_ns=4_000_000)
-    monkeypatch.setattr(timing, "largest_delay_s", lambda _: bound_s)
-    if refused:
-        with pytest.raises(AcquisitionError, match=r"SYNC jitter sd = 4.000 ms: 3 sd exceed 11.9 ms"):
-            refuse_jitter(master)
-    else:
-        found = refuse_jitter(master)
-        assert (found.sd_s, found.worst_s) == (pytest.approx(0.004, rel=1e-3), pytest.approx(0.004))
-        assert found.off == 1.0
+    monkeypatch.setattr(timing, "largest_delay_s", lambda _: 0.0121)
+    found = refuse_jitter(master)
+    assert (found.sd_s, found.worst_s) == (pytest.approx(0.004, rel=1e-3), pytest.approx(0.004))
+    assert found.off == 1.0
+    monkeypatch.setattr(timing, "largest_delay_s", lambda _: 0.0119)
+    with pytest.raises(AcquisitionError, match=r"SYNC jitter sd = 4.000 ms: 3 sd exceed 11.9 ms"):
+        refuse_jitter(master)
 
 
 def test_jitter_of_another_producer_that_sends_no_sync():

@@ -1,10 +1,8 @@
 """While drives are enabled: held arms do not sink, joints that run away are caught, and nothing jumps when motion begins."""
 
-from dataclasses import dataclass
-
 import numpy as np
 import pytest
-from dry_sessions import DrySession, Through, at_boot, connected, dry_session, findings, swing
+from dry_sessions import DrySession, at_boot, connected, dry_session, findings, swing
 from faulty_drives import Fault, FaultyDrives
 from made_up_buses import bus_of, bus_text, robot_of
 
@@ -65,10 +63,8 @@ def test_a_target_follows_while_its_drive_is_not_enabled(tmp_path):
                 self._q[1] += 0.05 * duration_s  # 0.05 rad/s
 
     robot = robot_of(bus_text(2))
-    rated = np.abs(robot.joint_effort(rated_motor_effort(bus_of(robot))[None])[0])
-    plant = Turned(
-        rated / 140, 0.01 * rated, 0.05 * rated, 0 * rated, slides=np.zeros(2, bool), position=np.zeros(2)
-    )  # fmt: skip
+    plant = loaded(0.0)
+    plant.__class__ = Turned
     late = [Fault(kind="slow", node=2, sync=1, count=100)]
     session = dry_session(tmp_path / "a.mcap", TRACK, plant=plant, faults=late, robot=robot)
     assert session.outcome.reason == "finished"
@@ -106,9 +102,11 @@ class Runaway(JointwisePlant):
     """The effort of joints acts the wrong way round: wrong commutation."""
 
     ways: np.ndarray
+    farthest: float
 
     def step(self, effort, held, duration_s):
         super().step(effort * self.ways, held, duration_s)
+        self.farthest = max(self.farthest, np.abs(self.state()[0]).max())
 
 
 @pytest.mark.parametrize(
@@ -117,19 +115,12 @@ class Runaway(JointwisePlant):
 )
 def test_joints_that_run_away_while_enabled_are_stopped_before_they_have_moved_far(tmp_path, ways, share, late):
     """Both at once, or one while the other drive still waits in switched on."""
-    plant, farthest = loaded(share), [0.0]
-    plant.__class__, plant.ways = Runaway, np.array(ways)
-
-    @dataclass(kw_only=True)
-    class Measured(Through):
-        def receive(self, until_ns):
-            farthest[0] = max(farthest[0], np.abs(plant.state()[0]).max() * DEG)
-            return super().receive(until_ns)
-
-    session = dry_session(tmp_path / "a.mcap", TRACK, plant=plant, faults=late, through=Measured)
+    plant = loaded(share)
+    plant.__class__, plant.ways, plant.farthest = Runaway, np.array(ways), 0.0
+    session = dry_session(tmp_path / "a.mcap", TRACK, plant=plant, faults=late)
     assert session.outcome.error.key == "motion while drives were enabled"
     assert not session.outcome.unconfirmed
-    assert 1.0 < farthest[0] < 3.5
+    assert 1.0 < plant.farthest * DEG < 3.5
     frames = session.frames
     words = [set((frames[frames["can_id"] == 0x180 + k]["data"][:, 0] & 0x0F).tolist()) for k in (1, 2)]
     assert (0x07 in words[0], 0x07 in words[1]) == (True, not late)

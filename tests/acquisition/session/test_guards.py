@@ -189,30 +189,21 @@ def test_error_codes_by_name():
 
 @dataclass(kw_only=True)
 class Counting(Through):
-    """Counts the SYNCs that the session sends."""
+    """Counts the SYNCs that the session sends; after `at_sync` of them it does not run for `for_s` of simulated time."""
 
     syncs: int = 0
+    at_sync: int = 0
+    for_s: float = 0.0
 
     def send(self, can_id, data):
         self.syncs += can_id == 0x80
         super().send(can_id, data)
 
-
-def stalling(at_sync: int, for_s: float) -> type[Through]:
-    @dataclass(kw_only=True)
-    class Stalling(Counting):
-        """The session does not run for a while; simulated time goes on."""
-
-        done: bool = False
-
-        def receive(self, until_ns):
-            frame = super().receive(until_ns)
-            if not self.done and self.syncs == at_sync and frame is None:  # the next SYNC is due now
-                self.done = True
-                self.link._time_ns = until_ns + round(for_s * 1e9)
-            return frame
-
-    return Stalling
+    def receive(self, until_ns):
+        frame = super().receive(until_ns)
+        if self.at_sync == self.syncs > 0 and frame is None:  # the next SYNC is due now
+            self.at_sync, self.link._time_ns = 0, until_ns + round(self.for_s * 1e9)
+        return frame
 
 
 @pytest.mark.parametrize(
@@ -227,7 +218,8 @@ def stalling(at_sync: int, for_s: float) -> type[Through]:
 )
 def test_a_late_sync_in_motion(tmp_path, extra, for_s, fault):
     robot = robot_of(bus_text(2, extra=extra))
-    session = dry_session(tmp_path / "a.mcap", REST, robot=robot, through=stalling(170, for_s))
+    stalling = partial(Counting, at_sync=170, for_s=for_s)
+    session = dry_session(tmp_path / "a.mcap", REST, robot=robot, through=stalling)
     assert session.outcome.fault is fault
     assert not session.outcome.unconfirmed
     frames = session.recording.frames["test"]

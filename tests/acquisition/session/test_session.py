@@ -9,7 +9,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from dry_sessions import At, Beats, SyncOfAnother, Through, connected, dry_session, swing
+from dry_sessions import At, Beats, DrySession, SyncOfAnother, Through, connected, dry_session, swing
 from faulty_drives import Fault, FaultyDrives
 from made_up_buses import bus_of, bus_text, robot_of
 
@@ -23,6 +23,12 @@ LISTENED_NS = 1_500_000_000  # simulated time begins at 1 s; half a second of li
 TRACK, SHORT = Task(reference=swing(2)), Task(reference=swing(2, seconds=0.4, amplitude=0.02))
 
 
+def tracked(session: DrySession) -> np.ndarray:
+    """The samples of the track phase."""
+    samples, at = session.recording.samples, session.phases
+    return samples[(samples["stamp_ns"] >= at["track"]) & (samples["stamp_ns"] < at["stop"])]
+
+
 def test_a_reference_is_tracked_and_recorded(tmp_path):
     session = dry_session(tmp_path / "a.mcap", TRACK)
     assert (session.outcome.reason, session.outcome.fault, session.outcome.alarm) == ("finished", False, "")
@@ -31,12 +37,10 @@ def test_a_reference_is_tracked_and_recorded(tmp_path):
     assert session.events("end") == ["finished"]
     assert session.events("disabled") == ["every drive confirmed"]
     assert session.recorded.warnings == ()
-    samples = session.recording.samples
-    at = session.phases
-    track = (samples["stamp_ns"] >= at["track"]) & (samples["stamp_ns"] < at["stop"])
-    assert samples["reference"][track] == pytest.approx(swing(2), abs=2e-6)
-    assert np.abs(samples["position"] - samples["reference"])[track].max() < 0.01
-    assert (np.diff(samples["stamp_ns"]) == 2_000_000).all()
+    samples, at = tracked(session), session.phases
+    assert samples["reference"] == pytest.approx(swing(2), abs=2e-6)
+    assert np.abs(samples["position"] - samples["reference"]).max() < 0.01
+    assert (np.diff(session.recording.samples["stamp_ns"]) == 2_000_000).all()
     frames = session.frames
     assert 0.4 < np.mean(frames["flags"] & SENT != 0) < 0.6
     nmt = frames[frames["can_id"] == 0]  # to our drives only
@@ -160,9 +164,8 @@ def test_sync_jitter_is_measured_and_the_session_goes_on(tmp_path):
     assert session.outcome.reason == "finished"
     assert 1e-4 < session.recording.health[-1].counters["sync_jitter_sd_s"] < 1e-3
     stamps = session.recording.samples["stamp_ns"]
-    assert np.isin(
-        stamps, session.sent["time_ns"][session.sent["can_id"] == 0x80]
-    ).all()  # a sample has its SYNC's own time
+    syncs = session.sent[session.sent["can_id"] == 0x80]
+    assert np.isin(stamps, syncs["time_ns"]).all()  # a sample has its SYNC's own time
     assert np.diff(stamps).std() > 1e5
 
 
@@ -273,10 +276,8 @@ def test_sync_of_another_producer_is_followed(tmp_path):
     robot = robot_of(bus_text(2, extra='sync_producer = "other"'))
     session = dry_session(tmp_path / "a.mcap", TRACK, robot=robot, through=SyncOfAnother)
     assert session.outcome.reason == "finished"
-    samples = session.recording.samples
-    at = session.phases
-    track = (samples["stamp_ns"] >= at["track"]) & (samples["stamp_ns"] < at["stop"])
-    assert samples["reference"][track][5:-5] == pytest.approx(swing(2)[5:-5], abs=0.01)
+    reference = tracked(session)["reference"]
+    assert reference[5:-5] == pytest.approx(swing(2)[5:-5], abs=0.01)
 
 
 def test_a_sync_that_ends_stops_motion(tmp_path):

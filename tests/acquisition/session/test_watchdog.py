@@ -134,7 +134,7 @@ def test_disable_says_first_who_did_not_confirm(folder, capsys):
     assert "cannot be opened" in second
 
 
-def test_a_watchdog_acts_only_when_armed_and_not_ended():
+def test_a_watchdog_acts_only_when_armed_and_not_ended_and_says_so_before(monkeypatch):
     bus = bus_of(robot_of(bus_text(2, channel="nobody_here")))
     for signs, acts in (("e", False), ("a", True), ("aae", False), ("aea", False)):
         here, there = multiprocessing.Pipe()
@@ -149,10 +149,7 @@ def test_a_watchdog_acts_only_when_armed_and_not_ended():
         assert (watchdog.reason is not None) == acts
         kinds = [kind for _, kind, _ in watchdog.events]
         assert kinds == (["fault", "not disabled"] if acts else [])
-
-
-def test_the_session_knows_of_the_second_stop_before_its_first_frame(monkeypatch):
-    bus = bus_of(robot_of(bus_text(2, channel="nobody_here")))
+    # The session knows of the second stop before its first frame.
     here, there = multiprocessing.Pipe()
     life, said = WatchdogPipe(there), []
     monkeypatch.setattr(process_module, "stop_drives", lambda _: said.append(life.stopped()) or [])
@@ -217,6 +214,8 @@ def test_an_answer_that_does_not_come_is_awaited_with_signs_of_life():
     master.while_awaiting = lambda: times.append(run.now_ns() - began_ns)
     with pytest.raises(AcquisitionError, match=r"no answer in 0.3 s"):
         master.read(1, 0x6041)
+    assert silence_s(master.bus.file) == 0.3  # longer than a few periods
+    assert silence_s(bus_of(robot_of(bus_text(2, period_s=0.2))).file) == pytest.approx(0.6)
     assert times == [k * 50_000_000 for k in range(6)]
     assert run.now_ns() - began_ns == 300_000_000
 
@@ -247,11 +246,6 @@ def test_signs_never_wait_for_a_recorder_that_hangs():
     here.close()
     life.alive()
     life.close()
-
-
-def test_silence_is_longer_than_a_few_periods():
-    assert silence_s(bus_of(robot_of(bus_text(2))).file) == 0.3
-    assert silence_s(bus_of(robot_of(bus_text(2, period_s=0.2))).file) == pytest.approx(0.6)
 
 
 def test_a_third_party_drive_is_stopped(folder, npm):
