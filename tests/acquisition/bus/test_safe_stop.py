@@ -9,7 +9,7 @@ from faulty_drives import FaultyDrives
 from made_up_buses import bus_of, bus_text, robot_of
 
 import acquisition.bus.stopping as stopping
-from acquisition.bus import Master, not_disabled, safe_stop, stop_drives
+from acquisition.bus import Master, safe_stop, stop_drives
 from acquisition.errors import AcquisitionError
 from acquisition.protocol import Command, Mode, State
 from acquisition.simulated import DrivenPlant, LockStepLink, SimulatedDrives, cascaded_loops
@@ -242,7 +242,3 @@ def test_after_disable_or_the_second_stop_no_session_can_enable_by_pdo(monkeypat
         master.sync()
         master.wait(run.now_ns() + 2_000_000)
     assert run.drives.states == [State.SWITCH_ON_DISABLED] * 2
-
-
-def test_what_is_told_first():
-    assert not_disabled([1, 2]) == "NOT DISABLED: nodes 1, 2: EMERGENCY STOP"

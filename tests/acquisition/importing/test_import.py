@@ -301,12 +301,6 @@ def test_a_motor_may_turn_where_its_joint_slides(tmp_path):
     assert refusal(tmp_path, robot, joint_side, table) == ("map.toml", "position.unit", None, "a length")
 
 
-def test_tables_of_different_length(tmp_path, two):
-    tables = csv(tmp_path / "a.csv", "p1,p2", Q), csv(tmp_path / "b.csv", "c1,c2", CURRENT[:2])
-    table_map = MAP.replace('unit = "mA"', 'unit = "mA"\ntable = 2')
-    assert refusal(tmp_path, two, table_map, *tables) == ("map.toml", "effort", None, "3 as in position")
-
-
 def test_mat_mistakes(tmp_path, two):
     good = {"p1": Q[:, 0], "p2": Q[:, 1], "c1": CURRENT[:, 0]}
     for extra, place, key, value, expected in (
@@ -372,7 +366,7 @@ def test_units_of_position_and_effort_by_hand(tmp_path, recorded, position, effo
     assert result.effort_units == (recorded,)
 
 
-def test_times_in_words_that_are_no_unit_and_in_columns_that_are_none(tmp_path, two):
+def test_times_in_words_that_are_no_unit_and_columns_of_other_lengths_or_none(tmp_path, two):
     table = csv(tmp_path / "a.csv", "p1,p2,c1,c2,t", np.zeros((3, 4)), np.arange(3.0))
     short = csv(tmp_path / "b.csv", "t", np.arange(2.0))
     found = refusal(tmp_path, two, with_time("min"), table)
@@ -380,6 +374,9 @@ def test_times_in_words_that_are_no_unit_and_in_columns_that_are_none(tmp_path, 
     two_tables = with_time("s") + "table = 2\n"
     assert refusal(tmp_path, two, two_tables, table, short)[::3] == ("map.toml", "one column of 3 rows")
     assert refusal(tmp_path, two, two_tables, table)[1:3] == ("time.table", 2)
+    tables = csv(tmp_path / "a.csv", "p1,p2", Q), csv(tmp_path / "b.csv", "c1,c2", CURRENT[:2])
+    table_map = MAP.replace('unit = "mA"', 'unit = "mA"\ntable = 2')
+    assert refusal(tmp_path, two, table_map, *tables) == ("map.toml", "effort", None, "3 as in position")
 
 
 @pytest.mark.parametrize(

@@ -146,10 +146,9 @@ def test_signals_end_a_session_in_order(folder, number):
 def test_a_file_that_cannot_grow_stops_the_session(folder):
     out = folder / "log.mcap"
     with drives(folder):
-        session = acquire(
-            folder, "record", str(folder / "robot.toml"), "-o", str(out), "--yes", "--track", str(folder / "ref.csv"),
-            preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (LARGEST_FILE, LARGEST_FILE)),
-        )  # fmt: skip
+        command = ("record", str(folder / "robot.toml"), "-o", str(out), "--yes", "--track", str(folder / "ref.csv"))
+        largest = (LARGEST_FILE, LARGEST_FILE)
+        session = acquire(folder, *command, preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, largest))
         assert "cannot be written: File too large" in failure_of(session)
         assert "1, 2  switch on disabled" in checked(folder)
     recording = read_recording(out)
