@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from made_up_buses import bus_text
 
-from acquisition.errors import AcquisitionError
+from acquisition.errors import RobotIdimError
 from acquisition.recording import read_recording
 
 # A session may be held up for late_sync_s, and says so before its watchdog acts (0.3 s from SYNC to SYNC); a drive for two
@@ -35,7 +35,7 @@ def too_busy(folder: Path, failure: BaseException) -> str:
     """The line of the guard that ended a session, from what the test saw or from its recordings; empty if none did."""
     told = [str(failure)]
     for path in folder.glob("*.mcap"):
-        with suppress(AcquisitionError):
+        with suppress(RobotIdimError):
             told += [event.text for event in read_recording(path).events if event.kind == "fault"]
     return next((found[0] for text in told if (found := TOO_BUSY.search(text))), "")
 

@@ -18,7 +18,7 @@ from conftest import ROOT
 from made_up_buses import robot_of
 
 from acquisition.bus import open_link
-from acquisition.errors import AcquisitionError
+from acquisition.errors import RobotIdimError
 from acquisition.recording import FRAME, Block, Recording, read_recording
 from acquisition.robot import BusFile
 
@@ -62,7 +62,7 @@ def folder(tmp_path: Path, port: int) -> Path:
     bus = bus_at(tmp_path)
     try:
         a, b = open_link(bus, passive=False), open_link(bus, passive=True)
-    except AcquisitionError as error:
+    except RobotIdimError as error:
         pytest.skip(f"no multicast on this machine: {error}")
     try:
         a.send(0x123, b"x")
@@ -138,7 +138,7 @@ def wait_for(
         running = process is None or process.poll() is None
         if path.exists() and path.stat().st_size != size:
             size = path.stat().st_size
-            with suppress(AcquisitionError):  # it has only begun
+            with suppress(RobotIdimError):  # it has only begun
                 recording = read_recording(path)
                 if done(recording):
                     return recording

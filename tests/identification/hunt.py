@@ -11,7 +11,7 @@ from conftest import robot_named
 from hunt_kinds import ASSUMED, CLEAN, CORRECTED, KINDS, Kind, SetUp, sound
 
 from identification.data import Signals
-from identification.errors import IdentificationError
+from identification.errors import RobotIdimError
 from identification.estimation import one_thread
 from identification.methods import Fit, Iteration, identify_iv, identify_ls
 from identification.model import InverseModel, base_parameters, described_parameters
@@ -63,7 +63,7 @@ class Outcome:
 def outcome_of(fit_by, signals: Signals, name: str, kind: Kind) -> Outcome:
     try:
         fit = fit_by(signals)
-    except IdentificationError as error:
+    except RobotIdimError as error:
         named = any(test == "" and part in str(error) for test, part in kind.named)
         return Outcome(verdict="refused", named=named, harmed=False, first="refused")
     lines = fit.trust.lines

@@ -15,7 +15,7 @@ from made_up_recordings import write
 
 from acquisition.commands import STATUSES, Progress, from_options, run_command
 from acquisition.commands import main as acquire
-from acquisition.errors import AcquisitionError
+from acquisition.errors import RobotIdimError
 from acquisition.robot import load_robot
 from identification.commands import main as identify
 
@@ -126,7 +126,7 @@ def test_a_picture_that_cannot_be_written_costs_neither_the_fit_nor_its_table(tm
         (None, 0, ""),
         (0, 0, ""),
         (3, 3, ""),
-        (AcquisitionError("a: b"), 1, "p: a: b\n"),
+        (RobotIdimError("a: b"), 1, "p: a: b\n"),
         (KeyboardInterrupt(), 130, "p: interrupted\n"),
         (PermissionError(13, "Permission denied", "x\ny"), 1, "p: x y: Permission denied\n"),
     ],
@@ -138,13 +138,13 @@ def test_statuses(end, status, expected, capsys):
             raise end
         return end
 
-    assert run_command("p", (AcquisitionError,), command) == status
+    assert run_command("p", (RobotIdimError,), command) == status
     assert capsys.readouterr() == ("result\n", expected)
 
 
 def test_an_error_that_nobody_foresaw_is_not_hidden():
     with pytest.raises(ZeroDivisionError):
-        run_command("p", (AcquisitionError,), lambda: 1 // 0)
+        run_command("p", (RobotIdimError,), lambda: 1 // 0)
 
 
 @pytest.mark.parametrize("package", ["acquisition", "identification"])

@@ -7,9 +7,9 @@ import pytest
 from conftest import REPLAY
 from made_up_buses import bus_text, robot_of
 
-from acquisition.errors import AcquisitionError
+from acquisition.errors import RobotIdimError
 from acquisition.robot import load_robot
-from identification import IdentificationError, fit
+from identification import fit
 from identification.data import load_signals
 from identification.simulation import described_robot
 
@@ -52,7 +52,7 @@ def test_of_a_guard_that_guards_nothing(tmp_path: Path, key, most, prismatic):
     path.write_text(with_value(most))
     load_robot(path)
     path.write_text(with_value(1.001 * most))
-    with pytest.raises(AcquisitionError) as caught:
+    with pytest.raises(RobotIdimError) as caught:
         load_robot(path)
     assert data_of(caught) == (str(path), key, pytest.approx(1.001 * most), f"{most:g} at most")
     robot_of(with_value(1e9 if name != "heartbeat_s" else 10.0))
@@ -71,7 +71,7 @@ def test_the_default_method_gives_the_data_of_the_method_asked_for(change, key, 
     scale, caught = change.pop("q", 1.0), []
     signals = replace(signals, q=signals.q * scale, q_ref=signals.q_ref * scale)
     for method in (None, "iv"):
-        with pytest.raises(IdentificationError) as refused:
+        with pytest.raises(RobotIdimError) as refused:
             fit(signals.q, signals.effort, 1000.0, signals.robot, signals.q_ref, method=method, **change)
         caught.append(refused)
     assert data_of(caught[0]) == data_of(caught[1])
@@ -82,7 +82,7 @@ def test_the_default_method_gives_the_data_of_the_method_asked_for(change, key, 
 
 def test_of_what_cannot_be_simulated():
     robot = load_signals(REPLAY / "scara" / "session.mcap").robot
-    with pytest.raises(AcquisitionError) as caught:
+    with pytest.raises(RobotIdimError) as caught:
         described_robot(replace(robot, parameters={"ZZ9": 0.061}))
     expected = "such as XX1, XY1, XZ1 ... Fc2"
     assert data_of(caught) == ("robot SCARA", "parameters.ZZ9", 0.061, expected)

@@ -10,7 +10,7 @@ from made_up_buses import bus_of, bus_text, robot_of
 
 import acquisition.bus.stopping as stopping
 from acquisition.bus import Master, safe_stop, stop_drives
-from acquisition.errors import AcquisitionError
+from acquisition.errors import RobotIdimError
 from acquisition.protocol import Command, Mode, State
 from acquisition.simulated import DrivenPlant, LockStepLink, SimulatedDrives, cascaded_loops
 
@@ -222,7 +222,7 @@ def test_a_fault_is_disabled_switched_on_is_not_and_a_bus_that_takes_nothing_end
     assert safe_stop(master) == []
 
     def refuse(*_):
-        raise AcquisitionError("bus: gone")
+        raise RobotIdimError("bus: gone")
 
     monkeypatch.setattr(run, "send", refuse)
     monkeypatch.setattr(run, "receive", refuse)

@@ -12,7 +12,7 @@ from dry_sessions import dry_session, swing
 from made_up_buses import bus_text, robot_of
 
 from acquisition.commands import main
-from acquisition.errors import AcquisitionError
+from acquisition.errors import RobotIdimError
 from acquisition.recording import add_mark, read_recording
 from acquisition.session import InlineLog, Recorder, Task
 
@@ -130,7 +130,7 @@ def test_marks_that_others_add_while_the_recorder_takes_them_are_all_kept(tmp_pa
     link.symlink_to(path)
 
     def add(to: Path, name: str) -> None:
-        with suppress(AcquisitionError):  # finished
+        with suppress(RobotIdimError):  # finished
             for k in range(100_000):
                 add_mark(to, f"{name} {k}")
                 told.append(f"{name} {k}")

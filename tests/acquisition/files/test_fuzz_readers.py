@@ -1,4 +1,4 @@
-"""Whatever stands in a file, a reader returns or raises `AcquisitionError` in one line; nothing else gets out."""
+"""Whatever stands in a file, a reader returns or raises `RobotIdimError` in one line; nothing else gets out."""
 
 import contextlib
 import os
@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from made_up_recordings import write
 
-from acquisition.errors import AcquisitionError
+from acquisition.errors import RobotIdimError
 from acquisition.files import read_columns
 from acquisition.importing import import_tables
 from acquisition.recording import read_recording
@@ -37,7 +37,7 @@ VALUES = st.sampled_from(
 def one_line_or_fine() -> Iterator[None]:
     try:
         yield
-    except AcquisitionError as error:
+    except RobotIdimError as error:
         text = str(error)
     else:
         return

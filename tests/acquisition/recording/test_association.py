@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_up_buses import block, bus_of, bus_text, frame, robot_of
 
-from acquisition.errors import AcquisitionError
+from acquisition.errors import RobotIdimError
 from acquisition.recording import FRAME, SENT, Block, Decoded, decode
 
 ROBOT = robot_of(bus_text())
@@ -227,7 +227,7 @@ def test_no_row_mixes_instants_whatever_is_lost(n, name, share, sent):
         frames["flags"] = sent * (frames["can_id"] == 0x80)
         try:
             found = decode(damage(rng, frames, **DAMAGES[name]), robot, bus, "log", max_missing=1.0)
-        except AcquisitionError:  # no row at all is proven
+        except RobotIdimError:  # no row at all is proven
             continue
         q = np.rint(found.samples["position"] * 50 / bus.drives[0].position_codec.si(np.array(1))).astype(int)
         assert (q == q[:, :1]).all()
@@ -246,9 +246,7 @@ def test_with_over_five_percent_missing_there_are_no_samples():
         if not refused:
             assert len(decode(kept, ROBOT, BUS, "log").samples) == SYNCS - count
             continue
-        with pytest.raises(
-            AcquisitionError, match=r"log: 5.6% of the PDOs of a drive are missing: expected 5% at most"
-        ):
+        with pytest.raises(RobotIdimError, match=r"log: 5.6% of the PDOs of a drive are missing: expected 5% at most"):
             decode(kept, ROBOT, BUS, "log")
         # Not in the span in which all drives answer: it has begun later.
         assert len(decode(np.delete(frames, of_first[:count]), ROBOT, BUS, "log").samples) == SYNCS - count

@@ -15,14 +15,13 @@ from made_up_recordings import header, some_samples
 from urdfs import ARM, joint, urdf
 
 from acquisition.commands import main
-from acquisition.errors import AcquisitionError
+from acquisition.errors import RobotIdimError
 from acquisition.importing import import_recording
 from acquisition.options import RecordOptions
 from acquisition.recording import RecordingWriter, read_recording
 from acquisition.robot import Payload, Robot, load_robot, parse_payload, robot_from_files
 from acquisition.session import UserInterface, record
 from acquisition.session.logs import ProcessLog, Role
-from identification.errors import IdentificationError
 from identification.model import InverseModel, add_payload, payload_parameters
 from identification.simulation import described_robot
 
@@ -65,7 +64,7 @@ def test_a_payload_is_read_and_written(text, payload, words):
     ],
 )  # fmt: skip
 def test_no_payload(text):
-    with pytest.raises(AcquisitionError) as refused:
+    with pytest.raises(RobotIdimError) as refused:
         parse_payload(text, robot_named("tx40"), "--payload")
     assert (refused.value.key, refused.value.value) == ("--payload", text)
     assert refused.value.expected.startswith("KG or KG@X,Y,Z")
@@ -79,7 +78,7 @@ def test_the_table_says_how_the_numbers_are_meant():
 
 
 def refusal(call, *arguments, **named) -> tuple[str, str, object]:
-    with pytest.raises((AcquisitionError, IdentificationError)) as caught:
+    with pytest.raises((RobotIdimError, RobotIdimError)) as caught:
         call(*arguments, **named)
     assert "\n" not in str(caught.value)
     return caught.value.place, caught.value.key, caught.value.value
@@ -135,7 +134,7 @@ def test_the_frame_of_a_fixed_link_gives_the_parameters_of_its_place():
 
 @pytest.mark.parametrize("frame", ["sensor", "arm", "base", "mount", "nothing"])
 def test_a_frame_that_the_last_joint_does_not_carry_is_refused(frame):
-    with pytest.raises(IdentificationError) as refused:
+    with pytest.raises(RobotIdimError) as refused:
         payload_parameters(InverseModel(arm()), Payload(2.0, frame=frame))
     error = refused.value
     assert (error.place, error.key, error.value) == ("robot arm", "payload.frame", frame)

@@ -10,7 +10,7 @@ import pytest
 from conftest import REPLAY, robot_named
 from descriptions import COUPLED, ONE_JOINT
 
-from acquisition.errors import AcquisitionError, one_line
+from acquisition.errors import RobotIdimError, one_line
 from acquisition.files import atomic_write, refuse_clash
 from acquisition.robot import load_robot, robot_from_files
 
@@ -18,8 +18,8 @@ DH = "dh = { alpha_deg = 0, d_m = 0, theta_deg = 0, r_m = 0 }"
 GAIN = 'drive_gain = 0.2\ndrive_gain_unit = "N m/A"'
 
 
-def refused(text: str, files: dict[str, bytes] | None = None) -> AcquisitionError:
-    with pytest.raises(AcquisitionError) as caught:
+def refused(text: str, files: dict[str, bytes] | None = None) -> RobotIdimError:
+    with pytest.raises(RobotIdimError) as caught:
         robot_from_files({"robot.toml": text.encode(), **(files or {})}, "here")
     assert str(caught.value).startswith("here: ")
     assert "\n" not in str(caught.value)
@@ -183,16 +183,16 @@ def test_each_mistake_is_told_in_one_line(old, new, message):
 
 
 def test_no_description_and_bytes_that_are_no_text():
-    with pytest.raises(AcquisitionError, match="here: not valid TOML: 'utf-8' codec"):
+    with pytest.raises(RobotIdimError, match="here: not valid TOML: 'utf-8' codec"):
         robot_from_files({"robot.toml": b"name = '\xff'"}, "here")
-    with pytest.raises(AcquisitionError, match=r"here: holds no robot\.toml"):
+    with pytest.raises(RobotIdimError, match=r"here: holds no robot\.toml"):
         robot_from_files({}, "here")
 
 
 def test_the_urdf_comes_along_or_is_missed(tmp_path):
     text = ONE_JOINT.replace(DH, "").replace('name = "one"', 'name = "one"\nurdf = "arm.urdf"')
     (tmp_path / "robot.toml").write_text(text)
-    with pytest.raises(AcquisitionError, match=r"urdf = 'arm\.urdf': cannot be read: No such file"):
+    with pytest.raises(RobotIdimError, match=r"urdf = 'arm\.urdf': cannot be read: No such file"):
         load_robot(tmp_path / "robot.toml")
     assert "urdf = 'arm.urdf': the URDF is missing next to the description" in refusal(text)
     (tmp_path / "arm.urdf").write_text("<robot/>")
@@ -200,23 +200,21 @@ def test_the_urdf_comes_along_or_is_missed(tmp_path):
     assert robot.urdf == "<robot/>"
     assert robot_from_files(robot.files, "a recording").urdf == "<robot/>"
     (tmp_path / "robot.toml").write_text(text.replace("arm.urdf", "arm\\u0000.urdf"))
-    with pytest.raises(AcquisitionError, match="cannot be read: embedded null byte"):
+    with pytest.raises(RobotIdimError, match="cannot be read: embedded null byte"):
         load_robot(tmp_path / "robot.toml")
-    with pytest.raises(AcquisitionError, match=r"none\.toml: cannot be read: No such file"):
+    with pytest.raises(RobotIdimError, match=r"none\.toml: cannot be read: No such file"):
         load_robot(tmp_path / "none.toml")
 
 
 def test_errors_carry_their_data_and_make_one_printable_line_of_it():
-    error = AcquisitionError("does nothing", place="a.toml", key="b.c", value=[1, 2], expected="d")
+    error = RobotIdimError("does nothing", place="a.toml", key="b.c", value=[1, 2], expected="d")
     assert str(error) == "a.toml: b.c = [1, 2]: does nothing: expected d"
     assert (error.place, error.key, error.value, error.expected) == ("a.toml", "b.c", [1, 2], "d")
-    assert (
-        str(AcquisitionError(place="a.toml", key="b", value=None, expected="c")) == "a.toml: b is missing: expected c"
-    )
-    assert str(AcquisitionError("x rows", place="a.toml", key="b")) == "a.toml: b: x rows"
+    assert str(RobotIdimError(place="a.toml", key="b", value=None, expected="c")) == "a.toml: b is missing: expected c"
+    assert str(RobotIdimError("x rows", place="a.toml", key="b")) == "a.toml: b: x rows"
     bare = pickle.loads(pickle.dumps(error))  # as one process hands it to another
     assert (str(bare), bare.key, bare.value) == (str(error), "b.c", [1, 2])
-    assert str(AcquisitionError("a\nb\r\n\x1b[2Jc\udcff µ")) == "a b �[2Jc� µ"
+    assert str(RobotIdimError("a\nb\r\n\x1b[2Jc\udcff µ")) == "a b �[2Jc� µ"
     assert one_line("  two  words ") == "two words"
 
 
@@ -248,7 +246,7 @@ def test_places_where_no_file_can_stand(tmp_path):
         (tmp_path / "file" / "out", "Not a directory"),
         (tmp_path / ("x" * 300), "File name too long"),
     ):
-        with pytest.raises(AcquisitionError, match=message), atomic_write(path) as partial:
+        with pytest.raises(RobotIdimError, match=message), atomic_write(path) as partial:
             partial.write_text("new")
     assert {p.name for p in tmp_path.iterdir()} == {"file", "pipe"}
     assert (tmp_path / "pipe").is_fifo()
@@ -259,10 +257,10 @@ def test_an_input_is_not_replaced_under_any_of_its_names(tmp_path):
     (tmp_path / "link").symlink_to(tmp_path / "in")
     (tmp_path / "hard link").hardlink_to(tmp_path / "in")
     for out in (tmp_path / "in", tmp_path / "link", tmp_path / "." / "in", tmp_path / "hard link"):
-        with pytest.raises(AcquisitionError, match="is an input too"):
+        with pytest.raises(RobotIdimError, match="is an input too"):
             refuse_clash([tmp_path / "missing", tmp_path / "in", None], out)
     refuse_clash([tmp_path / "in"], None, tmp_path / "out", tmp_path / "other")
-    with pytest.raises(AcquisitionError, match="out: named twice"):
+    with pytest.raises(RobotIdimError, match="out: named twice"):
         refuse_clash([tmp_path / "in"], tmp_path / "out", None, tmp_path / "." / "out")
 
 
@@ -282,7 +280,7 @@ def test_controller_keys_that_would_do_nothing_are_refused(tmp_path, key, told):
     rest = after[after.index("\n[") :]
     path = tmp_path / "robot.toml"
     path.write_text(f"{before}[controller]\nbandwidth_hz = 5.0\n{key}\n{rest}")
-    with pytest.raises(AcquisitionError) as caught:
+    with pytest.raises(RobotIdimError) as caught:
         load_robot(path)
     assert told in str(caught.value)
     assert robot_from_files({"robot.toml": path.read_bytes()}, "log.mcap").n == 2

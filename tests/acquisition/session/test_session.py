@@ -14,7 +14,7 @@ from faulty_drives import Fault, FaultyDrives
 from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.bus import Frame
-from acquisition.errors import AcquisitionError
+from acquisition.errors import RobotIdimError
 from acquisition.protocol import State
 from acquisition.recording import ERROR, SENT
 from acquisition.session import Stop, Task
@@ -115,7 +115,7 @@ class DeadBus(Through):
     def send(self, can_id, data):
         self.count += 1
         if 1000 <= self.count < self.ends:
-            raise AcquisitionError("bus: frame cannot be sent: transmit buffer full")
+            raise RobotIdimError("bus: frame cannot be sent: transmit buffer full")
         super().send(can_id, data)
 
 
@@ -185,7 +185,7 @@ def test_a_recorder_that_cannot_write_stops_motion(tmp_path, monkeypatch):
     def frames(self, channel, block):
         count[0] += 1
         if count[0] == 8:
-            raise AcquisitionError("a.mcap: cannot be written: No space left on device")
+            raise RobotIdimError("a.mcap: cannot be written: No space left on device")
         real(self, channel, block)
 
     monkeypatch.setattr(RecordingWriter, "frames", frames)

@@ -13,11 +13,10 @@ from command_runs import refused, run
 from conftest import REPLAY, ROOT, robot_named
 from made_up_recordings import header
 
-from acquisition.errors import AcquisitionError
+from acquisition.errors import RobotIdimError
 from acquisition.recording import RecordingWriter, read_recording
 from acquisition.robot import robot_from_files
 from identification.data import load_signals
-from identification.errors import IdentificationError
 from identification.methods import Iteration, identify_iv, identify_ls
 from identification.model import InverseModel, direct_model
 from identification.regression import Overrides
@@ -65,7 +64,7 @@ def test_volts_never_become_newton_metres(tmp_path):
     with RecordingWriter(path, header(volts)) as writer:
         writer.samples(recording.samples)
     assert load_signals(path).robot.effort_units[0] == "V"
-    with pytest.raises(IdentificationError, match=r"unit of motor .* in robot SCARA = .*: expected V, as recorded"):
+    with pytest.raises(RobotIdimError, match=r"unit of motor .* in robot SCARA = .*: expected V, as recorded"):
         load_signals(path, robot_named("scara"))
 
 
@@ -73,7 +72,7 @@ def test_motors_in_another_order_than_joints_are_refused():
     text = (REPLAY / "scara" / "robot.toml").read_text()
     lines = [line for line in text.splitlines() if not line.startswith("ratio")]
     swapped = "\n".join(["motor_matrix = [[0.0, 1.0], [1.0, 0.0]]", *lines])
-    with pytest.raises(AcquisitionError, match=r"motor_matrix\[0\] = .*: expected motor 1 to turn joint 1"):
+    with pytest.raises(RobotIdimError, match=r"motor_matrix\[0\] = .*: expected motor 1 to turn joint 1"):
         robot_from_files({"robot.toml": swapped.encode()}, "r.toml")
 
 
@@ -159,7 +158,7 @@ ARM = """<robot name="r"><link name="a"/><link name="flange"/>
 @pytest.mark.parametrize("kind", ["revolute", "continuous", "prismatic"])
 def test_a_movable_joint_needs_an_axis(kind):
     urdf = ARM.replace("TYPE", kind).replace("AXIS", "0 0 0")
-    with pytest.raises(IdentificationError, match="joint 'shoulder': axis = '0 0 0': expected a direction"):
+    with pytest.raises(RobotIdimError, match="joint 'shoulder': axis = '0 0 0': expected a direction"):
         InverseModel(dataclasses.replace(robot_named("scara"), urdf=urdf))
 
 
@@ -183,7 +182,7 @@ def test_a_bandwidth_that_is_wrong_is_not_told_as_a_foreign_reference():
     overrides = Overrides(cutoff_hz=25.0, decimation=20)
     try:
         assert identify_iv(slow, overrides, Iteration()).status
-    except IdentificationError as error:
+    except RobotIdimError as error:
         assert "expected the reference of this recording" not in str(error)  # noqa: PT017
 
 
@@ -198,7 +197,7 @@ def test_a_joint_that_stands_is_named_by_its_own_parameters():
     standing = dataclasses.replace(signals, q=q, q_ref=None, effort=effort)
     try:
         fit = identify_ls(standing, Overrides())
-    except IdentificationError as error:
+    except RobotIdimError as error:
         assert "ZZ1R" not in str(error).split(":")[-1]  # noqa: PT017
     else:
         assert "joint elbow does not move" in fit.warnings

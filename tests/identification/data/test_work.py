@@ -12,7 +12,7 @@ import pytest
 
 from identification.data import Work
 from identification.data import work as work_module
-from identification.errors import IdentificationError
+from identification.errors import RobotIdimError
 
 
 def slowly_squared(x: int) -> tuple[int, int]:
@@ -25,7 +25,7 @@ def thread() -> str:
 
 
 def refused(x: int) -> int:
-    raise IdentificationError("no", place=f"task {x}", key="k", value=x, expected="another")
+    raise RobotIdimError("no", place=f"task {x}", key="k", value=x, expected="another")
 
 
 def killed(mark: Path, number: int, times: int) -> int:
@@ -53,13 +53,13 @@ def test_results_come_in_the_order_of_the_tasks_and_errors_as_they_are(work):
     found = list(work.run(slowly_squared, [(k,) for k in range(4)]))
     assert [square for square, _ in found] == [0, 1, 4, 9]
     assert {pid == os.getpid() for _, pid in found} == {work.workers == 1}
-    with pytest.raises(IdentificationError, match="task 1") as told:
+    with pytest.raises(RobotIdimError, match="task 1") as told:
         list(work.run(refused, [(1,)]))
     assert (told.value.place, told.value.value, told.value.expected) == ("task 1", 1, "another")
 
 
 def told_of(work, *task) -> str:
-    with pytest.raises(IdentificationError) as told:
+    with pytest.raises(RobotIdimError) as told:
         list(work.run(*task))
     assert "\n" not in str(told.value)
     return str(told.value)

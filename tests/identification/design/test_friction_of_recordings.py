@@ -16,7 +16,7 @@ from identification.commands import main
 from identification.data import Recordings
 from identification.design import select_friction, with_terms
 from identification.design.selection import Trial, smallest_near_best
-from identification.errors import IdentificationError
+from identification.errors import RobotIdimError
 from identification.methods import identify_ls
 from identification.regression import make_problem, rows_of_recording, torque_of_recording, weights_at
 from identification.study import write_signals
@@ -142,7 +142,7 @@ def test_a_recording_that_the_others_cannot_predict_is_named():
     (line,) = [line for line in choice.left_out if "predicted" in line]
     assert line.startswith("r3.mcap cannot be predicted by the others: ")
     assert "Fc2" in line
-    with pytest.raises(IdentificationError) as refused:
+    with pytest.raises(RobotIdimError) as refused:
         select_friction(Recordings(sources=(still[0], several()[2])), WITHOUT_LAG)
     assert (refused.value.key, refused.value.value) == ("parts held out", 1)
     assert "r3.mcap cannot be predicted by the others" in str(refused.value)

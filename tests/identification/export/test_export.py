@@ -20,7 +20,7 @@ from scipy.interpolate import CubicSpline
 
 from acquisition.robot import load_robot, robot_from_files
 from identification.commands import main
-from identification.errors import IdentificationError
+from identification.errors import RobotIdimError
 from identification.estimation import consistent_parameters
 from identification.export import export_model, make_urdf, model_of_fit, split_parameters, write_models
 from identification.export.exporting import replace_parameters
@@ -268,7 +268,7 @@ def test_parameters_replace_what_was_there_however_it_was_written(table):
 
 
 def test_a_table_that_cannot_be_replaced_by_lines_is_refused():
-    with pytest.raises(IdentificationError) as caught:
+    with pytest.raises(RobotIdimError) as caught:
         replace_parameters('text = """\n[parameters]\n"""\n', {"Fv1": 1.0}, "new")
     assert caught.value.key == "[parameters]"
 
@@ -337,7 +337,7 @@ def test_a_wrist_whose_joint_has_less_friction_than_its_motors_share_is_exported
     assert min(values) >= 0
     assert load_robot(tmp_path / "out.toml").parameters["Fv6"] == 0.6894
     chi[model.names.index("Fvm6")] = 1.2
-    with pytest.raises(IdentificationError) as caught:
+    with pytest.raises(RobotIdimError) as caught:
         split_parameters(model, chi, "fit.json")
     assert caught.value.key == "viscous friction of joint_5 and joint_6"
 

@@ -11,11 +11,10 @@ import pytest
 from urdfs import ARM, BOX, LIMIT, PARTS, joint, link, urdf
 
 from acquisition.commands import main as acquire
-from acquisition.errors import AcquisitionError
+from acquisition.errors import RobotIdimError
 from acquisition.robot import check_limits, lines_to_fill_in, load_robot, resolve
 from identification import read_robot
 from identification.commands import main
-from identification.errors import IdentificationError
 from identification.export import read_chain, robot_of_chain
 from identification.model import InverseModel
 
@@ -260,7 +259,7 @@ def test_options_that_do_not_fit_the_robot(here, capsys, given, message):
 
 def test_values_of_a_urdf_are_refused_with_a_description(here, capsys):
     run(capsys, "init", "arm.urdf", *NAMES, "-o", "robot.toml")
-    with pytest.raises(IdentificationError, match=r"^robot\.toml: bandwidth_hz has no effect: expected a URDF"):
+    with pytest.raises(RobotIdimError, match=r"^robot\.toml: bandwidth_hz has no effect: expected a URDF"):
         read_robot("robot.toml", bandwidth_hz=5.0)
     error = refused(capsys, "study", "robot.toml")
     assert error.startswith("robot made up: controller.bandwidth_hz is missing: expected the bandwidth")
@@ -393,11 +392,11 @@ def test_a_joint_that_is_locked_is_not_asked_for_limits_or_an_axis(here, capsys)
 
 
 def test_errors_carry_their_data(here):
-    with pytest.raises(IdentificationError) as error:
+    with pytest.raises(RobotIdimError) as error:
         read_chain(Path("arm.urdf"), ("turn", "elbow"))
     assert (error.value.place, error.value.key, error.value.value) == ("arm.urdf", "--joints", "elbow")
     robot = robot_of_chain(read_chain(Path("arm.urdf"), ARM))
-    with pytest.raises(AcquisitionError) as unstated:
+    with pytest.raises(RobotIdimError) as unstated:
         _ = robot.bandwidth_hz
     assert (unstated.value.place, unstated.value.key) == ("robot made up", "controller.bandwidth_hz")
 

@@ -30,12 +30,11 @@ from friction_models import (
 from loops import free, simulate
 from stacked_recordings import system_of
 
-from acquisition.errors import AcquisitionError
+from acquisition.errors import RobotIdimError
 from acquisition.robot import fourier_reference, robot_from_files
 from identification.commands import main
 from identification.data import RecordingFile, Recordings, Work, signals_from_arrays
 from identification.design import select_friction, with_terms
-from identification.errors import IdentificationError
 from identification.estimation import System
 from identification.export import replace_in_tables, split_parameters
 from identification.export.exported_model import random_states, representable, whole_regressor
@@ -74,7 +73,7 @@ def arm():
 )
 def test_a_list_of_terms_that_means_nothing_is_refused(lines, key, expected):
     text = (REPLAY / "scara" / "robot.toml").read_text().replace('"revolute"\n', f'"revolute"\n{lines}\n', 1)
-    with pytest.raises(AcquisitionError) as refused:
+    with pytest.raises(RobotIdimError) as refused:
         robot_from_files({"robot.toml": text.encode()}, "scara.toml")
     assert refused.value.key == key
     assert expected in str(refused.value.expected)
@@ -508,7 +507,7 @@ bandwidth_hz = 5
 )
 def test_values_in_tables_of_a_description_are_replaced_line_by_line(values, changed):
     if changed is None:
-        with pytest.raises(IdentificationError) as refused:
+        with pytest.raises(RobotIdimError) as refused:
             replace_in_tables(TABLES, "joint", values, "robot.toml")
         assert (refused.value.place, refused.value.key) == ("robot.toml", "[[joint]]")
     else:

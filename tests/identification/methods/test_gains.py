@@ -14,7 +14,7 @@ import identification.methods.idim as idim
 from acquisition.robot import Payload
 from identification.commands import main
 from identification.data import Recordings
-from identification.errors import IdentificationError
+from identification.errors import RobotIdimError
 from identification.estimation import one_thread, weighted_least_squares
 from identification.methods import fit_file, identify, identify_ls, validate_all
 from identification.methods.equations import equations_of, read_equations
@@ -475,7 +475,7 @@ def test_gains_of_long_recordings_are_not_those_of_their_beginnings(pair, negati
     if negative:
         free, loaded = replace(free, payload=loaded.payload), replace(loaded, payload=None)
     monkeypatch.setattr("identification.regression.equations._MAX_NUMBERS", 100)
-    with pytest.raises(IdentificationError, match="too long to identify gains without a simulated robot") as caught:
+    with pytest.raises(RobotIdimError, match="too long to identify gains without a simulated robot") as caught:
         fit_with_gains(free, loaded)
     assert "a larger decimation or shorter recordings" in str(caught.value)
 

@@ -11,7 +11,7 @@ from independent_simulator import Imperfections, Reference, Runs, described_cont
 
 from acquisition.robot import Joint, Robot
 from identification.data import Signals
-from identification.errors import IdentificationError
+from identification.errors import RobotIdimError
 from identification.methods import Iteration, identify_iv
 from identification.model import InverseModel, base_parameters, described_parameters
 from identification.regression import Overrides, largest_of_type
@@ -44,7 +44,7 @@ def scara(saturation: tuple[float, float] | None = None) -> Robot:
 
 
 def refusal(signals: Signals) -> str:
-    with pytest.raises(IdentificationError) as refused:
+    with pytest.raises(RobotIdimError) as refused:
         identify_iv(signals, Overrides(), Iteration())
     assert "\n" not in str(refused.value)
     return str(refused.value)

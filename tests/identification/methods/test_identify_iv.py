@@ -14,7 +14,7 @@ from fits_of_records import iv_of, ls_of, signals_of
 from acquisition.robot import load_robot
 from identification.commands import main
 from identification.data import Signals, load_signals
-from identification.errors import IdentificationError
+from identification.errors import RobotIdimError
 from identification.methods import Fit, Iteration, identify_iv, identify_ls
 from identification.model import InverseModel, base_parameters, described_parameters, direct_model, why_not_positive
 from identification.regression import Overrides
@@ -211,7 +211,7 @@ def test_too_few_passes_are_called_what_they_are():
 def test_a_reference_of_another_recording_is_refused():
     signals = signals_of(SCARA)
     foreign = dataclasses.replace(signals, q_ref=np.array(signals.q_ref[::-1]))
-    with pytest.raises(IdentificationError, match="expected the reference of this recording"):
+    with pytest.raises(RobotIdimError, match="expected the reference of this recording"):
         identify_iv(foreign, Overrides(), Iteration())
 
 
@@ -243,7 +243,7 @@ def test_recordings_of_few_samples_are_fitted():
     fit = identify_iv(short, RAW, Iteration())
     assert fit.status == "converged"
     assert error_percent(fit.beta, true) < 10
-    with pytest.raises(IdentificationError, match="30 decimated rows"):
+    with pytest.raises(RobotIdimError, match="30 decimated rows"):
         identify_ls(short, Overrides())
 
 
@@ -251,7 +251,7 @@ def test_a_controller_too_slow_for_the_recording_is_refused():
     signals = signals_of(SCARA)
     slow = msgspec.structs.replace(signals.robot.controller, sample_rate_hz=1.0)
     robot = dataclasses.replace(signals.robot, controller=slow)
-    with pytest.raises(IdentificationError, match=r"controller.sample_rate_hz = 1: .* expected at least 30"):
+    with pytest.raises(RobotIdimError, match=r"controller.sample_rate_hz = 1: .* expected at least 30"):
         identify_iv(dataclasses.replace(signals, robot=robot), Overrides(), Iteration())
 
 

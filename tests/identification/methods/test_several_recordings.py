@@ -13,7 +13,7 @@ import identification.regression.equations as regression_system
 from acquisition.robot import robot_from_files
 from identification.commands import main
 from identification.data import Recordings, Signals, Work, check_one_robot, signals_from_arrays
-from identification.errors import IdentificationError
+from identification.errors import RobotIdimError
 from identification.export import model_of_fit
 from identification.methods import (
     Iteration,
@@ -278,7 +278,7 @@ HALVES = one_joint(4, still=1), one_joint(5, still=0)
 
 def test_recordings_that_excite_half_the_parameters_each(tmp_path, capsys):
     for one in HALVES:
-        with pytest.raises(IdentificationError):
+        with pytest.raises(RobotIdimError):
             identify_ls(one, Overrides())
     fit = identify_ls(several(*HALVES), Overrides())
     dynamics = InverseModel(HALVES[0].robot)
@@ -378,7 +378,7 @@ def changed(what: str) -> Signals:
     ],
 )
 def test_recordings_of_another_robot_are_refused(what, key):
-    with pytest.raises(IdentificationError) as told:
+    with pytest.raises(RobotIdimError) as told:
         identify_ls(several(recorded(1), changed(what)), Overrides())
     assert (told.value.place, told.value.key) == ("r2.mcap", key)
     assert what == "twice" or "as in r1.mcap" in told.value.expected
@@ -394,7 +394,7 @@ def test_friction_terms_agree_in_any_order():
     keys, first = recorded(1), elbow(recorded(2), friction=("viscous", "coulomb"))
     check_one_robot([keys, first, elbow(recorded(3), friction=("coulomb", "viscous"))])
     slow, fast = (elbow(recorded(k), friction=("viscous", "stribeck"), stribeck_speed_deg_s=10.0 * k) for k in (1, 2))
-    with pytest.raises(IdentificationError) as told:
+    with pytest.raises(RobotIdimError) as told:
         check_one_robot([slow, fast])
     assert (told.value.key, told.value.value) == ("joint elbow: stribeck_speed_deg_s", 20.0)
 
@@ -502,7 +502,7 @@ def test_own_parameters_by_hand():
 
 def test_own_offsets_that_nothing_has_or_gravity_absorbs_are_refused(tmp_path):
     robot = replace(recorded(1).robot, identification=with_offsets(("Off",))[0].robot.identification)
-    with pytest.raises(IdentificationError, match="no joint has it") as told:
+    with pytest.raises(RobotIdimError, match="no joint has it") as told:
         identify_ls(several(*(replace(recorded(k), robot=robot) for k in (1, 2))), Overrides())
     assert (told.value.key, told.value.value) == ("identification.own", "Off")
     # A vertical slide with a motor: M (ddq + g) + Ia ddq + Off has three columns of rank two.
@@ -526,7 +526,7 @@ own = ["Off"]
     t = np.arange(5000) / 1000
     q = 0.1 * np.sin(2 * np.pi * t)[:, None]
     problems = [make_problem(signals_from_arrays(q, 50 + q, 1000.0, lift), Overrides())] * 2
-    with pytest.raises(IdentificationError, match="gravity absorbs an offset") as told:
+    with pytest.raises(RobotIdimError, match="gravity absorbs an offset") as told:
         make_unknowns(problems)
     assert (told.value.place, told.value.key, told.value.value) == ("robot lift", "identification.own", "Off")
 

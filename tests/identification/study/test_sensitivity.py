@@ -9,7 +9,7 @@ from conftest import REPLAY, ROOT
 
 from identification.commands import main
 from identification.data import RecordingFile, Work
-from identification.errors import IdentificationError
+from identification.errors import RobotIdimError
 from identification.report import print_whole
 from identification.study import VariedFit, moves_of, sensitivity_document, vary
 from identification.study.sensitivity import Variant, fit_variant
@@ -137,7 +137,7 @@ def test_a_chart_has_both_methods_in_every_variant_that_has_a_fit():
 
 
 def test_a_recording_that_cannot_be_fitted_by_the_rules_is_refused():
-    with pytest.raises(IdentificationError, match="converged"):
+    with pytest.raises(RobotIdimError, match="converged"):
         vary(RecordingFile.at(SCARA), (1e-6,), Tasks({}))
 
 
