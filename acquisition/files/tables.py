@@ -44,7 +44,7 @@ def read_columns(path: Path, columns: Sequence[str | int], count: int) -> Array:
 
     Raises
     ------
-    AcquisitionError
+    BadInputError
         With the file and the line or row as `place`: it cannot be read, a column does not exist, or a cell is not a finite
         number.
     """
@@ -77,7 +77,7 @@ def write_columns(path: Path, names: Sequence[str], parts: Iterable[Array]) -> N
 
     Raises
     ------
-    AcquisitionError
+    BadInputError
         The file cannot be written.
     """
     with atomic_write(path) as partial, partial.open("w", encoding="utf-8") as file:

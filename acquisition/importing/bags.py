@@ -8,7 +8,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from ..arrays import Array, Ints
-from ..errors import AcquisitionError, Place, listed
+from ..errors import BadInputError, Place, listed
 from ..recording import JOINT_STATE, Header
 from ..robot import Payload, Robot
 from .quantities import EFFORT_UNITS, effort_at_joint, effort_side, position_side, si_units
@@ -61,7 +61,7 @@ def import_bag(
 
     Raises
     ------
-    AcquisitionError
+    BadInputError
         With `place`, `key`, `value` and `expected`: the bag or its topic cannot be read, efforts are missing, zero, not finite
         or in other units than those of robot.toml, stamps do not grow or have gaps. Nothing is written then.
     """
@@ -89,10 +89,10 @@ def import_bag(
             for received_ns, message in controllers[controller]:
                 states.add(received_ns, message)
             grid, reference["reference"] = _with_reference(grid, states, received, controller)
-    except AcquisitionError as error:
+    except BadInputError as error:
         if options.reference_topic:
             raise
-        warnings.append(f"no reference: {error}")
+        warnings.append(f"no reference: {error.args[0]}")
     header = Header(
         robot=robot,
         source=f"ROS 2 bag {bag.name}, topic {topic}",
@@ -227,7 +227,7 @@ def _read(path: Path, options: BagOptions, joints: Sequence[str]) -> tuple["_Par
                 else:
                     decode = begin.deserialize_cdr_le if raw[1] else begin.deserialize_cdr_be
                     controllers[connection.topic].append((received_ns, decode(raw[4:], 0, begin.cls, store)[0]))
-    except AcquisitionError:
+    except BadInputError:
         raise
     except OSError as error:
         Place(str(path)).refuse(text=f"cannot be read: {error.strerror or error}")

@@ -72,7 +72,7 @@ def propose_map(table: Path, robot: Robot | None) -> str:
     """The text of a map.toml for a CSV table, with the reason of each line. `effort_timing` is never set.
 
     Columns go by words of several languages and tools, with the joint's number or its name in `robot`. Unit and side of efforts
-    are those of the maker's format, or stated in the header. Raises `AcquisitionError`: no table.
+    are those of the maker's format, or stated in the header. Raises `BadInputError`: no table.
     """
     names, has_header, values = read_csv_head(table, ROWS)
     maker = next((maker for maker, pattern in _MAKERS.items() if any(re.search(pattern, name) for name in names)), "")

@@ -132,7 +132,7 @@ def resample(
     """Interpolate `parts` (N, n) at the times (N,) to a uniform grid, by cubic splines.
 
     Rows that repeat the row before in time and values are left out, and rows whose `position` in `parts` contradicts their time
-    (`rows_in_time`). The default rate of the grid is that of the rows, rounded within their scatter. Raises `AcquisitionError`
+    (`rows_in_time`). The default rate of the grid is that of the rows, rounded within their scatter. Raises `BadInputError`
     if there are fewer than 4 rows, time runs backwards, two rows of one time have different values, a step is longer than
     `largest_gap_periods` median ones, or the grid has less than two samples or over 100 times as many as the rows.
     """
@@ -289,7 +289,7 @@ def write_samples(header: Header, grid: GridValues, warnings: Sequence[str], pla
     warnings : written into the recording.
     place : the files, for errors.
 
-    Raises `AcquisitionError` for impossible stamps, positions or speeds.
+    Raises `BadInputError` for impossible stamps, positions or speeds.
     """
     robot, parts, stamps = header.robot, grid.parts, grid.stamps_ns(place)
     t_s = (stamps - stamps[0]) * np.float64(1e-9)

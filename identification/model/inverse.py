@@ -17,7 +17,7 @@ from acquisition.errors import listed
 from acquisition.robot import Robot
 
 from ..arrays import Array
-from ..errors import IdentificationError
+from ..errors import BadInputError
 from .joint_terms import SLIDING, JointTerm, joint_terms
 
 LINK = ("XX", "XY", "XZ", "YY", "YZ", "ZZ", "MX", "MY", "MZ", "M")
@@ -264,7 +264,7 @@ def _model_from_urdf(robot: Robot) -> pin.Model:
         for name in wanted:
             if name not in found:
                 expected = f"one of {listed(found)}"
-                raise IdentificationError(place=place, key="movable joint", value=name, expected=expected)
+                raise BadInputError(place=place, key="movable joint", value=name, expected=expected)
         for joint in root.findall("joint"):
             if joint.get("name") in wanted:
                 _make_buildable(joint, place)
@@ -272,17 +272,17 @@ def _model_from_urdf(robot: Robot) -> pin.Model:
                 joint.set("type", "fixed")
         model = pin.buildModelFromXML(ET.tostring(root, encoding="unicode"))
     except (ET.ParseError, ValueError, RuntimeError, IndexError) as error:
-        raise IdentificationError(f"does not load: {str(error).splitlines()[0]}", place=place) from error
+        raise BadInputError(f"does not load: {str(error).splitlines()[0]}", place=place) from error
     order = list(model.names)[1:]
     if order != wanted:
         shown = ", ".join(wanted)
         key = "order of joints"
-        raise IdentificationError(place=place, key=key, value=wanted, shown=shown, expected=", ".join(order))
+        raise BadInputError(place=place, key=key, value=wanted, shown=shown, expected=", ".join(order))
     for described, built in zip(robot.joints, list(model.joints)[1:], strict=True):
         prismatic = built.shortname().startswith("JointModelP")
         if prismatic != (described.type == "prismatic") or built.nq != 1:
             where = f"{place}: joint {described.name!r}"
-            raise IdentificationError(place=where, key="type", value=built.shortname(), expected=described.type)
+            raise BadInputError(place=where, key="type", value=built.shortname(), expected=described.type)
     return model
 
 
@@ -291,7 +291,7 @@ def _make_buildable(joint: ET.Element, place: str) -> None:
     axis = joint.find("axis") if joint.get("type") != "floating" else None  # exporters write 0 0 0 for it
     if axis is not None and not any(float(x) for x in (axis.get("xyz") or "1").split()):
         where = f"{place}: joint {joint.get('name')!r}"
-        raise IdentificationError(place=where, key="axis", value="0 0 0", expected="a direction")
+        raise BadInputError(place=where, key="axis", value="0 0 0", expected="a direction")
     if joint.get("type") == "continuous":  # pinocchio uses two coordinates for it
         joint.set("type", "revolute")
     if joint.get("type") in ("revolute", "prismatic"):  # pinocchio needs limits

@@ -9,12 +9,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.errors import AcquisitionError
 from acquisition.robot import Payload, Robot
 from acquisition.simulated import SUBSTEPS, LoopGains, cascaded_loops, middle_of_range
 
 from ..arrays import Array
-from ..errors import IdentificationError
+from ..errors import BadInputError
 from ..model import (
     DirectModel,
     InverseModel,
@@ -246,27 +245,24 @@ def described_robot(robot: Robot, payload: Payload | None = None) -> tuple[Rigid
     """The plant of `robot-acquire record --dry-run`, with the description's `[parameters]` and a payload, and loops for the
     inertias of the robot without it, as those of real drives.
 
-    The robot is at rest in the middle of its ranges. Raises `AcquisitionError` if the parameters are not of this robot, its
+    The robot is at rest in the middle of its ranges. Raises `BadInputError` if the parameters are not of this robot, its
     inertia matrix is not positive, the payload's frame is not on its last link, or `[parameters]` are not in kg and N m.
     """
     if payload is not None and not robot.gain_known:
         expected = "drive gains of the motors: in A or V a mass has no weight"
-        raise AcquisitionError(place=f"robot {robot.name}", key="payload", value=str(payload), expected=expected)
-    try:
-        dynamics = InverseModel(robot)
-        base = base_parameters(dynamics)
-        parameters = base.standard_parameters(described_parameters(dynamics, base))
-        model = loaded = direct_model(dynamics, parameters)
-        if payload is not None:
-            loaded = direct_model(dynamics, add_payload(dynamics, parameters, payload))
-    except IdentificationError as error:
-        raise AcquisitionError.of(error) from error
+        raise BadInputError(place=f"robot {robot.name}", key="payload", value=str(payload), expected=expected)
+    dynamics = InverseModel(robot)
+    base = base_parameters(dynamics)
+    parameters = base.standard_parameters(described_parameters(dynamics, base))
+    model = loaded = direct_model(dynamics, parameters)
+    if payload is not None:
+        loaded = direct_model(dynamics, add_payload(dynamics, parameters, payload))
     ranges = np.array([joint.si("position") or (-POSES_RANGE, POSES_RANGE) for joint in robot.joints])
     poses = np.random.default_rng(0).uniform(ranges[:, 0], ranges[:, 1], (POSES, robot.n))
     M = model.inertia(poses)
     reason = why_not_positive(M)
     if reason is not None:
-        raise AcquisitionError(f"robot {robot.name}: [parameters] cannot be simulated: {reason}")
+        raise BadInputError(f"robot {robot.name}: [parameters] cannot be simulated: {reason}")
     duration_s = robot.bus.sync_period_s / SUBSTEPS if robot.bus is not None else MAX_PLANT_STEP_S
     plant = RigidBodyPlant(
         loaded,

@@ -1,4 +1,4 @@
-"""The control law of the simulated robot: the described controller, the one that the recording tells, or a surrogate.
+"""The control law of the simulated robot: the described controller, the one found in the recording, or a surrogate.
 
 Control acts on motor positions q_m = R q, once per controller period, and is held in between (sample and hold):
 
@@ -30,7 +30,7 @@ import numpy as np
 from acquisition.robot import Robot
 
 from ..arrays import Array
-from ..errors import IdentificationError
+from ..errors import BadInputError
 from ..model import DirectModel
 from ..regression import described_gains
 
@@ -108,7 +108,7 @@ class ControlLaw:
 def recorded_loop(robot: Robot) -> ControlLaw | None:
     """The loop of the description's `[controller]`, None if it states none.
 
-    Raises `IdentificationError` naming missing keys.
+    Raises `BadInputError` naming missing keys.
     """
     c = robot.controller
     integrates = c.structure in ("cascade_p_pi", "pid")
@@ -119,7 +119,7 @@ def recorded_loop(robot: Robot) -> ControlLaw | None:
     if missing := [key for key in needed if key not in stated]:
         where = f"robot {robot.name}"
         expected = f"all of {', '.join(needed)}, or none of them (then a PD of bandwidth_hz is simulated)"
-        raise IdentificationError(place=where, key=f"controller: {', '.join(missing)}", value=None, expected=expected)
+        raise BadInputError(place=where, key=f"controller: {', '.join(missing)}", value=None, expected=expected)
     structure, gains = stated["structure"], described_gains(c)
     assert gains is not None
     Kp, Kd, Ki = gains

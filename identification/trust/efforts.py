@@ -2,7 +2,7 @@
 
 A mistake S of the motors' columns, an exchange or a sign, is its own inverse. Undoing it makes of the drives' torques at joints
 Rᵀ G S (Rᵀ G)⁻¹ tau, and of positions R⁻¹ S R q; a table of joint torques may have them exchanged by joint. Least squares
-tells which mistake fits. A wrong sign fits nearly as well, but its motor takes power from the robot: it brakes.
+shows which mistake fits. A wrong sign fits nearly as well, but its motor takes power from the robot: it brakes.
 """
 
 from collections.abc import Iterator

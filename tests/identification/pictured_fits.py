@@ -112,7 +112,7 @@ class Written:
         below = {path: columns for path, columns in self.static.items() if f"{path}/".startswith(f"{origin}/")}
         if kind == "TimeSeries":
             lines = [p for p in self.curves if p.startswith(f"{origin}/") and len(self.curves[p][0]) > 1]
-            return any(below[p]["SeriesLines:visible_series"] == [True] for p in lines)
+            return len(lines) > 0
         if kind == "TextLog":
             return any("TextLog:text" in c for p, c in self.moving.items() if f"{p}/".startswith(f"{origin}/"))
         if kind == "3D":

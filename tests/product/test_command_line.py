@@ -293,6 +293,12 @@ def test_progress_is_shown_on_a_terminal_only(capfd, monkeypatch):
             "fit a.mcap --method olss",
             " fit: error: argument --method: invalid choice: 'olss': did you mean ols?",
         ),
+        (identify, "fit a.mcap --cutoff-hz 0", "argument --cutoff-hz: '0': expected a number above 0, or none"),
+        (
+            identify,
+            "simulate robot.toml -o a.mcap --rate-hz 0.008",
+            "argument --rate-hz: '0.008': expected a rate in Hz from 1; 0.008 s is 125 Hz",
+        ),
         (identify, "fit", " fit: error: the following arguments are required: LOG.mcap"),
         (acquire, "impotr a.csv", "error: argument COMMAND: invalid choice: 'impotr': did you mean import?"),
         (acquire, "info a.mcap --jsn", "error: unrecognized arguments: --jsn: did you mean --json?"),
@@ -368,6 +374,16 @@ def test_a_urdf_in_place_of_a_description_is_told(start, tmp_path, monkeypatch, 
         assert said.count("\n") == 1
 
 
+@pytest.mark.parametrize(
+    ("start", "text"), [(b'{"format": 8}', "is a JSON file"), (b"\x89MCAP0\r\n", "is a recording")]
+)
+def test_another_file_in_place_of_a_description_is_named(start, text, tmp_path):
+    (tmp_path / "fit").write_bytes(start)
+    with pytest.raises(RobotIdimError) as refused:
+        load_robot(tmp_path / "fit")
+    assert str(refused.value).startswith(f"{tmp_path / 'fit'}: {text}: expected a robot.toml")
+
+
 def test_a_computer_without_can_is_told_what_to_do(capsys, monkeypatch):
     import can
 
@@ -378,13 +394,12 @@ def test_a_computer_without_can_is_told_what_to_do(capsys, monkeypatch):
     assert acquire(["scan", "--interface", "socketcan", "--channel", "can0"]) == 1
     assert capsys.readouterr().err == (
         "robot-acquire: bus: socketcan can0: cannot be opened: [Errno 97] Address family not supported by protocol: expected "
-        "CAN in Linux (modprobe can_raw) and its channel in `ip link`; or another interface, such as slcan\n"
+        "CAN in Linux (modprobe can_raw) and its channel in `ip link`; or another interface\n"
     )
 
 
 def test_drives_that_nobody_could_join_are_not_emulated(capsys):
     assert acquire(["emulate", str(SCARA), "--duration", "0.1"]) == 1
-    assert capsys.readouterr().err == (
-        f"robot-acquire: {SCARA}: bus.interface = 'virtual': nobody else can join it: expected udp_multicast, for programs on "
-        "this computer\n"
+    assert capsys.readouterr().err.startswith(
+        f"robot-acquire: {SCARA}: bus.interface = 'virtual': other programs cannot join it: expected udp_multicast or "
     )

@@ -216,6 +216,7 @@ def test_a_notebook_shows_the_report_of_a_fit(signals):
 
     robot = replace(signals.robot, name="<b>SCARA & Co")
     fit = identification.identify_ls(replace(signals, robot=robot), identification.Overrides())
+    assert fit._repr_html_().count("<iframe") == 1
     page, report = Page(fit._repr_html_()), fit_document(fit.problem.signals, fit).short
     assert page.open == []
     assert page.texts[0] == report.title.split("; ")[0]
@@ -389,9 +390,12 @@ def test_a_stored_fit_is_short_in_print_and_in_a_notebook():
     expected = "(TX40, session.mcap, iv, converged, verdict trust: 60 parameters, 37 essential, moving error 0.69 %)"
     assert (repr(stored), repr(stored.file)) == (f"StoredFit{expected}", f"FitFile{expected}")
     shown = stored._repr_html_()
-    assert len(shown) < 2000
-    page = Page(shown)
-    assert page.open == []
+    assert len(shown) < 20_000
+    assert shown.count("<iframe") == 1
+    frame, page = Page(html.unescape(shown.split('srcdoc="')[1].split('"')[0])), Page(shown)
+    assert (page.open, frame.open) == ([], [])
+    assert any("parameters of " in text for text in frame.texts)
+    assert {"0.69 %", "held out", "half of the 37 determined parameters", "the worst, ZZ6", "±85 %"} <= {*page.texts}
     assert expected.strip("()") in page.texts[0]
     value = {p.name: p for p in stored.parameters}
     assert [row[0] for row in page.rows[1:]] == sorted(value, key=lambda x: value[x].half / abs(value[x].value))[:10]

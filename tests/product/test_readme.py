@@ -169,3 +169,17 @@ def test_every_picture_is_shown():
         for place in re.findall(r"!\[[^]]*\]\(([^)]*)\)", TEXT[readme])
     }
     assert shown == set((REPLAY / "pictures").iterdir())
+
+
+def test_every_equation_of_the_method_is_in_a_docstring_of_the_code():
+    displayed = re.findall(
+        r"\s\((\d|[A-Z])\)$", (ROOT / "identification" / "method.md").read_text(), flags=re.MULTILINE
+    )
+    code = "".join(path.read_text() for path in (ROOT / "identification").rglob("*.py"))
+    named = {
+        one
+        for group in re.findall(r"[Ee]quations? ((?:\(\w\)(?: and )?)+)", code)
+        for one in re.findall(r"\w(?=\))", group)
+    }
+    assert len(displayed) == 12
+    assert set(displayed) <= named

@@ -53,7 +53,7 @@ def test_demo_goes_from_the_bus_to_the_picture(capsys, tmp_path):
     """Six simulated drives on a bus, recorded, identified by both methods, compared with the truth."""
     assert main(["demo", "--out", str(tmp_path / "out")]) == 0
     out = capsys.readouterr().out
-    assert "TX40: IV (asked for), converged, trust; " in out
+    assert "TX40: IV (as requested), converged, trust; " in out
     compare_with_readme(out)
     within = int(out.split("iv: ")[1].split(" of 60 true values inside")[0])
     assert within >= 56

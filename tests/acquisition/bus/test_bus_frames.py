@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import can
 import numpy as np
 import pytest
+from made_up_buses import bus_text, robot_of
 
 from acquisition.bus import (
     Frame,
@@ -23,8 +24,18 @@ from acquisition.bus import (
     socket_of,
 )
 from acquisition.errors import RobotIdimError
-from acquisition.recording import ERROR, EXTENDED, FRAME, REMOTE_REQUEST, SENT
+from acquisition.recording import (
+    CAN_FD,
+    ERROR,
+    EXTENDED,
+    FRAME,
+    REMOTE_REQUEST,
+    SENT,
+    overview,
+    read_recording,
+)
 from acquisition.robot import BusFile, DriveFile
+from acquisition.session.recorder import Recorder
 from acquisition.simulated import LockStepLink
 
 
@@ -32,7 +43,7 @@ def test_a_row_byte_for_byte():
     """The layout that recordings hold: time, identifier, length, flags, data, little-endian, without gaps."""
     block = block_of([Frame(0x0102030405060708, 0x185, bytes.fromhex("3712FB"), SENT | EXTENDED)])
     assert block.tobytes().hex(" ") == "08 07 06 05 04 03 02 01 85 01 00 00 03 03 37 12 fb 00 00 00 00 00"
-    assert (SENT, EXTENDED, ERROR, REMOTE_REQUEST) == (1, 2, 4, 8)
+    assert (SENT, EXTENDED, ERROR, REMOTE_REQUEST, CAN_FD) == (1, 2, 4, 8, 16)
     assert len(block_of([])) == 0
     assert block_of([]).dtype == FRAME
 
@@ -101,7 +112,7 @@ def test_frames_of_the_kernel():
         (bytes.fromhex(text), [(socket.SOL_SOCKET, 35, struct.pack("qq", *stamp))], flags, None)
         for text, stamp, flags, _ in MESSAGES
     ]
-    too_long = (bytes(72), raw[0][1], 0, None)  # of CAN FD
+    too_long = (bytes.fromhex("86 01 00 00 40 01 00 00") + bytes(range(64)), raw[0][1], 0, None)  # of CAN FD
     without_time = (raw[0][0], [], 0, None)
     receiver = received([too_long, *raw[:4], without_time, *raw[4:]])
     block = receiver.take()
@@ -109,6 +120,7 @@ def test_frames_of_the_kernel():
         (int(r["time_ns"]), int(r["can_id"]), int(r["length"]), int(r["flags"]), r["data"].tobytes().hex().upper())
         for r in block
     ]
+    assert found.pop(0) == (1_000_000_002, 0x186, 8, CAN_FD, "0001020304050607")
     assert found == [(*row[:4], row[4].ljust(16, "0")) for _, _, _, row in MESSAGES]
     assert len(receiver.take()) == 0
 
@@ -157,6 +169,14 @@ def test_frames_of_python_can(given, expected):
     assert tapped == [frame]
 
 
+def test_a_link_passes_can_fd_over_to_the_recorder_alone():
+    tapped = []
+    link = Link(FakeBus(message(data=bytes(12), is_fd=True), message(0x285)), passive=True, tap=tapped.append)
+    assert link.take(1.0).can_id == 0x285
+    assert link.take(0.0) is None
+    assert [(frame.can_id, frame.flags) for frame in tapped] == [(0x185, CAN_FD), (0x285, 0)]
+
+
 @pytest.mark.parametrize(
     ("bus", "told"),
     [
@@ -170,15 +190,28 @@ def test_a_receiver_ends_with_the_bus_and_says_why(bus, told):
     assert receiver.error == told
 
 
-def test_a_receiver_keeps_the_order_and_leaves_can_fd_out():
+@pytest.mark.parametrize("fd", [0, 3])
+def test_can_fd_is_counted_and_in_no_recording(tmp_path, fd):
+    robot = robot_of(bus_text(1))
+    recorder = Recorder(tmp_path / "a.mcap", robot, source="test", place="robot.toml")
+    recorder.add(block_of([Frame(k, 0x185, bytes(8), CAN_FD if k < fd else 0) for k in range(5)]))
+    found = recorder.finish(10)
+    recording, text = read_recording(tmp_path / "a.mcap"), f"frames left out: {fd} of CAN FD"
+    assert found.frames == len(recording.frames["test"]) == 5 - fd
+    assert not recording.frames["test"]["flags"].any()
+    assert found.warnings == ((text,) if fd else ())
+    assert [event.text for event in overview(recording)["events"] if "CAN FD" in event.text] == list(found.warnings)
+
+
+def test_a_receiver_keeps_the_order_and_marks_can_fd():
     fake = FakeBus(*(given for given, _ in FRAMES), message(data=bytes(12), is_fd=True))
     receiver = Receiver(fake)
     receiver.stopped = True  # what has arrived is still taken
     receiver.run()
     assert receiver.error is None
     block = receiver.take()
-    assert block["can_id"].tolist() == [frame.can_id for _, frame in FRAMES]
-    assert block["flags"].tolist() == [frame.flags for _, frame in FRAMES]
+    assert block["can_id"].tolist() == [*(frame.can_id for _, frame in FRAMES), 0x185]
+    assert block["flags"].tolist() == [*(frame.flags for _, frame in FRAMES), CAN_FD]
     assert len(receiver.take()) == 0
 
 
@@ -311,11 +344,12 @@ def opened(monkeypatch, passive=False, **keys):
 @pytest.mark.parametrize(
     ("keys", "passive", "expected"),
     [
-        ({}, False, {"channel": "can0"}),
-        ({"bitrate": 500_000}, True, {"channel": "can0"}),  # `ip link` sets the rate of a network interface
+        ({}, False, {"channel": "can0", "fd": True}),
+        ({"bitrate": 500_000}, True, {"channel": "can0", "fd": True}),  # `ip link` sets the rate of a network interface
         ({"interface": "pcan", "bitrate": 500_000}, False, {"channel": "can0", "bitrate": 500_000}),
         ({"interface": "slcan"}, False, {"channel": "can0", "bitrate": 1_000_000}),
         ({"interface": "slcan"}, True, {"channel": "can0", "bitrate": 1_000_000, "listen_only": True}),
+        ({"interface": "gs_usb", "channel": "1"}, True, {"channel": 1, "bitrate": 1_000_000}),
         (
             {"interface": "udp_multicast", "channel": "239.1.2.3:4321"},
             False,

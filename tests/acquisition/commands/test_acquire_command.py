@@ -135,7 +135,7 @@ def test_known_errors_are_one_line_and_leave_nothing(folder, capsys):
         ([*command[:3], a["a.csv"], *command[4:]], "not valid TOML"),
         (import_command(folder, folder / "none" / "log.mcap"), "No such file"),
         (import_command(folder, folder), "found a folder or a device"),
-        (["info", a["a.csv"]], "is not an MCAP file"),
+        (["info", a["a.csv"]], "is a CSV file"),
         (["info", str(folder / "a\nb.mcap")], "a b.mcap: cannot be read"),
         (recording, "a.mcap: cannot be read"),
         ([*recording[:2], *recording[1:]], "a second recording: expected one"),

@@ -155,7 +155,7 @@ def test_replay_stops_at_the_first_stranger(tracked, can_id):
 
 
 def test_replay_onto_hardware_must_be_asked_for(tracked):
-    with pytest.raises(RobotIdimError, match=r"--interface = 'socketcan': hardware .* expected --onto-bus"):
+    with pytest.raises(RobotIdimError, match=r"interface = 'socketcan': hardware .* expected onto_bus"):
         replay(tracked, bus_file("nowhere0", "socketcan"), Stop())
     with pytest.raises(RobotIdimError, match="nowhere0: cannot be opened"):
         replay(tracked, bus_file("nowhere0", "socketcan"), Stop(), onto_bus=True)

@@ -8,13 +8,15 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
+import canopen
 import pytest
 from dry_sessions import Answering, Through, connected, dry_session, heard_at_once, swing
 from faulty_drives import FaultyDrives
-from made_up_buses import bus_text, robot_of
+from made_up_buses import bus_of, bus_text, robot_of
 from virtual_buses import Ear, bus_file, served
 
-from acquisition.bus import Frame, Link, Uploads, open_bus, scan_nodes
+from acquisition.bus import Frame, Link, Master, Uploads, open_bus, open_link, scan_nodes
+from acquisition.bus.uploads import upload_segments
 from acquisition.commands import checking, main
 from acquisition.commands.checking import table
 from acquisition.commands.command_line import Progress
@@ -26,6 +28,7 @@ from acquisition.robot import lines_to_fill_in
 from acquisition.session import Task
 from acquisition.simulated import LockStepLink
 
+SEGMENTS = b"\x60" + bytes(7), b"\x70" + bytes(7)  # requests for the next part of a text
 IDENTITY = {(0x1018, sub): value for sub, value in ((1, 0xFB), (2, 0x60500000), (3, 0x1700010), (4, 77))}
 
 
@@ -34,8 +37,9 @@ def scan(channel: str, *options: str) -> int:
 
 
 def is_upload(frame: Frame) -> bool:
-    """An SDO request of CiA 301 to read an object: command 40h, nothing behind index and sub-index."""
-    return 0x601 <= frame.can_id <= 0x67F and frame.data[:1] == b"\x40" and frame.data[4:] == bytes(4)
+    """An SDO request of CiA 301 to read: command 40h, nothing behind index and sub-index; or 60h, 70h and nothing."""
+    reads = (frame.data[:1] == b"\x40" and frame.data[4:] == bytes(4)) or frame.data in SEGMENTS
+    return 0x601 <= frame.can_id <= 0x67F and reads
 
 
 def filled_in(text: str) -> str:
@@ -57,8 +61,9 @@ def test_six_drives_are_scanned_by_reads_only(tmp_path, capsys):
     assert device_type[:127] == list(range(0x601, 0x680))
     lines = capsys.readouterr().out.splitlines()
     assert all(line.startswith("ok") and "1, 2, 3, 4, 5, 6" in line for line in lines[:-1])
+    assert lines[1].endswith('1008 "sim", 1009 "none", 100A "none"')
     assert lines[-1] == f"{out}: to be filled in: 13 lines with FILL IN"
-    assert "switch on disabled" in lines[1]
+    assert "switch on disabled" in lines[2]
     assert out.read_text().count("[[bus.drive]] # FILL IN: which joint?") == 6
     assert out.read_text().count("counts_per_turn = 65536 # FILL IN: turn the motor once and compare") == 6
 
@@ -86,7 +91,7 @@ def drives_of(n: int, kind: type[FaultyDrives] = FaultyDrives) -> LockStepLink:
 
 @pytest.mark.parametrize(
     "frame",
-    [b"", b"\x82\x00", b"\x40\x41\x60\x00" + bytes(3), b"\x2b\x40\x60\x00\x06" + bytes(3), b"\x60" + bytes(7)],
+    [b"", b"\x82\x00", b"\x40\x41\x60\x00" + bytes(3), b"\x2b\x40\x60\x00\x06" + bytes(3), b"\x61" + bytes(7)],
 )
 @pytest.mark.parametrize("can_id", [0x000, 0x080, 0x201, 0x581, 0x600, 0x601, 0x680, 0x77F])
 def test_nothing_but_a_read_can_be_sent(can_id, frame):
@@ -219,6 +224,44 @@ def test_odd_answers_are_said_as_such():
     assert sum("counts_per_turn = 65536 #" in line for line in written) == 2
 
 
+BEGUN_TEXT = b"\x41\x08\x10\x00\x0a\x00\x00\x00"  # 10 bytes follow in segments
+
+
+def test_texts_that_are_odd_or_not_there_are_said():
+    answers = {
+        (1, 0x1009, 0): abort_answer(0x1009, 0, "object does not exist"),
+        (1, 0x100A, 0): b"\x43\x0a\x10\x00v\xfc\n\x00",  # latin-1, and with a line feed
+        (2, 0x1008, 0): BEGUN_TEXT,
+        (2, 0, 0): abort_answer(0x1008, 0, "general error"),  # to the request for a segment
+        (3, 0x1008, 0): BEGUN_TEXT,
+        (3, 0, 0): b"\x10" + b"seconds",  # the toggle bit of the second segment to the request for the first
+    }
+    nodes, heard, _ = odd(3, answers)
+    (shown,) = [line for line in table(findings_of(nodes, heard)) if "name, versions  1 " in line]
+    assert shown.startswith("ok")
+    assert shown.endswith('1008 "sim", 1009 -, 100A "v\ufffd "')
+    for node, problem in ((2, "general error (0x08000000)"), (3, "no answer")):
+        found = row(nodes, heard, "name, versions", node)
+        assert (found.ok, found.found) == (False, f'1008 ({problem}), 1009 "none", 100A "none"')
+
+
+def test_a_text_in_segments_byte_for_byte_and_its_requests_are_all_answered():
+    """CiA 301, 7.2.4.3.6: toggle bits, unused bytes of the last segment; then one answer more is another device's."""
+    answers = [BEGUN_TEXT, b"\x00Drive 1", b"\x19B\xb03\0\0\0\0"]
+    sent = []
+
+    def answer(can_id, data):
+        sent.append(data)
+        return [(0x585, answers[len(sent) - 1])]
+
+    master = Master(Answering(answer), bus_of(robot_of(bus_text(1))))
+    assert master.upload(5, 0x1008).kind == "other"
+    assert upload_segments(master, 5, 0x1008).data == b"Drive 1B\xb03"
+    assert sent == [b"\x40\x08\x10\x00" + bytes(4), *SEGMENTS]
+    master.dispatch(Frame(0, 0x585, value_answer(0x6041, 0, 0, 2)))
+    assert master.doubled == {5}
+
+
 def test_a_server_that_aborts_the_long_upload_before_is_asked_again():
     long = {(1, 0x6502, 0): b"\x41\x02\x65\x00\x08\x00\x00\x00"}
     nodes, _, _ = odd(1, long)
@@ -239,6 +282,42 @@ def test_a_server_that_aborts_the_long_upload_before_is_asked_again():
     again = scan_nodes(Uploads(plain, bus_file()), OBJECTS, ARRAYS)
     assert aborted == ["done"]
     assert again == nodes
+
+
+def test_pythons_canopen_as_a_node():
+    """An SDO server of others: an upload in segments, a size of its own, an object without a value, and none at all."""
+    dictionary = canopen.ObjectDictionary()
+    for index, kind, value in (
+        (0x1000, canopen.objectdictionary.UNSIGNED32, 0x20192),
+        (0x6041, canopen.objectdictionary.UNSIGNED16, 0x21),
+        (0x6064, canopen.objectdictionary.INTEGER32, -5),
+        (0x6502, canopen.objectdictionary.UNSIGNED64, 0x80),
+        (0x6075, canopen.objectdictionary.UNSIGNED32, None),
+        (0x6076, canopen.objectdictionary.UNSIGNED16, 420),
+    ):
+        variable = canopen.objectdictionary.ODVariable(f"object {index:04X}", index)
+        variable.data_type, variable.value = kind, value
+        dictionary.add_object(variable)
+    for index, name in ((0x1008, "Third Drive 24/5"), (0x1009, "A7"), (0x100A, "v1.2.30")):  # 16, 2 and 7 bytes
+        variable = canopen.objectdictionary.ODVariable(f"object {index:04X}", index)
+        variable.data_type, variable.value = canopen.objectdictionary.VISIBLE_STRING, name
+        dictionary.add_object(variable)
+    network = canopen.Network()
+    network.connect(interface="virtual", channel="scan_canopen")
+    link = open_link(bus_file("scan_canopen"), passive=False)
+    try:
+        network.create_node(9, dictionary)
+        uploads = Uploads(link, bus_file())
+        nodes = scan_nodes(uploads, OBJECTS, ARRAYS)
+    finally:
+        link.close()
+        network.disconnect()
+    assert list(nodes) == [9]
+    assert row(nodes, {}, "name, versions", 9).found == '1008 "Third Drive 24/5", 1009 "A7", 100A "v1.2.30"'
+    assert row(nodes, {}, "state", 9).found == "6041 0x21 ready to switch on, 6064 -5"
+    assert row(nodes, {}, "modes", 9).found == "6502 (more than 4 bytes: expected 4)"
+    assert row(nodes, {}, "rated mA, mN m", 9).found == "6075 (abort (0x060A0023)), 6076 420 (2 bytes: expected 4)"
+    assert row(nodes, {}, "limits", 9).found == "607D:1 -, 607D:2 -, 607F -, 6080 -, 6085 -"
 
 
 def test_a_node_that_falls_silent_does_not_hold_up_the_scan_and_mapped_pdos_are_shown():

@@ -231,6 +231,7 @@ def test_csv_mistakes(tmp_path, two, content, place, key, value, expected):
     [
         ("sample_rate_hz = 500", "", "sample_rate_hz", None, "it, or a [time] table"),
         ("sample_rate_hz = 500", "sample_rate_hz = -1", "sample_rate_hz", -1, "`float` > 0.0"),
+        ("sample_rate_hz = 500", "sample_rate_hz = 0.008", "sample_rate_hz", 0.008, "a rate in Hz, not a period: 125?"),
         ('["p1", "p2"]', '["p1"]', "position.columns", None, "2, one per joint"),
         ('["p1", "p2"]', "[]", "position.columns", None, "`array` of length >= 1"),
         ('["p1", "p2"]', "[1, 9]", "", None, "a number from 1 to 4"),

@@ -8,7 +8,7 @@ from dry_sessions import Answering
 from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.bus import Frame, Master
-from acquisition.errors import RobotIdimError
+from acquisition.errors import NoAnswerError, RobotIdimError, SdoAbortedError
 from acquisition.protocol import (
     ObjectEntry,
     Pdo,
@@ -136,21 +136,21 @@ def test_sdo_answers_read(text, kind, key, value):
 @pytest.mark.parametrize("code", ABORT_WORDS)
 def test_abort_codes_in_words(code):
     answer = answer_of(data("80 00 20 00") + code.to_bytes(4, "little"))
-    with pytest.raises(RobotIdimError) as caught:
-        check_answer(answer, "value", "node 5: object 2000:0")
-    text, _, number = str(caught.value).rpartition(" ")
-    assert text.startswith("node 5: object 2000:0: refused by the drive: ")
-    assert ABORT_WORDS[code] in text
-    assert number == f"(0x{code:08X})"
+    with pytest.raises(SdoAbortedError) as caught:
+        check_answer(answer, "value", 5, "node 5: object 2000:0")
+    assert (caught.value.node, caught.value.index, caught.value.code) == (5, 0x2000, code)
+    assert ABORT_WORDS[code] in caught.value.meaning
+    assert str(caught.value) == f"node 5: object 2000:0: refused by the drive: {caught.value.meaning} (0x{code:08X})"
 
 
 def test_answers_that_are_not_the_one_wanted():
-    assert check_answer(answer_of(data("4B 41 60 00 37 12 00 00")), "value", "x") == 0x1237
-    with pytest.raises(RobotIdimError, match="x: the drive answered written: expected value"):
-        check_answer(answer_of(data("60 41 60 00 00 00 00 00")), "value", "x")
+    assert check_answer(answer_of(data("4B 41 60 00 37 12 00 00")), "value", 5, "x") == 0x1237
+    with pytest.raises(NoAnswerError, match="x: the drive answered written: expected value") as caught:
+        check_answer(answer_of(data("60 41 60 00 00 00 00 00")), "value", 5, "x")
+    assert caught.value.node == 5
     unknown = answer_of(data("80 41 60 00 01 00 00 FF"))
-    with pytest.raises(RobotIdimError, match=re.escape("x: refused by the drive: abort (0xFF000001)")):
-        check_answer(unknown, "value", "x")
+    with pytest.raises(SdoAbortedError, match=re.escape("x: refused by the drive: abort (0xFF000001)")):
+        check_answer(unknown, "value", 5, "x")
 
 
 # Identifiers and PDOs

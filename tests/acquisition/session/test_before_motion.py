@@ -177,7 +177,7 @@ def test_speeds_that_are_none(tmp_path, speed):
     robot = robot_of(bus_text(1))
     path = tmp_path / "ref.csv"
     path.write_text("time_s,joint_1\n0,0\n1,0\n")
-    for track, expected in ((path, "expected more than 0, and 1 at most"), (None, "expected --track with it")):
+    for track, expected in ((path, "expected more than 0, and 1 at most"), (None, "expected track with it")):
         with pytest.raises(RobotIdimError, match=expected):
             record(
                 robot, "robot.toml", tmp_path / "a.mcap", RecordOptions(track=track, speed=speed, dry_run=True),

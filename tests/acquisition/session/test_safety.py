@@ -179,7 +179,7 @@ def test_what_is_refused_leaves_no_file(tmp_path):
     nowhere = robot_of(bus_text(1, interface="slcan", channel="/nowhere/adapter"))
     with pytest.raises(RobotIdimError, match=r"bus: slcan .*: cannot be opened"):
         record(nowhere, "robot.toml", out, RecordOptions(duration_s=1.0), UserInterface())
-    with pytest.raises(RobotIdimError, match="--track: lasts as long as its reference"):
+    with pytest.raises(RobotIdimError, match="track: lasts as long as its reference"):
         record(nowhere, "robot.toml", out, RecordOptions(duration_s=1.0, track=tmp_path / "x.csv"), UserInterface())
     assert not out.exists()
     far = tmp_path / "far.csv"

@@ -454,9 +454,7 @@ def test_a_description_is_replaced_if_that_is_asked_for(here, capsys):
     )
     assert status == 0
     assert load_robot("robot.toml").joints[0].rotor_inertia is False
-    assert (
-        "rotor_inertia = false: torque sensors do not see rotors; a motor's torque referred to the joint does\n" in out
-    )
+    assert "rotor_inertia = false: torque sensors do not measure rotors; a motor's torque includes its rotor\n" in out
 
 
 def test_fingers_are_named_and_left_out_unless_there_is_nothing_else(here, capsys):

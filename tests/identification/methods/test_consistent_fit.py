@@ -61,7 +61,7 @@ def test_the_real_arm_becomes_a_physical_one(consistent):
     assert all(from_prior[f"{name}1"] for name in ("XX", "YY", "MX", "MZ", "M"))
     assert not any(from_prior[name] for name in c.names if name[:2] in ("Fv", "Fc", "Of", "Ia"))
     assert not from_prior["MX2"]
-    assert c.prior == "the description: all links of its [parameters]"
+    assert c.prior == "the description: all links by [parameters]"
 
 
 def test_the_verdict_and_the_consistent_set_are_one_computation(consistent, tx40):

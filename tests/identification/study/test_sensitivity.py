@@ -13,7 +13,7 @@ from identification.errors import RobotIdimError
 from identification.report import print_whole
 from identification.study import VariedFit, moves_of, sensitivity_document, vary
 from identification.study.sensitivity import Variant, fit_variant
-from identification.view.charts import sensitivity_charts
+from identification.view.charts import noise_chart, sensitivity_charts
 from identification.view.colors import LIGHT, ORANGE, PURPLE
 
 SCARA = REPLAY / "scara" / "session.mcap"
@@ -51,7 +51,9 @@ def test_noise_of_the_real_record_moves_least_squares_and_not_instrumental_varia
     assert spent < 60
     print_whole(sensitivity_document("emps.mcap", fits), short=True)
     printed = [line.split() for line in capsys.readouterr().out.splitlines()]
-    section = (ROOT / "identification" / "method.md").read_text().split("      emps.mcap: LS moves")[1].split("\n\n")[0]
+    section = (
+        (ROOT / "identification" / "results.md").read_text().split("      emps.mcap: LS moves")[1].split("\n\n")[0]
+    )
     shown = [line.split() for line in f"emps.mcap: LS moves{section}".splitlines()]
     assert len(shown) == 13
     # Moves by a start are rounding errors: their digits are of one machine.
@@ -134,6 +136,35 @@ def test_a_chart_has_both_methods_in_every_variant_that_has_a_fit():
     many = {f"M{k}": (1.0, 0.1, 1.0, 0.1) for k in range(9)}
     charts = sensitivity_charts([replace(made_up()[0], values=many, essential=())])
     assert [len(one.columns) for one in charts] == [3, 3, 3]
+
+
+def test_the_mass_over_noise_is_drawn_by_both_methods_with_intervals_and_the_truth():
+    known = {"units": {"M1": "kg"}, "known": ("true", {"M1": 10.25})}
+    rules, _, noisy = made_up()
+    strong = replace(noisy, variant=replace(noisy.variant, noise=1e-5))
+    weak = replace(
+        noisy, variant=replace(noisy.variant, noise=2e-6), values={**noisy.values, "M1": (11.0, 1.5, 10.4, 0.5)}
+    )
+    chart = noise_chart([replace(rules, **known), strong, weak])
+    assert chart.title == "M1 [kg] over position noise [µm rms]"
+    drawn = {
+        name: [[x.tolist() for x in c.line] for c in chart.curves if c.name == name]
+        for name in ("LS ± 95 %", "IV ± 95 %", "true")
+    }
+    ls, *bars = drawn["LS ± 95 %"]
+    assert ls == [pytest.approx([0.0, 2.0, 10.0]), [10.0, 11.0, 14.0]], "by the size of the noise"
+    assert [y for _, y in bars] == [[8.0, 12.0], [9.5, 12.5], [12.0, 16.0]]
+    assert drawn["IV ± 95 %"][0][1] == [10.5, 10.4, 10.25]
+    assert drawn["true"] == [[pytest.approx([0.0, 10.0]), [10.25, 10.25]]]
+    assert "true" not in {curve.name for curve in noise_chart([rules, strong]).curves}
+    assert noise_chart([rules]) is None
+
+
+def test_a_simulated_recording_knows_its_true_values():
+    fit = fit_variant(RecordingFile.at(REPLAY / "emps" / "session.mcap"), Variant(changed="none", to="the rules"))
+    assert fit.known == ("true", {"M1": 95.1089, "Fv1": 203.5034, "Fc1": 20.3935, "Off1": -3.1648})
+    assert fit.units["M1"] == "kg"
+    assert abs(fit.values["M1"][2] - 95.1089) < fit.values["M1"][3]
 
 
 def test_a_recording_that_cannot_be_fitted_by_the_rules_is_refused():

@@ -158,7 +158,7 @@ def test_held_out_blocks_far_off_and_no_positive_m_together_are_not_to_be_used()
 def test_the_tables_of_the_guides_have_every_line():
     longer = {"held out": "held-out blocks"}
     names = {one.__name__.removesuffix("_test").replace("_", " ") for one in TESTS}
-    for guide, head in (("README.md", "| line | what is wrong "), ("method.md", "| line | what it means ")):
+    for guide, head in (("README.md", "| line | what is wrong "), ("results.md", "| line | what it means ")):
         _, rest = (ROOT / "identification" / guide).read_text().split(head)
         lines = re.findall(r"^\| `(.*?)` \|", rest.split("\n\n")[0], flags=re.MULTILINE)
         assert sorted(lines) == sorted(longer.get(name, name) for name in names)

@@ -11,7 +11,7 @@ from identification.estimation import InstrumentTests
 from identification.methods import Iteration, Pass, identify_iv
 from identification.methods.iteration import status_of
 from identification.regression import Overrides
-from identification.report import DirectModelError
+from identification.report import DirectModelResidual
 
 GOOD = InstrumentTests(strength=0.9, first_stage_F=500.0)
 
@@ -23,7 +23,8 @@ def verdict(tracking, errors, tests=GOOD):
         residual_percent=0.1, residual_settled=True, parameters_settled=True,
     )  # fmt: skip
     direct = [
-        DirectModelError(name=f"j{j}", position_error_percent=e, torque_error_percent=1.0) for j, e in enumerate(errors)
+        DirectModelResidual(name=f"j{j}", position_error_percent=e, torque_error_percent=1.0)
+        for j, e in enumerate(errors)
     ]
     replica = SimpleNamespace(tracking_percent=tracking, direct=direct)
     none = SimpleNamespace(

@@ -9,12 +9,17 @@ import numpy as np
 import pytest
 from pictured_fits import FS, fitted, made_up, values
 
-from identification.methods import Gains
 from identification.study import Run, RunFit
 from identification.trust import Figure, Trust, TrustLine
 from identification.view import charts
-from identification.view.axes import about_zero, decades, linear, logarithmic
-from identification.view.charts import MAX_ROWS, STUDY_ROWS, deviation_charts, gains_chart, study_chart, trust_charts
+from identification.view.axes import decades, linear, logarithmic
+from identification.view.charts import (
+    MAX_ROWS,
+    STUDY_ROWS,
+    deviation_charts,
+    study_chart,
+    trust_charts,
+)
 from identification.view.colors import GREEN, GREY, LIGHT, ORANGE, PURPLE, SKY, VERMILLION
 from identification.view.panels import Column, Curve, Graph, Mark, Rows
 from identification.view.signal_panels import spectrum_charts
@@ -44,15 +49,6 @@ def test_an_axis_has_round_ticks_and_places_numbers(case):
     assert axis.place(value, 100.0, 200.0) == pytest.approx(100.0 + 100.0 * share)
 
 
-def test_the_axis_about_zero_is_the_asinh_scale_that_is_told():
-    axis, width = about_zero(np.array([20.0, -0.001]), np.array([0.001, 0.001]), 3)
-    assert (axis.low, axis.high) == (-100.0, 100.0)
-    assert next(iter(axis.ticks.values())) == "0"
-    expected = 0.5 + 0.5 * np.arcsinh(np.array([20.0, -0.001]) / width) / np.arcsinh(100.0 / width)
-    np.testing.assert_allclose(axis.place([20.0, -0.001], 0.0, 1.0), expected)
-    assert about_zero(np.zeros(2), np.zeros(2), 3)[0].place(0.0, 0.0, 1.0) == 0.5
-
-
 def test_parameters_have_rows_with_values_intervals_and_differences():
     own = values("IV", M1=(2.0, 0.3), M2=(-1.0, 0.1), M3=(0.0, 0.1))
     own.parameters["M2"] = msgspec.structs.replace(own.parameters["M2"], essential=False)
@@ -60,22 +56,22 @@ def test_parameters_have_rows_with_values_intervals_and_differences():
     (chart,) = deviation_charts(own, [ls, true])
     assert chart.names == [("M1", ORANGE), ("M2", GREY), ("M3", ORANGE)]
     assert {("× LS", PURPLE), ("| true", GREEN)} <= set(chart.legend)
-    value, percent, far = chart.columns
-    assert [(m.value, m.half, m.shape) for m in found(value, row=0)] == [
-        (2.0, pytest.approx(1.96 * 0.3), "dot"),
-        (2.1, 0.0, "tick"),
-    ]
-    assert [m.shape for m in found(value, row=1)] == ["ring", "tick"]
-    assert [(math.floor(m.row), m.value, m.color) for m in found(value, shape="cross")] == [
-        (0, 2.4, PURPLE),
-        (1, -9.0, PURPLE),
-    ]
+    percent, far = chart.columns
     assert [m.value for m in percent.marks] == pytest.approx([100 * 1.96 * 0.15, 100 * 1.96 * 0.1, 100.0])
-    by_ls = sorted((round(m.row), m.value, m.color) for m in far.marks if m.row < round(m.row))
-    assert by_ls[0] == (0, pytest.approx(-0.4 / math.hypot(0.3, 0.3)), PURPLE)
-    assert by_ls[1][2] == VERMILLION, "beyond 3 sigma"
-    assert [m.color for m in far.marks if m.row > round(m.row)] == [GREEN, GREEN]
-    assert len(deviation_charts(own, [])[0].columns) == 2
+    own_marks = [m for m in far.marks if m.shape in ("dot", "ring")]
+    assert [(m.row, m.value, m.half, m.shape) for m in own_marks] == [
+        (0, 0.0, 1.0, "dot"), (1, 0.0, 1.0, "ring"), (2, 0.0, 1.0, "dot"),
+    ]  # fmt: skip
+    assert [(m.value, m.half) for m in found(far, shape="tick")] == [(pytest.approx(0.1 / 0.588), 0.0), (0.0, 0.0)]
+    crosses = [(math.floor(m.row), m.value, m.half, m.color) for m in found(far, shape="cross")]
+    assert crosses == [
+        (0, pytest.approx(0.4 / 0.588), pytest.approx(1.0), PURPLE),
+        (1, pytest.approx(-8.0 / 0.196), pytest.approx(1.0), VERMILLION),  # beyond 3 sigma
+    ]
+    assert far.lines == (-1.0, 0.0, 1.0)
+    exact = deviation_charts(true, [own])[0].columns[1]
+    assert [m.value for m in found(exact, shape="cross")] == pytest.approx([-0.1 / 0.588, 0.0]), "in those of the other"
+    assert len(deviation_charts(own, [])[0].columns) == 1
 
 
 @pytest.mark.parametrize(("count", "sizes"), [(1, [1]), (30, [30]), (31, [16, 15]), (60, [30, 30]), (61, [21, 21, 19])])
@@ -96,14 +92,14 @@ def test_the_chart_of_a_fit_marks_its_essential_parameters(essential):
     assert {name for c in charts for name, color in c.names if color == ORANGE} == set(fit.essential_names)
 
 
-def test_figures_of_the_trust_tests_have_their_intervals_limits_and_what_was_expected():
+def test_figures_of_the_trust_tests_have_their_intervals_and_what_was_expected():
     figures = (Figure(name="shoulder", value=1.2, half_width=0.2, expected=-0.5), Figure(name="elbow", value=-0.5))
     lag = TrustLine("lag", "caution", "torque late", 1.2, unit="samples", figures=figures)
     made = TrustLine("ends", "ok", "no outlier", -5.0, limit=20.0)
-    limits, of_lag = trust_charts(Trust(lines=(lag, made)))
-    assert limits.names == [("ends: -5 of 20", SKY)]
-    assert [m.value for m in limits.columns[0].marks] == [0.25]
-    assert limits.columns[0].axis.ticks[1.0] == "limit"
+    (of_lag,) = trust_charts(Trust(lines=(lag, made)))
+    assert of_lag.legend == (("● value ± 95 %", ORANGE), ("| expected", GREEN))
+    (of_blocks,) = trust_charts(Trust(lines=(replace(lag, figures=figures[1:]),)))
+    assert of_blocks.legend[0] == ("● value", ORANGE), "without intervals none is named"
     assert of_lag.title == "lag: caution"
     assert of_lag.names == [("shoulder", LIGHT), ("elbow", LIGHT)]
     (column,) = of_lag.columns
@@ -115,20 +111,6 @@ def test_figures_of_the_trust_tests_have_their_intervals_limits_and_what_was_exp
     ]
     assert column.axis.low < -0.5
     assert column.axis.high > 1.4
-    assert trust_charts(Trust(lines=(replace(made, limit=None),))) == []
-
-
-def test_identified_gains_stand_beside_the_described_ones():
-    described, of_motors, half = np.array([2.0, math.nan]), np.array([2.2, 5.0]), np.array([0.1, 2.0])
-    names = {"motors": ("m1", "m2"), "units": ("N m/A",) * 2}
-    chart = gains_chart(Gains(**names, described=described, values=of_motors, half=half, cragg_donald=9.0))
-    assert chart.names == [("m1: 2 to 2.2 ± 0.1 N m/A", ORANGE), ("m2: 5 ± 2 N m/A", GREY)]
-    (column,) = chart.columns
-    assert column.lines == (100.0,)
-    assert [(m.shape, m.value, m.half) for m in column.marks] == [
-        ("dot", pytest.approx(110.0), pytest.approx(5.0)),
-        ("ring", 100.0, pytest.approx(40.0)),  # of a gain that is not described in percent of itself
-    ]
 
 
 def a_run(number, ls, iv, status="converged"):
@@ -144,7 +126,7 @@ def test_a_study_has_all_errors_by_method_and_the_medians_of_those_that_count():
     runs = [a_run(k, ls, iv) for k, (ls, iv) in enumerate([(0.1, 0.01), (0.2, 0.03), (0.3, 0.02)])]
     runs += [a_run(3, 0.9, None, "diverged"), a_run(4, 0.2, 0.9, "max_iterations")]
     chart = study_chart(runs)
-    assert [name for name, _ in chart.names if name] == ["LS: median 20 %", "IV: median 2 %"]
+    assert [name for name, _ in chart.names if name] == ["LS: median 20", "IV: median 2"]
     (column,) = chart.columns
     assert [m.value for m in found(column, shape="tick")] == [20.0] * STUDY_ROWS + [2.0] * STUDY_ROWS
     assert [m.value for m in found(column, shape="cross")] == [10.0, 20.0, 30.0, 90.0, 20.0]

@@ -44,15 +44,6 @@ def test_every_panel_of_the_layout_has_data_and_all_data_a_panel(case, written):
     assert "## verdict: " in file.static["/report"]["TextDocument:text"][0]
 
 
-def numbers_of(file):
-    """The table of the plots' numbers, by joint and heading."""
-    text = file.static["/report"]["TextDocument:text"][0].split("## figures of the plots\n")[1].strip()
-    heads, _, *rows = (
-        [cell.strip() for cell in line.strip("| ").split(" | ")] for line in text.split("\n\n")[0].splitlines()
-    )
-    return {row[0]: dict(zip(heads, row, strict=True)) for row in rows}
-
-
 def error_scale(title, name, unit):
     """What an error of 1 rad or 1 m is drawn as, by its plot's title."""
     return {f"position error {name} [{p}{unit}]": factor for p, factor in (("", 1.0), ("m", 1e3), ("µ", 1e6))}[title]
@@ -74,10 +65,9 @@ def test_a_fit_by_instruments_shows_the_simulated_robot(case, written):
     assert sorted(kind for kind, _ in file.views.values()) == ["3D", "TextDocument"] + ["TimeSeries"] * 6 * n
     assert file.is_complete()
     simulated, name = fit.replica.motion, signals.robot.joints[0].name
-    for quantity, key, values in (("q", "simulated", simulated.q), ("torque", "model_ddm", simulated.tau)):
-        k, x = file.curve(quantity, name, key)
-        np.testing.assert_array_equal(k, np.rint(simulated.t_s * FS))
-        np.testing.assert_allclose(x, values[:, 0])
+    k, x = file.curve("q", name, "simulated")
+    np.testing.assert_array_equal(k, np.rint(simulated.t_s * FS))
+    np.testing.assert_allclose(x, simulated.q[:, 0])
     titles = {origin: title for origin, (_, title) in file.views.items()}
     per_unit = error_scale(titles[f"/error/{name}".replace(" ", "\\ ")], name, signals.robot.joints[0].position_unit)
     k, x = file.curve("error", name, "simulated")
@@ -113,15 +103,6 @@ def test_titles_say_joint_and_unit(written):
     assert in_amperes["/torque/joint\\ 1.x"][1] == "torque joint 1.x [A]"
 
 
-def test_the_numbers_of_the_plots_are_in_the_report(written):
-    signals = made_up(types=("prismatic",), reference=True)
-    fit, numbers = fitted(signals), numbers_of(written(signals))["joint 1.x"]
-    assert numbers["unit"] == "N"
-    assert numbers["peak effort"] == f"{np.abs(signals.effort).max():.3g}"
-    assert numbers["reference − measured, rms, rad or m"] == "0.01"
-    assert numbers["residual, rms"] == f"{np.sqrt(np.mean((fit.tau - fit.tau_predicted)[:, 0] ** 2)):.2g}"
-
-
 @pytest.mark.parametrize(
     ("peak", "expected"),
     [(2.0, (1.0, "rad")), (0.5, (1e3, "mrad")), (1e-3, (1e3, "mrad")), (9e-4, (1e6, "µrad")), (0.0, (1.0, "rad"))],
@@ -146,15 +127,15 @@ def test_short_curves_are_written_sample_by_sample(written):
     plan = fit.settings
     span = np.arange(plan.start, plan.stop)
     whole = FilteredMotion(signals).between(plan.start, plan.stop, plan.cutoff_hz)  # in one pass
-    predicted = predicted_torque(whole, InverseModel(signals.robot), fit.base, fit.beta)
     for j, joint in enumerate(signals.robot.joints):
+        assert not any(
+            path.startswith(f"/{d}/") and path.endswith("/measured") for d in ("dq", "ddq") for path in file.curves
+        )
         expected = {
             ("torque", "measured"): (np.arange(len(signals.q)), signals.effort),
-            ("torque", "model_idm"): (span, predicted),
             ("q", "measured"): (np.arange(len(signals.q)), signals.q),
             ("q", "reference"): (np.arange(len(signals.q)), signals.q_ref),
             ("q", "measured_filtered"): (span, whole.q),
-            ("dq", "measured"): (np.arange(len(signals.q)), differentiate(signals.q, FS)),
             ("dq", "measured_filtered"): (span, whole.dq),
             ("ddq", "measured_filtered"): (span, whole.ddq),
         }
@@ -169,12 +150,13 @@ def test_the_residual_is_the_one_whose_error_is_reported(written):
     fit, file = fitted(signals), written(signals)
     decimation = Decimation(factor=fit.settings.decimation)
     Y = decimation.filtered(signals.effort[fit.settings.start : fit.settings.stop].T)
+    motion = FilteredMotion(signals).between(fit.settings.start, fit.settings.stop, fit.settings.cutoff_hz)
+    predicted = predicted_torque(motion, InverseModel(signals.robot), fit.base, fit.beta)
     for j, joint in enumerate(signals.robot.joints):
         k, rho = file.curve("residual", joint.name, "residual")
         assert 100 * np.linalg.norm(rho) / np.linalg.norm(Y[j]) == pytest.approx(fit.errors[j].relative_error_percent)
-        t, predicted = file.curve("torque", joint.name, "model_idm")
-        np.testing.assert_array_equal(t, np.arange(fit.settings.start, fit.settings.stop))
-        np.testing.assert_allclose(rho, Y[j] - decimation.filtered(predicted), atol=1e-9 * np.abs(Y[j]).max())
+        np.testing.assert_allclose(rho, Y[j] - decimation.filtered(predicted[:, j]), atol=1e-9 * np.abs(Y[j]).max())
+        np.testing.assert_array_equal(file.curve("torque", joint.name, "residual")[1], rho)
         assert k[-1] == fit.settings.stop - 1
         assert set(np.diff(k)) == {fit.settings.decimation}
 
@@ -221,21 +203,12 @@ def test_long_curves_are_bounded_and_lose_no_peak(written, tmp_path):
     assert (tmp_path / "fit.rrd").stat().st_size < 4e6
 
 
-def test_a_raw_derivative_that_drowns_the_filtered_one_waits_for_a_click(written):
-    def shown(file):
-        return {
-            quantity: file.static[f"/{quantity}/joint\\ 1.x/measured"]["SeriesLines:visible_series"] == [True]
-            for quantity in ("dq", "ddq")
-        }
-
-    assert shown(written(made_up(noise=1e-3))) == {"dq": True, "ddq": False}
-    assert shown(written(made_up(noise=0.0), name="b.rrd")) == {"dq": True, "ddq": True}
-
-
 def test_what_was_not_recorded_or_done_is_not_shown(written):
     signals = made_up()
     assert not any(path.endswith("reference") for path in written(signals).curves)
     unfiltered = written(signals, fitted(signals, cutoff_hz=0.0), name="b.rrd")
+    k, speed = unfiltered.curve("dq", "joint 1.x", "measured")
+    np.testing.assert_allclose(speed, differentiate(signals.q, FS)[k, 0], atol=1e-9 * np.abs(speed).max())
     assert not any(path.endswith("filtered") for path in unfiltered.curves)
     assert all(unfiltered.holds(origin, kind) for origin, (kind, _) in unfiltered.views.items())
 
@@ -256,7 +229,7 @@ def test_the_report_tells_result_settings_and_parameters(written):
     text = written(signals).static["/report"]["TextDocument:text"][0]
     moving = fit.errors[-1].moving_relative_error_percent
     assert text.startswith(
-        f"# made up: WLS (asked for), solved, {fit.trust.verdict}: {fit.trust.finding}; {moving:.3g} %"
+        f"# made up: WLS (as requested), solved, {fit.trust.verdict}: {fit.trust.finding}; {moving:.3g} %"
     )
     for warning in fit.warnings:
         assert f"warning: {warning}" in text
