@@ -153,7 +153,7 @@ def test_statuses_stand_in_the_help_and_in_the_readme(package, capsys):
         (acquire if package == "acquisition" else identify)(["--help"])
     assert stopped.value.code == 0
     assert STATUSES in " ".join(capsys.readouterr().out.split())
-    readme = (ROOT / "README.md").read_text()
+    readme = (ROOT / "identification" / "first_session.md").read_text()
     for status in ("0", "1", "2", "3", "130"):
         assert f"| {status} |" in readme
         assert f" {status} " in STATUSES

@@ -15,8 +15,10 @@ from urdfs import TWO_TURNING, packaged_urdf
 from acquisition.recording import read_recording
 
 FIRST, ACQUISITION, IDENTIFICATION = (ROOT / folder / "README.md" for folder in (".", "acquisition", "identification"))
+SESSION = ROOT / "identification" / "first_session.md"
 FOLDERS = ("acquisition", "identification", "replay_data", "tests")
-ALL = [*ROOT.glob("*.md"), *sorted(path for folder in FOLDERS for path in (ROOT / folder).rglob("*.md"))]
+BESIDE = [*ROOT.glob("*.md"), *ROOT.glob(".github/*.md")]
+ALL = [*BESIDE, *sorted(path for folder in FOLDERS for path in (ROOT / folder).rglob("*.md"))]
 TEXT = {path: path.read_text() for path in ALL}
 # In blocks and in sentences. What follows " #" is a remark.
 COMMAND = re.compile(
@@ -71,8 +73,8 @@ def test_commands_without_hardware_run_as_they_stand(tmp_path, monkeypatch, caps
         assert PROGRAMS[program].main(arguments) == 0, command
         printed[command] = capsys.readouterr().out
     assert {command.split()[1] for command in printed} == runs
-    # The beginning of the report that the first README shows; " ..." stands for the rest of a line.
-    shown = TEXT[FIRST].split("the recording of the demo prints:\n\n")[1].split("\n\n")[0].splitlines()
+    # The beginning of the report that the page of the first session shows; " ..." stands for the rest of a line.
+    shown = TEXT[SESSION].split("the recording of the demo prints:\n\n")[1].split("\n\n")[0].splitlines()
     for line, now in zip(shown, printed[FIRST_FIT].splitlines(), strict=False):
         (words, numbers), (words_now, numbers_now) = masked(line.strip().removesuffix(" ...")), masked(now.strip())
         assert words == words_now if not line.endswith(" ...") else words_now.startswith(words)
@@ -95,7 +97,7 @@ def test_the_six_commands_from_a_urdf_to_mujoco_run_as_they_stand(tmp_path, monk
     assert mujoco.MjModel.from_xml_path("new.xml").nv == 6
 
 
-@pytest.mark.parametrize(("readme", "longest"), [(FIRST, 190), (IDENTIFICATION, 250)])
+@pytest.mark.parametrize(("readme", "longest"), [(FIRST, 130), (IDENTIFICATION, 250)])
 def test_a_guide_is_short(readme, longest):
     assert len(TEXT[readme].splitlines()) <= longest
 
@@ -107,7 +109,7 @@ def test_the_two_commands_that_set_everything_up_are_there():
 
 def test_the_description_of_your_own_robot_is_one(tmp_path, capsys):
     """The description shown, of one joint of a URDF of two, is read, and has base parameters."""
-    (shown,) = re.findall(r"^```toml\n(.*?)^```", TEXT[FIRST], flags=re.MULTILINE | re.DOTALL)
+    (shown,) = re.findall(r"^```toml\n(.*?)^```", TEXT[SESSION], flags=re.MULTILINE | re.DOTALL)
     (tmp_path / "robot.toml").write_text(shown)
     (tmp_path / tomllib.loads(shown)["urdf"]).write_text(TWO_TURNING)
     assert IDENTIFY.main(["base", str(tmp_path / "robot.toml")]) == 0
