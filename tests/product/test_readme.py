@@ -15,7 +15,7 @@ from urdfs import TWO_TURNING, packaged_urdf
 from acquisition.recording import read_recording
 
 FIRST, ACQUISITION, IDENTIFICATION = (ROOT / folder / "README.md" for folder in (".", "acquisition", "identification"))
-SESSION = ROOT / "identification" / "first_session.md"
+SESSION, FORMATS = ROOT / "identification" / "first_session.md", ROOT / "acquisition" / "formats.md"
 FOLDERS = ("acquisition", "identification", "replay_data", "tests")
 BESIDE = [*ROOT.glob("*.md"), *ROOT.glob(".github/*.md")]
 ALL = [*BESIDE, *sorted(path for folder in FOLDERS for path in (ROOT / folder).rglob("*.md"))]
@@ -118,7 +118,7 @@ def test_the_description_of_your_own_robot_is_one(tmp_path, capsys):
 
 def test_the_map_that_is_shown_maps_the_columns_that_are_named(tmp_path):
     shown, header = (
-        re.search(pattern, TEXT[ACQUISITION], flags=re.MULTILINE | re.DOTALL)[1]
+        re.search(pattern, TEXT[FORMATS], flags=re.MULTILINE | re.DOTALL)[1]
         for pattern in (r"^```toml\n(.*?)^```", r"header `(t,[^`]*)`")
     )
     (tmp_path / "map.toml").write_text(shown)
