@@ -15,7 +15,7 @@ from ..errors import Place
 from ..protocol import ObjectEntry, Pdo
 from ..robot import Bus, Drive, Robot
 from .rows import SENT, Block, Rows, Traffic, sample_dtype
-from .sync_grid import SyncTimes, associate, counted_steps, sync_steps, sync_times, without_repeats
+from .sync_grid import SyncTimes, associate, counted_steps, sync_steps, sync_times, without_repeated_syncs, without_repeats
 from .writer import RecordingWriter
 
 MAX_PERIOD_ERROR = 0.05  # of the described SYNC period
@@ -159,18 +159,21 @@ def decode(frames: Block, robot: Robot, bus: Bus, place: str, *, max_missing: fl
     if len(sync_rows) < 2:
         text = f"{len(sync_rows)} SYNC (0x{bus.file.sync_can_id:X}) in {len(frames)} frames"
         Place(place).refuse(text=text, expected="many")
+    ours = bool((traffic.at("flags", sync_rows) & SENT).all())
+    if not ours:
+        sync_rows = without_repeated_syncs(sync_rows, traffic.at("time_ns", sync_rows))
     carriers = _carriers(bus)
-    pdos, counted = [], []
+    pdos, repeats, counted = [], [], []
     for pdo, name in carriers.items():
         rows, short = traffic.of(pdo)
-        rows, repeats = without_repeats(rows, sync_rows, traffic.at("data", rows))
+        rows, again = without_repeats(rows, sync_rows, traffic.at("data", rows))
         if not len(rows):
             text = f"no frame 0x{pdo.can_id:03X} of {pdo.length} bytes ({name})"
             Place(place).refuse(text=text, expected="the drive's answers to SYNC; is it mapped and started?")
         pdos.append(rows)
-        counted.append(PdoCount(name=name, received=len(rows) + repeats, duplicate=repeats, short=short))
-    ours = bool((traffic.at("flags", sync_rows) & SENT).all())
-    steps, paused, torn = sync_steps(sync_rows, pdos, lambda rows: traffic.at("time_ns", rows), ours=ours)
+        repeats.append(again)
+        counted.append(PdoCount(name=name, received=len(rows) + len(again), duplicate=len(again), short=short))
+    steps, paused, torn, unusual = sync_steps(sync_rows, pdos, lambda rows: traffic.at("time_ns", rows), ours=ours)
     if (traffic.at("length", sync_rows) >= 1).all():
         steps = counted_steps(traffic.at("data", sync_rows)[:, 0])
     index_of = np.concatenate([[0], np.cumsum(steps[:-1])])
@@ -179,7 +182,7 @@ def decode(frames: Block, robot: Robot, bus: Bus, place: str, *, max_missing: fl
     if len(sync_rows) >= MIN_SYNCS:
         _refuse_period(clock.period_s, bus.file.sync_period_s, place)
     del times
-    answered, rows_of_pdos, losses, missing_share = associate(pdos, sync_rows, steps, paused, torn)
+    answered, rows_of_pdos, losses, missing_share = associate(pdos, repeats, sync_rows, steps, paused, torn, unusual)
     del pdos, rows  # large in a long session
     counts = tuple(
         replace(pdo, late=lost["late"], duplicate=pdo.duplicate + lost["duplicate"], missing=lost["missing"])

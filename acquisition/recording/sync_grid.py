@@ -33,6 +33,7 @@ MIN_IN_ORDER, MAX_LATE_IN_ORDER = (
     3,
     8,
 )  # intervals in a row that prove the order; at most so many more where drives are late
+MAX_REPEAT_PERIODS = 0.75  # after a SYNC of another producer: an earlier one may be a repeat
 _MAX_ANSWER_PERIODS = 0.75  # after SYNC: a later PDO may answer a SYNC that was not recorded
 _MAX_DELAY_RATIO = 4.0  # times the usual delay; SYNCs with more are not used for the period
 _LOOKAHEAD_SYNCS = (15, 127)  # later SYNCs that bound the delay of one, in the first and second pass
@@ -149,8 +150,19 @@ def _interval(rows: Rows, sync_rows: Rows) -> Rows:
     return np.searchsorted(sync_rows, rows).astype(np.int32) - 1
 
 
-def without_repeats(rows: Rows, sync_rows: Rows, data: NDArray[np.uint8]) -> tuple[Rows, int]:
-    """Frames of a PDO after the first SYNC without repeats, and the number of repeats; `data` (len(rows), 8): their bytes.
+def without_repeated_syncs(sync_rows: Rows, times: Ints) -> Rows:
+    """SYNC frames of another producer without repeats: too early after one that a whole number of periods later is followed.
+
+    A SYNC with too early a time is left out too: as one that was not recorded it gets the time between its neighbours.
+    """
+    period = float(np.median(np.diff(times))) or 1.0
+    skipped = np.append(times[2:] - times[:-2], period)[: len(times) - 1] / period  # the last one has no neighbour
+    whole = (np.abs(skipped - np.rint(skipped)) < 1 - MAX_REPEAT_PERIODS) & (skipped > 0.5)
+    return np.delete(sync_rows, np.flatnonzero(whole & (np.diff(times) < MAX_REPEAT_PERIODS * period)) + 1)
+
+
+def without_repeats(rows: Rows, sync_rows: Rows, data: NDArray[np.uint8]) -> tuple[Rows, Rows]:
+    """Frames of a PDO after the first SYNC without repeats, and the repeats; `data` (len(rows), 8): their bytes.
 
     A frame repeats the one before if both are of one interval, have equal bytes, and differ from the frames before and after.
     """
@@ -162,12 +174,12 @@ def without_repeats(rows: Rows, sync_rows: Rows, data: NDArray[np.uint8]) -> tup
     changed &= (again == len(rows) - 1) | (data[after] != data[again]).any(axis=1)
     used = interval >= 0
     used[again[same & changed]] = False
-    return rows[used], int(np.count_nonzero(same & changed))
+    return rows[used], rows[again[same & changed]]
 
 
 def sync_steps(
     sync_rows: Rows, pdos: Sequence[Rows], times_of: Callable[[Rows], Ints], *, ours: bool
-) -> tuple[Rows, Bools, Bools]:
+) -> tuple[Rows, Bools, Bools, Bools]:
     """Periods from each SYNC frame to the next; whether it is a pause; whether a pause contains late PDOs; (k,) each.
 
     A step of whole periods of another producer is as many SYNCs. This master may have sent SYNC late (`ours`): then, as after
@@ -188,13 +200,19 @@ def sync_steps(
         interval = interval[here]
         interval = interval[times_of(pdo[here]) - times[interval] > _MAX_ANSWER_PERIODS * period]
         count[:] = np.bincount(interval, minlength=len(times))[long]
+    unusual = np.zeros(len(times), np.bool_)
+    for pdo in pdos:
+        interval = _interval(pdo, sync_rows)
+        off = times_of(pdo) - times[interval]
+        off = np.abs(off - np.median(off))
+        unusual[interval[off > max(0.05 * period, 4 * np.median(off))]] = True
     known = np.sort(after, axis=0)[(len(pdos) - 1) // 2] >= lost
     if not ours:
         known |= (np.abs(periods[long] - lost - 1) <= MAX_PERIOD_OFFSET) & (long < len(times) - 1)
-    known &= lost < MAX_RUN_SYNCS
+    known &= (lost < MAX_RUN_SYNCS) & (2 * after.max(axis=0) >= lost)
     steps[long[known]] += lost[known]
     paused[long], torn[long] = ~known, ~known & after.any(axis=0)
-    return steps, paused, torn
+    return steps, paused, torn, unusual & (steps == 1)
 
 
 def counted_steps(counter: NDArray[np.uint8]) -> Rows:
@@ -206,62 +224,37 @@ def counted_steps(counter: NDArray[np.uint8]) -> Rows:
 
 
 def associate(
-    pdos: Sequence[Rows], sync_rows: Rows, steps: Rows, paused: Bools, torn: Bools
+    pdos: Sequence[Rows], repeats: Sequence[Rows], sync_rows: Rows, steps: Rows, paused: Bools, torn: Bools, unusual: Bools
 ) -> tuple[Rows, list[Rows], list[dict[str, int]], float]:
     """Assign the frames of `pdos` to SYNCs where the order is proven; `steps`, `paused`, `torn` as of `sync_steps`.
 
-    Returns grid indices (N,) of the SYNCs whose answers are all known, also of SYNCs that were not recorded; for each PDO the
-    (N,) frames that answer them, and the numbers of late, duplicate and missing ones (missing: in the span in which all drives
-    answer); the largest share of missing ones of a PDO in that span.
+    `repeats`: frames by PDO that `without_repeats` left out. Returns grid indices (N,) of the SYNCs whose answers are all
+    known, also of SYNCs that were not recorded; for each PDO the (N,) frames that answer them, and the numbers of late,
+    duplicate and missing ones (missing: in the span in which all drives answer); the largest share of missing ones of a PDO in
+    that span.
     """
     edges = _sums(steps)
-    alone, caught_up = (steps == 1) & ~torn, np.zeros(len(edges), np.bool_)
-    behind = []  # of each PDO: SYNCs without an answer so far
-    for pdo in pdos:
-        count = np.bincount(_interval(pdo, sync_rows), minlength=len(steps))
-        alone &= count == 1
-        behind.append(edges - _sums(count))
-        del count
-        later, before = (minimum_ahead(x, MAX_RUN_SYNCS) for x in (behind[-1], behind[-1][::-1]))
-        # A drive that is less behind both before and later is late here.
-        caught_up |= (behind[-1] > later) & (behind[-1] > before[::-1])
+    behind = [edges - _sums(np.bincount(_interval(pdo, sync_rows), minlength=len(steps))) for pdo in pdos]
+    uneven = np.logical_or.reduce([np.diff(x) != 0 for x in behind])  # not as many answers as SYNCs in an interval
+    caught_up = _caught_up(behind)
+    proven = _in_order(~uneven & ~unusual & (steps == 1) & ~torn, caught_up)
     if all(x[-1] == 0 for x in behind) and any(x.max() > 0 for x in behind):
         torn = np.append(torn[:-1], False)  # nothing is lost, and some PDOs are late: so may the last ones be
     # In a pause drives catch up: one that has not done so answers a SYNC that was not recorded.
     torn = torn | paused & caught_up[1:]
-    # Late drives, too, have one PDO in each of some intervals, and a lost one may hide that they catch up.
-    hidden = min(_longest_run(alone & caught_up[1:] & caught_up[:-1]) + 1, MAX_LATE_IN_ORDER) if caught_up.any() else 0
-    in_order, sums = np.zeros(len(edges), np.bool_), _sums(alone)
-    runs = np.flatnonzero(sums[MIN_IN_ORDER + hidden :] - sums[: -MIN_IN_ORDER - hidden] == MIN_IN_ORDER + hidden)
-    for k in range(hidden, MIN_IN_ORDER + hidden + 1):
-        in_order[runs + k] = True
-    proven = in_order & ~caught_up
     # The recording may begin while answers are pending: then there are more answers than SYNCs.
     begin = int(np.argmax(proven)) if proven.any() else len(edges) - 1
     unknown = np.zeros(len(edges), np.int32)
     unknown[0] = any(x[: begin + 1].min() < 0 for x in behind)
     proven[[0, -1]] = True
-    starts = np.flatnonzero(proven).astype(np.int32)
-    balances = [*behind, unknown, _sums(torn)]  # a torn interval is in no stretch
-    unchanged = np.ones(len(edges), np.bool_)
-    for balance in balances:
-        lowest = np.minimum.reduceat(balance, starts)  # below the start: an unnoticed loss of a SYNC or repeat of a PDO
-        lowest[:-1] = np.minimum(lowest[:-1], balance[starts[1:]])
-        level = np.where(lowest < balance[starts], np.iinfo(np.int32).max, balance[starts])
-        unchanged &= balance == np.repeat(level, np.diff(starts, append=len(edges)))
-    cuts = np.flatnonzero(unchanged | proven).astype(np.int32)
-    whole = np.ones(len(cuts) - 1, np.bool_)
-    for balance in balances:
-        whole &= np.diff(balance[cuts]) == 0
+    cuts, whole = _stretches([*behind, unknown, _sums(torn)], proven)  # a torn interval is in no stretch
     first, end = np.searchsorted(sync_rows, [max(p[0] for p in pdos), min(p[-1] for p in pdos)])
-    span = np.clip(cuts, first - 1, max(first - 1, end))
-    counts: list[dict[str, int]] = []
-    for balance in behind:
-        grown = np.diff(balance[span])[~whole]
-        counts.append({"duplicate": -int(grown[grown < 0].sum()), "missing": int(grown[grown > 0].sum())})
-    share = max(losses["missing"] for losses in counts) / max(1, int(edges[span[-1]] - edges[span[0]]))
+    span = slice(max(0, first - 1), max(first - 1, end))
+    counts, share = _losses(behind, cuts, whole, edges, span)
     keep = np.repeat(whole, np.diff(cuts))
-    del behind, balances, balance, edges, sums, span  # large in a long session
+    doubtful = _doubtful(uneven | unusual, proven, keep, span, [_interval(frames, sync_rows) for frames in repeats])
+    keep &= ~np.repeat(np.logical_or.reduceat(doubtful, cuts[:-1]), np.diff(cuts))
+    del behind, edges, uneven, proven  # large in a long session
     asked = np.repeat(np.flatnonzero(keep).astype(np.int32), steps[keep])  # the interval of each of the SYNCs
     rows = []
     for pdo, losses in zip(pdos, counts, strict=True):
@@ -271,6 +264,67 @@ def associate(
         losses["late"] = int(np.count_nonzero(interval[used] != asked))
     answered = np.flatnonzero(np.repeat(keep, steps)).astype(np.int32)
     return answered, rows, counts, share
+
+
+def _caught_up(behind: Sequence[Rows]) -> Bools:
+    """Edges at which a drive is late: it is less behind both before and later."""
+    late = np.zeros(len(behind[0]), np.bool_)
+    for x in behind:
+        later, before = (minimum_ahead(y, MAX_RUN_SYNCS) for y in (x, x[::-1]))
+        late |= (x > later) & (x > before[::-1])
+    return late
+
+
+def _in_order(alone: Bools, caught_up: Bools) -> Bools:
+    """Edges at which no answer is pending: in runs of `alone`, intervals with one PDO of every drive.
+
+    Late drives, too, have one PDO in each of some intervals, and a lost one may hide that they catch up: the longest such run
+    that is seen, and one interval more, proves nothing.
+    """
+    hidden = min(_longest_run(alone & caught_up[1:] & caught_up[:-1]) + 1, MAX_LATE_IN_ORDER) if caught_up.any() else 0
+    in_order, sums = np.zeros(len(caught_up), np.bool_), _sums(alone)
+    runs = np.flatnonzero(sums[MIN_IN_ORDER + hidden :] - sums[: -MIN_IN_ORDER - hidden] == MIN_IN_ORDER + hidden)
+    for k in range(hidden, MIN_IN_ORDER + hidden + 1):
+        in_order[runs + k] = True
+    return in_order & ~caught_up
+
+
+def _stretches(balances: Sequence[Rows], proven: Bools) -> tuple[Rows, Bools]:
+    """Edges between stretches, and which stretches have as many PDOs as SYNCs: no balance has changed."""
+    starts = np.flatnonzero(proven).astype(np.int32)
+    unchanged = np.ones(len(proven), np.bool_)
+    for balance in balances:
+        lowest = np.minimum.reduceat(balance, starts)  # below the start: an unnoticed loss of a SYNC or repeat of a PDO
+        lowest[:-1] = np.minimum(lowest[:-1], balance[starts[1:]])
+        level = np.where(lowest < balance[starts], np.iinfo(np.int32).max, balance[starts])
+        unchanged &= balance == np.repeat(level, np.diff(starts, append=len(proven)))
+    cuts = np.flatnonzero(unchanged | proven).astype(np.int32)
+    return cuts, np.logical_and.reduce([np.diff(balance[cuts]) == 0 for balance in balances])
+
+
+def _losses(
+    behind: Sequence[Rows], cuts: Rows, whole: Bools, edges: Rows, span: slice
+) -> tuple[list[dict[str, int]], float]:
+    """Doubled and missing frames of each PDO in stretches that are not whole, and the largest share of missing ones."""
+    within, counts = np.clip(cuts, span.start, span.stop), []
+    for balance in behind:
+        grown = np.diff(balance[within])[~whole]
+        counts.append({"duplicate": -int(grown[grown < 0].sum()), "missing": int(grown[grown > 0].sum())})
+    return counts, max(losses["missing"] for losses in counts) / max(1, int(edges[span.stop] - edges[span.start]))
+
+
+def _doubtful(uneven: Bools, proven: Bools, keep: Bools, span: slice, repeats: Sequence[Rows]) -> Bools:
+    """Intervals between proven edges in which PDOs are late, and within `MAX_RUN_SYNCS` one is missing or doubled."""
+    damaged = np.zeros(len(keep), np.bool_)
+    damaged[span] = ~keep[span]
+    for interval in repeats:
+        damaged[interval] = True
+    sums, at = _sums(damaged), np.arange(len(keep))
+    near = sums[np.minimum(at + 1 + MAX_RUN_SYNCS, len(keep))] > sums[np.maximum(at - MAX_RUN_SYNCS, 0)]
+    starts = np.flatnonzero(proven)
+    count, sums = np.diff(starts), _sums(uneven)
+    begun, ends = sums[1:] > np.repeat(sums[starts[:-1]], count), sums[:-1] < np.repeat(sums[starts[1:]], count)
+    return begun & ends & np.repeat(np.logical_or.reduceat(near, starts[:-1]), count)
 
 
 def _sums(values: NDArray[Any]) -> Rows:
