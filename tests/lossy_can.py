@@ -119,7 +119,7 @@ def made(rng: np.random.Generator, kind: Kind) -> Made:
         whose, which, when = whose[keep], which[keep], when[keep]
     if kind.sync == "swapped":
         chosen = np.flatnonzero((whose < 0) & (rng.random(len(when)) < SWAPPED))
-        stamped = "each" if ours else rng.choice(["each", "later", "by place"])
+        stamped = "each" if ours else rng.choice(["each", "later"])
         for a, b in zip(chosen.tolist(), (chosen + rng.choice([-1, 1], len(chosen))).tolist(), strict=True):
             if not 0 <= b < len(when):
                 continue

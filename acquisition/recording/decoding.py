@@ -15,7 +15,7 @@ from ..errors import Place
 from ..protocol import ObjectEntry, Pdo
 from ..robot import Bus, Drive, Robot
 from .rows import SENT, Block, Rows, Traffic, sample_dtype
-from .sync_grid import SyncTimes, associate, counted_steps, sync_steps, sync_times, without_repeated_syncs, without_repeats
+from .sync_grid import SyncTimes, associate, counted_steps, recorded_syncs, sync_steps, sync_times, without_repeats
 from .writer import RecordingWriter
 
 MAX_PERIOD_ERROR = 0.05  # of the described SYNC period
@@ -160,8 +160,7 @@ def decode(frames: Block, robot: Robot, bus: Bus, place: str, *, max_missing: fl
         text = f"{len(sync_rows)} SYNC (0x{bus.file.sync_can_id:X}) in {len(frames)} frames"
         Place(place).refuse(text=text, expected="many")
     ours = bool((traffic.at("flags", sync_rows) & SENT).all())
-    if not ours:
-        sync_rows = without_repeated_syncs(sync_rows, traffic.at("time_ns", sync_rows))
+    sync_rows, times = recorded_syncs(sync_rows, traffic.at("time_ns", sync_rows), ours=ours)
     carriers = _carriers(bus)
     pdos, repeats, counted = [], [], []
     for pdo, name in carriers.items():
@@ -173,11 +172,10 @@ def decode(frames: Block, robot: Robot, bus: Bus, place: str, *, max_missing: fl
         pdos.append(rows)
         repeats.append(again)
         counted.append(PdoCount(name=name, received=len(rows) + len(again), duplicate=len(again), short=short))
-    steps, paused, torn, unusual = sync_steps(sync_rows, pdos, lambda rows: traffic.at("time_ns", rows), ours=ours)
+    steps, paused, torn, unusual = sync_steps(sync_rows, times, pdos, lambda rows: traffic.at("time_ns", rows), ours=ours)
     if (traffic.at("length", sync_rows) >= 1).all():
         steps = counted_steps(traffic.at("data", sync_rows)[:, 0])
     index_of = np.concatenate([[0], np.cumsum(steps[:-1])])
-    times = traffic.at("time_ns", sync_rows)
     clock = sync_times(times, index_of, int(steps.sum()), ours=ours, nominal_ns=bus.period_ns)
     if len(sync_rows) >= MIN_SYNCS:
         _refuse_period(clock.period_s, bus.file.sync_period_s, place)

@@ -150,15 +150,22 @@ def _interval(rows: Rows, sync_rows: Rows) -> Rows:
     return np.searchsorted(sync_rows, rows).astype(np.int32) - 1
 
 
-def without_repeated_syncs(sync_rows: Rows, times: Ints) -> Rows:
-    """SYNC frames of another producer without repeats: too early after one that a whole number of periods later is followed.
+def recorded_syncs(rows: Rows, times: Ints, *, ours: bool) -> tuple[Rows, Ints]:
+    """SYNC frames and their times: two that changed places are set right, and repeats by another producer are left out.
 
-    A SYNC with too early a time is left out too: as one that was not recorded it gets the time between its neighbours.
+    A repeat comes too early, and the next SYNC a whole number of periods after the one before it. So does a SYNC with too early
+    a time: as one that was not recorded, it gets the time between its neighbours.
     """
     period = float(np.median(np.diff(times))) or 1.0
+    back = np.flatnonzero(np.diff(times[:-1]) < 0)
+    back = back[(back > 0) & (times[back + 2] - times[back - 1] > 2.5 * period)]  # else the clock was set back
+    times[back], times[back + 1] = times[back + 1], times[back]
+    if ours:
+        return rows, times
     skipped = np.append(times[2:] - times[:-2], period)[: len(times) - 1] / period  # the last one has no neighbour
     whole = (np.abs(skipped - np.rint(skipped)) < 1 - MAX_REPEAT_PERIODS) & (skipped > 0.5)
-    return np.delete(sync_rows, np.flatnonzero(whole & (np.diff(times) < MAX_REPEAT_PERIODS * period)) + 1)
+    repeats = np.flatnonzero(whole & (np.diff(times) < MAX_REPEAT_PERIODS * period)) + 1
+    return np.delete(rows, repeats), np.delete(times, repeats)
 
 
 def without_repeats(rows: Rows, sync_rows: Rows, data: NDArray[np.uint8]) -> tuple[Rows, Rows]:
@@ -178,14 +185,13 @@ def without_repeats(rows: Rows, sync_rows: Rows, data: NDArray[np.uint8]) -> tup
 
 
 def sync_steps(
-    sync_rows: Rows, pdos: Sequence[Rows], times_of: Callable[[Rows], Ints], *, ours: bool
+    sync_rows: Rows, times: Ints, pdos: Sequence[Rows], times_of: Callable[[Rows], Ints], *, ours: bool
 ) -> tuple[Rows, Bools, Bools, Bools]:
     """Periods from each SYNC frame to the next; whether it is a pause; whether a pause contains late PDOs; (k,) each.
 
     A step of whole periods of another producer is as many SYNCs. This master may have sent SYNC late (`ours`): then, as after
     the last SYNC, SYNCs count as lost if most drives answered each of them. `pdos`: frames by PDO; `times_of`: their times.
     """
-    times = times_of(sync_rows)
     steps, paused, torn = np.ones(len(times), np.int32), np.zeros(len(times), np.bool_), np.zeros(len(times), np.bool_)
     period = float(np.median(np.diff(times))) or 1.0
     end = max(int(times_of(pdo[-1:])[0]) for pdo in pdos)
@@ -205,11 +211,16 @@ def sync_steps(
         interval = _interval(pdo, sync_rows)
         off = times_of(pdo) - times[interval]
         off = np.abs(off - np.median(off))
-        unusual[interval[off > max(0.05 * period, 4 * np.median(off))]] = True
-    known = np.sort(after, axis=0)[(len(pdos) - 1) // 2] >= lost
+        unusual[interval[off > max(0.05 * period, 3 * np.median(off))]] = True
+    most = np.sort(after, axis=0)[(len(pdos) - 1) // 2]
+    known = most >= lost
     if not ours:
-        known |= (np.abs(periods[long] - lost - 1) <= MAX_PERIOD_OFFSET) & (long < len(times) - 1)
-    known &= (lost < MAX_RUN_SYNCS) & (2 * after.max(axis=0) >= lost)
+        whole = np.abs(periods[long] - lost - 1) <= MAX_PERIOD_OFFSET
+        known = np.where(long < len(times) - 1, whole, known)
+    ends = np.append(sync_rows, np.iinfo(np.int32).max)[long + 1]
+    last = np.max([pdo[np.searchsorted(pdo, ends) - 1] for pdo in pdos], axis=0)  # answer before the next SYNC
+    silent = (lost > 1) & (most == 0) & (times_of(last) - times[long] < 0.5 * period * periods[long])
+    known &= (lost < MAX_RUN_SYNCS) & ~silent
     steps[long[known]] += lost[known]
     paused[long], torn[long] = ~known, ~known & after.any(axis=0)
     return steps, paused, torn, unusual & (steps == 1)
@@ -237,7 +248,7 @@ def associate(
     behind = [edges - _sums(np.bincount(_interval(pdo, sync_rows), minlength=len(steps))) for pdo in pdos]
     uneven = np.logical_or.reduce([np.diff(x) != 0 for x in behind])  # not as many answers as SYNCs in an interval
     caught_up = _caught_up(behind)
-    proven = _in_order(~uneven & ~unusual & (steps == 1) & ~torn, caught_up)
+    proven = _in_order(~uneven & ~unusual & (steps == 1) & ~torn, caught_up, unusual)
     if all(x[-1] == 0 for x in behind) and any(x.max() > 0 for x in behind):
         torn = np.append(torn[:-1], False)  # nothing is lost, and some PDOs are late: so may the last ones be
     # In a pause drives catch up: one that has not done so answers a SYNC that was not recorded.
@@ -275,13 +286,14 @@ def _caught_up(behind: Sequence[Rows]) -> Bools:
     return late
 
 
-def _in_order(alone: Bools, caught_up: Bools) -> Bools:
+def _in_order(alone: Bools, caught_up: Bools, unusual: Bools) -> Bools:
     """Edges at which no answer is pending: in runs of `alone`, intervals with one PDO of every drive.
 
     Late drives, too, have one PDO in each of some intervals, and a lost one may hide that they catch up: the longest such run
     that is seen, and one interval more, proves nothing.
     """
-    hidden = min(_longest_run(alone & caught_up[1:] & caught_up[:-1]) + 1, MAX_LATE_IN_ORDER) if caught_up.any() else 0
+    late = caught_up.any() or unusual.any()
+    hidden = min(_longest_run(alone & caught_up[1:] & caught_up[:-1]) + 1, MAX_LATE_IN_ORDER) if late else 0
     in_order, sums = np.zeros(len(caught_up), np.bool_), _sums(alone)
     runs = np.flatnonzero(sums[MIN_IN_ORDER + hidden :] - sums[: -MIN_IN_ORDER - hidden] == MIN_IN_ORDER + hidden)
     for k in range(hidden, MIN_IN_ORDER + hidden + 1):
