@@ -260,11 +260,15 @@ def associate(
     proven[[0, -1]] = True
     cuts, whole = _stretches([*behind, unknown, _sums(torn)], proven)  # a torn interval is in no stretch
     first, end = np.searchsorted(sync_rows, [max(p[0] for p in pdos), min(p[-1] for p in pdos)])
-    span = slice(max(0, first - 1), max(first - 1, end))
-    counts, share = _losses(behind, cuts, whole, edges, span)
-    keep = np.repeat(whole, np.diff(cuts))
-    doubtful = _doubtful(uneven | unusual, proven, keep, span, [_interval(frames, sync_rows) for frames in repeats])
-    keep &= ~np.repeat(np.logical_or.reduceat(doubtful, cuts[:-1]), np.diff(cuts))
+    span = np.clip(cuts, first - 1, max(first - 1, end))
+    grown = np.array([np.diff(x[span]) for x in behind]) * ~whole
+    counts = [{"duplicate": -int(x[x < 0].sum()), "missing": int(x[x > 0].sum())} for x in grown]
+    share = max(losses["missing"] for losses in counts) / max(1, int(edges[span[-1]] - edges[span[0]]))
+    damaged = np.repeat(grown.any(axis=0), np.diff(cuts))
+    for frames in repeats:
+        damaged[_interval(frames, sync_rows)] = True
+    doubtful = _doubtful(uneven | unusual, proven, damaged)
+    keep = np.repeat(whole & ~np.logical_or.reduceat(doubtful, cuts[:-1]), np.diff(cuts))
     del behind, edges, uneven, proven  # large in a long session
     asked = np.repeat(np.flatnonzero(keep).astype(np.int32), steps[keep])  # the interval of each of the SYNCs
     rows = []
@@ -314,25 +318,10 @@ def _stretches(balances: Sequence[Rows], proven: Bools) -> tuple[Rows, Bools]:
     return cuts, np.logical_and.reduce([np.diff(balance[cuts]) == 0 for balance in balances])
 
 
-def _losses(
-    behind: Sequence[Rows], cuts: Rows, whole: Bools, edges: Rows, span: slice
-) -> tuple[list[dict[str, int]], float]:
-    """Doubled and missing frames of each PDO in stretches that are not whole, and the largest share of missing ones."""
-    within, counts = np.clip(cuts, span.start, span.stop), []
-    for balance in behind:
-        grown = np.diff(balance[within])[~whole]
-        counts.append({"duplicate": -int(grown[grown < 0].sum()), "missing": int(grown[grown > 0].sum())})
-    return counts, max(losses["missing"] for losses in counts) / max(1, int(edges[span.stop] - edges[span.start]))
-
-
-def _doubtful(uneven: Bools, proven: Bools, keep: Bools, span: slice, repeats: Sequence[Rows]) -> Bools:
+def _doubtful(uneven: Bools, proven: Bools, damaged: Bools) -> Bools:
     """Intervals between proven edges in which PDOs are late, and within `MAX_RUN_SYNCS` one is missing or doubled."""
-    damaged = np.zeros(len(keep), np.bool_)
-    damaged[span] = ~keep[span]
-    for interval in repeats:
-        damaged[interval] = True
-    sums, at = _sums(damaged), np.arange(len(keep))
-    near = sums[np.minimum(at + 1 + MAX_RUN_SYNCS, len(keep))] > sums[np.maximum(at - MAX_RUN_SYNCS, 0)]
+    sums, at = _sums(damaged), np.arange(len(damaged))
+    near = sums[np.minimum(at + 1 + MAX_RUN_SYNCS, len(damaged))] > sums[np.maximum(at - MAX_RUN_SYNCS, 0)]
     starts = np.flatnonzero(proven)
     count, sums = np.diff(starts), _sums(uneven)
     begun, ends = sums[1:] > np.repeat(sums[starts[:-1]], count), sums[:-1] < np.repeat(sums[starts[1:]], count)
