@@ -30,10 +30,18 @@ class Kind:
 
     def __str__(self) -> str:
         words = [name for name in ("late", "lost", "doubled", "silent") if getattr(self, name)]
-        return ", ".join((["on time"] if "late" not in words else []) + words + ([f"SYNC {self.sync}"] if self.sync else []))
+        return ", ".join(
+            (["on time"] if "late" not in words else []) + words + ([f"SYNC {self.sync}"] if self.sync else [])
+        )
 
 
-MIXTURES = ({}, {"late": True}, {"lost": True}, {"late": True, "lost": True}, {"late": True, "lost": True, "doubled": True})
+MIXTURES = (
+    {},
+    {"late": True},
+    {"lost": True},
+    {"late": True, "lost": True},
+    {"late": True, "lost": True, "doubled": True},
+)
 KINDS = (
     *(Kind(**mixture) for mixture in MIXTURES),
     Kind(doubled=True),
@@ -89,7 +97,12 @@ def made(rng: np.random.Generator, kind: Kind) -> Made:
     lateness = 10 ** rng.uniform(-3, -1.3) if rng.random() < 0.7 else rng.uniform(0.05, 0.3)
     reach, run = rng.uniform(0.3, 1.5), int(rng.choice([1, 1, 1, 3, 20]))  # a drive stays late for so many SYNCs
     for i in range(n):
-        delay = rng.uniform(0.03, 0.5) + 0.1 * rng.random(SYNCS)
+        jitter = (
+            0.1 * rng.random(SYNCS)
+            if rng.random() < 0.5
+            else np.abs(rng.normal(0.05, rng.choice([0.005, 0.03]), SYNCS))
+        )
+        delay = rng.uniform(0.03, 0.5) + jitter
         if kind.late:
             is_late = np.repeat(rng.random(SYNCS // run + 1) < lateness, run)[:SYNCS]
             delay = np.where(is_late, 0.9 + reach * rng.random(SYNCS), delay)

@@ -7,11 +7,21 @@ gap.
 
 **Answers.** An interval is the time from one SYNC frame to the next. A drive answers every SYNC once and in order, some answers
 after the next SYNC. The order assigns answers to SYNCs as long as none is lost: a lost one shifts all later ones of its drive.
-So the frames are divided into stretches at places where no answer is pending, and a stretch gives rows only if every PDO came
-as often as SYNC. No answer is pending
+So the frames are divided at places where no answer is pending, and what lies between gives rows only if every PDO came as often
+as SYNC:
 
-- between three intervals in a row with one PDO of every drive each, unless a drive catches up later with pending answers;
-- wherever the PDOs since such a place are as many as the SYNCs.
+    SYNC             0    1    2    3    4    5    6    7    8    9    10   11   12
+    drive A          |0   |1   |2   |3   |4   |    |6   |7   |8   |    |9 10|11  |12
+    drive B          |0   |1   |2   |3   |4   |5   |6   |7   |8   |9   |10  |11  |12
+    A is behind by   0    0    0    0    0    0    1    1    1    1    2    1    1    1
+    proven edges     ^    ^    ^    ^    ^    ^    ^    ^    ^    ^         ^    ^    ^
+    rows             0    1    2    3    4         6    7    8                   11   12
+
+- **Proven edges**: the ends of three intervals in a row with one PDO of every drive each, at its usual time after SYNC (of more
+  where drives are late), unless a drive catches up later with pending answers.
+- **Stretches**: from such an edge to the next place at which the PDOs since then are as many as the SYNCs.
+- **Doubtful**: A is late by one at 9, or 9 is lost and 10 came twice. Within `MAX_RUN_SYNCS` of a PDO that is missing or
+  doubled (5 of A) late answers prove nothing, so 9 and 10 give no rows; without the loss of 5 they do.
 """
 
 from collections.abc import Callable, Sequence
@@ -35,6 +45,8 @@ MIN_IN_ORDER, MAX_LATE_IN_ORDER = (
 )  # intervals in a row that prove the order; at most so many more where drives are late
 MAX_REPEAT_PERIODS = 0.75  # after a SYNC of another producer: an earlier one may be a repeat
 _MAX_ANSWER_PERIODS = 0.75  # after SYNC: a later PDO may answer a SYNC that was not recorded
+_MAX_USUAL_PERIODS = 0.05  # from a PDO's median time after SYNC, and so many median deviations from that:
+_MAX_USUAL_RATIO = (5.0, 1.5)  # in a recording without late PDOs, with late ones
 _MAX_DELAY_RATIO = 4.0  # times the usual delay; SYNCs with more are not used for the period
 _LOOKAHEAD_SYNCS = (15, 127)  # later SYNCs that bound the delay of one, in the first and second pass
 
@@ -56,6 +68,37 @@ class SyncTimes:
     jitter_s: tuple[float, float]
     pauses: Ints
     set_back: tuple[tuple[int, float], ...]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Intervals:
+    """From each SYNC frame to the next, (k,) each: periods, and whether it is a pause, is one with late PDOs, has a PDO at an
+    unusual time after SYNC.
+    """
+
+    steps: Rows
+    paused: Bools
+    torn: Bools
+    unusual: Bools
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Answers:
+    """Which PDOs answer which SYNC.
+
+    Attributes:
+        answered: (N,) grid indices of the SYNCs whose answers are all known, also of SYNCs that were not recorded.
+        late: (N,) whether PDOs are late there: one missing or doubled within the next `MAX_RUN_SYNCS` makes them doubtful.
+        rows: for each PDO the (N,) frames that answer them.
+        losses: numbers of late, duplicate and missing frames of each PDO; missing: in the span in which all drives answer.
+        missing_share: the largest share of missing ones of a PDO in that span.
+    """
+
+    answered: Rows
+    late: Bools
+    rows: list[Rows]
+    losses: list[dict[str, int]]
+    missing_share: float
 
 
 def sync_times(times: Ints, index_of: Ints, grid: int, *, ours: bool, nominal_ns: int) -> SyncTimes:
@@ -186,11 +229,12 @@ def without_repeats(rows: Rows, sync_rows: Rows, data: NDArray[np.uint8]) -> tup
 
 def sync_steps(
     sync_rows: Rows, times: Ints, pdos: Sequence[Rows], times_of: Callable[[Rows], Ints], *, ours: bool
-) -> tuple[Rows, Bools, Bools, Bools]:
-    """Periods from each SYNC frame to the next; whether it is a pause; whether a pause contains late PDOs; (k,) each.
+) -> Intervals:
+    """Intervals between SYNC frames.
 
     A step of whole periods of another producer is as many SYNCs. This master may have sent SYNC late (`ours`): then, as after
-    the last SYNC, SYNCs count as lost if most drives answered each of them. `pdos`: frames by PDO; `times_of`: their times.
+    the last SYNC, SYNCs count as lost if most drives answered each of them. Whole periods without an answer are a pause, too.
+    `pdos`: frames by PDO; `times_of`: their times.
     """
     steps, paused, torn = np.ones(len(times), np.int32), np.zeros(len(times), np.bool_), np.zeros(len(times), np.bool_)
     period = float(np.median(np.diff(times))) or 1.0
@@ -206,12 +250,6 @@ def sync_steps(
         interval = interval[here]
         interval = interval[times_of(pdo[here]) - times[interval] > _MAX_ANSWER_PERIODS * period]
         count[:] = np.bincount(interval, minlength=len(times))[long]
-    unusual = np.zeros(len(times), np.bool_)
-    for pdo in pdos:
-        interval = _interval(pdo, sync_rows)
-        off = times_of(pdo) - times[interval]
-        off = np.abs(off - np.median(off))
-        unusual[interval[off > max(0.05 * period, 3 * np.median(off))]] = True
     most = np.sort(after, axis=0)[(len(pdos) - 1) // 2]
     known = most >= lost
     if not ours:
@@ -223,7 +261,21 @@ def sync_steps(
     known &= (lost < MAX_RUN_SYNCS) & ~silent
     steps[long[known]] += lost[known]
     paused[long], torn[long] = ~known, ~known & after.any(axis=0)
-    return steps, paused, torn, unusual & (steps == 1)
+    unusual = _unusual(
+        [_interval(pdo, sync_rows) for pdo in pdos], [times_of(pdo) for pdo in pdos], times, steps, period
+    )
+    return Intervals(steps=steps, paused=paused, torn=torn, unusual=unusual)
+
+
+def _unusual(intervals: Sequence[Rows], came: Sequence[Ints], times: Ints, steps: Rows, period: float) -> Bools:
+    """Intervals of one period in which a PDO came at an unusual time after SYNC; less tolerant if two ever came in one."""
+    unusual, plain = np.zeros(len(times), np.bool_), steps == 1
+    two = any(((np.diff(interval) == 0) & plain[interval[1:]]).any() for interval in intervals)
+    for interval, at in zip(intervals, came, strict=True):
+        off = at - times[interval]
+        off = np.abs(off - np.median(off))
+        unusual[interval[off > _MAX_USUAL_PERIODS * period + _MAX_USUAL_RATIO[two] * np.median(off)]] = True
+    return unusual & plain
 
 
 def counted_steps(counter: NDArray[np.uint8]) -> Rows:
@@ -234,51 +286,47 @@ def counted_steps(counter: NDArray[np.uint8]) -> Rows:
     return steps
 
 
-def associate(
-    pdos: Sequence[Rows], repeats: Sequence[Rows], sync_rows: Rows, steps: Rows, paused: Bools, torn: Bools, unusual: Bools
-) -> tuple[Rows, list[Rows], list[dict[str, int]], float]:
-    """Assign the frames of `pdos` to SYNCs where the order is proven; `steps`, `paused`, `torn` as of `sync_steps`.
-
-    `repeats`: frames by PDO that `without_repeats` left out. Returns grid indices (N,) of the SYNCs whose answers are all
-    known, also of SYNCs that were not recorded; for each PDO the (N,) frames that answer them, and the numbers of late,
-    duplicate and missing ones (missing: in the span in which all drives answer); the largest share of missing ones of a PDO in
-    that span.
-    """
-    edges = _sums(steps)
+def associate(pdos: Sequence[Rows], repeats: Sequence[Rows], sync_rows: Rows, intervals: Intervals) -> Answers:
+    """Assign the frames of `pdos` to SYNCs where the order is proven; `repeats`: those that `without_repeats` left out."""
+    steps, torn, edges = intervals.steps, intervals.torn, _sums(intervals.steps)
     behind = [edges - _sums(np.bincount(_interval(pdo, sync_rows), minlength=len(steps))) for pdo in pdos]
     uneven = np.logical_or.reduce([np.diff(x) != 0 for x in behind])  # not as many answers as SYNCs in an interval
     caught_up = _caught_up(behind)
-    proven = _in_order(~uneven & ~unusual & (steps == 1) & ~torn, caught_up, unusual)
+    proven = _in_order(~uneven & (steps == 1) & ~torn, caught_up, intervals.unusual)
+    # The recording may begin while answers are pending: then there are more answers than SYNCs, and the first stretch is none.
+    begin, unknown = int(np.argmax(np.append(proven[:-1], True))), np.zeros(len(edges), np.int32)
+    unknown[0] = any(x[: begin + 1].min() < 0 for x in behind)
+    proven[[0, -1]] = True
     if all(x[-1] == 0 for x in behind) and any(x.max() > 0 for x in behind):
         torn = np.append(torn[:-1], False)  # nothing is lost, and some PDOs are late: so may the last ones be
     # In a pause drives catch up: one that has not done so answers a SYNC that was not recorded.
-    torn = torn | paused & caught_up[1:]
-    # The recording may begin while answers are pending: then there are more answers than SYNCs.
-    begin = int(np.argmax(proven)) if proven.any() else len(edges) - 1
-    unknown = np.zeros(len(edges), np.int32)
-    unknown[0] = any(x[: begin + 1].min() < 0 for x in behind)
-    proven[[0, -1]] = True
+    torn = torn | intervals.paused & caught_up[1:]
     cuts, whole = _stretches([*behind, unknown, _sums(torn)], proven)  # a torn interval is in no stretch
     first, end = np.searchsorted(sync_rows, [max(p[0] for p in pdos), min(p[-1] for p in pdos)])
     span = np.clip(cuts, first - 1, max(first - 1, end))
     grown = np.array([np.diff(x[span]) for x in behind]) * ~whole
-    counts = [{"duplicate": -int(x[x < 0].sum()), "missing": int(x[x > 0].sum())} for x in grown]
-    share = max(losses["missing"] for losses in counts) / max(1, int(edges[span[-1]] - edges[span[0]]))
-    damaged = np.repeat(grown.any(axis=0), np.diff(cuts))
+    losses = [{"duplicate": -int(x[x < 0].sum()), "missing": int(x[x > 0].sum())} for x in grown]
+    share = max(lost["missing"] for lost in losses) / max(1, int(edges[span[-1]] - edges[span[0]]))
+    damaged = grown.any(axis=0)
+    damaged[-1] = False  # answers are pending, or a SYNC after the last one has none
+    damaged = np.repeat(damaged, np.diff(cuts))
+    damaged[: begin * unknown[0]] = False
     for frames in repeats:
         damaged[_interval(frames, sync_rows)] = True
-    doubtful = _doubtful(uneven | unusual, proven, damaged)
-    keep = np.repeat(whole & ~np.logical_or.reduceat(doubtful, cuts[:-1]), np.diff(cuts))
-    del behind, edges, uneven, proven  # large in a long session
+    late, doubtful = _late(uneven | intervals.unusual, proven, damaged)
+    late, doubtful = (np.logical_or.reduceat(x, cuts[:-1]) for x in (late, doubtful))  # of stretches
+    keep = np.repeat(whole & ~doubtful, np.diff(cuts))
+    late = np.repeat(np.repeat(late, np.diff(cuts))[keep], steps[keep])
+    del behind, grown, edges, uneven, proven, damaged  # large in a long session
     asked = np.repeat(np.flatnonzero(keep).astype(np.int32), steps[keep])  # the interval of each of the SYNCs
     rows = []
-    for pdo, losses in zip(pdos, counts, strict=True):
+    for pdo, lost in zip(pdos, losses, strict=True):
         interval = _interval(pdo, sync_rows)
         used = keep[interval]
         rows.append(pdo[used])
-        losses["late"] = int(np.count_nonzero(interval[used] != asked))
+        lost["late"] = int(np.count_nonzero(interval[used] != asked))
     answered = np.flatnonzero(np.repeat(keep, steps)).astype(np.int32)
-    return answered, rows, counts, share
+    return Answers(answered=answered, late=late, rows=rows, losses=losses, missing_share=share)
 
 
 def _caught_up(behind: Sequence[Rows]) -> Bools:
@@ -291,12 +339,12 @@ def _caught_up(behind: Sequence[Rows]) -> Bools:
 
 
 def _in_order(alone: Bools, caught_up: Bools, unusual: Bools) -> Bools:
-    """Edges at which no answer is pending: in runs of `alone`, intervals with one PDO of every drive.
+    """Edges at which no answer is pending: in runs of `alone`, intervals with one PDO of every drive, none of them unusual.
 
     Late drives, too, have one PDO in each of some intervals, and a lost one may hide that they catch up: the longest such run
     that is seen, and one interval more, proves nothing.
     """
-    late = caught_up.any() or unusual.any()
+    late, alone = caught_up.any() or unusual.any(), alone & ~unusual
     hidden = min(_longest_run(alone & caught_up[1:] & caught_up[:-1]) + 1, MAX_LATE_IN_ORDER) if late else 0
     in_order, sums = np.zeros(len(caught_up), np.bool_), _sums(alone)
     runs = np.flatnonzero(sums[MIN_IN_ORDER + hidden :] - sums[: -MIN_IN_ORDER - hidden] == MIN_IN_ORDER + hidden)
@@ -318,14 +366,14 @@ def _stretches(balances: Sequence[Rows], proven: Bools) -> tuple[Rows, Bools]:
     return cuts, np.logical_and.reduce([np.diff(balance[cuts]) == 0 for balance in balances])
 
 
-def _doubtful(uneven: Bools, proven: Bools, damaged: Bools) -> Bools:
-    """Intervals between proven edges in which PDOs are late, and within `MAX_RUN_SYNCS` one is missing or doubled."""
+def _late(uneven: Bools, proven: Bools, damaged: Bools) -> tuple[Bools, Bools]:
+    """Intervals from the first uneven one between two proven edges to the last, and those within reach of a damaged one."""
     sums, at = _sums(damaged), np.arange(len(damaged))
     near = sums[np.minimum(at + 1 + MAX_RUN_SYNCS, len(damaged))] > sums[np.maximum(at - MAX_RUN_SYNCS, 0)]
-    starts = np.flatnonzero(proven)
-    count, sums = np.diff(starts), _sums(uneven)
-    begun, ends = sums[1:] > np.repeat(sums[starts[:-1]], count), sums[:-1] < np.repeat(sums[starts[1:]], count)
-    return begun & ends & np.repeat(np.logical_or.reduceat(near, starts[:-1]), count)
+    starts, sums = np.flatnonzero(proven), _sums(uneven)
+    count = np.diff(starts)
+    late = (sums[1:] > np.repeat(sums[starts[:-1]], count)) & (sums[:-1] < np.repeat(sums[starts[1:]], count))
+    return late, late & np.repeat(np.logical_or.reduceat(near, starts[:-1]), count)
 
 
 def _sums(values: NDArray[Any]) -> Rows:
