@@ -39,14 +39,11 @@ Number = TypeVar("Number", np.int32, np.float64)
 
 MIN_PAUSE_PERIODS = 1.5  # periods: a longer step between SYNCs is a pause
 MAX_RUN_SYNCS = 255  # within which late PDOs must end; lost in a row, a longer silence is a pause
-MIN_IN_ORDER, MAX_LATE_IN_ORDER = (
-    3,
-    8,
-)  # intervals in a row that prove the order; at most so many more where drives are late
+MIN_IN_ORDER, MAX_LATE_IN_ORDER = 3, 8  # intervals in a row that prove the order; at most so many more if PDOs are late
 MAX_REPEAT_PERIODS = 0.75  # after a SYNC of another producer: an earlier one may be a repeat
 _MAX_ANSWER_PERIODS = 0.75  # after SYNC: a later PDO may answer a SYNC that was not recorded
 _MAX_USUAL_PERIODS = 0.05  # from a PDO's median time after SYNC, and so many median deviations from that:
-_MAX_USUAL_RATIO = (5.0, 1.5)  # in a recording without late PDOs, with late ones
+_MAX_USUAL_RATIO = (5.0, 1.5)  # if it never came twice in an interval; else
 _MAX_DELAY_RATIO = 4.0  # times the usual delay; SYNCs with more are not used for the period
 _LOOKAHEAD_SYNCS = (15, 127)  # later SYNCs that bound the delay of one, in the first and second pass
 
@@ -72,33 +69,23 @@ class SyncTimes:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Intervals:
-    """From each SYNC frame to the next, (k,) each: periods, and whether it is a pause, is one with late PDOs, has a PDO at an
-    unusual time after SYNC.
-    """
+    """Intervals from each SYNC frame to the next, (k,) each."""
 
-    steps: Rows
+    steps: Rows  # periods
     paused: Bools
-    torn: Bools
-    unusual: Bools
+    torn: Bools  # a pause with late PDOs
+    unusual: Bools  # a PDO at an unusual time after SYNC
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Answers:
-    """Which PDOs answer which SYNC.
+    """The (N,) SYNCs whose answers are all known, also SYNCs that were not recorded."""
 
-    Attributes:
-        answered: (N,) grid indices of the SYNCs whose answers are all known, also of SYNCs that were not recorded.
-        late: (N,) whether PDOs are late there: one missing or doubled within the next `MAX_RUN_SYNCS` makes them doubtful.
-        rows: for each PDO the (N,) frames that answer them.
-        losses: numbers of late, duplicate and missing frames of each PDO; missing: in the span in which all drives answer.
-        missing_share: the largest share of missing ones of a PDO in that span.
-    """
-
-    answered: Rows
-    late: Bools
-    rows: list[Rows]
-    losses: list[dict[str, int]]
-    missing_share: float
+    answered: Rows  # (N,) grid indices
+    late: Bools  # (N,) PDOs are late: one missing or doubled within the next `MAX_RUN_SYNCS` makes the row doubtful
+    rows: list[Rows]  # for each PDO the (N,) frames that answer
+    losses: list[dict[str, int]]  # late, duplicate, missing frames of each PDO; missing: where all drives answer
+    missing_share: float  # the largest share of missing ones of a PDO there
 
 
 def sync_times(times: Ints, index_of: Ints, grid: int, *, ours: bool, nominal_ns: int) -> SyncTimes:
@@ -243,39 +230,24 @@ def sync_steps(
     periods = np.append(np.diff(times) / period, after_last)
     long = np.flatnonzero(periods > MIN_PAUSE_PERIODS)
     lost = np.rint(periods[long]).astype(np.int64) - 1
-    after = np.empty((len(pdos), len(long)), np.int64)
-    for count, pdo in zip(after, pdos, strict=True):
+    after, busy, unusual = [], np.zeros(len(times), np.bool_), np.zeros(len(times), np.bool_)
+    for pdo in pdos:
         interval = _interval(pdo, sync_rows)
-        here = np.isin(interval, long)
-        interval = interval[here]
-        interval = interval[times_of(pdo[here]) - times[interval] > _MAX_ANSWER_PERIODS * period]
-        count[:] = np.bincount(interval, minlength=len(times))[long]
+        came = times_of(pdo) - times[interval]
+        after.append(np.bincount(interval[came > _MAX_ANSWER_PERIODS * period], minlength=len(times))[long])
+        busy[interval[came > 0.5 * period * periods[interval]]] = True
+        two = bool((np.bincount(interval, minlength=len(times))[periods <= MIN_PAUSE_PERIODS] > 1).any())
+        off = np.abs(came - np.median(came))
+        unusual[interval[off > _MAX_USUAL_PERIODS * period + _MAX_USUAL_RATIO[two] * np.median(off)]] = True
     most = np.sort(after, axis=0)[(len(pdos) - 1) // 2]
     known = most >= lost
     if not ours:
         whole = np.abs(periods[long] - lost - 1) <= MAX_PERIOD_OFFSET
         known = np.where(long < len(times) - 1, whole, known)
-    ends = np.append(sync_rows, np.iinfo(np.int32).max)[long + 1]
-    last = np.max([pdo[np.searchsorted(pdo, ends) - 1] for pdo in pdos], axis=0)  # answer before the next SYNC
-    silent = (lost > 1) & (most == 0) & (times_of(last) - times[long] < 0.5 * period * periods[long])
-    known &= (lost < MAX_RUN_SYNCS) & ~silent
+    known &= (lost < MAX_RUN_SYNCS) & ((lost == 1) | (most > 0) | busy[long])  # else nothing was on the bus
     steps[long[known]] += lost[known]
-    paused[long], torn[long] = ~known, ~known & after.any(axis=0)
-    unusual = _unusual(
-        [_interval(pdo, sync_rows) for pdo in pdos], [times_of(pdo) for pdo in pdos], times, steps, period
-    )
-    return Intervals(steps=steps, paused=paused, torn=torn, unusual=unusual)
-
-
-def _unusual(intervals: Sequence[Rows], came: Sequence[Ints], times: Ints, steps: Rows, period: float) -> Bools:
-    """Intervals of one period in which a PDO came at an unusual time after SYNC; less tolerant if two ever came in one."""
-    unusual, plain = np.zeros(len(times), np.bool_), steps == 1
-    two = any(((np.diff(interval) == 0) & plain[interval[1:]]).any() for interval in intervals)
-    for interval, at in zip(intervals, came, strict=True):
-        off = at - times[interval]
-        off = np.abs(off - np.median(off))
-        unusual[interval[off > _MAX_USUAL_PERIODS * period + _MAX_USUAL_RATIO[two] * np.median(off)]] = True
-    return unusual & plain
+    paused[long], torn[long] = ~known, ~known & np.any(after, axis=0)
+    return Intervals(steps=steps, paused=paused, torn=torn, unusual=unusual & (steps == 1))
 
 
 def counted_steps(counter: NDArray[np.uint8]) -> Rows:
@@ -293,7 +265,7 @@ def associate(pdos: Sequence[Rows], repeats: Sequence[Rows], sync_rows: Rows, in
     uneven = np.logical_or.reduce([np.diff(x) != 0 for x in behind])  # not as many answers as SYNCs in an interval
     caught_up = _caught_up(behind)
     proven = _in_order(~uneven & (steps == 1) & ~torn, caught_up, intervals.unusual)
-    # The recording may begin while answers are pending: then there are more answers than SYNCs, and the first stretch is none.
+    # The recording may begin while answers are pending: then there are more answers than SYNCs.
     begin, unknown = int(np.argmax(np.append(proven[:-1], True))), np.zeros(len(edges), np.int32)
     unknown[0] = any(x[: begin + 1].min() < 0 for x in behind)
     proven[[0, -1]] = True
@@ -307,10 +279,8 @@ def associate(pdos: Sequence[Rows], repeats: Sequence[Rows], sync_rows: Rows, in
     grown = np.array([np.diff(x[span]) for x in behind]) * ~whole
     losses = [{"duplicate": -int(x[x < 0].sum()), "missing": int(x[x > 0].sum())} for x in grown]
     share = max(lost["missing"] for lost in losses) / max(1, int(edges[span[-1]] - edges[span[0]]))
-    damaged = grown.any(axis=0)
-    damaged[-1] = False  # answers are pending, or a SYNC after the last one has none
-    damaged = np.repeat(damaged, np.diff(cuts))
-    damaged[: begin * unknown[0]] = False
+    damaged = np.repeat(grown.any(axis=0), np.diff(cuts))
+    damaged[: begin * unknown[0]] = damaged[cuts[-2] :] = False  # answers are pending
     for frames in repeats:
         damaged[_interval(frames, sync_rows)] = True
     late, doubtful = _late(uneven | intervals.unusual, proven, damaged)
