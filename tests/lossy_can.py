@@ -171,7 +171,7 @@ def outcome(recording: Made) -> Outcome:
     which = np.array([recording.answers[rows] for rows in found.rows.values()])
     positions = value(which, recording.hold)
     mixed = (positions != positions[0]).any(axis=0)
-    off = np.abs(found.stamps - recording.sync_ns[which[0]]) > 0.5e6 * recording.period_ms
+    off = np.abs(found.stamps - recording.sync_ns[which]).min(axis=0) > 0.5e6 * recording.period_ms
     return Outcome(possible=possible, rows=len(mixed), mixed=int(mixed.sum()), off=int((off & ~mixed).sum()))
 
 

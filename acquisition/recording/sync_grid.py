@@ -74,6 +74,7 @@ class Intervals:
     steps: Rows  # periods
     paused: Bools
     torn: Bools  # a pause with late PDOs
+    swapped: Bools  # a PDO came after the next SYNC, but was recorded before it
     unusual: Bools  # a PDO at an unusual time after SYNC
 
 
@@ -223,18 +224,21 @@ def sync_steps(
     the last SYNC, SYNCs count as lost if most drives answered each of them. Whole periods without an answer are a pause, too.
     `pdos`: frames by PDO; `times_of`: their times.
     """
-    steps, paused, torn = np.ones(len(times), np.int32), np.zeros(len(times), np.bool_), np.zeros(len(times), np.bool_)
+    steps = np.ones(len(times), np.int32)
     period = float(np.median(np.diff(times))) or 1.0
     end = max(int(times_of(pdo[-1:])[0]) for pdo in pdos)
     after_last = 1 + int((end - times[-1]) / period + 1 - _MAX_ANSWER_PERIODS)
     periods = np.append(np.diff(times) / period, after_last)
     long = np.flatnonzero(periods > MIN_PAUSE_PERIODS)
     lost = np.rint(periods[long]).astype(np.int64) - 1
-    after, busy, unusual = [], np.zeros(len(times), np.bool_), np.zeros(len(times), np.bool_)
+    ahead = np.append(np.diff(times), np.iinfo(np.int64).max)
+    after: list[Ints] = []
+    paused, torn, busy, unusual, swapped = np.zeros((5, len(times)), np.bool_)
     for pdo in pdos:
         interval = _interval(pdo, sync_rows)
         came = times_of(pdo) - times[interval]
         after.append(np.bincount(interval[came > _MAX_ANSWER_PERIODS * period], minlength=len(times))[long])
+        swapped[interval[(came > ahead[interval]) & (ahead[interval] > 0)]] = True
         busy[interval[came > 0.5 * period * periods[interval]]] = True
         two = bool((np.bincount(interval, minlength=len(times))[periods <= MIN_PAUSE_PERIODS] > 1).any())
         off = np.abs(came - np.median(came))
@@ -247,7 +251,7 @@ def sync_steps(
     known &= (lost < MAX_RUN_SYNCS) & ((lost == 1) | (most > 0) | busy[long])  # else nothing was on the bus
     steps[long[known]] += lost[known]
     paused[long], torn[long] = ~known, ~known & np.any(after, axis=0)
-    return Intervals(steps=steps, paused=paused, torn=torn, unusual=unusual & (steps == 1))
+    return Intervals(steps=steps, paused=paused, torn=torn, swapped=swapped, unusual=unusual & (steps == 1))
 
 
 def counted_steps(counter: NDArray[np.uint8]) -> Rows:
@@ -279,7 +283,7 @@ def associate(pdos: Sequence[Rows], repeats: Sequence[Rows], sync_rows: Rows, in
     grown = np.array([np.diff(x[span]) for x in behind]) * ~whole
     losses = [{"duplicate": -int(x[x < 0].sum()), "missing": int(x[x > 0].sum())} for x in grown]
     share = max(lost["missing"] for lost in losses) / max(1, int(edges[span[-1]] - edges[span[0]]))
-    damaged = np.repeat(grown.any(axis=0), np.diff(cuts))
+    damaged = np.repeat(grown.any(axis=0), np.diff(cuts)) | intervals.swapped
     damaged[: begin * unknown[0]] = damaged[cuts[-2] :] = False  # answers are pending
     for frames in repeats:
         damaged[_interval(frames, sync_rows)] = True
