@@ -42,7 +42,7 @@ def import_recording(path: Path, out: Path, robot: Robot | None = None, place: s
 
     Raises
     ------
-    AcquisitionError
+    BadInputError
         There are no frames, or they do not decode with these drives.
     """
     recording = read_recording(path)
@@ -108,7 +108,7 @@ def import_log(log: Path, out: Path, robot: Robot, place: str, payload: Payload 
 
     Raises
     ------
-    AcquisitionError
+    BadInputError
         The log cannot be read, none of its frames are of the described interface, or they do not decode.
     """
     frames, left_out = _select_interface(log, robot)

@@ -161,7 +161,7 @@ def decode(frames: Block, robot: Robot, bus: Bus, place: str, *, max_missing: fl
 
     Raises
     ------
-    AcquisitionError
+    BadInputError
         With `place`: there is no SYNC, a drive never answered, too many PDOs are missing, fewer than two samples remain, or the
         SYNC period is not that of the description.
     """

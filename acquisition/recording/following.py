@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import AcquisitionError, Place
+from ..errors import BadInputError, Place
 from ..robot import resolve, robot_from_files
 from .content import GrowingContent
 from .decoding import decode
@@ -26,7 +26,7 @@ MAX_SYNCS = 8 * MAX_RUN_SYNCS  # without a row; older frames are dropped
 class RecordingFollower:
     """A recording that is being written at `path`. After each `read`, `rows`, `events` and `health` are the new ones.
 
-    `problem` is why there are no rows. Raises `AcquisitionError` as `read` does, and where the description is not written yet.
+    `problem` is why there are no rows. Raises `BadInputError` as `read` does, and where the description is not written yet.
     """
 
     def __init__(self, path: Path) -> None:
@@ -35,10 +35,10 @@ class RecordingFollower:
         self._content.read()
         found = self._content.found
         if found.metadata is None or "robot.toml" not in found.attachments:
-            raise AcquisitionError("has no description yet", place=str(path), expected="a recording that is written")
+            raise BadInputError("has no description yet", place=str(path), expected="a recording that is written")
         self.metadata, self.robot = found.metadata, robot_from_files(found.attachments, f"{path}: robot.toml")
         if self.robot.bus is None:
-            raise AcquisitionError("is of no bus", place=str(path), expected="a recording of `robot-acquire record`")
+            raise BadInputError("is of no bus", place=str(path), expected="a recording of `robot-acquire record`")
         self._file = self.robot.bus
         self._bus = None if self._file.mapped_by_traffic else resolve(self.robot, str(path))
         self._frames = np.zeros(0, FRAME)
@@ -48,7 +48,7 @@ class RecordingFollower:
         self.health: tuple[Health, ...] = ()
 
     def read(self) -> bool:
-        """Whether the file has grown. Raises `AcquisitionError`: it is gone, cut, replaced or damaged."""
+        """Whether the file has grown. Raises `BadInputError`: it is gone, cut, replaced or damaged."""
         grown, found = self._content.read(), self._content.found
         self.ended, topics = found.complete, found.chunks.take()
         self.events, self.health = events_of(topics, self._path)
@@ -69,7 +69,7 @@ class RecordingFollower:
         half_ns, shown_ns = 0.5e9 * self._file.sync_period_s, -1 if self._last is None else int(self._last["stamp_ns"])
         first = max(int(np.searchsorted(sync_ns, shown_ns)) - HISTORY_SYNCS, len(sync_ns) - MAX_SYNCS)
         if self._bus is None:
-            with suppress(AcquisitionError):  # the master has not mapped all drives yet
+            with suppress(BadInputError):  # the master has not mapped all drives yet
                 self._bus = resolve(self.robot, str(self._path), written_by_master(self._frames))
         elif first > 0:
             self._frames, sync_ns = self._frames[sync_rows[first] :], sync_ns[first:]
@@ -77,8 +77,8 @@ class RecordingFollower:
             return
         try:
             found = decode(self._frames, self.robot, self._bus, str(self._path), max_missing=1.0)
-        except AcquisitionError as error:
-            self.problem = str(error)
+        except BadInputError as error:
+            self.problem = error.args[0]
             return
         samples, self.problem = found.samples, ""
         stamps = samples["stamp_ns"]
