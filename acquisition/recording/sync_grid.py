@@ -10,18 +10,18 @@ after the next SYNC. The order assigns answers to SYNCs as long as none is lost:
 So the frames are divided at places where no answer is pending, and what lies between gives rows only if every PDO came as often
 as SYNC:
 
-    SYNC             0    1    2    3    4    5    6    7    8    9    10   11   12
-    drive A          |0   |1   |2   |3   |4   |    |6   |7   |8   |    |9 10|11  |12
-    drive B          |0   |1   |2   |3   |4   |5   |6   |7   |8   |9   |10  |11  |12
-    A is behind by   0    0    0    0    0    0    1    1    1    1    2    1    1    1
-    proven edges     ^    ^    ^    ^    ^    ^    ^    ^    ^    ^         ^    ^    ^
-    rows             0    1    2    3    4         6    7    8                   11   12
+    SYNC             0    1    2    3    4    5    6    7    8    9    10   11   12   13   14   15   16
+    drive A          |0   |1   |    |3   |4   |5   |6   |7   |8   |    |9 10|11  |12  |13  |14  |15  |16
+    drive B          |0   |1   |2   |3   |4   |5   |6   |7   |8   |9   |10  |11  |12  |13  |14  |15  |16
+    A is behind by   0    0    0    1    1    1    1    1    1    1    2    1    1    1    1    1    1
+    proven edges     ^                   ^    ^    ^    ^    ^    ^              ^    ^    ^    ^    ^
+    rows             0    1              4    5    6    7    8              11   12   13   14   15   16
 
-- **Proven edges**: the ends of three intervals in a row with one PDO of every drive each, at its usual time after SYNC (of more
-  where drives are late), unless a drive catches up later with pending answers.
+- **Proven edges**: the ends of three intervals in a row with one PDO of every drive each, at its usual time after SYNC, unless a
+  drive catches up later with pending answers. Where drives are late (10), the first of such intervals (3) prove nothing.
 - **Stretches**: from such an edge to the next place at which the PDOs since then are as many as the SYNCs.
-- **Doubtful**: A is late by one at 9, or 9 is lost and 10 came twice. Within `MAX_RUN_SYNCS` of a PDO that is missing or
-  doubled (5 of A) late answers prove nothing, so 9 and 10 give no rows; without the loss of 5 they do.
+- **Doubtful**: A is late at 9, or 9 is lost and 10 came twice. Within `MAX_RUN_SYNCS` of a PDO that is missing or doubled (2 of
+  A) late answers prove nothing, so 9 and 10 give no rows; without the loss of 2 they do.
 """
 
 from collections.abc import Callable, Sequence
