@@ -17,8 +17,8 @@ as SYNC:
     proven edges     ^                   ^    ^    ^    ^    ^    ^              ^    ^    ^    ^    ^
     rows             0    1              4    5    6    7    8              11   12   13   14   15   16
 
-- **Proven edges**: the ends of three intervals in a row with one PDO of every drive each, at its usual time after SYNC, unless a
-  drive catches up later with pending answers. Where drives are late (10), the first of such intervals (3) prove nothing.
+- **Proven edges**: the ends of three intervals in a row with one PDO of every drive each, at its usual time after SYNC, unless
+  a drive catches up later with pending answers. Where drives are late (10), the first of such intervals (3) prove nothing.
 - **Stretches**: from such an edge to the next place at which the PDOs since then are as many as the SYNCs.
 - **Doubtful**: A is late at 9, or 9 is lost and 10 came twice. Within `MAX_RUN_SYNCS` of a PDO that is missing or doubled (2 of
   A) late answers prove nothing, so 9 and 10 give no rows; without the loss of 2 they do.

@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 from made_up_buses import bus_of, bus_text, robot_of
 
-from acquisition.errors import AcquisitionError
+from acquisition.errors import BadInputError
 from acquisition.recording import FRAME, SENT, Block, decode
 from acquisition.robot import Bus, Robot
 
@@ -166,7 +166,7 @@ def outcome(recording: Made) -> Outcome:
     possible = int(np.logical_and.reduce(each).sum())
     try:
         found = decode(recording.frames, robot, bus, "log")
-    except AcquisitionError:
+    except BadInputError:
         return Outcome(refused=1)
     which = np.array([recording.answers[rows] for rows in found.rows.values()])
     positions = value(which, recording.hold)

@@ -104,6 +104,13 @@ def test_sequences_with_known_answers(between, samples, lost):
     assert told(f"{BEFORE} {between} {AFTER}") == (FIRST + samples + LAST, lost)
 
 
+def test_rows_are_those_of_the_drawing():
+    of_first = [[k] for k in range(17)]
+    of_first[2], of_first[9], of_first[10] = [], [], [9, 10]
+    words = (" ".join(["S", *(f"1:{j}" for j in of_first[k]), f"2:{k}"]) for k in range(17))
+    assert told(" ".join(words))[0] == [[k, k] for k in (0, 1, 4, 5, 6, 7, 8, *range(11, 17))]
+
+
 def test_a_first_answer_that_is_late_belongs_to_the_first_sync():
     assert told(f"S 2:0 S 1:0 2:10 1:10 {BEFORE} {AFTER}") == ([[0, 0], [10, 10], *FIRST, *LAST], 0)
 
