@@ -185,8 +185,8 @@ def test_a_map_that_is_not_complete_is_named_until_it_is(tmp_path, monkeypatch, 
     ]
     assert not Path("log.mcap").exists()
     assert acquire(command) == 1
-    expected = "expected values instead of it in these lines, then the same command again"
-    assert capsys.readouterr().err == f"robot-acquire: x.map.toml: lines = {lines}: FILL IN: {expected}\n"
+    expected = "expected values instead, then the same command again"
+    assert capsys.readouterr().err == f"robot-acquire: x.map.toml: lines = {lines}: still have FILL IN: {expected}\n"
     text = Path("x.map.toml").read_text()
     for unit, value in (("unit", "rad"), ("unit", "N m"), ("side", "joint")):
         text = text.replace(f'{unit} = "FILL IN"', f'{unit} = "{value}"', 1)

@@ -2,12 +2,14 @@
 
 import json
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from blueprints import has_one_parent_each
-from conftest import REPLAY, ROOT
+from conftest import DATA, REPLAY, ROOT
 from fits_of_records import iv_of, signals_of
 
 from identification.commands import main
@@ -124,3 +126,22 @@ def test_shipped_sessions_are_those_that_their_readmes_make(name, tmp_path):
         words = line.replace("replay_data", str(REPLAY)).replace("session.mcap", str(made)).split()
         assert main(words) == 0
     compare_with_shipped(name, made)
+
+
+def test_the_story_of_the_paper_holds():
+    """LS is biased by noise of the position, IV is not; any start leads to it; the update saves passes."""
+    known = [str(DATA / "emps" / "DATA_EMPS.mat")] if (DATA / "emps").exists() else []
+    command = [sys.executable, str(REPLAY / "paper.py"), *known]
+    lines = subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT).stdout.splitlines()
+    numbers = [[float(x) for x in re.findall(r"\d+\.\d+", line)] for line in lines]
+    noisy, clean = numbers[lines.index(next(x for x in lines if "20 µm" in x))], numbers[1]
+    assert clean[0] == pytest.approx(95.1089, abs=clean[1])
+    assert abs(noisy[0] - 95.1089) > 15
+    assert noisy[2] == pytest.approx(95.1089, abs=noisy[3])
+    starts = [line for line in lines if " on " in line or " off " in line]
+    assert len({line[-20:] for line in starts[:3]}) == 1
+    passes = [int(re.search(r"o(?:n|ff) +(\d+)", line)[1]) for line in starts]
+    assert passes[-1] > max(passes[:3])
+    assert any("60 parameters, converged" in line for line in lines)
+    if known:
+        assert lines[-1] == "real EMPS: 95.1089, 203.5034, 20.3935, -3.1648, 4.0834 %"

@@ -44,11 +44,6 @@ def test_a_tracking_session_is_supervised_from_start_to_disabled(tmp_path):
     assert not (frames["can_id"] == 0x81).any()
 
 
-def test_without_motion_there_is_no_heartbeat(tmp_path):
-    session = dry_session(tmp_path / "a.mcap", Task(duration_s=0.5))
-    assert not (session.frames["can_id"] == 0x77F).any()
-
-
 def enabled(*, abort_connection: int = 1, supervised: bool = True) -> tuple[LockStepLink, Master, MasterHeartbeat]:
     """Two drives in operation enabled, whose master has sent one heartbeat and now says nothing more."""
     run, master = connected(supervised=supervised)
@@ -133,16 +128,6 @@ def test_the_time_out_is_three_heartbeats_or_periods():
     assert timeout_ms(bus_of(robot_of(bus_text(2, period_s=0.02, extra="heartbeat_s = 0.01"))).file) == 60
 
 
-def supervision(values: dict[tuple[int, int], int], *missing: int) -> str:
-    run, master = connected(robot_of(bus_text(1)))
-    node = run.drives.nodes[0]
-    node.types |= {(0x1029, 1): "U8", (0x1400, 5): "U16"}
-    node.values |= {(0x1029, 1): 1, (0x1400, 5): 0} | values
-    for key in [key for key in node.values if key[0] in missing]:
-        del node.values[key]
-    return "\n".join(" = ".join(pair) for pair in supervision_of(master, master.bus.drives[0]))
-
-
 @pytest.mark.parametrize(
     ("values", "missing", "expected"),
     [
@@ -168,7 +153,14 @@ def supervision(values: dict[tuple[int, int], int], *missing: int) -> str:
     ],
 )  # fmt: skip
 def test_supervision_in_words(values, missing, expected):
-    assert expected in supervision(values, *missing)
+    run, master = connected(robot_of(bus_text(1)))
+    node = run.drives.nodes[0]
+    node.types |= {(0x1029, 1): "U8", (0x1400, 5): "U16"}
+    node.values |= {(0x1029, 1): 1, (0x1400, 5): 0} | values
+    for key in [key for key in node.values if key[0] in missing]:
+        del node.values[key]
+    shown = [" = ".join(pair) for pair in supervision_of(master, master.bus.drives[0])]
+    assert any(expected in line for line in shown)
 
 
 def test_check_shows_it_and_where_there_is_no_second_stop():

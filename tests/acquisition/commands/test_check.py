@@ -1,18 +1,13 @@
 """What `robot-acquire check` prints: drives that are alike share a row, differences in words, the verdict in one line."""
 
-import pytest
 from dry_sessions import connected
 from made_up_buses import bus_text, robot_of
 
 from acquisition.commands.checking import Finding, check_drives, refusal, table
 
 
-@pytest.fixture
-def run():
-    return connected(robot_of(bus_text(3)))[0]
-
-
-def test_drives_that_are_alike_share_a_row(run):
+def test_drives_that_are_alike_share_a_row_and_one_that_does_not_answer_is_named():
+    run, _ = connected(robot_of(bus_text(3)))
     run.drives.nodes[1].values[0x6007, 0] = 0
     lines = table(check_drives(run, run.drives.bus))
     at = [k for k, line in enumerate(lines) if "reaction 6007" in line]
@@ -23,16 +18,10 @@ def test_drives_that_are_alike_share_a_row(run):
     assert sum("605A" in line for line in lines) == 1
     assert len({line.index("1, 2, 3") for line in lines if "1, 2, 3" in line}) == 1
     assert not [line for line in lines if line != line.rstrip()]
-
-
-def test_a_drive_that_does_not_answer_is_named(run):
     run.drives.silent.add(1)
     findings = check_drives(run, run.drives.bus)
     assert [(f.subject, f.node) for f in findings if not f.ok] == [("state", 2)]
     assert refusal(findings) == "no go: state of node 2"
-
-
-def test_where_no_drive_answers_at_all(run):
     run.drives.silent |= {0, 1, 2}
     findings = check_drives(run, run.drives.bus)
     (row,) = [line for line in table(findings) if "state" in line]

@@ -48,7 +48,7 @@ def test_marks_are_events_of_the_recording(tmp_path, capsys):
     assert all(text in shown for text in done.events("operator"))
 
 
-def test_a_mark_keeps_its_time_and_what_is_no_mark_is_left_out(tmp_path):
+def test_a_mark_keeps_its_time_what_is_no_mark_is_left_out_and_info_shows_it_behind_others(tmp_path, capsys):
     path, robot = tmp_path / "log.mcap", robot_of(bus_text(2))
     recorder = Recorder(path, robot, source="test", place="robot.toml")
     second = 10**9
@@ -59,12 +59,17 @@ def test_a_mark_keeps_its_time_and_what_is_no_mark_is_left_out(tmp_path):
         f'[{time.time_ns() + 9 * second}, "ahead"]',
         "[null, 1]",
     ]
+    for k in range(25):
+        recorder.event(k, "mark", f"event {k}.")
     (tmp_path / "log.mcap.marks").write_bytes("\n".join(lines).encode() + b"\n\xff\n")
     recorder.finish(100 * second)
     found = [e for e in read_recording(path).events if e.kind == "operator"]
     assert [e.text for e in found] == ["before", "ahead"]
     assert 97.5 < found[0].stamp_ns / second <= 98
     assert found[1].stamp_ns == 100 * second
+    assert main(["info", str(path)]) == 0
+    shown = capsys.readouterr().out
+    assert ("ahead" in shown, "event 24." in shown) == (True, False)
 
 
 HOSTILE = {
@@ -175,24 +180,3 @@ def test_a_mark_without_a_recording_that_is_written(tmp_path, capsys, kind):
     assert error.startswith(f"robot-acquire: {path}: ")
     assert error.count("\n") == 1
     assert not list(tmp_path.glob("*.marks*"))
-
-
-def test_phases_say_how_long_they_take(tmp_path):
-    done = dry_session(tmp_path / "log.mcap", Task(reference=swing(2, seconds=1.0)))
-    plans = done.events("plan")
-    assert [text.split()[0] for text in plans] == ["approach", "track"]
-    tracked_s = (done.phases["stop"] - done.phases["track"]) * 1e-9
-    assert float(plans[1].split()[1]) == pytest.approx(tracked_s, abs=0.01)
-
-
-def test_info_shows_marks_behind_many_other_events(tmp_path, capsys):
-    path = tmp_path / "log.mcap"
-    recorder = Recorder(path, robot_of(bus_text(2)), source="test", place="robot.toml")
-    for k in range(25):
-        recorder.event(10**9 + k, "mark", f"event {k}.")
-    recorder.event(2 * 10**9, "operator", "a loud noise")
-    recorder.finish(3 * 10**9)
-    assert main(["info", str(path)]) == 0
-    shown = capsys.readouterr().out
-    assert "a loud noise" in shown
-    assert "event 24." not in shown

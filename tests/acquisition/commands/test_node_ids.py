@@ -43,10 +43,8 @@ class Twice(FaultyDrives):
     def receive(self, now_ns, can_id, data):
         sent = super().receive(now_ns, can_id, data)
         again = [frame for frame in sent if frame[0] == 0x582]
-        if self.after_ns:
-            self.late += [(now_ns + self.after_ns, *frame) for frame in again]
-            return sent
-        return sent + again
+        self.late += [(now_ns + self.after_ns, *frame) for frame in again if self.after_ns]
+        return sent if self.after_ns else sent + again
 
 
 TRACK = Task(reference=swing(2, seconds=0.4, amplitude=0.02))

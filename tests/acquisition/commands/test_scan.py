@@ -320,7 +320,7 @@ def test_pythons_canopen_as_a_node():
     assert row(nodes, {}, "limits", 9).found == "607D:1 -, 607D:2 -, 607F -, 6080 -, 6085 -"
 
 
-def test_a_node_that_falls_silent_does_not_hold_up_the_scan():
+def test_a_node_that_falls_silent_does_not_hold_up_the_scan_and_mapped_pdos_are_shown():
     silent = {(1, index, sub): None for index, sub in [*OBJECTS, *((index, 0) for index in ARRAYS)] if index != 0x1000}
     nodes, heard, drives = odd(2, silent)
     assert {reading.problem for reading in nodes[1].values() if reading.value is None} == {"no answer"}
@@ -329,6 +329,17 @@ def test_a_node_that_falls_silent_does_not_hold_up_the_scan():
     assert (row(nodes, heard, "PDOs", 1).found, row(nodes, heard, "PDOs", 1).ok) == ("no answer", False)
     assert row(nodes, heard, "state", 2).ok
     assert (row(nodes, heard, "PDOs", 2).found, row(nodes, heard, "PDOs", 2).ok) == ("none is mapped", True)
+    read = {
+        (0x1800, 1): 0x181,
+        (0x1A00, 0): 2,
+        (0x1A00, 1): 0x60410010,
+        (0x1A00, 2): 0x60640020,
+        (0x1400, 1): 0x80000201,
+    }
+    read |= {(0x1600, 0): 1, (0x1600, 1): 0x60400010, (0x1016, 2): 0x7F001E}
+    nodes, heard, _ = odd(1, {(1, *key): value_answer(*key, value, 4 if key[1] else 1) for key, value in read.items()})
+    assert row(nodes, heard, "PDOs", 1).found == "tpdo 1 0x181 6041 6064; rpdo 1 0x201 off 6040"
+    assert "1016 0x2, 1016:1 0x0, 1016:2 0x7F001E" in row(nodes, heard, "supervision", 1).found
     # What was read of the PDOs before the node fell silent is shown.
     mapped = {
         (1, 0x1800, 1): value_answer(0x1800, 1, 0x181, 4),
@@ -356,16 +367,6 @@ def test_devices_that_are_no_drives_and_nodes_that_are_only_heard():
     assert [line.split(" #")[0] for line in lines if line.startswith("node")] == ["node = 3"]
 
 
-def test_mapped_pdos_and_consumers_are_shown():
-    link = drives_of(1)
-    values = link.drives.nodes[0].values
-    values |= {(0x1800, 1): 0x181, (0x1A00, 0): 2, (0x1A00, 1): 0x60410010, (0x1A00, 2): 0x60640020}
-    values |= {(0x1400, 1): 0x80000201, (0x1600, 0): 1, (0x1600, 1): 0x60400010, (0x1016, 2): 0x7F001E}
-    nodes = scan_nodes(Uploads(link, bus_file()), OBJECTS, ARRAYS)
-    assert row(nodes, {}, "PDOs", 1).found == "tpdo 1 0x181 6041 6064; rpdo 1 0x201 off 6040"
-    assert "1016 0x2, 1016:1 0x0, 1016:2 0x7F001E" in row(nodes, {}, "supervision", 1).found
-
-
 def all_answer(device: int = 0, silent: tuple[int, ...] = (), *heard: int) -> Answering:
     """A link to all node ids that are not in `silent`, each a device of type `device`; heartbeats of `heard`."""
 
@@ -390,30 +391,29 @@ NO_ID = "# master_node = ... # FILL IN: of this program; no node id is free"
         (all_answer(), NO_ID),
         (all_answer(402), NO_ID),
         (all_answer(0, (9, 5)), "master_node = 9 # of this program; no device has it"),
-        (
-            all_answer(0, (9, 5), 9),
-            "master_node = 5 # of this program; no device has it",
-        ),  # 9 is heard, but does not answer
+        (all_answer(0, (9, 5), 9), "master_node = 5 # of this program; no device has it"),  # 9 is heard only
         (all_answer(0, tuple(range(2, 128)), 127, 126), "master_node = 125 # of this program; no device has it"),
         (all_answer(0, tuple(range(2, 128))), None),
     ],
 )
-def test_the_node_id_of_this_program_is_that_of_no_device(link, said, tmp_path, monkeypatch, capsys):
+def test_the_node_id_of_this_program_is_that_of_no_device_and_progress_is_shown(link, said, tmp_path, monkeypatch):
+    asked = []
     monkeypatch.setattr("acquisition.bus.open_link", lambda *_, **__: link)
-    assert scan("scan_all", "--toml", str(tmp_path / "bus.toml")) == 0
+    with monkeypatch.context() as patch:
+        patch.setattr(Progress, "say", lambda progress, text: asked.append(text))
+        assert scan("scan_all", "--toml", str(tmp_path / "bus.toml")) == 0
     lines = (tmp_path / "bus.toml").read_text().splitlines()
     assert [line for line in lines if "master_node" in line] == ([said] if said else [])
-    assert capsys.readouterr().err == ""  # a progress line is on terminals only
-
-
-def test_on_a_terminal_a_scan_says_which_node_it_reads(monkeypatch):
-    said = []
-    monkeypatch.setattr("acquisition.bus.open_link", lambda *_, **__: all_answer(0, tuple(range(8, 128))))
-    monkeypatch.setattr(Progress, "say", lambda progress, text: said.append(text))
-    assert scan("scan_all") == 0
-    nodes = [int(re.fullmatch(r"asking node (\d+) of 1 to 127", text)[1]) for text in said]
+    nodes = [int(re.fullmatch(r"asking node (\d+) of 1 to 127", text)[1]) for text in asked]
     assert nodes[:127] == list(range(1, 128))
-    assert list(dict.fromkeys(nodes[127:])) == list(range(1, 8))
+    answering = sorted({can_id - 0x600 for can_id, data in link.sent if data[1:4] != b"\x00\x10\x00"})
+    assert list(dict.fromkeys(nodes[127:])) == answering
+
+
+def test_a_progress_line_is_on_terminals_only(monkeypatch, capsys):
+    monkeypatch.setattr("acquisition.bus.open_link", lambda *_, **__: all_answer(0, tuple(range(8, 128))))
+    assert scan("scan_all") == 0
+    assert capsys.readouterr().err == ""
 
 
 def described(bus: str, joints: int = 2) -> str:
@@ -539,9 +539,7 @@ def test_units_and_efforts_of_a_drive(values, lines):
 
 def test_a_drive_with_the_node_id_of_the_master(tmp_path):
     """Its heartbeats are no sign of a master: 127 is the node id that many drives come with."""
-    drive = (
-        bus_text(1, channel="scan_127").replace("node = 1\n", "node = 127\n").replace("[bus]", "[bus]\nmaster_node = 5")
-    )
+    drive = bus_text(1, channel="scan_127", extra="master_node = 5").replace("node = 1\n", "node = 127\n")
     with served("scan_127", 1, drive):
         ear = Ear("scan_127")
         assert scan("scan_127", "--toml", str(tmp_path / "bus.toml")) == 0

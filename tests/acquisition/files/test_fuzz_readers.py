@@ -83,15 +83,8 @@ def use_map(text: str) -> None:
 
 @pytest.mark.parametrize("use", [use_robot, use_map])
 @FUZZ
-@given(text=changed_toml())
+@given(text=changed_toml() | st.text(alphabet=st.sampled_from("[]{}=.,\"'\n\\ #ab1e-_:T")))
 def test_changed_descriptions(use: Callable[[str], None], text: str) -> None:
-    use(text)
-
-
-@pytest.mark.parametrize("use", [use_robot, use_map])
-@FUZZ
-@given(text=st.text(alphabet=st.sampled_from("[]{}=.,\"'\n\\ #ab1e-_:T")))
-def test_any_toml(use: Callable[[str], None], text: str) -> None:
     use(text)
 
 

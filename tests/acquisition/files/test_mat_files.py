@@ -88,15 +88,15 @@ def test_matrices_either_way_round(tmp_path, turned):
     path = mat(tmp_path, {name: np.swapaxes(value, 0, 1) if turned else value for name, value in both.items()})
     for names in (["q"], ["first", "last"], ["deep"]):
         assert np.array_equal(read_columns(path, names, 3), Q), names
-
-
-def test_a_signal_of_joints_by_one_by_samples(tmp_path):
+    # A signal of joints by one by samples.
     assert np.array_equal(read_columns(mat(tmp_path, {"q": Q.T[:, None, :]}), ["q"], 3), Q)
     assert np.array_equal(read_columns(mat(tmp_path, {"t": T[None, None, :]}), ["t"], 1), T[:, None])
 
 
-def test_parts_of_a_matrix_as_matlab_writes_them(tmp_path):
-    path = mat(tmp_path, {"q": Q, "data": {"r": Q.T}})
+def test_parts_of_a_matrix_as_matlab_writes_them_and_labels_name_them(tmp_path):
+    spoilt = np.where(np.arange(21).reshape(7, 3) == 7, np.nan, Q)
+    path = mat(tmp_path, {"q": Q, "data": {"r": Q.T, "s": spoilt.T}})
+    assert refused(path, ["data.s"], 3) == "row 3: data.s(:,2) = nan: expected a finite number"
     assert np.array_equal(read_columns(path, ["q(:,3)", "q(:,1:2)"], 3), Q[:, [2, 0, 1]])
     assert np.array_equal(read_columns(path, ["data.r(2:3, :)", "q(:, 1)"], 3), Q[:, [1, 2, 0]])
     assert refused(path, ["q(:,4)"], 1) == "variable 'q(:,4)': the matrix is 7 x 3: expected 1 to 3"
@@ -121,9 +121,3 @@ def test_an_ambiguous_shape_is_refused(tmp_path):
     path = mat(tmp_path, {"q": Q[:, :2].T, "t": T})
     assert np.array_equal(read_columns(path, ["q", "t"], 3), np.column_stack([Q[:, :2], T]))
     assert refused(path, ["q(:,1:7)", "t"], 3) == f"q(:,1:7) 2 x 7, t 1 x 7: {one_length}"
-
-
-def test_labels_of_bad_cells_name_the_part(tmp_path):
-    spoilt = np.where(np.arange(21).reshape(7, 3) == 7, np.nan, Q)
-    path = mat(tmp_path, {"data": {"q": spoilt.T}})
-    assert refused(path, ["data.q"], 3) == "row 3: data.q(:,2) = nan: expected a finite number"

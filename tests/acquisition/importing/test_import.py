@@ -5,7 +5,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy.io
-from conftest import REPLAY, needs_data, robot_named
 from descriptions import COUPLED, ONE_JOINT
 
 from acquisition.errors import RobotIdimError
@@ -98,11 +97,16 @@ def test_joint_side_stands_as_it_is(tmp_path, two, table):
     result = run(tmp_path, plain, table_map, table)
     recording = read_recording(result.out)
     samples = recording.samples
+    result.out.unlink()
     assert samples["position"] == pytest.approx(np.deg2rad(Q))
     assert samples["effort"] == pytest.approx(CURRENT * 1e-3)
     assert samples["reference"] == pytest.approx(Q[:, ::-1] * [np.pi / 180, 1])
     assert result.has_reference
     assert recording.metadata["effort_provenance"] == "a.csv: c1, c2: mN m at the joint; joint effort = value in N m"
+    # The unit tells the side too: N m can only be the joint's where motors are recorded in A.
+    recording = read_recording(run(tmp_path, two, MAP.replace('"mA"\nside = "motor"', '"N m"'), table).out)
+    assert recording.samples["effort"].tolist() == CURRENT.tolist()
+    assert recording.metadata["effort_provenance"] == "a.csv: c1, c2: N m at the joint; joint effort = value in N m"
 
 
 @pytest.mark.parametrize("separator", [",", ";", "\t", " ", "  "])
@@ -126,18 +130,15 @@ def test_kinds_of_csv(tmp_path, two, separator, header):
     assert samples["effort"] == pytest.approx(np.array([[5, 0], [10, 10], [17.5, 20]]))
 
 
-def test_columns_that_are_not_asked_for_may_hold_text(tmp_path, two):
+def test_text_in_other_columns_and_vectors_rows_and_matrices_of_a_mat_file(tmp_path, two):
     (tmp_path / "a.csv").write_text("when,p1,p2,c1,c2\n12:00,0,0,1000,0\n12:01,900,1800,0,2000\n")
-    samples = read_recording(run(tmp_path, two, MAP, tmp_path / "a.csv").out).samples
-    assert samples["effort"] == pytest.approx(np.array([[5, 0], [10, 10]]))
-
-
-def test_mat_vectors_rows_and_matrices(tmp_path, two):
     scipy.io.savemat(tmp_path / "a.mat", {"q": Q, "c1": CURRENT[:, 0], "c2": CURRENT[:, [1]].astype(np.int16)})
-    table_map = MAP.replace('["p1", "p2"]', '["q"]')
-    samples = read_recording(run(tmp_path, two, table_map, tmp_path / "a.mat").out).samples
-    assert np.rad2deg(samples["position"]) == pytest.approx(np.array([[90, 0], [180, 0], [0, 90]]))
-    assert samples["effort"] == pytest.approx(np.array([[5, 0], [10, 10], [17.5, 20]]))
+    for name, table_map, n in (("a.csv", MAP, 2), ("a.mat", MAP.replace('["p1", "p2"]', '["q"]'), 3)):
+        result = run(tmp_path, two, table_map, tmp_path / name)
+        samples = read_recording(result.out).samples
+        assert np.rad2deg(samples["position"]) == pytest.approx(np.array([[90, 0], [180, 0], [0, 90]])[:n])
+        assert samples["effort"] == pytest.approx(np.array([[5, 0], [10, 10], [17.5, 20]])[:n])
+        result.out.unlink()
 
 
 def with_time(unit: str, rate: str = "") -> str:
@@ -164,16 +165,11 @@ def test_the_rate_is_the_roundest_that_fits(tmp_path, two, rate_hz):
     assert run(tmp_path, two, with_time("s"), table).sample_rate_hz == rate_hz
 
 
-def test_a_short_record_with_jitter_keeps_its_own_rate(tmp_path, two):
-    time_s = np.array([0.0, 0.00221, 0.00416])  # 481 Hz; the scatter alone would allow 500
-    table = csv(tmp_path / "a.csv", "p1,p2,c1,c2,t", np.zeros((3, 4)), time_s)
-    assert run(tmp_path, two, with_time("s"), table).sample_rate_hz == pytest.approx(2 / 0.00416, rel=1e-4)
-
-
-def test_time_before_zero_is_counted_from_the_first_sample(tmp_path, two):
-    table = csv(tmp_path / "a.csv", "p1,p2,c1,c2,t", np.zeros((10, 4)), np.arange(10) / 500 - 0.01)
-    samples = read_recording(run(tmp_path, two, with_time("s"), table).out).samples
-    assert samples["stamp_ns"].tolist() == list(range(0, 20_000_000, 2_000_000))
+def test_a_short_record_with_jitter_keeps_its_own_rate_and_times_before_0_begin_at_0(tmp_path, two):
+    time_s = np.array([0.0, 0.00221, 0.00416]) - 0.01  # 481 Hz; the scatter alone would allow 500
+    result = run(tmp_path, two, with_time("s"), csv(tmp_path / "a.csv", "p1,p2,c1,c2,t", np.zeros((3, 4)), time_s))
+    assert result.sample_rate_hz == pytest.approx(2 / 0.00416, rel=1e-4)
+    assert read_recording(result.out).samples["stamp_ns"] == pytest.approx([0, 2_080_000, 4_160_000], abs=50_000)
 
 
 GRID = np.arange(100) / 500
@@ -306,12 +302,6 @@ def test_a_motor_may_turn_where_its_joint_slides(tmp_path):
     assert refusal(tmp_path, robot, joint_side, table) == ("map.toml", "position.unit", None, "a length")
 
 
-def test_tables_of_different_length(tmp_path, two):
-    tables = csv(tmp_path / "a.csv", "p1,p2", Q), csv(tmp_path / "b.csv", "c1,c2", CURRENT[:2])
-    table_map = MAP.replace('unit = "mA"', 'unit = "mA"\ntable = 2')
-    assert refusal(tmp_path, two, table_map, *tables) == ("map.toml", "effort", None, "3 as in position")
-
-
 def test_mat_mistakes(tmp_path, two):
     good = {"p1": Q[:, 0], "p2": Q[:, 1], "c1": CURRENT[:, 0]}
     for extra, place, key, value, expected in (
@@ -377,7 +367,7 @@ def test_units_of_position_and_effort_by_hand(tmp_path, recorded, position, effo
     assert result.effort_units == (recorded,)
 
 
-def test_times_in_words_that_are_no_unit_and_in_columns_that_are_none(tmp_path, two):
+def test_times_in_words_that_are_no_unit_and_columns_of_other_lengths_or_none(tmp_path, two):
     table = csv(tmp_path / "a.csv", "p1,p2,c1,c2,t", np.zeros((3, 4)), np.arange(3.0))
     short = csv(tmp_path / "b.csv", "t", np.arange(2.0))
     found = refusal(tmp_path, two, with_time("min"), table)
@@ -385,16 +375,9 @@ def test_times_in_words_that_are_no_unit_and_in_columns_that_are_none(tmp_path, 
     two_tables = with_time("s") + "table = 2\n"
     assert refusal(tmp_path, two, two_tables, table, short)[::3] == ("map.toml", "one column of 3 rows")
     assert refusal(tmp_path, two, two_tables, table)[1:3] == ("time.table", 2)
-
-
-def test_joint_torques_beside_motor_currents(tmp_path, two, table):
-    """The unit tells the side: N m can only be the joint's where motors are recorded in A."""
-    table_map = MAP.replace('unit = "mA"\nside = "motor"', 'unit = "N m"')
-    result = run(tmp_path, two, table_map, table)
-    recording = read_recording(result.out)
-    samples = recording.samples
-    assert samples["effort"].tolist() == CURRENT.tolist()
-    assert recording.metadata["effort_provenance"] == "a.csv: c1, c2: N m at the joint; joint effort = value in N m"
+    tables = csv(tmp_path / "a.csv", "p1,p2", Q), csv(tmp_path / "b.csv", "c1,c2", CURRENT[:2])
+    table_map = MAP.replace('unit = "mA"', 'unit = "mA"\ntable = 2')
+    assert refusal(tmp_path, two, table_map, *tables) == ("map.toml", "effort", None, "3 as in position")
 
 
 @pytest.mark.parametrize(
@@ -417,34 +400,3 @@ def test_missing_files_are_named(tmp_path, two):
     assert refusal(tmp_path, two, MAP, tmp_path)[0] == str(tmp_path)
     with pytest.raises(RobotIdimError, match=r"none\.toml: cannot be read: No such file"):
         import_tables([], two, tmp_path / "none.toml", tmp_path / "out.mcap")
-
-
-def test_the_real_emps_record(emps):
-    """One prismatic axis: volts at the drive, 35.15 N/V."""
-    raw = scipy.io.loadmat(needs_data("emps", "DATA_EMPS.mat"))
-    recording = read_recording(emps)
-    samples = recording.samples
-    assert np.array_equal(samples["position"], raw["qm"])
-    assert np.array_equal(samples["reference"], raw["qg"])
-    assert np.allclose(samples["effort"], 35.15065188 * raw["vir"], rtol=1e-14)
-    assert recording.sample_rate_hz == 1000.0
-    assert samples["stamp_ns"].tolist() == list(range(0, 24_841_000_000, 1_000_000))
-
-
-def test_the_real_tx40_record(tx40):
-    """Six joints: the first row by hand from the tables, with the wrist's coupling."""
-    samples = read_recording(tx40).samples
-    pos, curr = (
-        np.loadtxt(needs_data("tx40", name), delimiter=",", skiprows=1)
-        for name in ("pos_read_data.csv", "curr_data.csv")
-    )
-    ratios = np.array([32, 32, 45, -48, 45, 32.0])
-    q = pos / ratios
-    q[:, 5] -= pos[:, 4] / 45
-    tau = curr * ratios
-    tau[:, 4] += 32 * curr[:, 5]
-    assert np.allclose(samples["position"], q, rtol=1e-12, atol=1e-14)
-    assert np.allclose(samples["effort"], tau, rtol=1e-12, atol=1e-14)
-    assert samples["stamp_ns"][-1] == 44_999 * 200_000
-    assert robot_named("tx40").effort_units == ("N m",) * 6
-    assert (REPLAY / "tx40" / "map.toml").is_file()

@@ -297,10 +297,8 @@ def test_an_export_of_twincat_scope(tmp_path, monkeypatch, capsys, separator, ti
     rows = [separator.join(f"{x:.9g}".replace(".", ",") for x in row) for row in zip(*columns, strict=True)]
     text = SCOPE.format(separator) + "\n".join([*lines, "", *rows, "EOF", ""])
     (tmp_path / "x.csv").write_text(text)
-    row = "dh = { alpha_deg = 0, d_m = 0, theta_deg = 0, r_m = 0 }\n"
-    motor = '[[motor]]\nname = "m_{0}"\neffort_unit = "N m"\n'
-    joints = "".join(f'[[joint]]\nname = "j{j}"\ntype = "revolute"\n{row}' + motor.format(j) for j in (1, 2))
-    (tmp_path / "robot.toml").write_text(f'name = "arm"\n{joints}[controller]\n')
+    description = robot_of(header).files["robot.toml"]
+    (tmp_path / "robot.toml").write_bytes(description.replace(b'effort_unit = "A"', b'effort_unit = "N m"'))
     monkeypatch.chdir(tmp_path)
     command = ["import", "x.csv", "--robot", "robot.toml"]
     assert main(command) == 0

@@ -122,16 +122,12 @@ def test_joints_go_by_name_and_times_by_header(tmp_path):
     assert [event.text for event in recording.events] == ["29 messages without any of the joints are left out"]
 
 
-def test_without_header_stamps_receptions_are_the_time(tmp_path, capsys):
+def test_times_are_header_stamps_from_0_on_or_receptions_where_there_are_none(tmp_path, capsys):
     path = bag(tmp_path / "a", (message(k, stamp_ns=0) for k in range(N)))
-    assert imported(path, tmp_path / "out.mcap").samples["stamp_ns"][0] == FIRST_NS + 3_000_000
+    assert imported(path, tmp_path / "a.mcap").samples["stamp_ns"][0] == FIRST_NS + 3_000_000
     assert "warning: headers have no stamps: times are those of reception" in capsys.readouterr().out
-
-
-def test_a_clock_that_begins_at_zero_stamps_the_first_header_with_it(tmp_path):
-    """As a recording of simulated time has it."""
-    path = bag(tmp_path / "a", (message(k, stamp_ns=k * 10_000_000) for k in range(N)))
-    np.testing.assert_array_equal(imported(path, tmp_path / "out.mcap").samples["stamp_ns"], np.arange(N) * 10_000_000)
+    path = bag(tmp_path / "b", (message(k, stamp_ns=k * 10_000_000) for k in range(N)))  # of simulated time
+    np.testing.assert_array_equal(imported(path, tmp_path / "b.mcap").samples["stamp_ns"], np.arange(N) * 10_000_000)
 
 
 def test_efforts_of_a_bag_were_measured_and_no_lag_is_expected(tmp_path, whole):
@@ -259,15 +255,8 @@ def test_true_states_are_of_one_publisher(tmp_path):
 
 def test_several_publishers_are_told(tmp_path):
     """A connection has a profile of quality of service for each publisher."""
-    none = QosTime(0, 0)
-    qos = Qos(
-        *(kind(1) for kind in (QosHistory, int, QosReliability, QosDurability)),
-        none,
-        none,
-        QosLiveliness(1),
-        none,
-        False,
-    )
+    none, kinds = QosTime(0, 0), (QosHistory, int, QosReliability, QosDurability)
+    qos = Qos(*(kind(1) for kind in kinds), none, none, QosLiveliness(1), none, False)
     with Writer(tmp_path / "a", version=9) as w:
         states = w.add_connection("/joint_states", STATE, typestore=STORE, offered_qos_profiles=[qos, qos])
         for k in range(N):
@@ -394,9 +383,8 @@ def test_options_that_do_not_go_together(tmp_path, whole, capsys):
     assert "--effort-unit = 'Nm': expected one of A, mA" in told(*topic, "--effort-unit", "Nm")
     assert "--effort-unit: 3 units: expected one, or 2" in told(*topic, "--effort-unit", "A,A,A")
     assert "--map = " in told(*topic, "--map", "x.toml")
-    assert "--resample-hz = -1.0: expected a number above 0" in told(
-        *topic, "--effort-unit", "N m", "--resample-hz", "-1"
-    )
+    in_nm = (*topic, "--effort-unit", "N m")
+    assert "--resample-hz = -1.0: expected a number above 0" in told(*in_nm, "--resample-hz", "-1")
     assert "--effort-unit = 'A': is only for ROS 2 bags: expected --topic" in told("--effort-unit", "A")
 
 

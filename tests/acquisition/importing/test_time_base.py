@@ -1,13 +1,14 @@
 """Times of rows: what is interpolated, what is refused, what is told, against times made by hand."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from conftest import REPLAY, robot_named
-from jittered_time import MAP, covered
+from jittered_time import MAP
 
 from acquisition.commands import main
 from acquisition.errors import Place, RobotIdimError
@@ -24,8 +25,9 @@ def motion(t: np.ndarray) -> np.ndarray:
     return np.stack([0.5 * np.sin(3 * t), 0.2 * np.cos(5 * t)], axis=1)
 
 
-def on_grid(t: np.ndarray, **parts: np.ndarray):
-    return resample(t, parts or {"q": motion(t)}, rate_hz=100.0, largest_gap_periods=3.0, place=Place("log"))
+def on_grid(t: np.ndarray, rate_hz: float | None = 100.0, largest_gap_periods: float = 3.0, **parts: np.ndarray):
+    parts, place = parts or {"q": motion(t)}, Place("log")
+    return resample(t, parts, rate_hz=rate_hz, largest_gap_periods=largest_gap_periods, place=place)
 
 
 def test_values_are_interpolated_at_their_times():
@@ -37,15 +39,6 @@ def test_values_are_interpolated_at_their_times():
     off = np.abs(found.parts["q"] - motion(t))[20:-20].max(axis=0)
     assert (off < 5 / 384 * 0.013**4 * np.array([40.5, 125])).all()
     assert off.max() > 1e-10  # of a line through the rows it is a thousand times as much
-
-
-def test_a_cubic_is_exact():
-    def cubic(t: np.ndarray) -> np.ndarray:
-        return (1 - 2 * t + 3 * t**2 - 0.5 * t**3)[:, None]
-
-    found = on_grid(UNEVEN, q=cubic(UNEVEN))
-    t = found.start_s + np.arange(len(found.parts["q"])) / 100
-    np.testing.assert_allclose(found.parts["q"], cubic(t), rtol=1e-12)
 
 
 def test_the_report_by_hand():
@@ -74,13 +67,13 @@ def test_rows_that_contradict_each_other_are_refused():
     twice = np.insert(UNEVEN, 7, UNEVEN[7])
     q = motion(twice)
     q[8, 1] += 1e-6
-    with pytest.raises(RobotIdimError) as caught:
-        on_grid(twice, position=q)
-    assert str(caught.value).startswith("log: row 9: position differs from the row before at the same time, ")
-    with pytest.raises(RobotIdimError, match=r"row 6: time runs backwards: 0\.0\d+ s after 0\.0\d+ s"):
-        on_grid(np.concatenate([UNEVEN[:5], UNEVEN[2:]]))
-    with pytest.raises(RobotIdimError, match="3 rows of different times: expected 4 at least"):
-        on_grid(UNEVEN[[0, 0, 1, 2]])
+    for t, parts, told in (
+        (twice, {"position": q}, "log: row 9: position differs from the row before at the same time, "),
+        (np.concatenate([UNEVEN[:5], UNEVEN[2:]]), {}, r"row 6: time runs backwards: 0\.0\d+ s after 0\.0\d+ s"),
+        (UNEVEN[[0, 0, 1, 2]], {}, "3 rows of different times: expected 4 at least"),
+    ):
+        with pytest.raises(RobotIdimError, match=told):
+            on_grid(t, **parts)
 
 
 @pytest.mark.parametrize(("missing", "refused"), [(2, False), (3, True)])
@@ -94,8 +87,7 @@ def test_gaps_beyond_what_is_stated_are_refused(missing, refused):
         on_grid(t)
     assert "log: time: a gap of 0.04 s after 0.49 s, 4.0 periods: expected 3 periods of 0.01 s" in str(caught.value)
     assert "time.largest_gap_periods" in str(caught.value)
-    parts = {"q": motion(t)}
-    assert resample(t, parts, rate_hz=None, largest_gap_periods=4, place=Place("log")).rate_hz == 100.0
+    assert on_grid(t, None, 4).rate_hz == 100.0
 
 
 @pytest.mark.parametrize("rate_hz", [500.0, 125.0, 62.5, 100.0])
@@ -134,7 +126,7 @@ def test_stamps_off_by_a_tick_are_found_and_no_others():
     assert set(left_out) <= set(wrong)
     slow = set(wrong) - set(left_out)  # where both joints nearly stand, nothing shows
     assert len(slow) <= 4
-    found = resample(stamps, {"position": q}, rate_hz=100.0, largest_gap_periods=3.0, place=Place("log"))
+    found = on_grid(stamps, position=q)
     assert found.report.off == len(left_out)
     t = stamps[0] + np.arange(len(found.parts["position"])) / 100
     off = np.abs(found.parts["position"] - motion(t))[10:-10].max()
@@ -178,7 +170,7 @@ def test_stamps_of_a_log_with_stalls_are_found():
     left_out = np.flatnonzero(~rows_in_time(stamps, q))
     assert len(set(wrong) & set(left_out)) >= 0.98 * 300
     assert len(set(left_out) - set(wrong)) < 0.2 * 300
-    found = resample(stamps, {"position": q}, rate_hz=100.0, largest_gap_periods=3.0, place=Place("log")).report
+    found = on_grid(stamps, position=q).report
     assert rate_warnings(found) == []
     (doubt,) = rate_warnings(replace(found, off=500))
     assert doubt.startswith("2.5 % of the rows are left out")
@@ -186,9 +178,7 @@ def test_stamps_of_a_log_with_stalls_are_found():
 
 def test_grids_coarser_or_much_finer_than_the_rows_are_told():
     def doubts(rate_hz: float) -> list[str]:
-        return rate_warnings(
-            resample(UNEVEN, {"q": motion(UNEVEN)}, rate_hz=rate_hz, largest_gap_periods=3, place=Place("")).report
-        )
+        return rate_warnings(on_grid(UNEVEN, rate_hz).report)
 
     assert doubts(100.0) == doubts(200.0) == []
     assert doubts(80.0)[0].startswith("resample_hz = 80 is below the rows' 100 Hz")
@@ -262,8 +252,8 @@ def test_ticks_are_counted_by_speeds_where_a_pc_stamps_late(tmp_path):
     assert (np.diff(found) == np.diff(ticks))[moving].mean() > 0.99
     off = found - ticks
     assert np.abs(off - np.median(off))[~stand].max() <= 2
-    named = {"t": stamps, "q1": q[:, 0], "q2": q[:, 1], "r1": q[:, 0], "r2": q[:, 1], "e1": q[:, 1], "e2": q[:, 0]}
-    path = table(tmp_path, {**named, "v1": v[:, 0], "v2": v[:, 1]})
+    named = dict(zip(("q1", "q2", "r1", "r2", "e1", "e2", "v1", "v2"), np.hstack([q, q, q, v]).T, strict=True))
+    path = table(tmp_path, {"t": stamps, **named})
     of_speed = '[velocity]\ncolumns = ["v1", "v2"]\nunit = "rad/s"\n'
     by_speed = MAP.replace('column = "t"', 'column = "t"\nticks = "from velocity"\ntick_s = 0.001').replace(
         "= 100", "= 1000"
@@ -287,34 +277,28 @@ def test_a_last_row_after_a_stop_keeps_the_tick_of_its_stamp():
 
 
 def test_times_that_cannot_be_read_that_way(tmp_path):
-    def told(text: str, **more: np.ndarray) -> str:
-        with pytest.raises(RobotIdimError) as caught:
+    k, both = np.arange(400), 'column = "t"\ntick_s'
+    half, wrapped = (
+        np.where(k == 3, 3.5, k),
+        (65_300 + 10 * k) % 65_536,
+    )  # a counter that runs through its end, in 16 bits
+    for text, more, told in (
+        (TICKS_MAP.replace("tick_s = 0.001", ""), {"k": k}, "time.tick_s is missing: expected ticks and tick_s together"),
+        (TICKS_MAP.replace('ticks = "k"', ""), {"k": k}, "time.ticks is missing"),
+        (MAP.replace('column = "t"', ""), {"t": k}, "time.column is missing: expected it, or ticks"),
+        (TICKS_MAP, {"k": half}, "log.csv: row 4: k = 3.5: expected whole counts"),
+        (TICKS_MAP.replace("tick_s", both), {"k": k, "t": k / 100}, "time.tick_s = 0.001: expected 0.01, the tick of the"),
+        ("sample_rate_hz = 50\n" + MAP, {"t": UNEVEN}, "sample_rate_hz = 50.0: expected none together with time.resample"),
+        (MAP.replace("[position]", "largest_gap_periods = 1\n[position]"), {"t": UNEVEN},
+         "time.largest_gap_periods = 1: expected `float` >= 1.5"),
+        (MAP.replace("resample_hz = 100", ""), {"t": UNEVEN},
+         "(not uniform); time.resample_hz interpolates rows to a uniform grid"),
+        (TICKS_MAP, {"k": wrapped}, "row 25: time runs backwards"),
+        (TICKS_MAP, {"k": wrapped}, "a counter that wrapped"),
+    ):  # fmt: skip
+        with pytest.raises(RobotIdimError, match=re.escape(told)):
             run(tmp_path, table(tmp_path, columns(UNEVEN, **more)), text)
         assert not (tmp_path / "out.mcap").exists()
-        return str(caught.value)
-
-    k = np.arange(400)
-    half = np.where(k == 3, 3.5, k)
-    assert "time.tick_s is missing: expected ticks and tick_s together" in told(
-        TICKS_MAP.replace("tick_s = 0.001", ""), k=k
-    )
-    assert "time.ticks is missing" in told(TICKS_MAP.replace('ticks = "k"', ""), k=k)
-    assert "time.column is missing: expected it, or ticks" in told(MAP.replace('column = "t"', ""), t=k)
-    assert "log.csv: row 4: k = 3.5: expected whole counts" in told(TICKS_MAP, k=half)
-    wrong = told(TICKS_MAP.replace("tick_s", 'column = "t"\ntick_s'), k=k, t=k / 100)
-    assert "time.tick_s = 0.001: expected 0.01, the tick of the stamps" in wrong
-    assert "sample_rate_hz = 50.0: expected none together with time.resample_hz" in told(
-        "sample_rate_hz = 50\n" + MAP, t=UNEVEN
-    )
-    assert "time.largest_gap_periods = 1: expected `float` >= 1.5" in told(
-        MAP.replace("[position]", "largest_gap_periods = 1\n[position]"), t=UNEVEN
-    )
-    uneven = told(MAP.replace("resample_hz = 100", ""), t=UNEVEN)
-    assert "(not uniform); time.resample_hz interpolates rows to a uniform grid" in uneven
-    # A counter that runs through its end, in 16 bits.
-    wrapped = told(TICKS_MAP, k=(65_300 + 10 * k) % 65_536)
-    assert "row 25: time runs backwards" in wrapped
-    assert "a counter that wrapped" in wrapped
 
 
 def test_the_report_is_printed_kept_and_shown(tmp_path, capsys):
@@ -331,19 +315,3 @@ def test_the_report_is_printed_kept_and_shown(tmp_path, capsys):
     assert json.loads(capsys.readouterr().out)["times"] == told
     assert main(["info", str(log)]) == 0
     assert "times" in capsys.readouterr().out
-
-
-def test_estimates_from_uneven_times_are_inside_their_intervals(tmp_path):
-    """A small sample of `tests/benchmarks/test_jittered_time.py`."""
-    found = covered(tmp_path, 4, duration_s=8.0)
-    assert found.inside.mean() >= 0.85
-    times = found.imported.times
-    low, high = (float(x) for x in times.split("steps ")[1].split(" ms")[0].split(" to "))
-    assert 6 <= low <= 8
-    assert 13 <= high <= 15
-    assert float(times.split("jitter sd ")[1].split(" ms")[0]) == pytest.approx(1.29, abs=0.1)
-    off, rest = times.split("no doubled rows, ")[1].split(" rows left out whose stamps the motion contradicts, ")
-    assert float(off) == pytest.approx(0.05 * 790, abs=12)
-    assert rest == "interpolated to 100 Hz"
-    (warning,) = found.imported.warnings
-    assert "% of the rows are left out" in warning

@@ -356,17 +356,13 @@ def test_a_reset_forgets_values_mapping_and_state(node):
     assert node.receive(0x605, data("40 00 14 01 00 00 00 00")) == [(0x585, data("43 00 14 01 00 00 00 80"))]
 
 
-def test_sdo_of_a_node_by_its_state(node):
-    assert node.receive(0x605, data("40 41 60 00 00 00 00 00")) == [(0x585, data("4B 41 60 00 50 02 00 00"))]
-    assert node.receive(0x605, data("40 00 10 00 00 00 00 00")) == [(0x585, data("43 00 10 00 92 01 02 00"))]
-    assert node.receive(0x606, data("40 00 10 00 00 00 00 00")) == []
-    node.receive(0x000, data("02 05"))  # stopped: NMT and heartbeats only
-    assert node.receive(0x605, data("40 00 10 00 00 00 00 00")) == []
-
-
 @pytest.mark.parametrize(
     ("asked", "answer"),
     [
+        ("40 41 60 00 00 00 00 00", "4B 41 60 00 50 02 00 00"),
+        ("40 00 10 00 00 00 00 00", "43 00 10 00 92 01 02 00"),
+        ("40 76 60 00 00 00 00 00", "43 76 60 00 A4 01 00 00"),  # 420
+        ("40 61 60 00 00 00 00 00", "4F 61 60 00 FF 00 00 00"),  # the mode asked for is displayed
         ("40 55 55 00 00 00 00 00", "80 55 55 00 00 00 02 06"),
         ("40 18 10 09 00 00 00 00", "80 18 10 09 11 00 09 06"),
         ("23 00 1A 01 20 00 41 60", "80 00 1A 01 41 00 04 06"),  # 6041 has 16 bits, not 32
@@ -374,8 +370,13 @@ def test_sdo_of_a_node_by_its_state(node):
         ("21 10 10 01 40 00 00 00", "80 00 00 00 01 00 04 05"),
     ],
 )
-def test_sdo_refusals_of_a_node(node, asked, answer):
+def test_sdo_answers_of_a_node(node, asked, answer):
+    written(node, "2F 60 60 00 FF 00 00 00")
+    assert node.values[0x6061, 0] == -1
     assert node.receive(0x605, data(asked)) == [(0x585, data(answer))]
+    assert node.receive(0x606, data(asked)) == []
+    node.receive(0x000, data("02 05"))  # stopped: NMT and heartbeats only
+    assert node.receive(0x605, data(asked)) == []
 
 
 def test_mapping_is_refused_where_cia_301_refuses_it(node):
@@ -455,14 +456,6 @@ def test_an_rpdo_acts_at_sync_or_at_once_as_its_transmission_type_says(node):
     assert node.values[0x607A, 0] == 0x010203
 
 
-def test_the_mode_is_displayed_and_the_rated_torque_served(node):
-    written(node, "2F 60 60 00 08 00 00 00")
-    assert node.receive(0x605, data("40 61 60 00 00 00 00 00")) == [(0x585, data("4F 61 60 00 08 00 00 00"))]
-    assert node.receive(0x605, data("40 76 60 00 00 00 00 00")) == [(0x585, data("43 76 60 00 A4 01 00 00"))]  # 420
-    written(node, "2F 60 60 00 FF 00 00 00")
-    assert node.values[0x6061, 0] == -1
-
-
 # The master
 
 
@@ -505,18 +498,14 @@ def test_heartbeats_as_a_master_takes_them(bus, text, nmt, booted):
     assert (master.nodes[0].nmt, master.nodes[0].booted) == (nmt, booted)
 
 
-def test_emergencies_as_a_master_takes_them(bus):
-    master = Master(Answering(), bus)
-    master.dispatch(Frame(0, 0x086, data("10 23 01 00 00 00 00 00")))
-    master.dispatch(Frame(0, 0x085, data("00 00 00 00 00 00 00 00")))  # no error any more
-    assert master.nodes[0].emergency is None
-    master.dispatch(Frame(0, 0x085, data("10 23 02 00 00 00 00 00")))
-    assert master.nodes[0].emergency == 0x2310
-
-
-def test_pdos_as_a_master_takes_them(bus):
+def test_emergencies_and_pdos_as_a_master_takes_them(bus):
     master = Master(Answering(), bus)
     watch = master.nodes[0]
+    master.dispatch(Frame(0, 0x086, data("10 23 01 00 00 00 00 00")))
+    master.dispatch(Frame(0, 0x085, data("00 00 00 00 00 00 00 00")))  # no error any more
+    assert watch.emergency is None
+    master.dispatch(Frame(0, 0x085, data("10 23 02 00 00 00 00 00")))
+    assert watch.emergency == 0x2310
     master.dispatch(Frame(0, 0x185, data("37 12 FB FF FF FF D4")))  # too short
     assert (watch.statusword, watch.counts, watch.answers) == (None, None, 0)
     master.dispatch(Frame(0, 0x185, data("37 12 FB FF FF FF D4 FE")))

@@ -157,10 +157,11 @@ def test_no_command_leads_into_a_fault():
     assert toward(State.FAULT_REACTION_ACTIVE, State.FAULT) is None
 
 
-def test_states_in_which_a_drive_gives_torque():
+def test_states_in_which_a_drive_gives_torque_and_modes_of_operation():
     """Those with the drive function enabled (CiA 402-2, table of the states' functions)."""
     names = {"OPERATION_ENABLED", "QUICK_STOP_ACTIVE", "FAULT_REACTION_ACTIVE"}
     assert {state.name for state in State if state not in DISABLED} == names
+    assert [(mode.name, mode.value) for mode in Mode] == [("CYCLIC_SYNCHRONOUS_POSITION", 8)]
 
 
 def test_types_and_sizes_of_the_standard_objects():
@@ -175,10 +176,6 @@ def test_types_and_sizes_of_the_standard_objects():
     assert {(int(index, 16), 0) for index in needed.split()} <= set(STANDARD)
     assert {(0x60C2, 1), (0x60C2, 2)} <= set(STANDARD)
     assert BITS == {"I8": 8, "I16": 16, "I32": 32, "U8": 8, "U16": 16, "U32": 32}
-
-
-def test_modes_of_operation():
-    assert [(mode.name, mode.value) for mode in Mode] == [("CYCLIC_SYNCHRONOUS_POSITION", 8)]
 
 
 @pytest.mark.parametrize(

@@ -8,31 +8,34 @@ from acquisition.protocol import EffortCodec, ObjectEntry, PositionCodec, satura
 from acquisition.robot import Drive
 
 TURN = 2 * np.pi
+TORQUE, OF_FORCE = (
+    'reference = "6074"\nrated_torque_nm =',
+    'reference_rule = "per mille of rated force"\nrated_force_n =',
+)
+
+
+def direct(index: int, kind: str, rule: str = "") -> str:
+    """Keys of a drive whose reference is an object of its maker."""
+    stated = f'\nreference_rule = "{rule}"' if rule else ""
+    return f'reference = "{index:X}"\nobjects = {{ "{index:X}" = "{kind}" }}{stated}'
+
+
 # Unit of the motor's effort, keys of the drive, raw integer, SI by hand.
 EFFORTS = {
-    "6074 of a rated torque of 0.42 N m": ("N m", 'reference = "6074"\nrated_torque_nm = 0.42', 500, 0.21),
+    "6074 of a rated torque of 0.42 N m": ("N m", f"{TORQUE} 0.42", 500, 0.21),
     "6077 stands in": ("N m", 'actual = "6077"\nrated_torque_nm = 3.0', -250, -0.75),
     "6078 of a rated current of 5 A": ("A", 'actual = "6078"\nrated_current_a = 5.0', 1100, 5.5),
-    "6077 that its maker means by current": (
-        "A",
-        'actual = "6077"\nactual_rule = "per mille of rated current"\nrated_current_a = 2.0',
-        30,
-        0.06,
-    ),
-    "a linear motor of 80 N": (
-        "N",
-        'reference = "6074"\nreference_rule = "per mille of rated force"\nrated_force_n = 80.0',
-        250,
-        20.0,
-    ),
-    "an EPOS4's current in mA": ("A", 'reference = "30D0"\nobjects = { "30D0" = "I32" }', 12345, 12.345),
-    "an EPOS2's current in mA": ("A", 'reference = "2031"\nobjects = { "2031" = "I16" }', -750, -0.75),
-    "a Copley's current in 0.01 A": ("A", 'reference = "221E"\nobjects = { "221E" = "I16" }', 250, 2.5),
-    "millivolts": ("V", 'reference = "2200"\nobjects = { "2200" = "I16" }\nreference_rule = "mV"', -10_000, -10.0),
-    "mN m": ("N m", 'reference = "2201"\nobjects = { "2201" = "I32" }\nreference_rule = "mN m"', 420, 0.42),
-    "uN m": ("N m", 'reference = "2202"\nobjects = { "2202" = "I32" }\nreference_rule = "uN m"', 420_000, 0.42),
-    "mN": ("N", 'reference = "2203"\nobjects = { "2203" = "I32" }\nreference_rule = "mN"', 1500, 1.5),
-}
+    "6077 that its maker means by current":
+        ("A", 'actual = "6077"\nactual_rule = "per mille of rated current"\nrated_current_a = 2.0', 30, 0.06),
+    "a linear motor of 80 N": ("N", f'reference = "6074"\n{OF_FORCE} 80.0', 250, 20.0),
+    "an EPOS4's current in mA": ("A", direct(0x30D0, "I32"), 12345, 12.345),
+    "an EPOS2's current in mA": ("A", direct(0x2031, "I16"), -750, -0.75),
+    "a Copley's current in 0.01 A": ("A", direct(0x221E, "I16"), 250, 2.5),
+    "millivolts": ("V", direct(0x2200, "I16", "mV"), -10_000, -10.0),
+    "mN m": ("N m", direct(0x2201, "I32", "mN m"), 420, 0.42),
+    "uN m": ("N m", direct(0x2202, "I32", "uN m"), 420_000, 0.42),
+    "mN": ("N", direct(0x2203, "I32", "mN"), 1500, 1.5),
+}  # fmt: skip
 
 
 def drive_of(keys: str, unit: str = "N m", counts: str = "counts_per_turn = 65536") -> Drive:
@@ -72,22 +75,15 @@ def test_efforts_by_hand(name, signs, expected):
     ("keys", "unit", "expected"),
     [
         ('actual = "6078"\nrated_current_a = 5.0', "A", {0x6075: 5000}),
-        ('reference = "6074"\nrated_torque_nm = 0.1053', "N m", {0x6076: 105}),
-        ('reference = "6074"\nrated_torque_nm = 0.1053\nrated_torque_unit = "mN m"', "N m", {0x6076: 105}),
-        ('reference = "6074"\nrated_torque_nm = 0.1053\nrated_torque_unit = "uN m"', "N m", {0x6076: 105_300}),
-        (
-            'reference = "6074"\nreference_rule = "per mille of rated force"\nrated_force_n = 80.0\nrated_torque_unit = "mN"',
-            "N",
-            {0x6076: 80_000},
-        ),
-        (
-            'actual = "6078"\nrated_current_a = 2.5\nrated_torque_nm = 0.5\nrated_torque_unit = "uN m"',
-            "A",
-            {0x6075: 2500, 0x6076: 500_000},
-        ),
-        ('reference = "30D0"\nobjects = { "30D0" = "I32" }', "A", {}),
+        (f"{TORQUE} 0.1053", "N m", {0x6076: 105}),
+        (f'{TORQUE} 0.1053\nrated_torque_unit = "mN m"', "N m", {0x6076: 105}),
+        (f'{TORQUE} 0.1053\nrated_torque_unit = "uN m"', "N m", {0x6076: 105_300}),
+        (f'reference = "6074"\n{OF_FORCE} 80.0\nrated_torque_unit = "mN"', "N", {0x6076: 80_000}),
+        ('actual = "6078"\nrated_current_a = 2.5\nrated_torque_nm = 0.5\nrated_torque_unit = "uN m"', "A",
+         {0x6075: 2500, 0x6076: 500_000}),
+        (direct(0x30D0, "I32"), "A", {}),
     ],
-)
+)  # fmt: skip
 def test_rated_values_as_the_drive_states_them(keys, unit, expected):
     """6075h in mA, 6076h in mN m; in an EPOS4 6076h is µN m, a thousand times as many."""
     assert drive_of(keys, unit).rated == expected
@@ -114,9 +110,7 @@ def test_positions_of_a_motor_that_turns(signs, raw, turns):
 
 @pytest.mark.parametrize(("sign", "raw", "metres"), [(1, 250_300, 0.25), (-1, -249_700, 0.25), (-1, 500_300, -0.5)])
 def test_positions_of_a_motor_that_slides(sign, raw, metres):
-    keys = (
-        f'reference = "2203"\nobjects = {{ "2203" = "I32" }}\nreference_rule = "mN"\nsign = {sign}\nzero_counts = 300'
-    )
+    keys = direct(0x2203, "I32", "mN") + f"\nsign = {sign}\nzero_counts = 300"
     codec = drive_of(keys, "N", "counts_per_m = 1e6").position_codec
     assert codec.si(np.array([raw])) == pytest.approx([metres], rel=1e-12)
     assert codec.raw(np.array([metres])).tolist() == [raw]
@@ -160,9 +154,5 @@ def test_efforts_are_held_at_the_ends_of_their_object(sign):
 
 def test_positions_are_held_at_the_ends_of_32_bits():
     codec = PositionCodec(counts_per_unit=1e6, sign=-1, zero_counts=5)
-    assert codec.raw(np.array([-2147.483642, -2147.483643, 2147.483653, 2147.483654])).tolist() == [
-        2147483647,
-        2147483647,
-        -2147483648,
-        -2147483648,
-    ]
+    found = codec.raw(np.array([-2147.483642, -2147.483643, 2147.483653, 2147.483654]))
+    assert found.tolist() == [2**31 - 1] * 2 + [-(2**31)] * 2

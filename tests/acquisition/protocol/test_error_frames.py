@@ -52,14 +52,11 @@ PLACES = (
 )
 
 
-def test_places_in_a_frame():
+def test_places_in_a_frame_and_states_of_the_wires():
     places = {int(code, 16): words for code, _, words in (place.partition(" ") for place in PLACES.split(", "))}
     for code in range(256):
         told = error_frame_words(0x008, bytes([0, 0, 1, code]))
         assert told == "protocol: single bit" + (f", in {places[code]}" if code in places else "")
-
-
-def test_states_of_the_wires():
     states = {4: "no wire", 5: "short to battery", 6: "short to supply", 7: "short to ground"}
     for code, words in states.items():
         assert error_frame_words(0x010, bytes([0, 0, 0, 0, code])) == f"transceiver: CAN_H {words}"

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from made_up_buses import bus_of, bus_text, refused, robot_of
 
 from acquisition.errors import RobotIdimError
-from acquisition.protocol import load_dictionary, pdos_of
+from acquisition.protocol import load_dictionary
 from acquisition.robot import load_robot, resolve
 from acquisition.simulated import SimulatedDrives
 
@@ -152,24 +152,6 @@ def test_an_object_the_dictionary_does_not_hold():
     text = text.replace('reference = "6074"', 'reference = "2031"')  # a U32 there, and no current reference
     nanotec = (needs_data("eds") / "nanotec_CL4-E-2-12.eds").read_bytes()
     refused(text, "reference_rule is missing: 2031:0 (U32) is not known", {"dictionary:a.eds": nanotec})
-
-
-def test_mapping_of_a_dcf():
-    name = "maxon_EPOS4_Module_50_15_node1.dcf"
-    data = (needs_data("eds") / name).read_bytes()
-    text = bus_text(1).replace(
-        'reference = "6074"\nrated_torque_nm = 0.42',
-        f'dictionary = "{name}"\nreference = "30D0"\nmapping = "dictionary"',
-    )
-    text = text.replace('effort_unit = "N m"', 'effort_unit = "A"')
-    with pytest.raises(RobotIdimError, match="no PDO from the drive carries"):
-        bus_of(robot_of(text, {f"dictionary:{name}": data}))  # this one maps no current demand
-    found = load_dictionary(data, name, 1)
-    values = {key: e.value for key, e in found.entries.items() if e.value is not None}
-    types = {key: e.type for key, e in found.entries.items()}
-    pdos = pdos_of("tpdo", values, types, name)
-    assert pdos[0].can_id == 0x181
-    assert str(pdos[0].entries[0]) == "6041:0"
 
 
 OBJECTS = "".join(

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from made_up_buses import block, bus_of, bus_text, counts, flat, frame, robot_of, session
 
 from acquisition.errors import RobotIdimError
-from acquisition.recording import ERROR, EXTENDED, FRAME, REMOTE_REQUEST, SENT, Decoded, decode, gaps, written_by_master
+from acquisition.recording import ERROR, EXTENDED, FRAME, REMOTE_REQUEST, Decoded, decode, gaps, written_by_master
 from acquisition.recording.decoding import unwrap
 from acquisition.robot import resolve
 
@@ -67,15 +67,8 @@ def test_syncs_without_a_sample_are_counted(sync_recorded):
     found = decoded(intervals)
     right(found, lost=(10,))
     assert found.counters["uncertain"] == 1
-
-
-def test_a_sync_that_was_not_recorded():
-    intervals = session()
-    del intervals[25][0]
-    found = decoded(intervals)
-    right(found)
-    assert found.syncs_lost == 1
-    assert "1 SYNC were answered but not recorded" in found.warnings
+    assert found.syncs_lost == (not sync_recorded)
+    assert ("1 SYNC were answered but not recorded" in found.warnings) is not sync_recorded
 
 
 def test_a_drive_that_starts_later_and_one_that_ends_earlier():
@@ -98,15 +91,6 @@ def test_frames_of_others_do_not_matter():
     found = decode(both[np.argsort(both["time_ns"], kind="stable")], ROBOT, BUS, "log")
     right(found)
     assert found.warnings == ()
-
-
-def test_jitter_of_sync():
-    intervals = session()
-    for k, rows in enumerate(intervals):
-        rows[0] = frame(rows[0][0] + (k % 2) * 40_000 - 20_000, 0x80, flags=SENT)
-    found = decoded(intervals)
-    assert found.jitter_s[0] == pytest.approx(20e-6, rel=0.01)
-    assert np.diff(found.samples["stamp_ns"]).tolist() == [2_040_000, 1_960_000] * 24 + [2_040_000]
 
 
 @pytest.mark.parametrize("way", [1, -1])
@@ -183,22 +167,6 @@ def test_what_wrapped_is_unwrapped(steps, start):
 def test_what_cannot_be_decoded(frames, expected):
     with pytest.raises(RobotIdimError, match=expected):
         decode(frames, ROBOT, BUS, "log")
-
-
-def test_random_frames_do_not_break_it():
-    rng = np.random.default_rng(0)
-    for _ in range(50):
-        frames = np.zeros(400, FRAME)
-        frames["time_ns"] = np.sort(rng.integers(0, 10**9, 400))
-        frames["can_id"] = rng.choice([0x80, 0x181, 0x182, 0x201, 0x202, 0x701], 400)
-        frames["length"] = rng.choice([0, 6, 8, 8, 8], 400)
-        frames["data"] = rng.integers(0, 3, (400, 8))
-        try:
-            found = decode(frames, ROBOT, BUS, "log")
-        except RobotIdimError:
-            continue
-        assert (np.diff(found.samples["stamp_ns"]) > 0).all()
-        assert np.isfinite(found.samples["position"]).all()
 
 
 def third_party_log() -> np.ndarray:

@@ -4,7 +4,6 @@ import hashlib
 import json
 import os
 import struct
-import time
 
 import mcap.reader
 import numpy as np
@@ -16,6 +15,12 @@ from rosbags.typesys import Stores, get_typestore
 from acquisition.errors import RobotIdimError
 from acquisition.recording import EXTENDED, FRAME, SENT, Header, RecordingWriter, gaps, read_recording, sample_dtype
 from acquisition.robot import load_robot
+
+
+def messages_of(path, *topics: str) -> list:
+    """Schemas, channels and messages as the package mcap reads them."""
+    with path.open("rb") as file:
+        return list(mcap.reader.make_reader(file).iter_messages(topics=topics or None))
 
 
 def test_reads_what_was_written(whole, robot):
@@ -43,8 +48,7 @@ def test_one_large_block_is_stored_in_small_ones(tmp_path, robot):
         writer.frames("can0", some_frames(301))
     recording = read_recording(tmp_path / "a.mcap")
     assert recording.samples.tobytes() == samples.tobytes()
-    with (tmp_path / "a.mcap").open("rb") as file:
-        found = [(c.topic, len(m.data)) for _, c, m in mcap.reader.make_reader(file).iter_messages()]
+    found = [(c.topic, len(m.data)) for _, c, m in messages_of(tmp_path / "a.mcap")]
     row = samples.dtype.itemsize
     assert [size // row for topic, size in found if topic == "/samples"] == [2000, 2000, 2000, 2000, 1001]
     assert [size // 22 for topic, size in found if topic == "/can/can0/frames"] == [100, 100, 100, 1]  # of 100 ms
@@ -62,9 +66,8 @@ def test_blocks_byte_for_byte(tmp_path, robot):
         writer.frames("can0", frames)
         writer.event(13, "phase", "track")
         writer.health(14, {"late": 2})
-    with (tmp_path / "a.mcap").open("rb") as file:
-        messages = mcap.reader.make_reader(file).iter_messages()
-        found = {c.topic: (s.encoding, s.data.decode(), c.message_encoding, m) for s, c, m in messages if s}
+    messages = messages_of(tmp_path / "a.mcap")
+    found = {c.topic: (s.encoding, s.data.decode(), c.message_encoding, m) for s, c, m in messages if s}
     encoding, layout, kind, message = found["/samples"]
     row = "('stamp_ns', '<i8'), ('position', '<f8', (2,)), ('effort', '<f8', (2,)), ('reference', '<f8', (2,))"
     assert (encoding, layout, kind, message.log_time) == ("numpy", f"[{row}]", "numpy", 7)
@@ -114,13 +117,6 @@ def write_rows(folder, samples) -> None:
         writer.samples(samples)
 
 
-@pytest.mark.parametrize("stamps", [[0, 1, 2], [0, 1, 2**31 * 10**9 - 1]])
-def test_stamps_that_a_recording_takes(tmp_path, stamps):
-    samples = some_samples(3)
-    samples["stamp_ns"] = stamps
-    write_rows(tmp_path, samples)
-
-
 GROWING, FINITE = "growing stamps from 0 to 2147483647999999999", "a finite number"
 
 
@@ -146,9 +142,11 @@ def test_values_that_a_recording_does_not_take(tmp_path, field, values, row, val
     assert (str(error.value), error.expected) == (str(value), expected)
 
 
-def test_a_row_that_is_refused_is_counted_from_the_first_of_all_blocks(tmp_path, monkeypatch):
+def test_a_row_that_is_refused_is_counted_from_the_first_of_all_blocks_and_a_late_stamp_is_taken(tmp_path, monkeypatch):
     monkeypatch.setattr("acquisition.recording.rows._AT_ONCE", 700)
     samples = some_samples(2000)
+    samples["stamp_ns"][-1] = 2**31 * 10**9 - 1
+    write_rows(tmp_path, samples)
     samples["effort"][1500, 0] = np.nan
     with pytest.raises(RobotIdimError, match="row 1501"):
         write_rows(tmp_path, samples)
@@ -185,8 +183,7 @@ def test_joint_states_are_cdr_at_100_hz_at_most(tmp_path, robot, rate_hz, step):
             writer.samples(samples[k : k + 7])
     store = get_typestore(Stores.ROS2_JAZZY)
     for topic, field in (("/joint_states/measured", "position"), ("/joint_states/reference", "reference")):
-        with (tmp_path / "a.mcap").open("rb") as file:
-            found = list(mcap.reader.make_reader(file).iter_messages(topics=[topic]))
+        found = messages_of(tmp_path / "a.mcap", topic)
         shown = samples[::step]
         assert len(found) == len(shown)
         assert np.diff([m.log_time for _, _, m in found]).min() >= 10_000_000 - 1
@@ -205,8 +202,7 @@ def test_amperes_are_no_joint_state_effort(tmp_path, robot):
     (tmp_path / "robot.toml").write_bytes(toml)
     in_amperes = load_robot(tmp_path / "robot.toml")
     write(tmp_path / "a.mcap", in_amperes, blocks=1)
-    with (tmp_path / "a.mcap").open("rb") as file:
-        messages = list(mcap.reader.make_reader(file).iter_messages(topics=["/joint_states/measured"]))
+    messages = messages_of(tmp_path / "a.mcap", "/joint_states/measured")
     store = get_typestore(Stores.ROS2_JAZZY)
     assert messages
     assert all(store.deserialize_cdr(m.data, "sensor_msgs/msg/JointState").effort.size == 0 for _, _, m in messages)
@@ -235,18 +231,11 @@ def test_writer_refuses_what_the_reader_would(tmp_path, robot):
     assert len(recording.samples) == 20
 
 
-def test_a_counter_that_is_not_known_is_read_as_nan(tmp_path, robot):
-    with RecordingWriter(tmp_path / "a.mcap", header(robot, 1.0)) as writer:
-        writer.health(3, {"drops": float("nan"), "late": 2})
-    (health,) = read_recording(tmp_path / "a.mcap").health
-    assert np.isnan(health.counters["drops"])
-    assert health.counters["late"] == 2
-
-
-def test_the_file_ends_properly_when_a_session_fails(tmp_path, robot):
+def test_the_file_ends_properly_when_a_session_fails_and_an_unknown_counter_is_nan(tmp_path, robot):
     def session() -> None:
         with RecordingWriter(tmp_path / "a.mcap", header(robot)) as writer:
             writer.samples(some_samples(10))
+            writer.health(3, {"drops": float("nan"), "late": 2})
             raise RuntimeError("a drive reports a fault")
 
     with pytest.raises(RuntimeError):
@@ -254,20 +243,9 @@ def test_the_file_ends_properly_when_a_session_fails(tmp_path, robot):
     recording = read_recording(tmp_path / "a.mcap")
     assert not recording.cut
     assert len(recording.samples) == 10
-
-
-def test_reads_nine_seconds_of_six_joints_at_5_khz_quickly(tmp_path):
-    robot = robot_named("tx40")
-    samples = some_samples(45_000, n=6, rate_hz=5000.0)
-    with RecordingWriter(tmp_path / "a.mcap", header(robot, 5000.0)) as writer:
-        writer.samples(samples)
-    times_s = []
-    for _ in range(3):
-        start_s = time.process_time()
-        recording = read_recording(tmp_path / "a.mcap")
-        times_s.append(time.process_time() - start_s)
-    assert recording.samples.tobytes() == samples.tobytes()
-    assert min(times_s) < 0.25  # about 0.03 s; ten times that means rows are read one by one
+    (health,) = recording.health
+    assert np.isnan(health.counters["drops"])
+    assert health.counters["late"] == 2
 
 
 def test_flush_reaches_the_disk(tmp_path, robot, monkeypatch):

@@ -28,6 +28,10 @@ def test_what_we_sent_is_as_uneven_as_it_left_and_a_lost_one_stands_between_its_
     times = [1_000_000, 3_000_000, 5_700_000, 7_000_000, 11_200_000, 13_000_000]
     found = timed(times, ours=True, index=[0, 1, 2, 3, 5, 6])
     assert found.stamps.tolist() == [1_000_000, 3_000_000, 5_700_000, 7_000_000, 9_100_000, 11_200_000, 13_000_000]
+    found = timed([5_000_000, 7_000_000, 7_000_000, 7_000_000, 9_000_000], ours=True)
+    assert found.stamps.tolist() == [5_000_000, 7_000_000, 7_000_001, 7_000_002, 9_000_000]  # times grow
+    jittery = timed(START_NS + PERIOD_NS * np.arange(50) + 20_000 * (-1) ** np.arange(50), ours=True)
+    assert jittery.jitter_s[0] == pytest.approx(20e-6, rel=0.01)
 
 
 @settings(max_examples=20, deadline=None)
@@ -68,8 +72,3 @@ def test_a_clock_that_is_set_back_is_found_and_time_goes_on():
     found = timed(times, ours=True)
     assert found.stamps.tolist() == (START_NS + PERIOD_NS * np.arange(100)).tolist()
     assert found.set_back == ((40, pytest.approx(0.5)),)
-
-
-def test_times_grow_where_frames_came_at_once():
-    found = timed([5_000_000, 7_000_000, 7_000_000, 7_000_000, 9_000_000], ours=True)
-    assert found.stamps.tolist() == [5_000_000, 7_000_000, 7_000_001, 7_000_002, 9_000_000]

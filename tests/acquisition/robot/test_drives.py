@@ -4,20 +4,14 @@ import re
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from made_up_buses import bus_of, bus_text, refused, robot_of
 
 from acquisition.errors import RobotIdimError
-from acquisition.protocol import (
-    ObjectEntry,
-    answer_of,
-    request_of,
-)
+from acquisition.protocol import ObjectEntry
 from acquisition.robot import parse_homed, refuse_load, refuse_out_of_range, resolve
 
 
-def test_defaults_are_one_pdo_each_way():
+def test_what_a_description_may_leave_out_and_its_pdos_are_one_each_way():
     drive = bus_of(robot_of(bus_text())).drives[1]
     assert [(p.can_id, str([str(e) for e in p.entries]), p.length) for p in (*drive.tpdos, *drive.rpdos)] == [
         (0x182, "['6041:0', '6064:0', '6074:0']", 8),
@@ -27,11 +21,16 @@ def test_defaults_are_one_pdo_each_way():
     assert drive.rated == {0x6076: 420}
     assert "torque demand" in drive.effort.provenance
     assert "6074:0" in drive.effort.provenance
-
-
-def test_an_actual_value_that_stands_in_says_so():
-    drive = bus_of(robot_of(bus_text().replace("reference =", "actual ="))).drives[0]
-    assert "the actual value instead of the reference" in drive.effort.provenance
+    actual = bus_of(robot_of(bus_text().replace("reference =", "actual ="))).drives[0]
+    assert "the actual value instead of the reference" in actual.effort.provenance
+    bus = bus_of(robot_of(bus_text(1)))
+    file, drive = bus.file, bus.file.drive[0]
+    assert (drive.status, drive.control, drive.position, drive.target) == ("6041", "6040", "6064", "607A")
+    assert (drive.sign, drive.effort_sign, drive.zero_counts, drive.mapping) == (1, None, 0, "table")
+    assert (drive.rated_current_unit, drive.rated_torque_unit) == ("mA", "mN m")
+    assert (file.bitrate, file.sync_producer, file.sync_can_id, file.heartbeat_s) == (1_000_000, "recorder", 0x80, 0.1)
+    assert file.loopback  # frames stay on this machine
+    assert bus.period_ns == 2_000_000
 
 
 def test_a_rate_of_six_axes():
@@ -67,6 +66,9 @@ CHANGES = [
     (("= 0.42", "= 1\nrated_force_n = 1e9"), "drive[0].rated_force_n = 1000000000.0: expected 0.001 to "),
     (("= 0.42", "= 1\nrated_current_a = 1e9"), "drive[0].rated_current_a = 1000000000.0: expected 0.001 to "),
     (("counts_per_turn = 65536", ""), "counts_per_turn is missing: expected counts_per_turn or counts_per_m"),
+    # The identifiers of other services.
+    *((("[bus]", f"[bus]\nsync_can_id = {i}"), f"bus.sync_can_id = {i}: expected 0x80, or 0x680 to 0x6DF")
+      for i in ("0x1", "0x81", "0x181", "0x57F", "0x601", "0x701", "0x7FF")),
     (("= 65536", "= 1e13"), "drive[0].counts_per_turn = 10000000000000.0: expected `float` <= 1000000000000.0"),
 ]  # fmt: skip
 OF_DRIVE = [
@@ -104,14 +106,16 @@ def test_refused_in_one_line(change, expected):
     refused(bus_text().replace(*change, 1), expected)
 
 
+def test_one_drive_for_each_motor_and_a_bus_for_them():
+    text = bus_text(2)
+    refused(text[: text.rindex("[[bus.drive]]")], "bus.drive = '1 tables': expected one per motor: 2")
+    with pytest.raises(RobotIdimError, match=r"r.toml: bus is missing: expected its drives: remove `#: `"):
+        resolve(robot_of(text[: text.index("[bus]")]), "r.toml")
+
+
 @pytest.mark.parametrize(("lines", "expected"), OF_DRIVE)
 def test_keys_of_a_drive_refused_in_one_line(lines, expected):
     refused(bus_text(drive=lines), expected)
-
-
-def test_one_drive_for_each_motor():
-    text = bus_text(2)
-    refused(text[: text.rindex("[[bus.drive]]")], "bus.drive = '1 tables': expected one per motor: 2")
 
 
 @pytest.mark.parametrize(
@@ -125,17 +129,16 @@ def test_one_drive_for_each_motor():
         ('channel = "test"', f'channel = "{"x" * 64}"'),
         ('channel = "test"', 'channel = "test"\nheartbeat_s = 0.01'),
         ('channel = "test"', 'channel = "test"\nmaster_node = 2'),
+        ("[bus]", "[bus]\nsync_can_id = 0x6DF"),
+        # Rates of CiA 301, and 100 kbit/s, which it had before.
+        *(("[bus]", f"[bus]\nbitrate = {rate}000") for rate in (10, 20, 50, 100, 125, 250, 500, 800, 1000)),
     ],
 )
 def test_ends_of_ranges(change):
     assert change[0] in bus_text(1)
-    robot_of(bus_text(1).replace(*change))
-
-
-@pytest.mark.parametrize("can_id", ["0x1", "0x81", "0x181", "0x57F", "0x601", "0x701", "0x7FF"])
-def test_sync_on_the_identifier_of_another_service(can_id):
-    refused(bus_text(extra=f"sync_can_id = {can_id}"), f"bus.sync_can_id = {can_id}: expected 0x80, or 0x680 to 0x6DF")
-    assert bus_of(robot_of(bus_text(extra="sync_can_id = 0x6DF"))).file.sync_can_id == 0x6DF
+    found = robot_of(bus_text(1).replace(*change)).bus
+    key, _, value = change[1].rpartition("\n")[2].partition(" = ")
+    assert key not in ("bitrate", "sync_can_id") or getattr(found, key) == int(value, 0)
 
 
 def test_targets_beyond_what_the_object_holds():
@@ -156,12 +159,6 @@ def test_targets_beyond_what_the_object_holds():
         with pytest.raises(RobotIdimError, match=re.escape(f"x: at 0.006 s: target of {told}")) as caught:
             refuse_out_of_range(path, robot, bus, "x")
         assert str(caught.value).endswith("counts: expected -2147483648 to 2147483647")
-
-
-def test_a_robot_without_a_bus_is_told():
-    text = bus_text()
-    with pytest.raises(RobotIdimError, match=r"r.toml: bus is missing: expected its drives: remove `#: `"):
-        resolve(robot_of(text[: text.index("[bus]")]), "r.toml")
 
 
 @pytest.mark.parametrize(
@@ -187,35 +184,12 @@ def test_counts_per_turn_of_motors_that_turn(kind, unit, counts, expected):
         refused(text, expected)
 
 
-@given(st.binary(max_size=9))
-def test_any_bytes_as_sdo(data):
-    assert request_of(data).kind in ("read", "write", "abort", "other")
-    assert answer_of(data).kind in ("value", "written", "abort", "other")
-
-
 @pytest.mark.parametrize(
     ("name", "key"), [("6064", (0x6064, 0)), ("60c2:2", (0x60C2, 2)), ("1018:10", (0x1018, 10)), ("2031:255", (0x2031, 255))]
 )  # fmt: skip
 def test_names_of_objects(name, key):
     """The index is hexadecimal, the sub-index decimal."""
     assert parse_homed(name) == (*key, None)
-
-
-def test_what_a_description_may_leave_out():
-    robot = robot_of(bus_text(1))
-    file, drive = robot.bus, robot.bus.drive[0]
-    assert (drive.status, drive.control, drive.position, drive.target) == ("6041", "6040", "6064", "607A")
-    assert (drive.sign, drive.effort_sign, drive.zero_counts, drive.mapping) == (1, None, 0, "table")
-    assert (drive.rated_current_unit, drive.rated_torque_unit) == ("mA", "mN m")
-    assert (file.bitrate, file.sync_producer, file.sync_can_id, file.heartbeat_s) == (1_000_000, "recorder", 0x80, 0.1)
-    assert file.loopback  # frames stay on this machine
-    assert bus_of(robot).period_ns == 2_000_000
-
-
-@pytest.mark.parametrize("bitrate", [10, 20, 50, 100, 125, 250, 500, 800, 1000])
-def test_bit_rates_of_can(bitrate):
-    """Those of CiA 301, and 100 kbit/s, which it had before."""
-    assert robot_of(bus_text(1, extra=f"bitrate = {bitrate}000")).bus.bitrate == bitrate * 1000
 
 
 def entries(pdo) -> list[str]:
@@ -233,11 +207,9 @@ def test_what_does_not_fit_one_pdo_goes_into_two():
     assert drive.carrier(ObjectEntry(index=0x30D0, sub=0, type="I32"), "tpdo") is drive.tpdos[1]
     assert drive.carrier(drive.target, "rpdo") is drive.rpdos[0]
     assert drive.carrier(drive.target, "tpdo") is None
-
-
-def test_pdos_of_a_description_with_numbers_and_identifiers():
+    # PDOs of a description with numbers and identifiers.
     line = 'tpdo = [{ objects = ["6064", "6074"], number = 3 }, { objects = ["6041"], can_id = 0x6A0, number = 7 }]\n'
-    drive = bus_of(robot_of(bus_text(1).replace("node = 1\n", f"node = 1\n{line}"))).drives[0]
+    drive = bus_of(robot_of(bus_text(1, drive=line))).drives[0]
     assert [(pdo.number, pdo.can_id, entries(pdo)) for pdo in drive.tpdos] == [
         (3, 0x381, ["6064:0", "6074:0"]),
         (7, 0x6A0, ["6041:0"]),

@@ -11,14 +11,14 @@ import pytest
 from conftest import REPLAY, robot_named
 from made_up_bags import bag, message
 from made_up_buses import bus_text, robot_of, session
-from made_up_recordings import some_samples
+from made_up_recordings import header, some_samples
 from urdfs import ARM, joint, urdf
 
 from acquisition.commands import main
 from acquisition.errors import RobotIdimError
 from acquisition.importing import import_recording
 from acquisition.options import RecordOptions
-from acquisition.recording import Header, RecordingWriter, read_recording
+from acquisition.recording import RecordingWriter, read_recording
 from acquisition.robot import Payload, Robot, load_robot, parse_payload, robot_from_files
 from acquisition.session import UserInterface, record
 from acquisition.session.logs import ProcessLog, Role
@@ -42,21 +42,9 @@ def arm(table: str = "", **parts: str) -> Robot:
     ("text", "payload", "words"),
     [
         ("2.805", Payload(2.805), "2.805 kg, centre of mass not stated"),
-        (
-            "2.805@0.03,0.15,-0.16",
-            Payload(2.805, (0.03, 0.15, -0.16)),
-            "2.805 kg at 0.03, 0.15, -0.16 ± 0.005 m in the frame of the last joint",
-        ),
-        (
-            " 1e-3 @ 0, 0 ,5",
-            Payload(0.001, (0.0, 0.0, 5.0)),
-            "0.001 kg at 0, 0, 5 ± 0.005 m in the frame of the last joint",
-        ),
-        (
-            "2@0,0,0.1+-1e-3",
-            Payload(2.0, (0.0, 0.0, 0.1), center_half_width_m=0.001),
-            "2 kg at 0, 0, 0.1 ± 0.001 m in the frame of the last joint",
-        ),
+        ("2.805@0.03,0.15,-0.16", Payload(2.805, (0.03, 0.15, -0.16)), "2.805 kg at 0.03, 0.15, -0.16 ± 0.005 m in"),
+        (" 1e-3 @ 0, 0 ,5", Payload(0.001, (0.0, 0.0, 5.0)), "0.001 kg at 0, 0, 5 ± 0.005 m in"),
+        ("2@0,0,0.1+-1e-3", Payload(2.0, (0.0, 0.0, 0.1), center_half_width_m=0.001), "2 kg at 0, 0, 0.1 ± 0.001 m in"),
         (f"{1 / 3!r}@{0.1 + 0.2!r},0,0", Payload(1 / 3, (0.1 + 0.2, 0.0, 0.0)), None),
     ],
 )
@@ -64,7 +52,7 @@ def test_a_payload_is_read_and_written(text, payload, words):
     found = parse_payload(text, robot_named("tx40"))
     assert found == payload
     assert parse_payload(found.text, robot_named("tx40")) == payload
-    assert words is None or str(found) == words
+    assert words is None or str(found) == words + " the frame of the last joint" * words.endswith("in")
 
 
 @pytest.mark.parametrize(
@@ -80,7 +68,6 @@ def test_no_payload(text):
         parse_payload(text, robot_named("tx40"), "--payload")
     assert (refused.value.key, refused.value.value) == ("--payload", text)
     assert refused.value.expected.startswith("KG or KG@X,Y,Z")
-    assert "\n" not in str(refused.value)
 
 
 def test_the_table_says_how_the_numbers_are_meant():
@@ -90,25 +77,37 @@ def test_the_table_says_how_the_numbers_are_meant():
     assert str(parse_payload("2@0,0,0.1", robot)) == "2 ± 0.01 kg at 0, 0, 0.1 ± 0.002 m in tool"
 
 
+def refusal(call, *arguments, **named) -> tuple[str, str, object]:
+    with pytest.raises((RobotIdimError, RobotIdimError)) as caught:
+        call(*arguments, **named)
+    assert "\n" not in str(caught.value)
+    return caught.value.place, caught.value.key, caught.value.value
+
+
 @pytest.mark.parametrize(
-    ("table", "key"),
+    ("table", "key", "value"),
     [
-        ('frame = "tool0"', "payload.frame"),
-        ("mass_half_width_kg = -1", "payload.mass_half_width_kg"),
-        ("center_half_width_m = -1", "payload.center_half_width_m"),
-        ("mass = 2", "payload"),
+        ('frame = "tool0"', "payload.frame", "tool0"),
+        ("mass_half_width_kg = -1", "payload.mass_half_width_kg", -1),
+        ("center_half_width_m = -1", "payload.center_half_width_m", -1),
+        ("mass = 2", "payload", None),
     ],
 )
-def test_a_table_that_means_nothing_is_refused(table, key):
-    with pytest.raises(RobotIdimError) as refused:
-        robot_from_files({"robot.toml": f"{TX40}\n[payload]\n{table}\n".encode()}, "robot.toml")
-    assert (refused.value.place, refused.value.key) == ("robot.toml", key)
+def test_a_table_that_means_nothing_is_refused(table, key, value):
+    """A frame that the URDF does not name too."""
+    files = {"robot.toml": f"{TX40}\n[payload]\n{table}\n".encode()}
+    assert refusal(robot_from_files, files, "robot.toml") == ("robot.toml", key, value)
+    if value == "tool0":
+        assert refusal(arm, f"[payload]\n{table}\n") == ("arm.toml", key, value)
 
 
-def test_a_frame_that_the_urdf_does_not_name_is_refused_before_anything_is_recorded():
-    with pytest.raises(RobotIdimError) as refused:
-        arm('[payload]\nframe = "tool0"\n')
-    assert (refused.value.place, refused.value.key, refused.value.value) == ("arm.toml", "payload.frame", "tool0")
+def test_payloads_that_have_no_parameters_or_no_unit_to_be_carried_in():
+    assert refusal(payload_parameters, InverseModel(arm()), Payload(None))[1] == "payload"
+    motors = tuple(msgspec.structs.replace(m, effort_unit="A") for m in arm().motors)
+    in_amperes = replace(arm(), motors=motors, parameters={"M1": 1.0})
+    assert refusal(described_robot, in_amperes, Payload(1.0))[:2] == ("robot arm", "payload")
+    robot = replace(arm(), parameters={"M1": 1.0, "XX1": 1.0, "YY1": 1.0, "ZZ1": 1.0, "M2": 1.0, "M3": 1.0})
+    assert refusal(described_robot, robot, Payload(1.0, frame="sensor"))[1:] == ("payload.frame", "sensor")
 
 
 def test_parameters_of_a_ball_by_hand():
@@ -142,12 +141,6 @@ def test_a_frame_that_the_last_joint_does_not_carry_is_refused(frame):
     assert error.expected == "a link that slide carries: beam, tool, left, right"
 
 
-def test_an_unknown_mass_has_no_parameters():
-    with pytest.raises(RobotIdimError) as refused:
-        payload_parameters(InverseModel(arm()), Payload(None))
-    assert refused.value.key == "payload"
-
-
 def test_the_torque_of_a_payload_is_that_of_a_mass_on_the_last_link():
     """At rest it is what gravity does on it: m g · dp/dq, with p by small differences."""
     model, payload = InverseModel(robot_named("tx40")), Payload(2.0, (0.03, 0.15, -0.16))
@@ -168,15 +161,7 @@ HEAVY = Payload(2.805, (0.03, 0.15, -0.16), None, 0.01)
 
 def recorded(path: Path, payload: Payload | None, /, **metadata: str) -> Path:
     """A recording of the SCARA."""
-    header = Header(
-        robot=robot_named("scara"),
-        source="",
-        sample_rate_hz=1000.0,
-        effort_provenance="",
-        payload=payload,
-        notes=metadata,
-    )
-    with RecordingWriter(path, header) as writer:
+    with RecordingWriter(path, replace(header(robot_named("scara")), payload=payload, notes=metadata)) as writer:
         writer.samples(some_samples(100))
     return path
 
@@ -209,10 +194,7 @@ def test_later_versions_may_say_more_of_a_payload(tmp_path):
 )
 def test_a_recording_with_a_payload_that_is_none_is_refused(tmp_path, text):
     path = recorded(tmp_path / "a.mcap", None, payload=text)
-    with pytest.raises(RobotIdimError) as refused:
-        read_recording(path)
-    assert (refused.value.place, refused.value.key, refused.value.value) == (str(path), "payload", text)
-    assert "\n" not in str(refused.value)
+    assert refusal(read_recording, path) == (str(path), "payload", text)
 
 
 def test_what_is_written_again_keeps_the_payload(tmp_path, capsys):
@@ -280,21 +262,17 @@ def test_imports_take_a_payload(tmp_path, kind, capsys):
 
 
 @pytest.mark.parametrize("command", ["record", "check"])
-def test_commands_refuse_what_is_no_payload_before_anything_else(tmp_path, command, capsys):
+def test_commands_refuse_what_is_no_payload_before_anything_else_and_check_shows_one(tmp_path, command, capsys):
     toml, out = tmp_path / "robot.toml", tmp_path / "a.mcap"
     toml.write_text(bus_text(2))
     options = ["-o", str(out), "--duration", "0.1"] if command == "record" else []
     assert main([command, str(toml), "--payload", "2@0,0", *options]) == 1
     assert capsys.readouterr().err.startswith("robot-acquire: --payload = '2@0,0': expected KG or KG@X,Y,Z")
     assert not out.exists()
-
-
-def test_check_shows_the_payload(tmp_path, capsys):
-    toml = tmp_path / "robot.toml"
-    toml.write_text(bus_text(1))
-    assert main(["check", str(toml), "--payload", "2@0,0,0.1"]) == 1  # no drive answers
-    assert "ok  payload" in (printed := capsys.readouterr().out)
-    assert "2 kg at 0, 0, 0.1 ± 0.005 m in the frame of joint_1" in printed
+    if command == "check":
+        assert main([command, str(toml), "--payload", "2@0,0,0.1"]) == 1  # no drive answers
+        assert "ok  payload" in (printed := capsys.readouterr().out)
+        assert "2 kg at 0, 0, 0.1 ± 0.005 m in the frame of joint_2" in printed
 
 
 @pytest.mark.parametrize("passive", [False, True])
@@ -351,16 +329,3 @@ def test_the_drives_of_a_dry_run_have_the_gains_of_the_unloaded_robot(tmp_path):
     accelerations = np.array([each.state()[1][0] / 1e-3 for each in (plant, loaded)])
     inertia = 2.0 + 1.5 * 0.25 + 0.4 * 1.5 * 0.1**2
     np.testing.assert_allclose(accelerations, [17 / 2, (17 - 1.5 * 9.81 * 0.4) / inertia], rtol=2e-3)
-
-
-def test_a_dry_run_refuses_a_frame_that_the_last_link_does_not_carry():
-    robot = replace(arm(), parameters={"M1": 1.0, "XX1": 1.0, "YY1": 1.0, "ZZ1": 1.0, "M2": 1.0, "M3": 1.0})
-    with pytest.raises(RobotIdimError, match=r"payload.frame = 'sensor': expected a link that slide carries: beam"):
-        described_robot(robot, Payload(1.0, frame="sensor"))
-
-
-def test_a_dry_run_in_amperes_refuses_a_payload():
-    motors = tuple(msgspec.structs.replace(m, effort_unit="A") for m in arm().motors)
-    with pytest.raises(RobotIdimError) as refused:
-        described_robot(replace(arm(), motors=motors, parameters={"M1": 1.0}), Payload(1.0))
-    assert (refused.value.place, refused.value.key) == ("robot arm", "payload")

@@ -33,22 +33,15 @@ def second_joint(values: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize(("sign", "limit_deg"), [(1, 60.0), (-1, 150.0)])
 def test_positions_at_and_beyond_each_end(sign, limit_deg):
-    """A slow ramp to the end and back passes; a hundredth of a degree more does not."""
+    """A slow ramp to the end and back passes; a billionth of the larger limit, 150 degrees, beyond it is rounding."""
     ramp = np.sin(np.linspace(0, np.pi, 5001)) ** 2 * sign
-    check_limits(second_joint(ramp * limit_deg * DEG), robot_with(), PERIOD_S, "here")
+    check_limits(second_joint(ramp * (limit_deg + 0.9e-9 * 150) * DEG), robot_with(), PERIOD_S, "here")
+    told(second_joint(ramp * (limit_deg + 1.1e-9 * 150) * DEG), robot_with())
     beyond = told(second_joint(ramp * (limit_deg + 0.01) * DEG), robot_with())
     # The first row beyond: where the sine squared is the share of the end in the way.
     k = int(np.ceil(np.arcsin(np.sqrt(limit_deg / (limit_deg + 0.01))) / np.pi * 5000))
     found = f"at {k * PERIOD_S:.4g} s: position of joint_2 = {sign * limit_deg * DEG:.4g} rad"
     assert beyond == f"here: {found}: expected {-150 * DEG:.4g} to {60 * DEG:.4g}"
-
-
-@pytest.mark.parametrize(("sign", "limit_deg"), [(1, 60.0), (-1, 150.0)])
-def test_rounding_beyond_an_end(sign, limit_deg):
-    """A billionth of the larger limit, 150 degrees, is rounding."""
-    ramp = np.sin(np.linspace(0, np.pi, 5001)) ** 2 * sign
-    check_limits(second_joint(ramp * (limit_deg + 0.9e-9 * 150) * DEG), robot_with(), PERIOD_S, "here")
-    told(second_joint(ramp * (limit_deg + 1.1e-9 * 150) * DEG), robot_with())
 
 
 @pytest.mark.parametrize("sign", [1, -1])
@@ -84,6 +77,9 @@ def test_acceleration_on_each_side(sign, braking):
 def test_a_reference_that_does_not_begin_or_end_at_rest():
     """The first and last step count from standstill: 0.1 rad at once are 25000 rad/s²."""
     robot = robot_with(speed=1e6, acceleration=1e6)
+    for value in (np.nan, np.inf, -np.inf, 1e308):  # no number is within a limit
+        q = second_joint(np.array([0, 0, value, 0, 0]))
+        assert re.fullmatch(r"here: at 0.004 s: position of joint_2 = .*: expected -2.618 to 1.047", told(q, robot))
     for path in (np.r_[0.0, np.full(9, 0.1)], np.r_[np.full(9, 0.0), 0.1]):
         assert "acceleration of joint_2 = 2.5e+04 rad/s²" in told(second_joint(path), robot)
 
@@ -139,13 +135,6 @@ def test_a_joint_with_the_longest_way_sets_the_duration_of_an_approach():
     assert (len(approach(np.zeros(2), np.zeros(2), robot, PERIOD_S)) - 1) * PERIOD_S == pytest.approx(0.2)
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e308])
-def test_positions_that_are_not_within_a_limit_because_they_are_no_number(value):
-    q = np.zeros((5, 2))
-    q[2, 1] = value
-    assert re.fullmatch(r"here: at 0.004 s: position of joint_2 = .*: expected -2.618 to 1.047", told(q, robot_with()))
-
-
 def test_a_series_and_its_derivatives_by_hand():
     """q = 0.5 + 0.3 sin wt - 0.2 (cos 2wt - 1), at t = 0 and at a quarter of the period of 4 s."""
     sine, cosine = np.array([[0.3, 0.0]]), np.array([[0.0, -0.2]])
@@ -190,18 +179,15 @@ def test_a_random_series_of_a_joint_without_limits_of_speed_and_of_another_seed(
     assert other.sine.tolist() != reference.sine.tolist()
 
 
-def test_a_random_series_of_a_joint_without_a_range_is_refused():
+def test_a_random_series_of_a_joint_without_a_range_or_of_no_length_is_refused():
     """It has no range of 1 rad to each side by itself."""
     with pytest.raises(RobotIdimError) as error:
         fourier_reference(robot_of(bus_text(1).replace("position_deg = [-150, 150]", "")), period_s=10.0, seed=3)
     assert (error.value.key, error.value.value) == ("joint[0].position_deg", None)
     assert error.value.place.endswith("joint joint_1")
-
-
-@pytest.mark.parametrize("period_s", [0.0, -1.0, float("nan")])
-def test_a_series_of_no_length(period_s):
-    with pytest.raises(RobotIdimError, match=f"period {period_s:g} s: expected more than 0"):
-        fourier_reference(robot_of(bus_text(1)), period_s=period_s, seed=0)
+    for period_s in (0.0, -1.0, float("nan")):
+        with pytest.raises(RobotIdimError, match=f"period {period_s:g} s: expected more than 0"):
+            fourier_reference(robot_of(bus_text(1)), period_s=period_s, seed=0)
 
 
 def test_a_table_is_a_spline_at_rest_at_its_ends(tmp_path):

@@ -206,7 +206,7 @@ def test_the_urdf_comes_along_or_is_missed(tmp_path):
         load_robot(tmp_path / "none.toml")
 
 
-def test_errors_carry_their_data_and_make_one_line_of_it():
+def test_errors_carry_their_data_and_make_one_printable_line_of_it():
     error = RobotIdimError("does nothing", place="a.toml", key="b.c", value=[1, 2], expected="d")
     assert str(error) == "a.toml: b.c = [1, 2]: does nothing: expected d"
     assert (error.place, error.key, error.value, error.expected) == ("a.toml", "b.c", [1, 2], "d")
@@ -214,14 +214,14 @@ def test_errors_carry_their_data_and_make_one_line_of_it():
     assert str(RobotIdimError("x rows", place="a.toml", key="b")) == "a.toml: b: x rows"
     bare = pickle.loads(pickle.dumps(error))  # as one process hands it to another
     assert (str(bare), bare.key, bare.value) == (str(error), "b.c", [1, 2])
-
-
-def test_errors_are_one_printable_line():
     assert str(RobotIdimError("a\nb\r\n\x1b[2Jc\udcff µ")) == "a b �[2Jc� µ"
     assert one_line("  two  words ") == "two words"
 
 
-def test_a_whole_file_replaces_the_old_one_only_when_complete(tmp_path):
+def test_a_whole_file_replaces_the_old_one_only_when_complete_and_on_the_disk(tmp_path, monkeypatch):
+    """A power cut after the renaming must not leave a file without content."""
+    synced: list[str] = []
+    monkeypatch.setattr(os, "fsync", lambda _: synced.append((tmp_path / "out").read_text()))
     path = tmp_path / "out"
     path.write_text("old")
     with pytest.raises(UnicodeEncodeError), atomic_write(path) as partial:
@@ -232,16 +232,7 @@ def test_a_whole_file_replaces_the_old_one_only_when_complete(tmp_path):
         partial.write_text("new")
         assert path.read_text() == "old"
     assert [p.name for p in tmp_path.iterdir()] == ["out"]
-    assert path.read_text() == "new"
-
-
-def test_a_whole_file_is_on_the_disk_before_it_takes_its_place(tmp_path, monkeypatch):
-    """A power cut after the renaming must not leave a file without content."""
-    synced: list[bool] = []
-    monkeypatch.setattr(os, "fsync", lambda _: synced.append((tmp_path / "out").exists()))
-    with atomic_write(tmp_path / "out") as partial:
-        partial.write_text("new")
-    assert synced == [False]
+    assert (path.read_text(), synced) == ("new", ["old"])
 
 
 def test_places_where_no_file_can_stand(tmp_path):

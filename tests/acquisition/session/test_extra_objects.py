@@ -1,7 +1,5 @@
 """Extra objects: their PDOs, and their raw integers in the recorded frames; older recordings; SYNC periods refused."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from dry_sessions import dry_session, swing
@@ -11,20 +9,11 @@ from acquisition.errors import RobotIdimError
 from acquisition.importing import export_csv, import_recording
 from acquisition.recording import Header, RecordingWriter, read_recording, sample_dtype, writer
 from acquisition.recording.rows import Traffic
-from acquisition.robot import Robot, load_robot
+from acquisition.robot import load_robot
 from acquisition.session import Recorder, Task
 from identification.data import load_signals
 
 EXTRA = 'extra = ["606C", "6077", "2081:1", "2082"]\nobjects = { "2081:1" = "I16", "2082" = "U8" }\n'
-
-
-def test_they_get_pdos_of_their_own():
-    (drive,) = bus_of(robot_of(bus_text(1, drive=EXTRA))).drives
-    assert [[str(e) for e in pdo.entries] for pdo in drive.tpdos] == [
-        ["6041:0", "6064:0", "6074:0"],
-        ["606C:0", "6077:0", "2081:1"],
-        ["2082:0"],
-    ]
 
 
 def test_simulated_drives_send_their_velocity_and_the_frames_hold_it(tmp_path):
@@ -52,7 +41,9 @@ TABLE = '{ object = "2081:1", name = "temperature", scale = 0.1, unit = "degC" }
 def test_recordings_of_earlier_versions_with_columns_of_them_still_open(tmp_path, monkeypatch):
     """The columns are skipped; a new description with scales of them is refused."""
     text = bus_text(2, drive=EXTRA.replace('"2081:1",', f"{TABLE},"))
-    robot, old = robot_of(text), np.dtype([*sample_dtype(2, reference=True).descr, ("extra", "<f8", (8,))])
+    (drive, _), robot = bus_of(robot_of(text)).drives, robot_of(text)
+    assert [[str(e) for e in pdo.entries] for pdo in drive.tpdos[1:]] == [["606C:0", "6077:0", "2081:1"], ["2082:0"]]
+    old = np.dtype([*sample_dtype(2, reference=True).descr, ("extra", "<f8", (8,))])
     rows = np.zeros(300, old)
     rows["stamp_ns"] = 10**18 + 2_000_000 * np.arange(300)
     for name in ("position", "reference", "effort", "extra"):
@@ -78,15 +69,11 @@ def test_recordings_of_earlier_versions_with_columns_of_them_still_open(tmp_path
         load_robot(tmp_path / "robot.toml")
 
 
-def recorded(path: Path, robot: Robot, frames: np.ndarray):
-    recorder = Recorder(path, robot, source="a test", place="robot.toml")
-    recorder.add(frames)
-    return recorder.finish(2_000_000_000)
-
-
 def test_a_wrong_period_loses_no_frame_and_the_corrected_description_decodes_it(tmp_path):
     robot, frames = robot_of(bus_text(2)), flat(session(period_ns=5_400_000))
-    done = recorded(tmp_path / "a.mcap", robot, frames)
+    recorder = Recorder(tmp_path / "a.mcap", robot, source="a test", place="robot.toml")
+    recorder.add(frames)
+    done = recorder.finish(2_000_000_000)
     assert (done.samples, done.frames) == (0, len(frames))
     assert "SYNC came every 5.4 ms; bus.sync_period_s = 0.002 in robot.toml: expected 0.0054;" in done.no_samples
     recording = read_recording(tmp_path / "a.mcap")

@@ -1,12 +1,13 @@
 """Each guard provoked in motion on both sides of its limit, and every fault in every phase."""
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 import pytest
-from dry_sessions import DrySession, Through, dry_session, say, swing
+from dry_sessions import Through, dry_session, say, swing
 from faulty_drives import Fault, FaultyDrives
 from made_up_buses import bus_text, robot_of
 
@@ -48,57 +49,50 @@ def there_and_back(height: float, speed: float) -> Callable[[float], float]:
     return lambda t: height * (1 - abs(t - top_s) / top_s) if t < 2 * top_s else 0.0
 
 
-def run(path, where, *, text: str = "") -> DrySession:
-    text = text or bus_text(2)
-    return dry_session(path, REST, robot=robot_of(text), plant=Scripted(where))
-
-
 def with_limits(position: str = "[-150, 150]", following: float = 90.0) -> str:
-    return (
-        bus_text(2)
-        .replace("position_deg = [-150, 150]", f"position_deg = {position}", 1)
-        .replace("following_error_deg = 5", f"following_error_deg = {following}", 1)
-    )
+    """Limits of joint 1 in degrees."""
+    text = bus_text(2).replace("position_deg = [-150, 150]", f"position_deg = {position}", 1)
+    return text.replace("following_error_deg = 5", f"following_error_deg = {following}", 1)
 
 
-def outcome_of(tmp_path, where, text) -> str:
-    session = run(tmp_path / f"{len(list(tmp_path.iterdir()))}.mcap", where, text=text)
-    assert not session.outcome.unconfirmed
-    assert session.outcome.fault is (session.outcome.reason != "finished")
-    return session.outcome.reason
+FAST, LOW, HIGH, OFF = 1.2 * LIMIT, np.radians(-10), np.radians(20), np.radians(1.0)
 
 
-def test_over_speed_in_both_directions(tmp_path):
-    text = with_limits()
-    within, beyond = 0.99 * 1.2 * LIMIT, 1.01 * 1.2 * LIMIT
-    # There and back: both directions.
-    assert outcome_of(tmp_path, there_and_back(0.1, within), text) == "finished"
-    expected = "joint_1: speed = 4.231 rad/s: expected 3.491 at most"
-    assert outcome_of(tmp_path, lambda t: min(t * beyond, 0.1), text) == expected
-    assert outcome_of(tmp_path, lambda t: max(-t * beyond, -0.1), text) == expected
+def one_after_the_other(first, then, at_s: float) -> Callable[[float], float]:
+    return lambda t: first(t) if t < at_s else then(t - at_s)
 
 
-def test_both_ends_of_the_range(tmp_path):
-    text = with_limits(position="[-10, 20]")
-    low, high = np.radians([-10, 20])
-    up, down = there_and_back(0.999 * high, 3.0), there_and_back(0.999 * low, 3.0)
-    assert outcome_of(tmp_path, lambda t: up(t) if t < 0.24 else down(t - 0.24), text) == "finished"
-    for beyond in (high, low):
-        reason = outcome_of(tmp_path, there_and_back(1.05 * beyond, 3.0), text)
-        value = float(reason.removeprefix("joint_1: position = ").split()[0])
-        assert 1.0 < value / beyond < 1.05
-        assert reason.endswith("rad: expected -0.1745 to 0.3491")
-
-
-def test_following_errors_of_both_signs(tmp_path):
-    text = with_limits(following=1.0)
-    largest = np.radians(1.0)
-    up, down = there_and_back(0.99 * largest, 1.0), there_and_back(-0.99 * largest, 1.0)
-    assert outcome_of(tmp_path, lambda t: up(t) if t < 0.04 else down(t - 0.04), text) == "finished"
-    for sign in (1, -1):
-        reason = outcome_of(tmp_path, there_and_back(sign * 1.15 * largest, 1.0), text)
-        assert reason.startswith("joint_1: following error = 0.01")
-        assert reason.endswith("rad: expected 0.01745 at most")
+@pytest.mark.parametrize(
+    ("limits", "inside", "beyond", "key", "low", "high", "expected"),
+    [
+        # Speed in both directions, both ends of the range, following errors of both signs.
+        ({}, there_and_back(0.1, 0.99 * FAST),
+         [lambda t: min(t * 1.01 * FAST, 0.1), lambda t: max(-t * 1.01 * FAST, -0.1)], "speed", 4.2305, 4.2315,
+         "rad/s: expected 3.491 at most"),
+        ({"position": "[-10, 20]"},
+         one_after_the_other(there_and_back(0.999 * HIGH, 3.0), there_and_back(0.999 * LOW, 3.0), 0.24),
+         [there_and_back(1.05 * LOW, 3.0)], "position", 1.05 * LOW, LOW, "rad: expected -0.1745 to 0.3491"),
+        ({"position": "[-10, 20]"}, there_and_back(0.999 * HIGH, 3.0), [there_and_back(1.05 * HIGH, 3.0)], "position",
+         HIGH, 1.05 * HIGH, "rad: expected -0.1745 to 0.3491"),
+        ({"following": 1.0},
+         one_after_the_other(there_and_back(0.99 * OFF, 1.0), there_and_back(-0.99 * OFF, 1.0), 0.04),
+         [there_and_back(1.15 * OFF, 1.0), there_and_back(-1.15 * OFF, 1.0)], "following error", OFF, 0.02,
+         "rad: expected 0.01745 at most"),
+    ],
+)  # fmt: skip
+def test_a_joint_beyond_a_limit_stops_and_one_just_inside_does_not(
+    tmp_path, limits, inside, beyond, key, low, high, expected
+):
+    for k, where in enumerate([inside, *beyond]):
+        robot = robot_of(with_limits(**limits))
+        session = dry_session(tmp_path / f"{k}.mcap", REST, robot=robot, plant=Scripted(where))
+        assert not session.outcome.unconfirmed
+        assert session.outcome.fault is (k > 0)
+        if k == 0:
+            assert session.outcome.reason == "finished"
+            continue
+        found = re.fullmatch(rf"joint_1: {key} = (\S+) {re.escape(expected)}", session.outcome.reason)
+        assert low < float(found[1]) < high
 
 
 class Obedient:
@@ -128,8 +122,8 @@ def test_a_following_error_is_that_of_the_target_which_the_drive_has_had_a_perio
 
     # 0.216° from SYNC to SYNC, in which a drive that follows at once has no error.
     task = Task(reference=swing(2, seconds=1.0, amplitude=0.3))
-    text = with_limits(following=0.15)
-    session = dry_session(tmp_path / "a.mcap", task, robot=robot_of(text), plant=plant, simulated=Here)
+    robot = robot_of(with_limits(following=0.15))
+    session = dry_session(tmp_path / "a.mcap", task, robot=robot, plant=plant, simulated=Here)
     assert session.outcome.reason == "finished"
 
 
@@ -170,14 +164,17 @@ def test_what_a_drive_warns_of_is_written_down_once(tmp_path, monkeypatch):
 
 def test_the_bits_of_a_statusword_in_words():
     """Bits by CiA 402-2, 6041h."""
-    assert status_words(0x0237) == "operation enabled"
-    assert status_words(0x0237 | 1 << 7) == "operation enabled, warning"
-    assert status_words(0x0237 | 1 << 11) == "operation enabled, internal limit active"
-    assert status_words(0x0237 | 1 << 13) == "operation enabled, following error"
-    assert status_words(0x0037) == "operation enabled, not remote: the controlword is ignored"
-    assert status_words(0x0227) == "operation enabled, no voltage on the power stage"
-    assert status_words(0x0218) == "fault"
-    assert status_words(0x0216) == "statusword 0x0216, no state of CiA 402"
+    words = {
+        0x0237: "operation enabled",
+        0x0237 | 1 << 7: "operation enabled, warning",
+        0x0237 | 1 << 11: "operation enabled, internal limit active",
+        0x0237 | 1 << 13: "operation enabled, following error",
+        0x0037: "operation enabled, not remote: the controlword is ignored",
+        0x0227: "operation enabled, no voltage on the power stage",
+        0x0218: "fault",
+        0x0216: "statusword 0x0216, no state of CiA 402",
+    }
+    assert {word: status_words(word) for word in words} == words
 
 
 def test_error_codes_by_name():
@@ -190,39 +187,23 @@ def test_error_codes_by_name():
     assert error_words(0x0000) == "0x0000"
 
 
-@pytest.mark.parametrize(("count", "fault"), [(2, False), (3, True)])
-def test_three_syncs_in_a_row_may_not_stay_unanswered(tmp_path, count, fault):
-    gone = Fault(kind="missing", node=1, sync=60, count=count)
-    session = dry_session(tmp_path / "a.mcap", REST, faults=[gone])
-    assert session.outcome.fault is fault
-
-
 @dataclass(kw_only=True)
 class Counting(Through):
-    """Counts the SYNCs that the session sends."""
+    """Counts the SYNCs that the session sends; after `at_sync` of them it does not run for `for_s` of simulated time."""
 
     syncs: int = 0
+    at_sync: int = 0
+    for_s: float = 0.0
 
     def send(self, can_id, data):
         self.syncs += can_id == 0x80
         super().send(can_id, data)
 
-
-def stalling(at_sync: int, for_s: float) -> type[Through]:
-    @dataclass(kw_only=True)
-    class Stalling(Counting):
-        """The session does not run for a while; simulated time goes on."""
-
-        done: bool = False
-
-        def receive(self, until_ns):
-            frame = super().receive(until_ns)
-            if not self.done and self.syncs == at_sync and frame is None:  # the next SYNC is due now
-                self.done = True
-                self.link._time_ns = until_ns + round(for_s * 1e9)
-            return frame
-
-    return Stalling
+    def receive(self, until_ns):
+        frame = super().receive(until_ns)
+        if self.at_sync == self.syncs > 0 and frame is None:  # the next SYNC is due now
+            self.at_sync, self.link._time_ns = 0, until_ns + round(self.for_s * 1e9)
+        return frame
 
 
 @pytest.mark.parametrize(
@@ -237,7 +218,8 @@ def stalling(at_sync: int, for_s: float) -> type[Through]:
 )
 def test_a_late_sync_in_motion(tmp_path, extra, for_s, fault):
     robot = robot_of(bus_text(2, extra=extra))
-    session = dry_session(tmp_path / "a.mcap", REST, robot=robot, through=stalling(170, for_s))
+    stalling = partial(Counting, at_sync=170, for_s=for_s)
+    session = dry_session(tmp_path / "a.mcap", REST, robot=robot, through=stalling)
     assert session.outcome.fault is fault
     assert not session.outcome.unconfirmed
     frames = session.recording.frames["test"]

@@ -12,6 +12,7 @@ import subprocess
 import sys
 import threading
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -55,24 +56,19 @@ def failure_of(session: "subprocess.Popen[str]") -> str:
     return errors
 
 
-def children(pid: int) -> list[int]:
-    found = []
-    for stat in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            fields = stat.read_text().rpartition(")")[2].split()
-        except OSError:
-            continue
-        if int(fields[1]) == pid:
-            found.append(int(stat.parent.name))
-    return found
+def lines_of(path: str) -> list[str]:
+    return Path(path).read_text().splitlines()
 
 
 def recorder_of(pid: int) -> int:
     """The recorder process of a session."""
-    for child in children(pid):
-        if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes():
-            return child
-    raise AssertionError("no recorder")
+    found = []
+    for process in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):
+            parent = int((process / "stat").read_text().rpartition(")")[2].split()[1])
+            found += [process.name] * (parent == pid and b"spawn_main" in (process / "cmdline").read_bytes())
+    (recorder,) = found
+    return int(recorder)
 
 
 def test_simulate_check_record(folder):
@@ -150,10 +146,9 @@ def test_signals_end_a_session_in_order(folder, number):
 def test_a_file_that_cannot_grow_stops_the_session(folder):
     out = folder / "log.mcap"
     with drives(folder):
-        session = acquire(
-            folder, "record", str(folder / "robot.toml"), "-o", str(out), "--yes", "--track", str(folder / "ref.csv"),
-            preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (LARGEST_FILE, LARGEST_FILE)),
-        )  # fmt: skip
+        command = ("record", str(folder / "robot.toml"), "-o", str(out), "--yes", "--track", str(folder / "ref.csv"))
+        largest = (LARGEST_FILE, LARGEST_FILE)
+        session = acquire(folder, *command, preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, largest))
         assert "cannot be written: File too large" in failure_of(session)
         assert "1, 2  switch on disabled" in checked(folder)
     recording = read_recording(out)
@@ -232,15 +227,9 @@ def test_a_follower_that_is_killed_in_motion_harms_nothing(folder):
         own = os.getpriority(os.PRIO_PROCESS, 0)  # the tests may be nice themselves
         assert os.getpriority(os.PRIO_PROCESS, follower.pid) == min(19, own + 10)
         names = [os.readlink(link) for link in Path(f"/proc/{follower.pid}/fd").iterdir()]
-        of_bus = [
-            line.split()[9]
-            for kind in ("udp", "udp6")
-            for line in Path(f"/proc/net/{kind}").read_text().splitlines()[1:]
-        ]
+        of_bus = [row.split()[9] for k in ("udp", "udp6") for row in lines_of(f"/proc/net/{k}")[1:]]
         assert not {f"socket:[{inode}]" for inode in of_bus} & set(names)
-        assert not [
-            line for line in Path("/proc/locks").read_text().splitlines() if line.split()[-4] == str(follower.pid)
-        ]
+        assert not [line for line in lines_of("/proc/locks") if line.split()[-4] == str(follower.pid)]
         assert session.poll() is None, session.communicate()
         follower.kill()
         follower.communicate(timeout=PATIENCE_S)

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 import pytest
 from conftest import needs_data
-from dry_sessions import Answering, At, SyncOfAnother, Unasked, connected, dry_session, findings, say, swing
+from dry_sessions import Answering, At, SyncOfAnother, Unasked, connected, dry_session, findings, swing
 from faulty_drives import Fault
 from made_up_buses import bus_of, bus_text, robot_of
 
@@ -17,10 +17,7 @@ import acquisition.session.logs as recorder_logs
 import acquisition.simulated.drives as dry_run_module
 from acquisition.bus import Frame, Master
 from acquisition.errors import RobotIdimError
-from acquisition.protocol import (
-    Mode,
-    write_request,
-)
+from acquisition.protocol import Mode, write_request
 from acquisition.robot import axis_of
 from acquisition.session import RecordOptions, Stop, Task, UserInterface, record, stop_on_signals
 from acquisition.simulated import SimulatedDrives, serve
@@ -39,17 +36,6 @@ def test_positions_from_before_start_command_nothing(tmp_path):
     assert control == 0x06  # shutdown, the first step up, not enable operation
     assert abs(target) < 10
     assert np.ptp(session.recording.samples["position"], axis=0) == pytest.approx(0.6, abs=0.01)
-
-
-def test_a_drive_that_is_enabled_already_is_somebody_elses(tmp_path, monkeypatch):
-    say(monkeypatch, lambda node, word: ENABLED)
-    session = dry_session(tmp_path / "a.mcap", TRACK)
-    assert "node 1: operation enabled before the session began" in session.outcome.reason
-    assert not any(node.operational for node in session.drives.nodes)
-    assert session.events("disabled") + session.events("not disabled") == []
-    # It is left as it is: objects were read, and nothing else was sent.
-    assert set(session.sent["can_id"].tolist()) <= {0x601, 0x602}
-    assert set(session.sent["data"][:, 0].tolist()) == {0x40}
 
 
 @pytest.mark.parametrize("task", [TRACK, Task(duration_s=1.0)])
@@ -79,28 +65,21 @@ def test_check_shows_what_the_drive_holds_on_its_scale():
     assert "robot.toml: 65536 counts per turn" in scale.found
 
 
-def test_a_second_axis_is_asked_by_its_own_objects():
+def test_a_second_axis_is_asked_and_set_by_its_own_objects(monkeypatch):
+    """All its objects of CiA 402 are 800h higher: its period 60C2h, its mode 6060h and 6061h too."""
     axis = 'control = "6840"\nstatus = "6841"\nobjects = { "6840" = "U16", "6841" = "U16" }'
-    bus = bus_of(robot_of(bus_text(1, drive=axis)))
+    bus, link, written, read = bus_of(robot_of(bus_text(1, drive=axis))), Answering(), [], []
     assert axis_of(bus.drives[0]) == 0x800
-    link = Answering()
     with pytest.raises(RobotIdimError, match="object 6841:0"):
         Master(link, bus).state(bus.drives[0])
     assert link.sent == [(0x601, bytes.fromhex("4041680000000000"))]
     mixed = bus_of(robot_of(bus_text(1, drive=axis.replace('status = "6841"', 'status = "6041"'))))
     with pytest.raises(RobotIdimError, match="expected those of one axis"):
         axis_of(mixed.drives[0])
-
-
-def test_the_mode_of_a_second_axis_is_set_and_shown_by_its_own_objects(monkeypatch):
-    """Its period 60C2h, 6060h and 6061h are 800h higher, as all objects of CiA 402."""
-    axis = 'control = "6840"\nstatus = "6841"\nobjects = { "6840" = "U16", "6841" = "U16" }'
-    written, read = [], []
     monkeypatch.setattr(Master, "write", lambda self, node, index, sub, *_: written.append((index, sub)))
     monkeypatch.setattr(Master, "read", lambda self, node, index: read.append(index) or 8)
-    Master(Answering(), bus_of(robot_of(bus_text(1, drive=axis)))).choose_mode(Mode.CYCLIC_SYNCHRONOUS_POSITION)
-    assert written == [(0x68C2, 1), (0x68C2, 2), (0x6860, 0)]
-    assert read == [0x6861]
+    Master(link, bus).choose_mode(Mode.CYCLIC_SYNCHRONOUS_POSITION)
+    assert (written, read) == ([(0x68C2, 1), (0x68C2, 2), (0x6860, 0)], [0x6861])
 
 
 def test_sync_of_another_producer_stops_ours(tmp_path):
@@ -212,27 +191,14 @@ def test_what_is_refused_leaves_no_file(tmp_path):
 
 def test_simulated_drives_beat_on_a_bus_that_is_never_quiet(monkeypatch):
     robot = robot_of(bus_text(1))
-    sent = []
 
-    class Busy:
-        def __init__(self):
-            self.frames = [Frame(0, 0x601, write_request(0x1017, 0, 10, 2))]
-            self.time_ns = 0
-
-        def now_ns(self):
-            return self.time_ns
-
-        def send(self, can_id, data):
-            sent.append((can_id, data))
-
+    class Busy(Answering):
         def receive(self, until_ns):
             self.time_ns += 100_000
-            return self.frames.pop() if self.frames else Frame(0, 0x7FF, b"")
-
-        def close(self):
-            pass
+            return super().receive(until_ns) if self.waiting else Frame(0, 0x7FF, b"")
 
     link = Busy()
+    link.waiting = [(0x601, write_request(0x1017, 0, 10, 2))]
     monkeypatch.setattr(dry_run_module, "open_link", lambda *_, **__: link)
-    serve(SimulatedDrives(robot, bus_of(robot)), lambda: link.time_ns >= 300_000_000)
-    assert sent.count((0x701, b"\x7f")) in (29, 30)  # one every 10 ms
+    serve(SimulatedDrives(robot, bus_of(robot)), lambda: link.time_ns >= 1_300_000_000)
+    assert link.sent.count((0x701, b"\x7f")) in (29, 30)  # one every 10 ms

@@ -4,7 +4,6 @@ import itertools
 import multiprocessing
 import signal
 import struct
-import threading
 import time
 from contextlib import closing
 from dataclasses import dataclass
@@ -33,15 +32,13 @@ from session_processes import (
 from third_party_drives import npm, third_party_drive
 
 import acquisition.session.process as process_module
-import acquisition.simulated.node as simulated_supervision
 from acquisition.bus import Master, open_link
 from acquisition.commands import main
 from acquisition.errors import RobotIdimError
 from acquisition.protocol import State, state_of
-from acquisition.recording import Recording, read_recording
+from acquisition.recording import Recording
 from acquisition.session import InlineLog, Task
 from acquisition.session.process import Watchdog, WatchdogPipe, silence_s
-from acquisition.simulated import serve
 
 __all__ = ["folder", "npm", "port"]  # fixtures
 LONGEST_S = 0.3 + 2 * SYNC_S  # from the last SYNC of the session to the quick stop of every drive
@@ -137,7 +134,7 @@ def test_disable_says_first_who_did_not_confirm(folder, capsys):
     assert "cannot be opened" in second
 
 
-def test_a_watchdog_acts_only_when_armed_and_not_ended():
+def test_a_watchdog_acts_only_when_armed_and_not_ended_and_says_so_before(monkeypatch):
     bus = bus_of(robot_of(bus_text(2, channel="nobody_here")))
     for signs, acts in (("e", False), ("a", True), ("aae", False), ("aea", False)):
         here, there = multiprocessing.Pipe()
@@ -152,10 +149,7 @@ def test_a_watchdog_acts_only_when_armed_and_not_ended():
         assert (watchdog.reason is not None) == acts
         kinds = [kind for _, kind, _ in watchdog.events]
         assert kinds == (["fault", "not disabled"] if acts else [])
-
-
-def test_the_session_knows_of_the_second_stop_before_its_first_frame(monkeypatch):
-    bus = bus_of(robot_of(bus_text(2, channel="nobody_here")))
+    # The session knows of the second stop before its first frame.
     here, there = multiprocessing.Pipe()
     life, said = WatchdogPipe(there), []
     monkeypatch.setattr(process_module, "stop_drives", lambda _: said.append(life.stopped()) or [])
@@ -184,19 +178,18 @@ class Beating(InlineLog):
         self.signs.append((self.link.now_ns(), "ended"))
 
 
+@dataclass(kw_only=True)
+class Clocked(Through):
+    def __post_init__(self):
+        Beating.link = self.link
+        Beating.signs.clear()
+
+
 def beating_session(path, faults=()) -> DrySession:
     """Six drives with slow answers."""
-
-    @dataclass(kw_only=True)
-    class Clocked(Through):
-        def __post_init__(self):
-            Beating.link = self.link
-
-    Beating.signs.clear()
     robot, task = robot_of(bus_text(6)), Task(reference=np.zeros((51, 6)))
-    return dry_session(
-        path, task, robot=robot, faults=faults, through=Clocked, simulated=SlowAnswers, log_of=Beating
-    )  # fmt: skip
+    how = {"through": Clocked, "simulated": SlowAnswers, "log_of": Beating}
+    return dry_session(path, task, robot=robot, faults=faults, **how)
 
 
 def test_six_slow_drives_end_without_a_word_of_the_second_stop(tmp_path):
@@ -221,6 +214,8 @@ def test_an_answer_that_does_not_come_is_awaited_with_signs_of_life():
     master.while_awaiting = lambda: times.append(run.now_ns() - began_ns)
     with pytest.raises(RobotIdimError, match=r"no answer in 0.3 s"):
         master.read(1, 0x6041)
+    assert silence_s(master.bus.file) == 0.3  # longer than a few periods
+    assert silence_s(bus_of(robot_of(bus_text(2, period_s=0.2))).file) == pytest.approx(0.6)
     assert times == [k * 50_000_000 for k in range(6)]
     assert run.now_ns() - began_ns == 300_000_000
 
@@ -241,35 +236,6 @@ def test_a_fault_of_slow_drives_is_no_death_either(tmp_path, kind):
     assert len(session.outcome.reports) == (kind == "emergency")
 
 
-@tried_again
-def test_six_slow_drives_over_processes(folder, monkeypatch):
-    monkeypatch.setattr(simulated_supervision, "SYNC_LOST_NS", 3600 * 10**9)  # this machine may be busy
-    channel = bus_at(folder).channel
-    text = slow_bus_text(6, channel=channel)
-    (folder / "six.toml").write_text(text)
-    names = ",".join(f"joint_{k}" for k in range(1, 7))
-    (folder / "rest.csv").write_text(f"time_s,{names}\n0{',0' * 6}\n0.5{',0' * 6}\n")
-    robot, out, over, ready = robot_of(text), folder / "six.mcap", threading.Event(), threading.Event()
-    six = SlowAnswers(robot, bus_of(robot))
-    thread = threading.Thread(target=serve, args=(six, over.is_set, ready.set))
-    thread.start()
-    try:
-        assert ready.wait(20)
-        track = ("--yes", "--track", str(folder / "rest.csv"))
-        session = acquire(folder, "record", str(folder / "six.toml"), "-o", str(out), *track)
-        _, errors = session.communicate(timeout=PATIENCE_S)
-        assert (session.returncode, errors.count("no sign of life")) == (0, 0), errors
-    finally:
-        over.set()
-        thread.join(20)
-    recording = read_recording(out)
-    assert texts(recording, "fault") == []
-    assert texts(recording, "end") == ["finished"]
-    assert not [text for text in texts(recording, "warning") if "another" in text]  # a group gives back what is sent
-    (disabled_ns,) = [e.stamp_ns for e in recording.events if e.kind == "disabled"]
-    assert recording.samples["stamp_ns"][-1] <= disabled_ns  # no second program sent SYNC
-
-
 def test_signs_never_wait_for_a_recorder_that_hangs():
     here, there = multiprocessing.Pipe()
     life = WatchdogPipe(there)
@@ -280,11 +246,6 @@ def test_signs_never_wait_for_a_recorder_that_hangs():
     here.close()
     life.alive()
     life.close()
-
-
-def test_silence_is_longer_than_a_few_periods():
-    assert silence_s(bus_of(robot_of(bus_text(2))).file) == 0.3
-    assert silence_s(bus_of(robot_of(bus_text(2, period_s=0.2))).file) == pytest.approx(0.6)
 
 
 def test_a_third_party_drive_is_stopped(folder, npm):

@@ -16,9 +16,8 @@ from acquisition.simulated import driven_plant
 from identification.model import InverseModel
 
 
-@pytest.mark.parametrize("name", ["tx40", "scara"])
-def test_a_dry_run_moves_the_described_robot_and_tracks(tmp_path, name):
-    place = REPLAY / name / "robot.toml"
+def test_a_dry_run_moves_the_described_robot_and_tracks(tmp_path):
+    place = REPLAY / "tx40" / "robot.toml"
     robot = load_robot(place)
     # 0.6 s out and back by 0.2 rad near the middle of the ranges, with a rest at both ends.
     t_s = np.linspace(0, 1.0, 501)
@@ -33,15 +32,14 @@ def test_a_dry_run_moves_the_described_robot_and_tracks(tmp_path, name):
     assert (outcome.reason, outcome.unconfirmed) == ("finished", ())
     recording = read_recording(tmp_path / "a.mcap")
     # Its copy of the description states the law of the simulated drives; theirs is the described one where there is one.
-    assert recording.robot.controller.structure == ("pid" if name == "tx40" else "pd_velocity_feedforward")
+    assert recording.robot.controller.structure == "pid"
     assert not [e.text for e in recording.events if e.kind == "warning"]
     samples = recording.samples
     stamps = {e.text: e.stamp_ns for e in recording.events}
     track = (samples["stamp_ns"] >= stamps["track"]) & (samples["stamp_ns"] < stamps["stop"])
     error = np.abs(samples["position"] - samples["reference"])[track].max(axis=0)
-    # Of 15 deg allowed. The SCARA's own PD has neither integral nor the other joint's torque; its elbow shows both.
-    assert np.degrees(error).max() < (1.0 if name == "tx40" else 3.0)
-    assert np.degrees(error[:3]).max() < (0.3 if name == "tx40" else 3.0)
+    assert np.degrees(error).max() < 1.0  # of 15 deg allowed
+    assert np.degrees(error[:3]).max() < 0.3
     # The effort is that of the described dynamics along the motion: at rest after it friction and gravity alone.
     still = samples[samples["stamp_ns"] < stamps["track"]][-20:]
     dynamics = InverseModel(robot)
@@ -49,8 +47,7 @@ def test_a_dry_run_moves_the_described_robot_and_tracks(tmp_path, name):
     gravity = (dynamics.regressor(still["position"][-1:], zero, zero) @ described_chi(dynamics))[0]
     friction = [robot.parameters[f"Fc{j + 1}"] + robot.parameters.get("Fcm6", 0.0) for j in range(robot.n)]
     assert (np.abs(still["effort"].mean(axis=0) - gravity) < np.array(friction) + 0.1).all()
-    if name == "tx40":  # the shoulder leans: it carries the arm
-        assert np.abs(gravity[1:3]).max() > 3.0
+    assert np.abs(gravity[1:3]).max() > 3.0  # the shoulder leans: it carries the arm
 
 
 def test_without_parameters_or_dynamics_a_stand_in_with_weight_moves(monkeypatch):
