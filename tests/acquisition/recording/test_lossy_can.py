@@ -6,6 +6,7 @@ from lossy_can import KINDS, Kind, Outcome, described, made, outcome
 from made_up_recordings import header
 
 from acquisition.recording import RecordingFollower, RecordingWriter, decode
+from acquisition.recording.sync_grid import recorded_syncs
 
 LEAST = {Kind(): 1.0, Kind(lost=True): 0.97, Kind(late=True): 0.95, Kind(silent=True): 1.0, Kind(sync="doubled"): 0.95}
 
@@ -25,6 +26,26 @@ def test_pdos_at_unusual_times_prove_no_order(kind, number):
     assert (found.mixed, found.off) == (0, 0)
 
 
+@pytest.mark.parametrize("numbers", [(1, 20, 234), (2, 21, 339)])
+def test_where_a_pdo_changed_places_with_sync_late_ones_prove_nothing(numbers):
+    found = outcome(made(np.random.default_rng(numbers), KINDS[numbers[1]]))
+    assert (found.mixed, found.off) == (0, 0)
+
+
+def test_answers_pending_at_the_end_make_no_late_one_doubtful():
+    """Late from begin to end: no edge is proven but the first and the last."""
+    found = outcome(made(np.random.default_rng([1, 1, 25]), KINDS[1]))
+    assert found.rows >= 0.99 * found.possible
+
+
+@pytest.mark.parametrize("ours", [True, False])
+def test_syncs_that_changed_places_are_in_order_of_time_and_a_clock_that_is_set_back_stays(ours):
+    even = 10**9 + 2_000_000 * np.arange(20)
+    swapped, back = even[[*range(8), 9, 8, *range(10, 20)]], even - 5_000_000 * (np.arange(20) >= 8)
+    assert recorded_syncs(np.arange(20, dtype=np.int32), swapped, ours=ours)[1].tolist() == even.tolist()
+    assert recorded_syncs(np.arange(20, dtype=np.int32), back.copy(), ours=True)[1].tolist() == back.tolist()
+
+
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if kind.late and not kind.sync], ids=str)
 def test_a_follower_gives_hardly_any_other_rows(tmp_path, kind):
     recording = made(np.random.default_rng([3, 2]), kind)
@@ -41,6 +62,8 @@ def test_a_follower_gives_hardly_any_other_rows(tmp_path, kind):
             rows += [] if follower.rows is None else [follower.rows]
     follower.read()
     rows = np.concatenate([*rows, *([] if follower.rows is None else [follower.rows])])
-    both, here, there = np.intersect1d(rows["stamp_ns"], whole["stamp_ns"], return_indices=True)
-    assert len(both) >= max(0.97 * len(rows), 0.9 * len(whole))
+    # Times of another producer's SYNC are smoothed over what is there: they differ by less than half a period.
+    near = np.abs(rows["stamp_ns"][:, None] - whole["stamp_ns"]) < 500_000 * recording.period_ms
+    here, there = np.nonzero(near)
+    assert len(here) >= 0.9 * max(len(rows), len(whole))
     np.testing.assert_array_equal(rows["position"][here], whole["position"][there])
