@@ -14,17 +14,9 @@ from ..arrays import Array, Ints
 from ..errors import Place
 from ..protocol import ObjectEntry, Pdo
 from ..robot import Bus, Drive, Robot
+from .association import associate
 from .rows import SENT, Block, Rows, Traffic, sample_dtype
-from .sync_grid import (
-    Bools,
-    SyncTimes,
-    associate,
-    counted_steps,
-    recorded_syncs,
-    sync_steps,
-    sync_times,
-    without_repeats,
-)
+from .sync_grid import Bools, SyncTimes, counted_steps, recorded_syncs, sync_steps, sync_times, without_repeats
 from .writer import RecordingWriter
 
 MAX_PERIOD_ERROR = 0.05  # of the described SYNC period
