@@ -1,7 +1,8 @@
 """Follows a recording while it is written, from the file alone: new rows, events and counters.
 
 The last seconds of frames are decoded again with each block. Rows are given once, and no earlier than later frames can change
-them: PDOs that are late at the end of a block are awaited, and behind a gap as many SYNCs as `associate` looks ahead.
+them: PDOs that are late at the end of a block are awaited, and behind a gap and where PDOs are late as many SYNCs as
+`associate` looks ahead.
 """
 
 from contextlib import suppress
@@ -75,21 +76,23 @@ class RecordingFollower:
         if self._bus is None or len(sync_ns) < 2:
             return
         try:
-            samples = decode(self._frames, self.robot, self._bus, str(self._path), max_missing=1.0).samples
+            found = decode(self._frames, self.robot, self._bus, str(self._path), max_missing=1.0)
         except BadInputError as error:
             self.problem = error.args[0]
             return
-        stamps, self.problem = samples["stamp_ns"], ""
+        samples, self.problem = found.samples, ""
+        stamps = samples["stamp_ns"]
         same = np.flatnonzero(np.abs(stamps - shown_ns) < half_ns)
         if self._last is not None and len(same):  # wraps of position counters in the dropped frames count on
             off = self._last["position"] - samples["position"][same[0]]
             for name in ("position", "reference"):
                 if name in (samples.dtype.names or ()):
                     samples[name] += off
-        # Later frames may assign those behind a gap to other SYNCs.
-        gap = (np.diff(stamps, prepend=stamps[0]) > 2 * MIN_PAUSE_PERIODS * half_ns) & (stamps > shown_ns + half_ns)
-        gap &= (stamps > sync_ns[max(0, len(sync_ns) - MAX_RUN_SYNCS)]) & (not self.ended)
-        rows = samples[: int(np.argmax(gap))] if gap.any() else samples
+        # Later frames may assign those behind a gap to other SYNCs, and leave out late ones.
+        early = (np.diff(stamps, prepend=stamps[0]) > 2 * MIN_PAUSE_PERIODS * half_ns) | found.late
+        early &= (stamps > shown_ns + half_ns) & (not self.ended)
+        early &= stamps > sync_ns[max(0, len(sync_ns) - MAX_RUN_SYNCS)]
+        rows = samples[: int(np.argmax(early))] if early.any() else samples
         rows = rows[rows["stamp_ns"] > shown_ns + half_ns]
         if len(rows):
             self.rows, self._last = rows, rows[-1]

@@ -19,7 +19,7 @@ SYNCS = 1440
 
 def sequence(text: str) -> Block:
     """Frames out of words: `S` SYNC one period after the one before, `S+2.1` so many periods after it, `S#3` with the
-    counter 3, `1:7` node 1 answers with position and effort 7, `t1:7` the target 7 of node 1.
+    counter 3, `+` a period goes by, `1:7` node 1 answers with position and effort 7, `t1:7` the target 7 of node 1.
     """
     rows, sync_ns, now_ns = [], 1_000_000_000 - PERIOD_NS, 0
     for word in text.split():
@@ -29,7 +29,9 @@ def sequence(text: str) -> Block:
             now_ns = sync_ns
             rows.append(frame(now_ns, 0x80, bytes([int(counter)]) if counter else b""))
             continue
-        now_ns += 1000
+        now_ns += PERIOD_NS if word == "+" else 1000
+        if word == "+":
+            continue
         node, value = (int(part) for part in word.removeprefix("t").split(":"))
         data = struct.pack("<Hi", 15, value) if word[0] == "t" else struct.pack("<Hih", 0x1237, value, value)
         rows.append(frame(now_ns, (0x200 if word[0] == "t" else 0x180) + node, data))
@@ -67,7 +69,7 @@ FIRST, LAST = [[k, k] for k in range(1, 5)], [[k, k] for k in range(7, 10)]
         ("S 1:5 2:5 1:6 2:6 S+2 1:60 2:60", [[5, 5], [6, 6], [60, 60]], 1),
         ("S 1:5 2:5 2:6 S+2 1:6 1:60 2:60", [[5, 5], [6, 6], [60, 60]], 1),
         ("S 2:5 S 1:6 2:6 1:55 2:55 S+2 1:60 2:60", [[60, 60]], 1),
-        ("S 1:5 2:5 1:6 2:6 1:55 2:55 S+3 1:60 2:60", [[5, 5], [6, 6], [55, 55], [60, 60]], 2),
+        ("S 1:5 2:5 + 1:6 2:6 + 1:55 2:55 S+3 1:60 2:60", [[5, 5], [6, 6], [55, 55], [60, 60]], 2),
         # A SYNC not recorded, and answers of both drives late or missing: which ones is not known.
         ("S S+1 1:5 2:5 1:6 2:6 S+2 1:60 2:60", [[60, 60]], 1),
         ("S 1:5 2:5 S+2 1:6 2:6", [[6, 6]], 1),
@@ -93,13 +95,20 @@ FIRST, LAST = [[k, k] for k in range(1, 5)], [[k, k] for k in range(7, 10)]
         # Where drives are late, one that is missing may hide that a late one came in its place: 2:6, in the interval of 2:61.
         (
             "S 1:5 S 1:55 2:5 2:55 S 1:6 S 1:61 2:6 S 1:62 2:62 S 1:63 2:63 S 1:64 2:64",
-            [[5, 5], [55, 55], [62, 62], [63, 63], [64, 64]],
+            [[62, 62], [63, 63], [64, 64]],
             0,
         ),
     ],
 )
 def test_sequences_with_known_answers(between, samples, lost):
     assert told(f"{BEFORE} {between} {AFTER}") == (FIRST + samples + LAST, lost)
+
+
+def test_rows_are_those_of_the_drawing():
+    of_first = [[k] for k in range(17)]
+    of_first[2], of_first[9], of_first[10] = [], [], [9, 10]
+    words = (" ".join(["S", *(f"1:{j}" for j in of_first[k]), f"2:{k}"]) for k in range(17))
+    assert told(" ".join(words))[0] == [[k, k] for k in (0, 1, 4, 5, 6, 7, 8, *range(11, 17))]
 
 
 def test_a_first_answer_that_is_late_belongs_to_the_first_sync():
