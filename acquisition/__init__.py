@@ -23,17 +23,18 @@ from typing import TYPE_CHECKING
 from .lazy import lazy_names
 
 if TYPE_CHECKING:
-    from .errors import AcquisitionError
+    from .errors import BadInputError, BusFaultError, NoAnswerError, RefusedError, RobotIdimError, SdoAbortedError
     from .recording import Recording, read_recording
     from .robot import Robot, load_robot
 
-__all__ = ["AcquisitionError", "Recording", "Robot", "load_robot", "read_recording"]
+_ERRORS = ("BadInputError", "BusFaultError", "NoAnswerError", "RefusedError", "RobotIdimError", "SdoAbortedError")
+__all__ = [*_ERRORS, "Recording", "Robot", "load_robot", "read_recording"]
 
 if not TYPE_CHECKING:  # a type checker would accept any name
     __getattr__, __dir__ = lazy_names(
         __name__,
         {
-            "errors": ("AcquisitionError",),
+            "errors": _ERRORS,
             "recording": ("Recording", "read_recording"),
             "robot": ("Robot", "load_robot"),
         },

@@ -1,11 +1,13 @@
 """Errors: their data, and the one-line message."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final, NoReturn, Self
+from typing import Any, Final, NoReturn
 
 _NO_VALUE: Final = object()
 _MAX_VALUE_LENGTH = 80  # files may contain anything
+_KEYWORDS = {"range": "position", "period": "period_s", "workers": "Work(N)", "allow-untrusted": "allow_untrusted=True"}
 
 
 def one_line(text: str) -> str:
@@ -20,15 +22,26 @@ def listed(names: Sequence[str]) -> str:
 
 
 class RobotIdimError(Exception):
-    """The errors of both packages, in one line: `place: key = value: text: expected ...`, without the parts not given.
+    """Whatever ends a command or a call of both packages in one line::
+
+        RobotIdimError
+          BadInputError    a file, a key, an option or an argument is not what it has to be
+          NoFitError       the recordings do not determine an estimate
+          RefusedError     not done because it is not safe: `what`, `why`
+          BusFaultError    the bus, a drive or the recorder failed
+            NoAnswerError    a `node` did not answer in time
+            SdoAbortedError  a `node` refused an access to an `index`, with the abort `code` of CiA 301
+
+    The message is `place: key = value: text: expected ...`, without the parts not given.
 
     Attributes:
-        place: the file, or a position in it.
+        place: the file, the node, or a position in it.
         key: the wrong key, such as `joint[0].name`.
         value: the value found at `key`; None if it is missing or not given.
         expected: what to write instead.
 
-    Texts not given are empty. `shown` replaces the `repr` of the value in the message, such as a hexadecimal number.
+    Texts not given are empty. `shown` replaces the `repr` of the value in the message, such as a hexadecimal number. As
+    a string it has keyword arguments in place of options, but for commands in backticks; `args[0]` is for the command line.
     """
 
     def __init__(
@@ -50,16 +63,47 @@ class RobotIdimError(Exception):
         parts = (place, key, text, expected and f"expected {expected}")
         super().__init__(one_line(": ".join(part for part in parts if part)))
 
-    @classmethod
-    def of(cls, error: "RobotIdimError", more: str = "") -> Self:
-        """The same error with its data, of this class; its message ends with `more`."""
-        found = cls(f"{error.args[0]}{more}")
-        found.__dict__.update(vars(error))
-        return found
+    def __str__(self) -> str:
+        parts = self.args[0].split("`")
+        for k, part in list(enumerate(parts))[::2]:
+            parts[k] = re.sub("--([a-z][a-z-]*)", lambda x: _KEYWORDS.get(x[1], x[1].replace("-", "_")), part)
+        return "`".join(parts)
 
 
-class AcquisitionError(RobotIdimError):
-    """Bad input or a failed session."""
+class BadInputError(RobotIdimError):
+    """A file, a key, an option or an argument is not what it has to be."""
+
+
+class NoFitError(RobotIdimError):
+    """The recordings do not determine an estimate, or no reference determines one within the limits."""
+
+
+class RefusedError(RobotIdimError):
+    """What is not done because it is not safe: `what` (`motion`, `sending`), and `why`."""
+
+    def __init__(self, why: str, *, what: str, **data: Any) -> None:
+        super().__init__(why, **data)
+        self.what, self.why = what, why
+
+
+class BusFaultError(RobotIdimError):
+    """The bus, a drive or the recorder failed."""
+
+
+class NoAnswerError(BusFaultError):
+    """A `node` did not answer a request in time, or not what was asked."""
+
+    def __init__(self, text: str, *, node: int, **data: Any) -> None:
+        super().__init__(text, **data)
+        self.node = node
+
+
+class SdoAbortedError(BusFaultError):
+    """A `node` refused an access to an `index` with the abort `code` of CiA 301; `meaning` in words."""
+
+    def __init__(self, meaning: str, *, node: int, index: int, code: int, **data: Any) -> None:
+        super().__init__(f"refused by the drive: {meaning} (0x{code:08X})", **data)
+        self.node, self.index, self.code, self.meaning = node, index, code, meaning
 
 
 @dataclass(frozen=True)
@@ -79,6 +123,6 @@ class Place:
     def refuse(
         self, key: str = "", value: Any = _NO_VALUE, expected: str = "", *, text: str = "", shown: str = ""
     ) -> NoReturn:
-        """Raise an `AcquisitionError` for a key of this place."""
+        """Raise a `BadInputError` for a key of this place."""
         key = f"{self.table}.{key}".strip(".")
-        raise AcquisitionError(text, place=self.name, key=key, value=value, shown=shown, expected=expected)
+        raise BadInputError(text, place=self.name, key=key, value=value, shown=shown, expected=expected)

@@ -39,15 +39,17 @@ if TYPE_CHECKING:
     from .notebook import *
 
 __all__ = [
+    "BadInputError",
     "DoNotUseWarning",
     "ExcitationSettings",
     "Fit",
-    "IdentificationError",
     "Iteration",
+    "NoFitError",
     "Noise",
     "Overrides",
     "RecordingFile",
     "Recordings",
+    "RobotIdimError",
     "Signals",
     "StoredFit",
     "Study",
@@ -65,7 +67,7 @@ __all__ = [
     "validate",
 ]
 
-_ERRORS = ("DoNotUseWarning", "IdentificationError")
+_ERRORS = ("BadInputError", "DoNotUseWarning", "NoFitError", "RobotIdimError")
 
 if not TYPE_CHECKING:  # a type checker would accept any name
     __getattr__, __dir__ = lazy_names(

@@ -57,7 +57,7 @@ class AnyFit:
     def compare(self, other: "AnyFit") -> tuple[Difference, ...]:
         """The differences of the parameters from those of another fit: `name`, `off`, `off_percent`, `off_sigma`.
 
-        Warns where the link frames differ. Raises `IdentificationError`: nothing in common, or other units.
+        Warns where the link frames differ. Raises `BadInputError`: nothing in common, or other units.
         """
         for line in report.frame_lines(self.file, other.file, ("this fit", "the other")):
             warnings.warn(line, stacklevel=2)
@@ -67,7 +67,7 @@ class AnyFit:
     def export(self, *, urdf: Out = None, mjcf: Out = None, toml: Out = None, allow_untrusted: bool = False) -> str:
         """Write the fit as a URDF, a MuJoCo model and a robot.toml; those of `consistent` if it was called.
 
-        Returns what each format cannot represent, as Markdown. Raises `IdentificationError`: the verdict is `do not use` and
+        Returns what each format cannot represent, as Markdown. Raises `BadInputError`: the verdict is `do not use` and
         not `allow_untrusted`; a fit in A or V; impossible parameters.
         """
         outputs = (("urdf", urdf), ("mjcf", mjcf), ("toml", toml))
@@ -82,18 +82,20 @@ class StoredFit(AnyFit):
         self.file, self.place = report.read_fit(path), str(path)
 
     def _repr_html_(self) -> str:
+        from .view import deviation_charts, notebook_figure
+
         best = sorted(self.parameters, key=lambda p: p.half / (abs(p.value) or 1.0))[:10]
         rows = [(p.name, p.unit, Number(p.value, report.value_form(p.spread)), Number(p.half, ".2g")) for p in best]
         table = report.Table(columns=report.columns("name", "unit", numbers=("value", "±95%")), rows=tuple(rows))
         doubts = tuple(line.text for line in self.file.trust or () if line.level in ("do not use", "caution"))
         moving, held = self.file.moving_relative_error_percent, self.file.held_out_error_percent or None
-        errors = (("torque error of moving rows", moving), ("held out", held))
-        shown = report.Section(title=f"the {len(rows)} best known `parameters`", warnings=doubts, table=table)
-        return report.to_html(
-            report.Document(
-                title=f"{self.place}: {self.file.summary}",
-                badge=self.verdict or "",
-                figures=tuple((what, f"{value:.2g} %") for what, value in errors if value is not None),
-                sections=(shown,),
-            )
+        percents = {p.name: 100 * p.half / abs(p.value) for p in self.parameters if p.essential}
+        shown = report.Section(title=f"the {len(rows)} best known parameters", warnings=doubts, table=table)
+        document = report.Document(
+            title=f"{self.place}: {self.file.summary}",
+            badge=self.verdict or "",
+            figures=methods.main_figures(moving, held, {}, percents),
+            sections=(shown,),
         )
+        (chart,) = deviation_charts(report.ParameterSet(label=self.place, parameters={p.name: p for p in best}), ())
+        return report.to_html(document) + notebook_figure(chart)

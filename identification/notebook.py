@@ -24,8 +24,10 @@ from .data import signals_from_arrays
 from .design import Excitation
 from .design import ExcitationSettings as ExcitationSettings
 from .design import select_friction as select_friction
+from .errors import BadInputError as BadInputError
 from .errors import DoNotUseWarning as DoNotUseWarning
-from .errors import IdentificationError as IdentificationError
+from .errors import NoFitError as NoFitError
+from .errors import RobotIdimError as RobotIdimError
 from .fits import AnyFit, File
 from .fits import StoredFit as StoredFit
 from .methods import Iteration as Iteration
@@ -62,7 +64,7 @@ class Fit(AnyFit, methods.Fit):
 
             write_html(path, join_pictures([draw_fit(one.problem.signals, self.on(one)) for one in self.recordings]))
         else:
-            raise IdentificationError(place=str(path), key="ending", value=path.suffix, expected=".md or .html")
+            raise BadInputError(place=str(path), key="ending", value=path.suffix, expected=".md or .html")
 
     def write_rrd(self, path: File) -> None:
         """Write trajectories and fit as a Rerun file; of several recordings one file each, numbered from 1."""
@@ -77,13 +79,17 @@ class Fit(AnyFit, methods.Fit):
         """The fit with the nearest physically possible parameters of all links, in `consistent_set`.
 
         `prior`: a robot.toml or a URDF with a-priori link parameters; default: the description of the fit.
-        Raises `IdentificationError`: a drive gain is not known, the prior is of another robot, or there are no such parameters.
+        Raises `BadInputError`: a drive gain is not known, the prior is of another robot, or there are no such parameters.
         """
         found = None if prior is None else methods.read_prior(Path(prior), self.problem.signals.robot)
         return Fit(**vars(methods.with_consistent(self, found)))
 
     def _repr_html_(self) -> str:
-        return report.to_html(methods.fit_document(self.problem.signals, self).short)
+        from .view import draw_fit, notebook_figure
+
+        one, document = self.recordings[0], methods.fit_document(self.problem.signals, self).short
+        torque = draw_fit(one.problem.signals, self.on(one)).first
+        return report.to_html(document, figures=notebook_figure(torque) if torque else "")
 
 
 def _of_user(found: methods.Fit) -> Fit:
@@ -106,7 +112,7 @@ identify_ls, identify_iv = _for_users(methods.identify_ls), _for_users(methods.i
 
 
 def read_fit(path: File) -> StoredFit:
-    """The fit of a JSON file, or known values. Raises `IdentificationError`: it cannot be read, or is no fit of this format."""
+    """The fit of a JSON file, or known values. Raises `BadInputError`: it cannot be read, or is no fit of this format."""
     return StoredFit(path)
 
 
@@ -123,7 +129,7 @@ def read_robot(
 
     `joints`: those to identify, from the base outwards (default: the longest serial chain); `bandwidth_hz` of the position
     loops, which fits need; `position` (±), `speed`, `acceleration`: limits in rad or m, for all joints or by joint.
-    Raises `IdentificationError` or `AcquisitionError`: no such file, or a value beside a robot.toml, which has a key for it.
+    Raises `BadInputError`: no such file, or a value beside a robot.toml, which has a key for it.
     """
     limits = {"--bandwidth-hz": bandwidth_hz, "--range": position, "--speed": speed, "--acceleration": acceleration}
     given = {option: tuple(np.atleast_1d(value).tolist()) for option, value in limits.items() if value is not None}
@@ -187,18 +193,17 @@ def fit(
 
     Raises
     ------
-    IdentificationError : arrays that do not fit together, a setting out of range, or too little motion.
-    AcquisitionError : the description cannot be read, or a velocity has a wrong unit or sign.
+    BadInputError : arrays that do not fit together, a setting out of range, a description that cannot be read, or a velocity
+        in a wrong unit or of a wrong sign.
+    NoFitError : too little motion.
     """
     if method not in (None, "iv", "wls", "ols"):
-        raise IdentificationError(key="method", value=method, expected="'iv', 'wls' or 'ols'")
+        raise BadInputError(key="method", value=method, expected="'iv', 'wls' or 'ols'")
     for key, value in (("cutoff_hz", cutoff_hz), ("decimation", decimation), ("low_speed_percent", low_speed_percent)):
         if value is not None and not 0 <= value < float("inf"):
-            raise IdentificationError(key=key, value=value, expected="a number from 0")
+            raise BadInputError(key=key, value=value, expected="a number from 0")
     if isinstance(robot, Robot) and bandwidth_hz is not None:
-        raise IdentificationError(
-            "has no effect", key="bandwidth_hz", value=bandwidth_hz, expected="a URDF's path with it"
-        )
+        raise BadInputError("has no effect", key="bandwidth_hz", value=bandwidth_hz, expected="a URDF's path with it")
     described = robot if isinstance(robot, Robot) else read_robot(robot, bandwidth_hz=bandwidth_hz)
     first = q[0] if isinstance(q, list | tuple) and q else ()
     several = isinstance(payload, list | tuple) or np.asarray(first, dtype=object).ndim == 2
@@ -209,7 +214,7 @@ def fit(
     for name, x in given.items():
         given[name] = x if several and isinstance(x, list | tuple | np.ndarray) else [x] * count
         if len(given[name]) != count:
-            raise IdentificationError(key=f"len({name})", value=len(x), expected=f"{count}, one for each of q")
+            raise BadInputError(key=f"len({name})", value=len(x), expected=f"{count}, one for each of q")
     for k in range(count):
         one = {name: x[k] for name, x in given.items()}
         text, signals = one.pop("payload"), signals_from_arrays(robot=described, **one)
@@ -232,7 +237,7 @@ fit.__annotations__ = {"return": Fit}  # `help` would write out numpy's ArrayLik
 def validate(fit: AnyFit, recording: Signals | File, overrides: Overrides | None = None) -> ValidationFile:
     """Torque errors of a fit on another recording of the robot: `relative_error_percent` of all rows, `joints`, `warnings`.
 
-    `overrides` replace the settings of the fit. Raises `IdentificationError`: the recording is of another robot.
+    `overrides` replace the settings of the fit. Raises `BadInputError`: the recording is of another robot.
     """
     signals, path = (
         (recording, Path()) if isinstance(recording, Signals) else (load_signals(recording), Path(recording))
@@ -257,7 +262,7 @@ def design_reference(
 
     `fit`: JSON file with parameters and noise (default: `[parameters]`); `noise`: deviation of the torque per row of the fit,
     N m or N, one or by joint; `after`: recordings whose information is added; `payload`: `KG@X,Y,Z`, m, of a second run of the
-    reference, to identify drive gains. Raises `IdentificationError`: a limit is missing, or no reference is found.
+    reference, to identify drive gains. Raises `BadInputError`: a limit is missing, or no reference is found.
     """
     described = _robot(robot)
     place, folder = (robot.name, None) if isinstance(robot, Robot) else (str(robot), Path(robot).parent)
@@ -277,7 +282,7 @@ def simulate_recording(
 ) -> Signals:
     """Write and read a recording of the robot simulated with its `[parameters]`; `settings`: length, rate, seed, noise.
 
-    `payload`: `KG@X,Y,Z`, m. Raises `IdentificationError`: a value or a limit is missing. `AcquisitionError`: `out` exists.
+    `payload`: `KG@X,Y,Z`, m. Raises `BadInputError`: a value or a limit is missing, or `out` exists.
     """
     described = _robot(robot)
     refuse_clash((), Path(out))
@@ -289,6 +294,6 @@ def simulate_recording(
 def run_study(robot: File | Robot, settings: Study | None = None, work: Work | None = None) -> list[Run]:
     """Fits of simulated recordings of the robot of `[parameters]`, by least squares and by instrumental variables.
 
-    `work`: where they run, as `Work(4)`. Raises `IdentificationError`: a value or a limit is missing.
+    `work`: where they run, as `Work(4)`. Raises `BadInputError`: a value or a limit is missing.
     """
     return list(study.run_study(_robot(robot), settings or Study(), work or Work()))

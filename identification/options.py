@@ -3,7 +3,9 @@
 Rooms use these records, commands make options from them (`acquisition.options`). No heavy imports.
 """
 
+from argparse import ArgumentTypeError
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -17,39 +19,38 @@ Span = Literal["motion", "all"]
 
 
 def _value(
-    name: str, read: Callable[[str], Any], accepts: Callable[[Any], bool] = lambda x: True
+    expected: str, read: Callable[[str], Any], accepts: Callable[[Any], bool] = lambda x: True
 ) -> Callable[[str], Any]:
-    """A function that reads a value, `ValueError` if it is not accepted; argparse shows `name` in its error."""
+    """A function that reads a value; argparse shows what was `expected` where it is not accepted."""
 
     def value(text: str) -> Any:
-        found = read(text)
-        if not accepts(found):
-            raise ValueError(text)
-        return found
+        with suppress(ValueError, ArgumentTypeError):
+            if accepts(found := read(text)):
+                return found
+        raise ArgumentTypeError(f"{text!r}: expected {expected}")
 
-    value.__name__ = name
     return value
 
 
-def _values(name: str, read: Callable[[str], Any]) -> Callable[[str], Any]:
+def _values(read: Callable[[str], Any]) -> Callable[[str], Any]:
     """A function that reads values separated by commas."""
-    return _value(name, lambda text: tuple(read(part.strip()) for part in text.split(",")))
+    return lambda text: tuple(read(part.strip()) for part in text.split(","))
 
 
-finite = _value("finite", float, lambda x: -INF < x < INF)
-above_zero = _value("above_zero", float, lambda x: 0 < x < INF)
-not_negative = _value("not_negative", lambda text: float(text) + 0.0, lambda x: 0 <= x < INF)  # -0 is 0
-percent = _value("percent", float, lambda x: 0 < x <= 100)
-whole = _value("whole", int, lambda x: x >= 0)
-positive = _value("positive", int, lambda x: x >= 1)
-workers = _value("workers", lambda text: text if "://" in text else positive(text))
-at_least_two = _value("at_least_two", int, lambda x: x >= 2)
-cutoff = _value("cutoff", lambda text: 0.0 if text == "none" else above_zero(text))
-seconds_or_none = _value("seconds_or_none", lambda text: text if text == "none" else finite(text))
-list_of_factors = _values("factors", above_zero)
-list_of_values = _values("values", above_zero)
-list_of_ratios = _values("ratios", _value("ratio", float, lambda x: 0 < abs(x) < INF))
-list_of_names = _values("names", _value("name", str, bool))
+finite = _value("a number", float, lambda x: -INF < x < INF)
+above_zero = _value("a number above 0", float, lambda x: 0 < x < INF)
+rate = _value("a rate in Hz from 1; 0.008 s is 125 Hz", float, lambda x: 1 <= x < INF)
+not_negative = _value("a number from 0", lambda text: float(text) + 0.0, lambda x: 0 <= x < INF)  # -0 is 0
+percent = _value("a percentage above 0, at most 100", float, lambda x: 0 < x <= 100)
+whole = _value("a whole number from 0", int, lambda x: x >= 0)
+positive = _value("a whole number from 1", int, lambda x: x >= 1)
+workers = _value("a whole number from 1, or tcp://HOST:PORT", lambda text: text if "://" in text else positive(text))
+at_least_two = _value("a whole number from 2", int, lambda x: x >= 2)
+cutoff = _value("a number above 0, or none", lambda text: 0.0 if text == "none" else above_zero(text))
+seconds_or_none = _value("a number, or none", lambda text: text if text == "none" else finite(text))
+list_of_values = _values(above_zero)
+list_of_ratios = _values(_value("a number that is not 0", float, lambda x: 0 < abs(x) < INF))
+list_of_names = _values(_value("a name", str, bool))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,7 +125,7 @@ class StudyOptions:
 
     runs: Annotated[int, option("number of runs", "N", positive)] = 20
     duration_s: Annotated[float, option("length in s", "S", above_zero)] = 10.0
-    sample_rate_hz: Annotated[float, option("sample rate in Hz", "F", above_zero, "--rate-hz")] = 1000.0
+    sample_rate_hz: Annotated[float, option("sample rate in Hz", "F", rate, "--rate-hz")] = 1000.0
     seed: Annotated[int, option("seed of the random reference and noise", "K", whole)] = 0
 
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from acquisition.errors import AcquisitionError
+from acquisition.errors import RobotIdimError
 from acquisition.recording import (
     EXTENDED,
     FRAME,
@@ -90,7 +90,7 @@ def attempt(path: Path) -> Recording | str:
     """What the file holds, or the one line that says why not."""
     try:
         return read_recording(path)
-    except AcquisitionError as error:
+    except RobotIdimError as error:
         text = str(error)
     assert "\n" not in text
     assert text.startswith(str(path))

@@ -1,4 +1,9 @@
-"""URDFs made up for tests: a chain with a hand, written by hand, with something of everything a URDF may have."""
+"""URDFs made up for tests, and those of the package example-robot-data."""
+
+import importlib.metadata
+from pathlib import Path
+
+import pytest
 
 from acquisition.robot import Robot, robot_from_files
 
@@ -21,6 +26,7 @@ def joint(name, kind, parent, child, rest="", axis="0 0 1", origin="0.2 0 0.1"):
 
 LIMIT = '<limit lower="-2" upper="1.5" velocity="3" effort="40"/>'
 
+# A chain with a hand, with something of everything a URDF may have.
 # base - turn - lift - slide - tool, fixed, with a gripper: the thumb mimics the finger. The sensor has no mass.
 PARTS = {
     "base": link("base"),
@@ -89,3 +95,56 @@ def six_joints(factors=(1.0, 1.0, 1.0, 1.0, 1.0, 1.0)):
             '<limit lower="-3" upper="3" velocity="3" effort="150"/></joint>\n'
         )
     return "".join(parts) + "</robot>\n"
+
+
+TWO_TURNING = """<robot name="two">
+  <link name="base"/><link name="l1"/><link name="l2"/><link name="finger"/>
+  <joint name="j1" type="continuous"><parent link="base"/><child link="l1"/><axis xyz="0 0 1"/>
+    <origin xyz="0.3 0 0"/></joint>
+  <joint name="j2" type="revolute"><parent link="l1"/><child link="l2"/><axis xyz="0 0 1"/>
+    <origin xyz="0.3 0 0" rpy="1.5707963267948966 0 0"/>
+    <limit lower="-2" upper="2" effort="1" velocity="1"/></joint>
+  <joint name="grip" type="prismatic"><parent link="l2"/><child link="finger"/><axis xyz="1 0 0"/>
+    <limit lower="0" upper="0.1" effort="1" velocity="1"/></joint>
+</robot>"""
+TURN_AND_SLIDE = """<robot name="arm"><link name="base"/><link name="upper"/><link name="slide"/>
+<joint name="elbow" type="revolute"><parent link="base"/><child link="upper"/><axis xyz="0 0 1"/>
+<limit lower="-1" upper="1" velocity="1" effort="{effort}"/></joint>
+<joint name="rail" type="prismatic"><parent link="upper"/><child link="slide"/><axis xyz="1 0 0"/>
+<limit lower="-1" upper="1" velocity="1" effort="40"/></joint>
+<transmission name="t"><joint name="elbow"/></transmission></robot>"""
+TURN_AND_SLIDE_TOML = """
+name = "arm"
+urdf = "arm.urdf"
+[[joint]]
+name = "elbow"
+type = "revolute"
+{elbow}
+[[joint]]
+name = "rail"
+type = "prismatic"
+{rail}
+[[motor]]
+name = "m1"
+ratio = 50
+drive_gain = 2.0
+drive_gain_unit = "N m/A"
+saturation = 0.3
+[[motor]]
+name = "m2"
+effort_unit = "N"
+[controller]
+bandwidth_hz = 5
+"""
+
+
+def packaged_urdf(name: str) -> Path:
+    """A file of the package example-robot-data."""
+    try:
+        files = importlib.metadata.files("example-robot-data") or []
+    except importlib.metadata.PackageNotFoundError:
+        pytest.skip(
+            "example-robot-data is not installed: pip install -e '.[test]' installs it", allow_module_level=True
+        )
+    (path,) = (Path(str(file.locate())) for file in files if file.name == name)
+    return path

@@ -15,6 +15,7 @@ from .before_motion import (
 from .frames import SUFFIXES, Frame, Tap, block_of, command_ids, read_log, service_of
 from .links import QUEUE_BYTES, SHARED, Link, MasterLink, kernel_drops, open_bus, open_link, queue_bytes, socket_of
 from .master import OPERATIONAL, Master, Orders, send_orders
+from .passive import listening_words
 from .receiving import Receiver, WallClock, describe_step
 from .stopping import leave_operational, not_disabled, safe_stop, stop_drives
 from .supervision import (

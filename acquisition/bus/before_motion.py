@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from ..arrays import Array
-from ..errors import AcquisitionError
+from ..errors import NoAnswerError, RefusedError, SdoAbortedError
 from ..protocol import ANSWER, DISABLED, State, error_words
 from ..recording import ERROR
 from ..robot import Bus, Drive, DriveFile, Robot, axis_of, parse_homed
@@ -18,7 +18,7 @@ from .master import Master
 LISTEN_S = 0.5
 
 
-def listen_for_others(master: Master) -> AcquisitionError | None:
+def listen_for_others(master: Master) -> RefusedError | None:
     """Listen for half a second; the error for another master, else for a device that is not described. Nothing is sent."""
     device, until_ns = None, master.link.now_ns() + round(LISTEN_S * 1e9)
     while master.link.now_ns() < until_ns:
@@ -30,24 +30,24 @@ def listen_for_others(master: Master) -> AcquisitionError | None:
         sign, node = sign_of_master(frame, master.bus), other_node(frame, master.bus)
         if sign is not None:
             expected = "none; `robot-acquire record --passive` records without sending. Nothing was sent"
-            return AcquisitionError(f"{sign}: another master is active", place="bus", expected=expected)
+            return RefusedError(f"{sign}: another master is active", what="sending", place="bus", expected=expected)
         if node is not None:
             text = f"heartbeat of node {node}: a device that robot.toml does not describe, or a wrong node id"
             expected = f"it in other_nodes = [{node}] of [bus], unless it is a master. Nothing was sent"
             known = master.bus.file.other_nodes
-            device = AcquisitionError(text, place="bus", key="other_nodes", value=known, expected=expected)
+            device = RefusedError(text, what="sending", place="bus", key="other_nodes", value=known, expected=expected)
     return device
 
 
 def refuse_enabled(master: Master) -> list[int]:
-    """Nodes in fault, found by reading only. Raises `AcquisitionError`: a drive is enabled, or two are one node."""
+    """Nodes in fault, found by reading only. Raises `RefusedError`: a drive is enabled, or two are one node."""
     in_fault = []
     for drive in master.bus.drives:
         state = master.state(drive)
         if state not in DISABLED:
             problem = f"{state.words} before the session began, but no other master was heard"
             expected = "switch on disabled; `robot-acquire disable` with this robot.toml disables it"
-            raise AcquisitionError(problem, place=f"node {drive.node}", expected=expected)
+            raise RefusedError(problem, what="the session", place=f"node {drive.node}", expected=expected)
         if state is State.FAULT:
             in_fault.append(drive.node)
     master.wait(master.link.now_ns() + 30_000_000)  # for a second device's answer to the last request
@@ -61,7 +61,7 @@ Confirm = Callable[[list[str], list[str]], bool]
 
 
 def joint_positions(robot: Robot, master: Master) -> Array:
-    """Joint positions (n,) in rad or m, read by SDO. Raises `AcquisitionError` where a drive does not answer."""
+    """Joint positions (n,) in rad or m, read by SDO. Raises `RefusedError` where a drive does not answer."""
     counts = []
     for drive in master.bus.drives:
         raw = master.read(drive.node, drive.position.index, drive.position.sub)
@@ -97,12 +97,12 @@ def confirm_motion(robot: Robot, master: Master, confirm: Confirm, *, reset_faul
     """Refuse drives that are not homed, then ask the operator about the measured joint positions and drives in fault.
 
     With `reset_faults` drives in fault are reset without asking. Returns the confirmed texts, one for each joint and drive in
-    fault: `joint_1 = 12.34 deg`. Raises `AcquisitionError`: not homed, no answer, or not confirmed.
+    fault: `joint_1 = 12.34 deg`. Raises `RefusedError`: not homed, no answer, or not confirmed.
     """
     for drive, file in zip(master.bus.drives, master.bus.file.drive, strict=True):
         if is_homed(master, drive, file) is False:
             where, expected = f"node {drive.node} ({drive.name})", "a homed drive before motion"
-            raise AcquisitionError("not set", place=where, key="homed", value=file.homed, expected=expected)
+            raise RefusedError("not set", what="motion", place=where, key="homed", value=file.homed, expected=expected)
     words = position_words(robot, joint_positions(robot, master))
     in_fault = [drive for drive in master.bus.drives if master.state(drive) is State.FAULT]
     faults = [f"in fault: {error_report(master, drive) or f'node {drive.node} ({drive.name})'}" for drive in in_fault]
@@ -110,8 +110,8 @@ def confirm_motion(robot: Robot, master: Master, confirm: Confirm, *, reset_faul
         return words + faults
     if faults and not reset_faults:
         expected = "yes to their reset, or --reset-faults. Nothing was moved"
-        raise AcquisitionError(f"not confirmed: {'; '.join(faults)}", place="drives", expected=expected)
-    raise AcquisitionError(f"joint angles not confirmed ({', '.join(words)}): nothing was moved")
+        raise RefusedError(f"not confirmed: {'; '.join(faults)}", what="motion", place="drives", expected=expected)
+    raise RefusedError(f"joint angles not confirmed ({', '.join(words)}): nothing was moved", what="motion")
 
 
 def error_report(master: Master, drive: Drive) -> str:
@@ -124,7 +124,7 @@ def error_report(master: Master, drive: Drive) -> str:
     ):
         try:
             value = master.read(drive.node, index, sub)
-        except AcquisitionError:
+        except (NoAnswerError, SdoAbortedError):
             continue  # many drives lack one of them
         values.append(f"{name} = " + (f"0x{value:02X}" if index == ERROR_REGISTER else error_words(value & 0xFFFF)))
     return f"node {drive.node} ({drive.name}): {', '.join(values)}" if values else ""

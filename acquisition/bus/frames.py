@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..errors import AcquisitionError
+from ..errors import BadInputError
 from ..protocol import ANSWER, EMERGENCY, HEARTBEAT, REQUEST, usual_can_id
-from ..recording import ERROR, EXTENDED, FRAME, MAX_STAMP_NS, REMOTE_REQUEST, SENT, Block
+from ..recording import CAN_FD, ERROR, EXTENDED, FRAME, MAX_STAMP_NS, REMOTE_REQUEST, SENT, Block
 from ..robot import Bus
 
 
@@ -45,6 +45,7 @@ def frame_of(message: Any) -> Frame:
         | (ERROR if message.is_error_frame else 0)
         | (REMOTE_REQUEST if message.is_remote_frame else 0)
         | (0 if message.is_rx else SENT)
+        | (CAN_FD if message.is_fd else 0)
     )
     return Frame(round(message.timestamp * 1e9), message.arbitration_id, bytes(message.data)[:8], flags)
 
@@ -133,14 +134,14 @@ def read_log(path: Path) -> Iterator[tuple[str | None, Frame | None]]:
     """Yield interface and frame from a log: candump (.log), Vector ASC or BLF, PCAN TRC, by the suffix.
 
     The interface is None for error frames of a candump log, where python-can does not give it. The frame is None for CAN FD,
-    which CANopen does not use. Raises `AcquisitionError` with file and frame (from 1): the log cannot be read or is damaged, a
+    which CANopen does not use. Raises `BadInputError` with file and frame (from 1): the log cannot be read or is damaged, a
     time does not fit into a recording, or a frame has more than 8 bytes.
     """
     import can
 
     if path.suffix.lower() not in SUFFIXES:
         expected = ".log (candump), .asc, .blf or .trc"
-        raise AcquisitionError(f"suffix {path.suffix!r}", place=str(path), expected=expected)
+        raise BadInputError(f"suffix {path.suffix!r}", place=str(path), expected=expected)
     count, max_time_s, warnings = 0, MAX_STAMP_NS * 1e-9, _FirstWarning()
     logger = logging.getLogger("can.io.trc")
     logger.addHandler(warnings)
@@ -152,7 +153,7 @@ def read_log(path: Path) -> Iterator[tuple[str | None, Frame | None]]:
                 count += 1
                 if not 0 <= message.timestamp <= max_time_s:  # nor is NaN
                     problem = f"time {message.timestamp:.10g} s"
-                    raise AcquisitionError(problem, place=f"{path}: frame {count}", expected=f"0 to {max_time_s:.10g}")
+                    raise BadInputError(problem, place=f"{path}: frame {count}", expected=f"0 to {max_time_s:.10g}")
                 interface = None if message.channel is None else str(message.channel)
                 if getattr(message, "is_fd", False):
                     yield interface, None
@@ -161,17 +162,17 @@ def read_log(path: Path) -> Iterator[tuple[str | None, Frame | None]]:
                     where = f"{path}: frame {count} (0x{message.arbitration_id:03X})"
                     problem = f"{len(message.data)} bytes"
                     expected = f"{MAX_PAYLOAD} at most, as of classic CAN"
-                    raise AcquisitionError(problem, place=where, expected=expected)
+                    raise BadInputError(problem, place=where, expected=expected)
                 yield interface, frame_of(message)
         if warnings.first is not None:
-            raise AcquisitionError(f"damaged: {warnings.first[:200]}", place=str(path))
-    except AcquisitionError:
+            raise BadInputError(f"damaged: {warnings.first[:200]}", place=str(path))
+    except BadInputError:
         raise
     except OSError as error:
-        raise AcquisitionError(f"cannot be read: {error.strerror or error}", place=str(path)) from error
+        raise BadInputError(f"cannot be read: {error.strerror or error}", place=str(path)) from error
     except Exception as error:  # on damaged files the readers raise errors of any kind
         problem = str(error) or type(error).__name__
-        raise AcquisitionError(f"damaged after {count} frames: {problem[:200]}", place=str(path)) from error
+        raise BadInputError(f"damaged after {count} frames: {problem[:200]}", place=str(path)) from error
     finally:
         logger.removeHandler(warnings)
 
@@ -182,4 +183,4 @@ def _refuse_version(path: Path) -> None:
     version = found[1].decode(errors="replace") if found else "1.0"
     if version not in _TRC_VERSIONS:
         expected = f"one of {', '.join(_TRC_VERSIONS)}"
-        raise AcquisitionError(f"version {version} of PCAN's format", place=str(path), expected=expected)
+        raise BadInputError(f"version {version} of PCAN's format", place=str(path), expected=expected)

@@ -11,10 +11,11 @@ from collections import deque
 from contextlib import suppress
 from typing import Any, Protocol
 
-from ..errors import AcquisitionError
+from ..errors import BusFaultError, RefusedError
 from ..recording import SENT
 from ..robot import BusFile
 from .frames import Frame, Tap, frame_of
+from .passive import LISTEN_ONLY, refuse_unconfirmed
 
 QUEUE_BYTES = 4 * 2**20  # of the kernel's receive queue; the default of 212992 holds 31 ms of a full bus
 
@@ -73,8 +74,10 @@ logging.getLogger("can").addHandler(logging.NullHandler())
 
 
 def refuse_to_send(*_: object, **__: object) -> None:
-    """Raise `AcquisitionError`: replaces the sending functions of a passive bus."""
-    raise AcquisitionError("passive: nothing is ever sent", place="bus", expected="an active session for that")
+    """Raise `RefusedError`: replaces the sending functions of a passive bus."""
+    raise RefusedError(
+        "passive: nothing is ever sent", what="sending", place="bus", expected="an active session for that"
+    )
 
 
 def is_group(bus: Any) -> bool:
@@ -91,32 +94,37 @@ def is_no_frame(bus: Any, error: Exception) -> bool:
 
 
 def open_bus(file: BusFile, *, passive: bool) -> Any:
-    """The python-can bus of a description. A `passive` bus cannot send, and an slcan adapter does not even acknowledge."""
+    """The python-can bus of a description. A `passive` bus cannot send, and an adapter of `LISTEN_ONLY` only listens."""
     import can
 
+    place = f"bus: {file.interface} {file.channel}"
     options: dict[str, Any] = {"interface": file.interface, "channel": file.channel, "ignore_config": True}
     if file.interface == "udp_multicast":
         # A hop limit of 0 keeps every frame on this machine.
         options |= {"hop_limit": 0 if file.loopback else 1, "fd": False}
         group, _, port = file.channel.partition(":")
         options |= {"channel": group} | ({"port": int(port)} if port.isdigit() else {})
+    elif file.interface == "socketcan":
+        options["fd"] = True  # frames of CAN FD are received too, to be counted
     elif file.interface not in SHARED:
         options["bitrate"] = file.bitrate
-    if passive and file.interface == "slcan":
-        options["listen_only"] = True
+        if file.interface == "gs_usb" and file.channel.isdigit():
+            options["channel"] = int(file.channel)  # the number of the device; python-can takes no text
+        options |= LISTEN_ONLY.get(file.interface, {}) if passive else {}
+    if "state" in options:
+        options["state"] = can.BusState[options["state"]]
     try:
         bus = can.Bus(**options)
     except (can.CanError, OSError, ValueError, TypeError, ImportError, NotImplementedError) as error:
         problem = str(error) or type(error).__name__
-        place, expected = f"bus: {file.interface} {file.channel}", ""
+        expected = ""
         if file.interface == "socketcan":
-            expected = (
-                "CAN in Linux (modprobe can_raw) and its channel in `ip link`; or another interface, such as slcan"
-            )
-        raise AcquisitionError(f"cannot be opened: {problem}", place=place, expected=expected) from error
+            expected = "CAN in Linux (modprobe can_raw) and its channel in `ip link`; or another interface"
+        raise BusFaultError(f"cannot be opened: {problem}", place=place, expected=expected) from error
     if file.interface == "udp_multicast" and file.loopback:
         stay_on_loopback(bus, file)
     if passive:
+        refuse_unconfirmed(bus, place)
         for name in ("send", "send_periodic"):
             setattr(bus, name, refuse_to_send)
     sock = socket_of(bus)
@@ -135,10 +143,10 @@ class MasterLink(Protocol):
         """Time of this link, of events and deadlines."""
 
     def send(self, can_id: int, data: bytes) -> None:
-        """Send a frame. Raises `AcquisitionError` where that fails."""
+        """Send a frame. Raises `BusFaultError` where that fails."""
 
     def receive(self, until_ns: int) -> Frame | None:
-        """The next frame, None when there is none until `until_ns`. Raises `AcquisitionError` when the bus fails."""
+        """The next frame, None when there is none until `until_ns`. Raises `BusFaultError` when the bus fails."""
 
 
 class Link:
@@ -156,7 +164,7 @@ class Link:
         return self._epoch_ns + time.monotonic_ns()
 
     def send(self, can_id: int, data: bytes) -> None:
-        """Send a frame. Raises `AcquisitionError` where the link is passive or the bus does not take it."""
+        """Send a frame. Raises `RobotIdimError` where the link is passive or the bus does not take it."""
         if self._passive:
             refuse_to_send()
         import can
@@ -166,7 +174,7 @@ class Link:
         try:
             self._bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False), timeout=0.05)
         except can.CanError as error:
-            raise AcquisitionError(f"frame 0x{can_id:03X} cannot be sent: {error}", place="bus") from error
+            raise BusFaultError(f"frame 0x{can_id:03X} cannot be sent: {error}", place="bus") from error
         if self._tap is not None:
             self._tap(Frame(self.now_ns(), can_id, data, SENT))
 
@@ -175,7 +183,7 @@ class Link:
         return self.take(max(0.0, (until_ns - self.now_ns()) * 1e-9))
 
     def take(self, timeout_s: float) -> Frame | None:
-        """The next frame, None when there is none within `timeout_s`. Raises `AcquisitionError` when the bus fails."""
+        """The next frame, None when there is none within `timeout_s`. Raises `BusFaultError` when the bus fails."""
         import can
 
         until_s = time.monotonic() + timeout_s
@@ -187,10 +195,12 @@ class Link:
                     if time.monotonic() >= until_s:
                         return None
                     continue
-                raise AcquisitionError(f"cannot be read: {error}", place="bus") from error
+                raise BusFaultError(f"cannot be read: {error}", place="bus") from error
             if message is None:
                 return None
             if getattr(message, "is_fd", False):
+                if self._tap is not None:
+                    self._tap(frame_of(message))
                 continue
             sent = (message.arbitration_id, bytes(message.data))
             if not self._own or sent not in self._own or (message.is_rx and not is_group(self._bus)):

@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from ..errors import AcquisitionError
+from ..errors import BusFaultError, NoAnswerError, RefusedError
 from ..protocol import (
     ABORTS,
     ANSWER,
@@ -60,7 +60,7 @@ class NodeWatch:
         """State by the last statusword, None before the first or for bits of no CiA 402 state."""
         try:
             return None if self.statusword is None else state_of(self.statusword)
-        except AcquisitionError:
+        except BusFaultError:
             return None
 
 
@@ -77,7 +77,7 @@ class Master:
         self.by_node = {watch.drive.node: watch for watch in self.nodes}
         self._by_pdo = {pdo.can_id: (watch, pdo) for watch in self.nodes for pdo in watch.drive.tpdos}
         self._answers: dict[int, bytes] = {}
-        self._unanswered = Counter[int]()  # SDO requests of any master, by node; a late answer is one too
+        self.unanswered = Counter[int]()  # SDO requests of any master, by node; a late answer is one too
         self.doubled: set[int] = set()  # nodes with more SDO answers than requests: two devices have their id
         self.sync_times: list[int] = []
         self.synced_ns: int | None = None  # when we sent the last SYNC
@@ -131,20 +131,21 @@ class Master:
             if code:  # 0: the error is cleared
                 self.by_node[node].emergency = code
         else:
-            self._unanswered[node] += function == REQUEST
+            self.unanswered[node] += function == REQUEST
             self._note_sign(frame)
 
     def _note_answer(self, node: int, answer: Transfer) -> None:
         # Transfers in segments are left open here: their server may abort them, besides the next answer or in time.
         if answer.kind != "other" and (answer.kind, answer.number) != ("abort", ABORTS["timed out"]):
-            self._unanswered[node] -= 1
-            self.doubled |= {node} if self._unanswered[node] < 0 else set()
+            self.unanswered[node] -= 1
+            self.doubled |= {node} if self.unanswered[node] < 0 else set()
 
     def refuse_doubled(self) -> None:
-        """Raise `AcquisitionError` where two devices have answered as one node."""
+        """Raise `RefusedError` where two devices have answered as one node."""
         if self.doubled:
             expected = "one device for each node id: disconnect one, and change its id"
-            raise AcquisitionError(f"two devices answer as node {min(self.doubled)}", place="bus", expected=expected)
+            problem = f"two devices answer as node {min(self.doubled)}"
+            raise RefusedError(problem, what="the session", place="bus", expected=expected)
 
     def _note_sign(self, frame: Frame) -> None:
         # Our own frames never come here: a link leaves out those that its interface returns.
@@ -194,34 +195,40 @@ class Master:
             watch.heard_ns = self.link.now_ns()
 
     def state(self, drive: Drive) -> State:
-        """State of a drive, read by SDO (6041h). Raises `AcquisitionError` when it does not answer."""
+        """State of a drive, read by SDO (6041h). Raises `BusFaultError` when it does not answer."""
         return state_of(self.read(drive.node, drive.status.index, drive.status.sub))
 
     def read(self, node: int, index: int, sub: int = 0) -> int:
-        """Read an object, as an unsigned number. Raises `AcquisitionError` when refused or not answered."""
-        return check_answer(self.upload(node, index, sub), "value", _place(node, index, sub))
+        """Read an object, as an unsigned number. Raises `BusFaultError` when refused or not answered."""
+        return check_answer(self.upload(node, index, sub), "value", node, _place(node, index, sub))
 
     def upload(self, node: int, index: int, sub: int = 0) -> Transfer:
-        """The answer of any kind to a read request. Raises `AcquisitionError` when there is none."""
-        return answer_of(self._exchange(node, read_request(index, sub), _place(node, index, sub)))
+        """The answer of any kind to a read request. Raises `NoAnswerError` when there is none."""
+        return answer_of(self.exchange(node, read_request(index, sub), _place(node, index, sub)))
 
     def write(self, node: int, index: int, sub: int, value: int, size: int) -> None:
-        """Write an object of `size` bytes. Raises `AcquisitionError` when refused or not answered."""
+        """Write an object of `size` bytes. Raises `BusFaultError` when refused or not answered."""
         place = f"{_place(node, index, sub)} = {value}"
-        check_answer(answer_of(self._exchange(node, write_request(index, sub, value, size), place)), "written", place)
+        answer = answer_of(self.exchange(node, write_request(index, sub, value, size), place))
+        check_answer(answer, "written", node, place)
 
     def post(self, node: int, request: bytes) -> None:
         """Send an SDO request without waiting; `answered` returns its answer."""
         self._answers.pop(node, None)
         self.link.send(REQUEST + node, request)
-        self._unanswered[node] += 1
+        self.unanswered[node] += 1
 
     def answered(self, node: int, request: bytes) -> bytes | None:
         """The answer to a request sent by `post`, once; None until it has arrived."""
         answer = self._answers.pop(node, None)
-        return answer if answer is not None and len(answer) == 8 and answer[1:4] == request[1:4] else None
+        if answer is None or len(answer) != 8:
+            return None
+        if request[0] >> 5 == 3:  # for a segment: the answer has its toggle bit, or is an abort
+            return answer if answer[0] >> 5 == 4 or answer[0] & 0xF0 == request[0] & 0x10 else None
+        return answer if answer[1:4] == request[1:4] else None
 
-    def _exchange(self, node: int, request: bytes, place: str) -> bytes:
+    def exchange(self, node: int, request: bytes, place: str) -> bytes:
+        """The answer to an SDO request. Raises `NoAnswerError` with `place` when there is none."""
         self.post(node, request)
         until_ns = self.link.now_ns()
         for _ in range(SDO_TIMEOUT_NS // _SLICE_NS):
@@ -233,7 +240,7 @@ class Master:
                 if answer is not None:
                     return answer
         problem = f"no answer in {SDO_TIMEOUT_NS / 1e9:g} s: is the drive on and its node id right?"
-        raise AcquisitionError(problem, place=place)
+        raise NoAnswerError(problem, node=node, place=place)
 
     def configure(self) -> None:
         """Set every drive to PRE-OPERATIONAL, and write its heartbeat time (1017h) and PDO parameters as described."""
@@ -251,11 +258,11 @@ class Master:
     def _set_heartbeat(self, node: int, every_ms: int) -> None:
         """Write the heartbeat time where it differs, in the size of the drive's answer: not all have the U16 of CiA 301."""
         answer = self.upload(node, HEARTBEAT_TIME)
-        if check_answer(answer, "value", _place(node, HEARTBEAT_TIME, 0)) != every_ms:
+        if check_answer(answer, "value", node, _place(node, HEARTBEAT_TIME, 0)) != every_ms:
             self.write(node, HEARTBEAT_TIME, 0, every_ms, len(answer.data))
 
     def choose_mode(self, mode: Mode) -> None:
-        """Set mode of operation (6060h) and interpolation period (60C2h). Raises `AcquisitionError` unless 6061h follows."""
+        """Set mode of operation (6060h) and interpolation period (60C2h). Raises `BusFaultError` unless 6061h follows."""
         for drive in self.bus.drives:
             axis = axis_of(drive)
             if drive.dictionary is None or (INTERPOLATION_PERIOD + axis, 1) in drive.dictionary.entries:
@@ -270,7 +277,7 @@ class Master:
                     if self.link.now_ns() > until_ns:
                         key = f"mode of operation ({display:04X}:0)"
                         expected = f"{int(mode)} ({mode.name.lower().replace('_', ' ')})"
-                        raise AcquisitionError(place=f"node {drive.node}", key=key, value=shown, expected=expected)
+                        raise BusFaultError(place=f"node {drive.node}", key=key, value=shown, expected=expected)
                     self.wait(self.link.now_ns() + 10_000_000)
 
     def differences(self) -> list[str]:
@@ -301,7 +308,7 @@ Orders = list[tuple[int, int]]  # controlword and target counts of each drive, i
 
 
 def send_orders(master: Master, orders: Orders) -> None:
-    """Send the orders to all drives by PDO. Raises `AcquisitionError` when the bus accepts no frame."""
+    """Send the orders to all drives by PDO. Raises `BusFaultError` when the bus accepts no frame."""
     for watch, (control, target) in zip(master.nodes, orders, strict=True):
         send_order(master, watch, control, target)
 

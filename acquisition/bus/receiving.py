@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 
 from ..arrays import Ints
-from ..recording import ERROR, EXTENDED, FRAME, REMOTE_REQUEST, SENT, Block
+from ..recording import CAN_FD, ERROR, EXTENDED, FRAME, REMOTE_REQUEST, SENT, Block
 from .frames import block_of, frame_of
 from .links import is_no_frame, socket_of
 
 _CAN_FRAME = np.dtype([("can_id", "<u4"), ("length", "u1"), ("pad", "u1", (3,)), ("data", "u1", (8,))])
+_FD_BYTES = 72  # of a frame of CAN FD, which begins as a classic one
 _TIMESPEC_BYTES = 16
 
 
@@ -48,13 +49,13 @@ class Receiver:
         size, receive = socket.CMSG_SPACE(_TIMESPEC_BYTES), sock.recvmsg
         while not self.stopped:
             try:
-                self._items.append(receive(72, size)[:3])
+                self._items.append(receive(_FD_BYTES, size)[:3])
             except (BlockingIOError, InterruptedError):
                 continue
         until_s = time.monotonic() + self.DRAIN_S
         with suppress(BlockingIOError):  # the queue is empty
             while time.monotonic() < until_s:
-                self._items.append(receive(72, size, socket.MSG_DONTWAIT)[:3])
+                self._items.append(receive(_FD_BYTES, size, socket.MSG_DONTWAIT)[:3])
 
     def _run_messages(self) -> None:
         import can
@@ -81,12 +82,12 @@ class Receiver:
             return np.zeros(0, FRAME)
         if self._raw is not None:
             return _block_of_raw(items)
-        return block_of([frame_of(m) for m in items if not getattr(m, "is_fd", False)])
+        return block_of([frame_of(m) for m in items])
 
 
 def _block_of_raw(items: list[Any]) -> Block:
-    items = [item for item in items if len(item[0]) == _CAN_FRAME.itemsize and item[1]]
-    raw = np.frombuffer(b"".join(item[0] for item in items), _CAN_FRAME)
+    items = [item for item in items if len(item[0]) in (_CAN_FRAME.itemsize, _FD_BYTES) and item[1]]
+    raw = np.frombuffer(b"".join(item[0][: _CAN_FRAME.itemsize] for item in items), _CAN_FRAME)
     stamps = np.frombuffer(b"".join(item[1][0][2] for item in items), "<i8").reshape(-1, 2)
     block = np.zeros(len(raw), FRAME)
     block["time_ns"] = stamps[:, 0] * 1_000_000_000 + stamps[:, 1]
@@ -99,6 +100,7 @@ def _block_of_raw(items: list[Any]) -> Block:
         | ((word & 0x40000000) != 0) * REMOTE_REQUEST
         | ((word & 0x20000000) != 0) * ERROR
         | ours * SENT
+        | np.array([len(item[0]) == _FD_BYTES for item in items], bool) * CAN_FD
     )
     block["length"] = np.minimum(raw["length"], 8)
     block["data"] = raw["data"] * (np.arange(8) < block["length"][:, None])

@@ -1,7 +1,7 @@
 """Stops all drives: quick stop, voltage off at standstill, then the state of every drive is read back.
 
 The session, the recorder's process (after the session has died) and the command `disable` use it.
-It never raises `AcquisitionError`: if one step fails, the next is tried.
+It never raises `RobotIdimError`: if one step fails, the next is tried.
 """
 
 import itertools
@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field
 
-from ..errors import AcquisitionError
+from ..errors import RobotIdimError
 from ..protocol import RAMP_OBJECTS, Command, State, answer_of, quick_stop_ramp, read_request, state_of, write_request
 from ..robot import Bus, axis_index
 from .links import open_link
@@ -99,7 +99,7 @@ def safe_stop(master: Master, *, after_sync: Callable[[], object] = lambda: None
     for each drive at its measured standstill, where its speed rises or holds for 50 ms, and at the latest 0.5 s after 1.2
     times the time that its ramp takes (the ramp is read on the way; unknown: after v/a + 0.5 s). Then each drive's statusword
     (6041h) is read for up to a second, until it shows switch on disabled or fault (CiA 402). `after_sync` is called after
-    every SYNC; an `AcquisitionError` from it is ignored.
+    every SYNC; an `RobotIdimError` from it is ignored.
     """
     now_ns = master.link.now_ns()
     period_ns = master.bus.period_ns
@@ -114,7 +114,7 @@ def safe_stop(master: Master, *, after_sync: Callable[[], object] = lambda: None
             command = Command.QUICK_STOP if one.off_ns is None else Command.DISABLE_VOLTAGE
             _command(master, one, command)
         next_ns = _sync(master, next_ns)
-        with suppress(AcquisitionError):
+        with suppress(RobotIdimError):
             after_sync()
         now_ns = master.link.now_ns()
         for one in drives:
@@ -139,7 +139,7 @@ def stop_drives(bus: Bus) -> list[int]:
         unconfirmed = safe_stop(master)
         leave_operational(master)
     finally:
-        with suppress(AcquisitionError):
+        with suppress(RobotIdimError):
             link.close()
     return unconfirmed
 
@@ -152,16 +152,16 @@ def not_disabled(nodes: Iterable[int]) -> str:
 def leave_operational(master: Master) -> None:
     """Set every drive to PRE-OPERATIONAL, one by one: from then on it takes no command by PDO."""
     for watch in master.nodes:
-        with suppress(AcquisitionError):
+        with suppress(RobotIdimError):
             master.nmt(PRE_OPERATIONAL, watch.drive.node)
 
 
 def _command(master: Master, one: _Stopping, command: Command) -> None:
     """Send the command by PDO, with the last measured position as target (without one: not at all), and by SDO."""
-    with suppress(AcquisitionError):  # a bus that refuses frames now may accept them later
+    with suppress(RobotIdimError):  # a bus that refuses frames now may accept them later
         if one.watch.counts is not None:
             send_order(master, one.watch, command.controlword, one.watch.counts)
-    with suppress(AcquisitionError):
+    with suppress(RobotIdimError):
         _ask(master, one, command)
 
 
@@ -198,7 +198,7 @@ def _collect(master: Master, one: _Stopping) -> None:
         one.reading = 0
         one.asked_ns = -(10**18)  # the write was accepted or refused: read the state at once
         return
-    with suppress(AcquisitionError):
+    with suppress(RobotIdimError):
         state = state_of(answer.number)
         one.confirmed = state in CONFIRMED
         if not one.confirmed and (one.off_ns is not None or state is State.OPERATION_ENABLED):
@@ -208,7 +208,7 @@ def _collect(master: Master, one: _Stopping) -> None:
 def _sync(master: Master, next_ns: int) -> int:
     """Send SYNC, or await that of the other producer, and take the answers; the time at which the next one is due."""
     link, period_ns = master.link, master.bus.period_ns
-    with suppress(AcquisitionError):
+    with suppress(RobotIdimError):
         if master.bus.file.sync_producer == "recorder":
             master.wait(next_ns)
             if link.now_ns() > next_ns + period_ns:
@@ -221,6 +221,6 @@ def _sync(master: Master, next_ns: int) -> int:
             next_ns = link.now_ns()
         master.wait(link.now_ns() + round(0.7 * period_ns), for_answers=True)
         return next_ns + period_ns
-    with suppress(AcquisitionError):
+    with suppress(RobotIdimError):
         master.wait(link.now_ns() + period_ns)
     return link.now_ns() + period_ns

@@ -5,7 +5,7 @@ The heartbeat is sent only at SYNC: a session that hangs sends none, so the driv
 
 import math
 
-from ..errors import AcquisitionError
+from ..errors import BusFaultError, NoAnswerError, RefusedError, SdoAbortedError
 from ..protocol import (
     ABORT_CONNECTION,
     CONSUMER_HEARTBEAT,
@@ -38,7 +38,7 @@ def entry_of(file: BusFile) -> int:
 
 
 def heartbeat_consumers(master: Master, node: int) -> list[int]:
-    """Entries of a drive's 1016h, from sub-index 1. Raises `AcquisitionError` where it has none."""
+    """Entries of a drive's 1016h, from sub-index 1. Raises `BusFaultError` where it has none."""
     return [master.read(node, CONSUMER_HEARTBEAT, k + 1) for k in range(master.read(node, CONSUMER_HEARTBEAT, 0))]
 
 
@@ -71,14 +71,14 @@ class MasterHeartbeat:
                 entries = heartbeat_consumers(self._master, node)
                 sub = free_entry(entries, self._file.master_node)
                 if sub is None:
-                    raise AcquisitionError("no free sub-index", place=f"node {node}: object 1016", expected="one")
+                    raise BusFaultError("no free sub-index", place=f"node {node}: object 1016", expected="one")
                 before = entries[sub - 1]
                 # An entry of this master was left by a session that was killed: it is removed at the end.
                 self._before[node] = (sub, 0 if before == entry else before)
                 self._master.write(node, CONSUMER_HEARTBEAT, sub, entry, 4)
-            except AcquisitionError as error:
+            except BusFaultError as error:
                 self._before.pop(node, None)
-                refused.append(f"{error}: the drive does not detect the loss of this master")
+                refused.append(f"{error.args[0]}: the drive does not detect the loss of this master")
         self._master.at_sync = self._at_sync
         return refused
 
@@ -94,8 +94,8 @@ class MasterHeartbeat:
                 try:
                     self._send()
                     self._master.write(node, CONSUMER_HEARTBEAT, sub, before, 4)
-                except AcquisitionError as error:
-                    refused.append(str(error))
+                except BusFaultError as error:
+                    refused.append(error.args[0])
         self._master.at_sync = lambda: None
         return refused
 
@@ -172,13 +172,13 @@ def stop_ramp(master: Master, drive: Drive) -> tuple[str, str]:
 
 
 def refuse_slow_ramps(master: Master) -> list[str]:
-    """Read the ramps for a later stop; a line for each unknown ramp. Raises `AcquisitionError` if one is too slow."""
+    """Read the ramps for a later stop; a line for each unknown ramp. Raises `RefusedError` if one is too slow."""
     unknown = []
     for watch in master.nodes:
         place = f"node {watch.drive.node} ({watch.drive.name})"
         text, expected = stop_ramp(master, watch.drive)
         if expected:
-            raise AcquisitionError(text, place=place, expected=expected)
+            raise RefusedError(text, what="motion", place=place, expected=expected)
         unknown += [f"{place}: {text}"] if "unknown" in text else []
     return unknown
 
@@ -188,7 +188,7 @@ def supervision_refusal(master: Master, drive: Drive) -> str:
     axis = axis_of(drive)
     try:
         sub = free_entry(heartbeat_consumers(master, drive.node), master.bus.file.master_node)
-    except AcquisitionError:
+    except (NoAnswerError, SdoAbortedError):
         sub = None
     missing = []
     if sub is None and not _read(master, drive, ABORT_CONNECTION + axis):
@@ -199,11 +199,11 @@ def supervision_refusal(master: Master, drive: Drive) -> str:
 
 
 def refuse_unsupervised(master: Master) -> None:
-    """Raise `AcquisitionError` where a drive does not supervise its master or its following error."""
+    """Raise `RefusedError` where a drive does not supervise its master or its following error."""
     for drive in master.bus.drives:
         if refusal := supervision_refusal(master, drive):
             where, expected = f"node {drive.node} ({drive.name})", "both; or --unsupervised-drives"
-            raise AcquisitionError(refusal, place=where, key="supervision", expected=expected)
+            raise RefusedError(refusal, what="motion", place=where, key="supervision", expected=expected)
 
 
 def second_stop(file: BusFile) -> str:
@@ -217,7 +217,7 @@ def _consumers(master: Master, drive: Drive) -> Property:
     file, name = master.bus.file, f"consumer heartbeat {CONSUMER_HEARTBEAT:04X}"
     try:
         entries = heartbeat_consumers(master, drive.node)
-    except AcquisitionError:
+    except (NoAnswerError, SdoAbortedError):
         return name, f"{NOT_THERE}: the drive does not detect the loss of the master"
     used = [f"node {e >> 16 & 0x7F} {e & 0xFFFF} ms" for e in entries if e >> 16 and e & 0xFFFF]
     text, sub = ", ".join(used) or "none in use", free_entry(entries, file.master_node)
@@ -254,5 +254,5 @@ def _read(master: Master, drive: Drive, index: int, sub: int = 0) -> int | None:
         return None
     try:
         return master.read(drive.node, index, sub)
-    except AcquisitionError:
+    except (NoAnswerError, SdoAbortedError):
         return None

@@ -4,8 +4,19 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from ..errors import AcquisitionError
-from ..protocol import BITS, DEVICE_TYPE, REQUEST, check_answer, error_frame_words, object_type, read_request
+from ..errors import NoAnswerError, RefusedError, SdoAbortedError
+from ..protocol import (
+    BITS,
+    DEVICE_TYPE,
+    REQUEST,
+    TEXTS,
+    Transfer,
+    answer_of,
+    check_answer,
+    error_frame_words,
+    object_type,
+    read_request,
+)
 from ..recording import ERROR
 from ..robot import Bus, BusFile
 from .before_motion import LISTEN_S
@@ -20,10 +31,11 @@ MAX_ENTRIES = 8  # of an array
 
 
 class Reading(NamedTuple):
-    """The value of an object, or None, and what is wrong with the answer: none, an abort, another size; else empty."""
+    """The value (or text) of an object, and what is wrong with the answer: none, an abort, another size; else empty."""
 
     value: int | None
     problem: str = ""
+    text: str = ""
 
 
 NO_ANSWER = Reading(None, "no answer")
@@ -49,7 +61,9 @@ class Uploads:
         """Send a read request, a millisecond after the last one and after a look at all frames received until then."""
         while (frame := self._link.receive(self._next_ns)) is not None:
             self._received.append(self._checked(frame))
-        if not REQUEST < can_id <= REQUEST + 127 or data[:1] != b"\x40" or data[4:] != bytes(4):
+        is_read = data[:1] == b"\x40" and data[4:] == bytes(4)
+        is_read |= data[:1] in (b"\x60", b"\x70") and data[1:] == bytes(7)  # the next segment
+        if not REQUEST < can_id <= REQUEST + 127 or not is_read:
             self._refusal = f"frame 0x{can_id:03X} is no SDO read"
         self._refuse()
         self._say(f"asking node {can_id - REQUEST} of 1 to 127")
@@ -57,7 +71,7 @@ class Uploads:
         self._link.send(can_id, data)
 
     def receive(self, until_ns: int) -> Frame | None:
-        """The next frame. Raises `AcquisitionError` for one of another master, and for an error frame."""
+        """The next frame. Raises `RefusedError` for one of another master, and for an error frame."""
         frame = None if self._received else self._link.receive(until_ns)
         return self._received.popleft() if self._received else frame and self._checked(frame)
 
@@ -76,7 +90,7 @@ class Uploads:
     def _refuse(self) -> None:
         if self._refusal:
             sent = f"{self._sent} SDO reads were sent" if self._sent else "nothing was sent"
-            raise AcquisitionError(self._refusal, place="bus", expected=f"none during a scan; {sent}")
+            raise RefusedError(self._refusal, what="sending", place="bus", expected=f"none during a scan; {sent}")
 
 
 def scan_nodes(uploads: Uploads, objects: Sequence[tuple[int, int]], arrays: Sequence[int]) -> dict[int, Readings]:
@@ -102,21 +116,40 @@ def _read_node(master: Master, node: int, objects: Sequence[tuple[int, int]], ar
     return readings
 
 
+def upload_segments(master: Master, node: int, index: int) -> Transfer:
+    """The value whose upload has begun with an answer of kind `other`, or an abort. Raises as `Master.upload`."""
+    data = b""
+    for k in range(64):  # 448 bytes
+        answer = master.exchange(
+            node, bytes((0x60 | (k & 1) << 4,)).ljust(8, b"\0"), f"node {node}"
+        )  # with the toggle bit
+        if answer[0] >> 5:
+            return answer_of(answer)
+        master.unanswered[node] -= 1
+        data += answer[1 : 8 - (answer[0] >> 1 & 7)]
+        if answer[0] & 1:
+            master.unanswered[node] -= 1  # the request that began it
+            break
+    return Transfer(kind="value", index=index, data=data)
+
+
 def _read(master: Master, node: int, index: int, sub: int) -> Reading:
     size, signed = BITS[object_type(index, sub)] // 8, object_type(index, sub)[0] == "I"
     for _ in range(TRIES):
         try:
             answer = master.upload(node, index, sub)
-        except AcquisitionError as error:
-            if error.place == "bus":
-                raise
+            if answer.kind == "other" and index in TEXTS:
+                answer = upload_segments(master, node, index)
+        except NoAnswerError:
             continue
         if answer.kind == "other":
             return Reading(None, f"more than 4 bytes: expected {size}")
         try:
-            check_answer(answer, "value", "")
-        except AcquisitionError as error:
-            return Reading(None, str(error).removeprefix("refused by the drive: "))
+            check_answer(answer, "value", node, "")
+        except SdoAbortedError as error:
+            return Reading(None, f"{error.meaning} (0x{error.code:08X})")
+        if index in TEXTS:
+            return Reading(None, text=answer.data.decode(errors="replace").strip("\0 "))
         value = int.from_bytes(answer.data[:size], "little", signed=signed)
         return Reading(value, "" if len(answer.data) == size else f"{len(answer.data)} bytes: expected {size}")
     return NO_ANSWER

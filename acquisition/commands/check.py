@@ -2,7 +2,7 @@
 
 import argparse
 
-from ..errors import AcquisitionError
+from ..errors import RefusedError
 from ..options import RecordOptions
 from .command_line import add_options, add_path
 
@@ -25,5 +25,5 @@ def run(options: argparse.Namespace) -> None:
         findings.insert(0, Finding("payload", payload.describe(robot.joints[-1].name)))
     print(*table(findings), sep="\n")
     if failed := refusal(findings):
-        raise AcquisitionError(failed)
+        raise RefusedError(failed, what="motion")
     print("go")

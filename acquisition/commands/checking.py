@@ -23,7 +23,7 @@ from ..bus import (
     supervision_of,
     supervision_refusal,
 )
-from ..errors import AcquisitionError, one_line
+from ..errors import BusFaultError, one_line
 from ..protocol import NOT_VALID, PARAMETERS, State, frame_bits
 from ..robot import FILL_IN, MAX_LOAD, Bus, Drive, Robot, lines_to_fill_in, ripple_notes
 from ..session import DEVIATIONS, real_time_scheduling, sync_jitter
@@ -107,8 +107,8 @@ def check_drives(link: MasterLink, bus: Bus) -> list[Finding]:
     if all(answered):
         try:
             differences = master.differences()
-        except AcquisitionError as error:
-            differences = [str(error)]
+        except BusFaultError as error:
+            differences = [error.args[0]]
         findings += [Finding("description", text, ok=False) for text in differences]
         findings += [] if differences else [Finding("description", _agreement(bus))]
     findings.append(_jitter(master))
@@ -119,8 +119,8 @@ def _of_drive(master: Master, drive: Drive) -> list[Finding]:
     """Findings about a drive; only its state if it does not answer."""
     try:
         state = master.state(drive)
-    except AcquisitionError as error:
-        text = str(error).removeprefix(f"{error.place}: ")  # the same for all drives
+    except BusFaultError as error:
+        text = error.args[0].removeprefix(f"{error.place}: ")  # the same for all drives
         return [Finding("state", text, ok=False, node=drive.node)]
     fault = state is State.FAULT
     text = "fault: remove its cause and reset it" if fault else state.words
@@ -150,7 +150,7 @@ def _scale(master: Master, drive: Drive) -> str:
                 values.append(f"{name} {index:04X} {per}/{turns}")
             elif (index, 0) in entries:
                 values.append(f"{name} {index:04X} 0x{master.read(drive.node, index):08X}")
-        except AcquisitionError:
+        except BusFaultError:
             values.append(f"{name} {index:04X} not answered")
     counts = drive.position_codec.counts_per_unit
     text = f"robot.toml: {counts * 2 * math.pi:g} counts per turn or {counts:g} per m; check that they agree"
@@ -172,7 +172,7 @@ def _mapped(master: Master, node: int) -> str:
         for k in range(4):
             try:
                 can_id = master.read(node, communication + k, 1)
-            except AcquisitionError:
+            except BusFaultError:
                 break
             if not can_id & NOT_VALID:
                 enabled.append(f"{way} {k + 1} 0x{can_id & 0x7FF:03X}")
@@ -191,8 +191,8 @@ def _jitter(master: Master) -> Finding:
     """The jitter of SYNC, as sent by this program or as received."""
     try:
         jitter = sync_jitter(master)
-    except AcquisitionError as error:
-        return Finding("SYNC", str(error), ok=False)
+    except BusFaultError as error:
+        return Finding("SYNC", error.args[0], ok=False)
     period_ms, sd_ms, worst_ms = master.bus.file.sync_period_s * 1e3, jitter.sd_s * 1e3, jitter.worst_s * 1e3
     text = f"jitter sd {sd_ms:.3f} ms, worst {worst_ms:.3f} ms of a period of {period_ms:g} ms"
     if not jitter.fit_for_motion:
@@ -214,6 +214,6 @@ def _positions(robot: Robot, master: Master) -> list[Finding]:
             stated = f"{'yes' if homed else 'NO'} ({file.homed})"
             text = "not described: the drive's zero may be its position at power-on" if homed is None else stated
             findings.append(Finding("homed", text, ok=homed is not False, node=drive.node, track=True))
-    except AcquisitionError as error:
-        findings.append(Finding("joint positions", str(error), ok=False))
+    except BusFaultError as error:
+        findings.append(Finding("joint positions", error.args[0], ok=False))
     return findings

@@ -40,7 +40,7 @@ class Program:
     """A command line: its name, one line about it, and the errors that it prints in one line.
 
     `commands` gives the help of each command, in order. Its module in `package` has the same name, with an underscore if the
-    name is a Python keyword. `gone` tells what to use instead of a command, an option, or an option of one command
+    name is a Python keyword. `gone`: what to use instead of a command, an option, or an option of one command
     ("command --option") of older versions.
     """
 

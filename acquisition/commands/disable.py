@@ -3,7 +3,7 @@
 import argparse
 import sys
 
-from ..errors import AcquisitionError
+from ..errors import RobotIdimError
 from .command_line import add_path
 
 
@@ -21,7 +21,7 @@ def run(options: argparse.Namespace) -> int:
     nodes = [drive.node for drive in robot.bus.drive] if robot.bus is not None else []
     try:
         unconfirmed = stop_drives(resolve(robot, str(options.robot)))
-    except AcquisitionError:
+    except RobotIdimError:
         print(not_disabled(nodes), file=sys.stderr)
         raise
     if unconfirmed:

@@ -3,7 +3,7 @@
 import argparse
 import sys
 
-from ..errors import AcquisitionError, Place
+from ..errors import BadInputError, Place
 from .command_line import add_flag, add_path
 
 
@@ -29,14 +29,14 @@ def run(options: argparse.Namespace) -> None:
     robot = load_robot(options.robot)
     bus = resolve(robot, str(options.robot))
     if bus.file.interface == "virtual":
-        expected = "udp_multicast, for programs on this computer"
-        Place(str(options.robot), "bus").refuse("interface", "virtual", expected, text="nobody else can join it")
+        expected = "udp_multicast or socketcan"
+        Place(str(options.robot), "bus").refuse("interface", "virtual", expected, text="other programs cannot join it")
     if options.replay is None:
         mechanism = driven_plant(robot, bus)
     else:
         recording = read_recording(options.replay)
         if recording.samples is None:
-            raise AcquisitionError(recording.no_samples, place=str(options.replay), expected="some to replay")
+            raise BadInputError(recording.no_samples, place=str(options.replay), expected="some to replay")
         plant = TablePlant(recording.samples, recording.sample_rate_hz)
         mechanism = DrivenPlant(plant=plant, loops=cascaded_loops(robot, np.ones(robot.n)))  # the loops have no effect
     stop, end_s = Stop(), time.monotonic() + (options.duration if options.duration is not None else float("inf"))

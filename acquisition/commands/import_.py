@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
-from ..errors import AcquisitionError, one_line
+from ..errors import BadInputError, one_line
 from ..options import RecordOptions
 from .command_line import Progress, add_options, add_overwrite, add_path
 
@@ -26,15 +26,13 @@ def add(parser: argparse.ArgumentParser) -> None:
     )
     add_path(inputs, "tables", "FILE", text, nargs="+")
     add_path(inputs, "--robot", "ROBOT.toml", "the robot's description; a recording has its own")
-    add_path(
-        inputs,
-        "--map",
-        "MAP.toml",
-        "meaning of the columns (default: FILE.map.toml, proposed by the table if it does not exist)",
-    )
+    add_path(inputs, "--map", "MAP.toml", "meaning of the columns (default: FILE.map.toml; proposed if it is missing)")
     add_options(inputs, RecordOptions, "payload")
     bag = parser.add_argument_group("ROS 2 bag")
-    bag.add_argument("--topic", metavar="NAME", help="topic of sensor_msgs/msg/JointState, such as /joint_states")
+    text = (
+        "topic of JointState; after a comma of JointTrajectoryControllerState (default: the only one with the joints)"
+    )
+    bag.add_argument("--topic", metavar="NAME", help=text)
     text = (
         "required with --topic, unit of the effort: 'N m' at the joints (prismatic: force in N), or A, V, ... at the motors; "
         "one for all joints, or one per joint separated by commas"
@@ -62,7 +60,7 @@ def run(options: argparse.Namespace) -> None:
 
         out, tables = options.output, options.tables
         if options.mapping and (options.topic or options.map or not is_log(tables[0])):
-            raise AcquisitionError(key="--mapping", value=options.mapping[0], expected="an EtherCAT capture")
+            raise BadInputError(key="--mapping", value=options.mapping[0], expected="an EtherCAT capture")
         again = options.topic is None and options.map is None and is_recording(tables[0])
         robot = None if options.robot is None else load_robot(options.robot)
         payload = None if options.payload is None or robot is None else parse_payload(options.payload, robot)
@@ -74,11 +72,12 @@ def run(options: argparse.Namespace) -> None:
             return
         elif robot is None:
             expected = "the robot's description; only recordings have their own"
-            raise AcquisitionError(key="--robot", value=None, expected=expected)
+            raise BadInputError(key="--robot", value=None, expected=expected)
         elif options.topic is not None:
             _refuse_as_bag(options)
             units = [unit.strip() for unit in options.effort_unit.split(",")]
-            bag = BagOptions(topic=options.topic, effort_unit=units, resample_hz=options.resample_hz)
+            topic, _, other = (name.strip() for name in options.topic.partition(","))
+            bag = BagOptions(topic=topic, reference_topic=other, effort_unit=units, resample_hz=options.resample_hz)
             found = import_bag(tables[0], robot, out, bag, payload)
         else:
             _refuse_bag_options(options)
@@ -95,8 +94,9 @@ def _print(found: "ImportSummary", warnings: TextIO) -> None:
     parts += [f"effort in {', '.join(dict.fromkeys(found.effort_units))}"] if found.effort_units else []
     parts += ["with reference"] if found.has_reference else []
     print(one_line(", ".join([*parts, *(f"with {name.replace('_', ' ')}" for name in found.optional)])))
-    if found.times:
-        print(one_line(f"times: {found.times}"))
+    for name, text in (("times", found.times), ("reference", found.reference)):
+        if text:
+            print(one_line(f"{name}: {text}"))
     for text in found.warnings:
         print(one_line(f"warning: {text}"), file=warnings)
 
@@ -133,29 +133,27 @@ def _refuse_bag_options(options: argparse.Namespace) -> None:
     for name, value in (("--effort-unit", options.effort_unit), ("--resample-hz", options.resample_hz)):
         if value is not None:
             expected = "--topic; for tables, time.resample_hz and effort.unit in MAP.toml"
-            raise AcquisitionError("is only for ROS 2 bags", key=name, value=value, expected=expected)
+            raise BadInputError("is only for ROS 2 bags", key=name, value=value, expected=expected)
 
 
 def _refuse_as_bag(options: argparse.Namespace) -> None:
     if options.map is not None:
-        raise AcquisitionError(
-            "is only for tables", key="--map", value=str(options.map), expected="no --map with --topic"
-        )
+        raise BadInputError("is only for tables", key="--map", value=str(options.map), expected="no --map with --topic")
     if len(options.tables) > 1:
-        raise AcquisitionError("is a second bag", place=str(options.tables[1]), expected="one")
+        raise BadInputError("is a second bag", place=str(options.tables[1]), expected="one")
     if options.effort_unit is None:
         expected = "the unit that the driver's manual states: 'N m', A, ..."
-        raise AcquisitionError("a bag does not contain it", key="--effort-unit", value=None, expected=expected)
+        raise BadInputError("a bag does not contain it", key="--effort-unit", value=None, expected=expected)
     if options.resample_hz is not None and not 0 < options.resample_hz < math.inf:
-        raise AcquisitionError(key="--resample-hz", value=options.resample_hz, expected="a number above 0")
+        raise BadInputError(key="--resample-hz", value=options.resample_hz, expected="a number above 0")
 
 
 def _refuse_as_recording(options: argparse.Namespace) -> None:
     if len(options.tables) > 1:
-        raise AcquisitionError("is a second recording", place=str(options.tables[1]), expected="one")
+        raise BadInputError("is a second recording", place=str(options.tables[1]), expected="one")
     if options.payload is not None:
         expected = "none with a recording, whose payload is kept; `robot-identify fit --payload` replaces it"
-        raise AcquisitionError(key="--payload", value=options.payload, expected=expected)
+        raise BadInputError(key="--payload", value=options.payload, expected=expected)
 
 
 def _refuse_as_log(paths: Sequence[Path]) -> None:
@@ -164,9 +162,9 @@ def _refuse_as_log(paths: Sequence[Path]) -> None:
     tables = [path for path in paths if not is_log(path)]
     if tables and is_bag(tables[0]):
         expected = "the topic of its joint states, such as --topic /joint_states"
-        raise AcquisitionError("a ROS 2 bag needs --topic", place=str(tables[0]), expected=expected)
+        raise BadInputError("a ROS 2 bag needs --topic", place=str(tables[0]), expected=expected)
     if tables:
         expected = "the meaning of its columns in MAP.toml, or a CAN log (.log, .asc, .blf, .trc)"
-        raise AcquisitionError("a table needs --map MAP.toml", place=str(tables[0]), expected=expected)
+        raise BadInputError("a table needs --map MAP.toml", place=str(tables[0]), expected=expected)
     if len(paths) > 1:
-        raise AcquisitionError("is a second CAN log", place=str(paths[1]), expected="one")
+        raise BadInputError("is a second CAN log", place=str(paths[1]), expected="one")

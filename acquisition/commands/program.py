@@ -1,6 +1,6 @@
 """`robot-acquire`: one file per command, listed here in the order of the help."""
 
-from ..errors import AcquisitionError
+from ..errors import RobotIdimError
 from .command_line import Program
 
 PROGRAM = Program(
@@ -24,6 +24,6 @@ PROGRAM = Program(
         "recover": "use import CUT.mcap -o OUT.mcap",
         "simulate": "use emulate",
     },
-    errors=(AcquisitionError,),
+    errors=(RobotIdimError,),
 )
 main = PROGRAM.main

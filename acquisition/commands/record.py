@@ -7,7 +7,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..errors import AcquisitionError, one_line
+from ..errors import BadInputError, BusFaultError, one_line
 from ..options import RecordOptions
 from .command_line import add_flag, add_options, add_path, from_options
 
@@ -35,7 +35,7 @@ def run(options: argparse.Namespace) -> int:
     from ..session import Stop, UserInterface, record, stop_on_signals
 
     if options.duration_s is not None and not 0 < options.duration_s < float("inf"):
-        raise AcquisitionError(key="--duration", value=options.duration_s, expected="more than 0, and finite")
+        raise BadInputError(key="--duration", value=options.duration_s, expected="more than 0, and finite")
     robot = load_robot(options.robot)
     if options.payload is not None:
         payload = parse_payload(options.payload, robot).describe(robot.joints[-1].name)
@@ -43,7 +43,7 @@ def run(options: argparse.Namespace) -> int:
     moves = options.track is not None and not options.dry_run
     if moves and not options.yes and not sys.stdin.isatty():
         text = "nobody can confirm the joint positions"
-        raise AcquisitionError(text, place="--track", expected="a terminal, or --yes")
+        raise BadInputError(text, place="--track", expected="a terminal, or --yes")
     stop, line = Stop(), StatusLine()
 
     def confirm(words: list[str], faults: list[str]) -> bool:
@@ -60,10 +60,13 @@ def run(options: argparse.Namespace) -> int:
     def show(status: "Status", left_s: float | None) -> None:
         line.show(*live_line(robot, status, left_s))
 
+    def note(text: str) -> None:
+        print(one_line(text), file=sys.stderr, flush=True)
+
     if sys.stderr.isatty():
         print(f"watch it in a second terminal: robot-identify view {options.output} --follow", file=sys.stderr)
     line.show(("starting", False))
-    interface = UserInterface(stop=stop, confirm=confirm, show=show, announce=announce)
+    interface = UserInterface(stop=stop, confirm=confirm, show=show, announce=announce, note=note)
     try:
         with stop_on_signals(stop):
             chosen = from_options(RecordOptions, options)
@@ -84,9 +87,9 @@ def _report(out: Path, robot: "Robot", outcome: "Outcome", recorded: "RecordedSu
     if outcome.fault:
         return 1
     if outcome.alarm:
-        raise AcquisitionError(outcome.alarm, place=str(out))
+        raise BusFaultError(outcome.alarm, place=str(out))
     if recorded.no_samples:
-        raise AcquisitionError(f"no samples, but the frames are in the recording: {recorded.no_samples}")
+        raise BadInputError(f"no samples, but the frames are in the recording: {recorded.no_samples}")
     return 0
 
 

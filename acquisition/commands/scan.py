@@ -3,7 +3,7 @@
 import argparse
 from contextlib import closing
 
-from ..errors import AcquisitionError, one_line
+from ..errors import BadInputError, one_line
 from .command_line import Progress, add_path
 from .replay import add_bus
 
@@ -26,12 +26,12 @@ def run(options: argparse.Namespace) -> None:
     interface, bitrate, out = options.interface, options.bitrate, options.toml
     if interface == "socketcan" and bitrate is not None:
         expected = f"none: ip link set {options.channel} type can bitrate {bitrate}"
-        raise AcquisitionError("of socketcan", key="--bitrate", value=bitrate, expected=expected)
+        raise BadInputError("of socketcan", key="--bitrate", value=bitrate, expected=expected)
     if bitrate not in BITRATES and (bitrate is not None or interface not in SHARED):
         text = "a wrong one destroys the frames of others"
-        raise AcquisitionError(text, key="--bitrate", value=bitrate, expected=f"one of {', '.join(map(str, BITRATES))}")
+        raise BadInputError(text, key="--bitrate", value=bitrate, expected=f"one of {', '.join(map(str, BITRATES))}")
     if out is not None and out.exists():
-        raise AcquisitionError("already exists", place=str(out), expected="a new name; descriptions are not replaced")
+        raise BadInputError("already exists", place=str(out), expected="a new name; descriptions are not replaced")
     bit_s = {} if bitrate is None else {"bitrate": bitrate}
     # No heartbeat is a sign of a master (node 0 has none): 127, the default, is the node id of many new drives.
     file = BusFile(interface=interface, channel=options.channel, drive=(), sync_period_s=1.0, master_node=0, **bit_s)
@@ -41,7 +41,7 @@ def run(options: argparse.Namespace) -> None:
     print(*table(findings_of(nodes, uploads.heard)), sep="\n")
     if not nodes:
         expected = "one at least: drives on, cable, terminators, bitrate"
-        raise AcquisitionError("no node answers", place=f"bus: {interface} {options.channel}", expected=expected)
+        raise BadInputError("no node answers", place=f"bus: {interface} {options.channel}", expected=expected)
     if out is not None:
         text = "\n".join([*bus_lines(file, nodes, uploads.heard), ""])
         with atomic_write(out) as partial:

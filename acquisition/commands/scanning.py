@@ -5,14 +5,15 @@ from collections.abc import Collection, Iterator, Mapping
 from contextlib import suppress
 
 from ..bus import Readings
-from ..errors import AcquisitionError
-from ..protocol import EFFORT_OBJECTS, NOT_VALID, PARAMETERS, RULES, position_units_per_turn, state_of
+from ..errors import BusFaultError
+from ..protocol import EFFORT_OBJECTS, NOT_VALID, PARAMETERS, RULES, TEXTS, position_units_per_turn, state_of
 from ..robot import FILL_IN, BusFile
 from .checking import Finding
 
 PDOS = {f"{way} {k + 1}": (first + k, mapping + k) for way, (first, mapping) in PARAMETERS.items() for k in range(4)}
 GROUPS = {
     "drive": (0x1000, 0x1018),
+    "name, versions": TEXTS,
     "state": (0x6041, 0x6064),
     "modes": (0x6502,),
     "rated mA, mN m": (0x6075, 0x6076),
@@ -38,7 +39,8 @@ def findings_of(nodes: Mapping[int, Readings], heard: Mapping[int, set[str]]) ->
     """Rows of the drives, of devices that are no drives, and of nodes that are only heard."""
     rows = []
     for node, readings in nodes.items():
-        for subject, group in GROUPS.items() if is_drive(readings) else [("no drive", GROUPS["drive"])]:
+        others = {"no drive": GROUPS["drive"], "name, versions": TEXTS}
+        for subject, group in (GROUPS if is_drive(readings) else others).items():
             keys = [key for key in readings if key[0] in group]
             ok = all("not exist" in readings[key].problem for key in keys if readings[key].problem)
             rows.append(Finding(subject, ", ".join(_words(readings, *key) for key in keys), ok=ok, node=node))
@@ -52,13 +54,15 @@ def findings_of(nodes: Mapping[int, Readings], heard: Mapping[int, set[str]]) ->
 
 
 def _words(readings: Readings, index: int, sub: int) -> str:
-    value, problem = readings[index, sub]
+    value, problem, text = readings[index, sub]
     words = f"{index:04X}:{sub}".removesuffix(":0")
+    if index in TEXTS and not problem:
+        return f'{words} "{text}"'
     if value is None:
         return f"{words} -" if "not exist" in problem else f"{words} ({problem})"
     words += f" 0x{value:X}" if index in _HEXADECIMAL else f" {value}"
     if index == 0x6041:
-        with suppress(AcquisitionError):  # bits of no state
+        with suppress(BusFaultError):  # bits of no state
             words += f" {state_of(value).words}"
     if index == 0x6502:
         words += f" modes {', '.join(str(bit + 1) for bit in range(32) if value >> bit & 1)}"

@@ -15,7 +15,7 @@ def atomic_write(path: Path) -> Iterator[Path]:
     """Yield a temporary path in the folder of `path` to write to; rename it to `path` if the block ends without an exception.
 
     On an exception the partial file is removed, and an earlier file at `path` is left as it was.
-    Raises `AcquisitionError` if `path` is a folder or a device, its folder is missing or not writable, or the disk is
+    Raises `BadInputError` if `path` is a folder or a device, its folder is missing or not writable, or the disk is
     full.
     """
     place = Place(str(path))
@@ -40,7 +40,7 @@ def atomic_write(path: Path) -> Iterator[Path]:
 def refuse_clash(
     inputs: Sequence[Path | None], *outputs: Path | None, overwrite: bool | None = None, option: str = "-o"
 ) -> None:
-    """Raise `AcquisitionError` if writing one of `outputs` would replace one of `inputs`, another output, or a recording.
+    """Raise `BadInputError` if writing one of `outputs` would replace one of `inputs`, another output, or a recording.
 
     None stands for a file that was not asked for. Links to one file count as that file. `overwrite`: whether recordings may be
     replaced, by the option of that name; None if a command does not have it. `option` names the output.

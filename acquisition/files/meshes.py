@@ -13,7 +13,7 @@ MAX_MESH_BYTES = 64 * 2**20  # bytes of all meshes of a robot
 def read_meshes(urdf: bytes, folder: Path, place: str) -> dict[str, bytes]:
     """Content of the meshes of a URDF's visual shapes, by name; `folder` is that of the URDF.
 
-    Raises `AcquisitionError`, with the mesh's name as `value`: not XML, not found, not readable, or too large.
+    Raises `BadInputError`, with the mesh's name as `value`: not XML, not found, not readable, or too large.
     """
     at = Place(place)
     try:

@@ -32,7 +32,7 @@ def read_columns(path: Path, columns: Sequence[str | int], count: int) -> Array:
     ----------
     path : CSV or MAT file (version 7 or older). CSV cells are separated by comma, semicolon, tab or blanks, as in the first
         line; other commas are decimal ones. Lines that begin with # are skipped, but the last one above the numbers may be the
-        header.
+        header; below it, lines without numbers are skipped. Of an export of TwinCAT Scope, the channels' names are the header.
     columns : of a CSV file, names in the header line or numbers from 1. Of a MAT file, variables, or fields of structs by
         dotted name; `(:,k)`, `(:,k:l)`, `(k,:)` or `(k:l,:)` after a name selects columns or rows,
         and one name may give several columns.
@@ -44,7 +44,7 @@ def read_columns(path: Path, columns: Sequence[str | int], count: int) -> Array:
 
     Raises
     ------
-    AcquisitionError
+    BadInputError
         With the file and the line or row as `place`: it cannot be read, a column does not exist, or a cell is not a finite
         number.
     """
@@ -77,7 +77,7 @@ def write_columns(path: Path, names: Sequence[str], parts: Iterable[Array]) -> N
 
     Raises
     ------
-    AcquisitionError
+    BadInputError
         The file cannot be written.
     """
     with atomic_write(path) as partial, partial.open("w", encoding="utf-8") as file:
@@ -104,6 +104,11 @@ def _parse_csv(data: bytes, place: Place) -> tuple[list[str], bool, str | None, 
         place.refuse(text="has no lines", expected="a table")
     while len(lines) > 1 and lines[0][1].startswith("#") and not _has_numbers(lines[1][1]):
         del lines[0]  # a remark above the header
+    scope = [i for i, (_, line) in enumerate(lines) if line.startswith(("Name\t", "Name;", "Name,"))]
+    if len(scope) == 2:  # TwinCAT Scope: names of the project and of the channels, and other texts on them
+        k, names_of_channels = lines[scope[1]]
+        header = re.sub(r"(?:^|(?<=[\t;,]))Name(?=[\t;,])", "Time [ms]", names_of_channels)
+        lines = [(k, header), *((k, line) for k, line in lines[scope[1] :] if not line[0].isalpha())]
     first = lines[0][1].lstrip("# \t")
     separator = next((mark for mark in ";\t," if mark in first), None)
     names = [cell.strip() for cell in first.split(separator)]
@@ -111,10 +116,13 @@ def _parse_csv(data: bytes, place: Place) -> tuple[list[str], bool, str | None, 
     if not has_header:
         names = [f"column {k}" for k in range(1, len(names) + 1)]
     rows = [(k, line) for k, line in lines[has_header:] if not line.startswith("#")]
+    while has_header and len(rows) > 1 and not _has_numbers(rows[0][1]):
+        del rows[0]  # of units or types
     for k, line in rows:
         found = len(line.split()) if separator is None else line.count(separator) + 1
         if found != len(names):
-            Place(f"{place}: line {k}").refuse(text=f"{found} cells", expected=str(len(names)))
+            expected = f"{len(names)}, as in line {lines[0][0]}, the names of the columns; delete lines above them"
+            Place(f"{place}: line {k}").refuse(text=f"{found} cells", expected=expected)
     if not rows:
         place.refuse(text="has no rows", expected="numbers below the header")
     if separator != "," and "," in text and not any(_POINT.search(line) for _, line in rows):

@@ -45,7 +45,7 @@ def import_recording(path: Path, out: Path, robot: Robot | None = None, place: s
 
     Raises
     ------
-    AcquisitionError
+    BadInputError
         There are no frames, or they do not decode with these drives.
     """
     recording = read_recording(path)
@@ -116,7 +116,7 @@ def import_log(
 
     Raises
     ------
-    AcquisitionError
+    BadInputError
         The log cannot be read, none of its frames are of the described interface, or they do not decode.
     """
     if is_capture(log):

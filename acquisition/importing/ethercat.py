@@ -81,7 +81,7 @@ def import_capture(
 
     Raises
     ------
-    AcquisitionError
+    BadInputError
         The file is no capture, or it has no process data that come back, no mapping, or another period.
     """
     bus, at, warnings = resolve(robot, place), Place(str(path)), list[str]()

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Ints
-from ..errors import AcquisitionError, Place, listed
+from ..errors import BadInputError, Place, listed
 from ..files import GrowingBytes
 from ..recording import Block, minimum_ahead
 from ..robot import Bus
@@ -38,7 +38,7 @@ def parse_mapping(texts: Sequence[str]) -> list[Entries]:
         except ValueError:
             found.append([])
         if not found[-1] or not all(0 < bits < 2**14 for _, bits in found[-1]):
-            raise AcquisitionError(key="--mapping", value=text, expected="such as 0x6041:16,0x6064:32,0x6077:16")
+            raise BadInputError(key="--mapping", value=text, expected="such as 0x6041:16,0x6064:32,0x6077:16")
     return found
 
 

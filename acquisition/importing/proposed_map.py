@@ -12,6 +12,7 @@ import numpy as np
 from ..arrays import Array
 from ..files import read_columns, read_csv_head
 from ..robot import FILL_IN, Robot
+from .quantities import POSITION_UNITS, VELOCITY_UNITS
 from .tables import TIME_UNITS
 from .time_base import roundest_rate_hz
 
@@ -39,22 +40,17 @@ _WORDS = {
 _KIND = {word: kind for kind, words in _WORDS.items() for word in words.split()}
 _AT_JOINT = {"q", "qpos", "jpos", "angle", "angles", "theta", "winkel", "angolo", "angulo", "角度"}
 _EFFORTS = ("torque", "current", "effort")
+_UR, _FRANKA = "UR RTDE", "libfranka"
 _ROS = r"joint_states|controller_state|(feedback|reference|actual|desired)[./]positions"
-_MAKERS = {
-    "UR RTDE": r"^actual_q_\d",
-    "libfranka": r"(^|\.)tau_J[\[_]\d",
-    "ROS, REP 103": _ROS,
-}  # names that no other has
-_UNITS = {
-    "rad": "rad", "radian": "rad", "radians": "rad", "deg": "deg", "degree": "deg", "degrees": "deg", "°": "deg", "mm": "mm",
-    "m": "m", "um": "um", "rad/s": "rad/s", "rads": "rad/s", "deg/s": "deg/s", "°/s": "deg/s", "degs": "deg/s",
-    "degps": "deg/s", "rpm": "rpm", "u/min": "rpm", "m/s": "m/s", "mm/s": "mm/s", "a": "A", "ma": "mA", "v": "V",
-    "nm": "N m", "n*m": "N m", "mnm": "mN m", "n": "N", "%": "%", "‰": "per mille", "s": "s", "ms": "ms", "us": "us",
-    "µs": "us", "ns": "ns",
-}  # fmt: skip
+# By names that no other has.
+_MAKERS = {_UR: r"^actual_q_\d", _FRANKA: r"(^|\.)tau_J[\[_]\d", "ROS, REP 103": _ROS}
+_UNITS = {unit: unit for unit in (*POSITION_UNITS, *VELOCITY_UNITS, *TIME_UNITS, "%")}
+_UNITS |= {"radian": "rad", "radians": "rad", "degree": "deg", "degrees": "deg", "°": "deg", "u/min": "rpm", "n": "N"}
+_UNITS |= {"rads": "rad/s", "degs": "deg/s", "degps": "deg/s", "°/s": "deg/s", "\u03bcs": "us", "a": "A", "ma": "mA"}
+_UNITS |= {"v": "V", "nm": "N m", "n*m": "N m", "mnm": "mN m", "‰": "per mille"}
+_TOKEN = re.compile(r"[^\W\d_]+|\d+")
 _UNIT = re.compile(  # in brackets, or a word
-    r"[\[(]([^\])\d]+)[\])]|(?<![A-Za-z])(rad_?p?s|deg_?p?s|rad|deg|rpm|n_?m|ma|ms|us|ns|mm)(?![A-Za-z])",
-    re.I,
+    r"[\[(]([^\])\d]+)[\])]|(?<![a-z])(rad_?p?s|deg_?p?s|rad|deg|rpm|n_?m|ma|ms|us|ns|mm)(?![a-z])", re.IGNORECASE
 )
 
 
@@ -69,16 +65,18 @@ class _Column:
     x: Array
 
 
+Groups = dict[tuple[str, str], list[_Column] | str]
+
+
 def propose_map(table: Path, robot: Robot | None) -> str:
     """The text of a map.toml for a CSV table, with the reason of each line. `effort_timing` is never set.
 
     Columns go by words of several languages and tools, with the joint's number or its name in `robot`. Unit and side of efforts
-    are those of the maker's format, or stated in the header. Raises `AcquisitionError`: no table.
+    are those of the maker's format, or stated in the header. Raises `BadInputError`: no table.
     """
     names, has_header, values = read_csv_head(table, ROWS)
     maker = next((maker for maker, pattern in _MAKERS.items() if any(re.search(pattern, name) for name in names)), "")
-    ur, franka = maker == "UR RTDE", maker == "libfranka"
-    columns = _columns(names if has_header else [""] * len(names), values, franka)
+    columns = _columns(names if has_header else [""] * len(names), values, maker)
     groups = _groups(columns, robot)
     position, why = _only(groups, ["position"])
     size = len(position)
@@ -95,19 +93,15 @@ def propose_map(table: Path, robot: Robot | None) -> str:
         lines += ["[reference]", _listed(reference, why), _stated(reference, unit), side]
     velocity, why = _only(groups, ["velocity"], size)
     if velocity and position and ("motor" in velocity[0].words) == ("motor" in position[0].words):
-        if (
-            velocity[0].unit
-            or time_s is None
-            or _moves_as(np.cumsum(_values(velocity) * np.gradient(time_s)[:, None], axis=0), q)
-        ):
-            per_s = re.sub(
-                r'"(rad|deg|m|mm)"', r'"\1/s"', re.sub("(?<=#).*Values.*|rad, deg.*", " rad/s, rpm, ...", unit)
-            )
+        path = _values(velocity) if time_s is None else np.cumsum(_values(velocity).T * np.gradient(time_s), axis=1).T
+        if velocity[0].unit or time_s is None or _moves_as(path, q):
+            per_s = re.sub("(?<=#).*Values.*|rad, deg.*", " rad/s, rpm, ...", unit)
+            per_s = re.sub(r'"(rad|deg|m|mm)"', r'"\1/s"', per_s)
             lines += ["[velocity]", _listed(velocity, why), _stated(velocity, per_s), side]
         else:
             why = f"not the derivative of the position: {_keys(velocity)}"
     lines += [f"# no [velocity]: {why}"] if why else []
-    lines += ["[effort]", _listed(effort, why_effort), *_effort_lines(effort, ur, franka)]
+    lines += ["[effort]", _listed(effort, why_effort), *_effort_lines(effort, maker)]
     return "\n".join([*lines, ""])
 
 
@@ -115,19 +109,17 @@ def _values(columns: Sequence[_Column]) -> Array:
     return np.column_stack([c.x for c in columns]) if columns else np.empty((0, 0))
 
 
-def _columns(names: list[str], values: Array, franka: bool) -> list[_Column]:
+def _columns(names: list[str], values: Array, maker: str) -> list[_Column]:
     """The columns that hold numbers. Of libfranka's state and command the state, of its motor and joint the joint."""
     found: list[_Column] = []
     for k, name in enumerate(names):
-        text = unicodedata.normalize("NFKD", name)
-        text = "".join(c for c in text if not unicodedata.combining(c))
+        text = "".join(c for c in unicodedata.normalize("NFKD", name) if not unicodedata.combining(c))
         stated = _UNIT.search(text)
         unit = None if stated is None else (stated[1] or stated[2]).strip().lower().replace("·", "").replace("_", "")
-        text = _UNIT.sub(" ", text) if stated else text
-        text = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", " ", text)
+        text = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", " ", _UNIT.sub(" ", text))
         text = re.sub("|".join(word for word in _KIND if not word.isascii()), r" \g<0> ", text)
-        tokens = [token.lower() for token in re.findall(r"[^\W\d_]+|\d+", text)]
-        other = franka and ({"cmd", "theta"} & {*tokens} or name in names[:k])
+        tokens = [token.lower() for token in _TOKEN.findall(text)]
+        other = maker == _FRANKA and ({"cmd", "theta"} & {*tokens} or name in names[:k])
         if other or np.isnan(values[:, k]).any():
             continue
         words = {_KIND[token]: token for token in tokens if token in _KIND}
@@ -139,7 +131,7 @@ def _columns(names: list[str], values: Array, franka: bool) -> list[_Column]:
     return found
 
 
-def _groups(columns: Sequence[_Column], robot: Robot | None) -> dict[tuple[str, str], list[_Column] | str]:
+def _groups(columns: Sequence[_Column], robot: Robot | None) -> Groups:
     """Columns of one per joint by quantity and source (and the motor's side); a text if they are ambiguous."""
     kinds = ("position", "velocity", *_EFFORTS)
     members: dict[tuple[str, str], list[_Column]] = {}
@@ -157,19 +149,18 @@ def _one_per_joint(group: Sequence[_Column], common: set[str], robot: Robot | No
     """A column for each joint in order, by number or by the names in `robot`; a text if they are ambiguous."""
     labels = [tuple(x for x in c.label if x not in common) for c in group]
     by_label = dict(zip(labels, group, strict=True))
-    words = [re.findall(r"[^\W\d_]+|\d+", joint.name.lower()) for joint in robot.joints] if robot else []
+    words = [_TOKEN.findall(joint.name.lower()) for joint in robot.joints] if robot else []
     names = [tuple(x for x in name if x not in _KIND and x not in common) for name in words]
-    if names and all(name in by_label for name in names) and len({*names}) == len(names):
+    numbered: list[tuple[str, ...]] = [x for x in by_label if len(x) == 1 and x[0].isdigit()]
+    chosen = sorted(numbered, key=lambda x: int(x[0]))
+    if names and {*names} <= {*labels} and len({*names}) == len(names):
         chosen = names
-    elif not (chosen := sorted((x for x in by_label if len(x) == 1 and x[0].isdigit()), key=lambda x: int(x[0]))):
-        if labels == [()]:
-            chosen = [()]
-        elif all(labels) and len(by_label) > 1:
-            return f"which columns, in the order of the joints? {_keys(group)}"
-        else:
-            return ""
-    elif int(chosen[-1][0]) - int(chosen[0][0]) != len(chosen) - 1:
+    elif not chosen and labels != [()]:
+        several = all(labels) and len(by_label) > 1
+        return f"which columns, in the order of the joints? {_keys(group)}" if several else ""
+    elif chosen and int(chosen[-1][0]) - int(chosen[0][0]) != len(chosen) - 1:
         return f"numbers are missing: {_keys(group)}"
+    chosen = chosen or labels
     if any(labels.count(label) > 1 for label in chosen):
         return f"a number is there twice: {_keys(group)}"
     if robot and len(chosen) != robot.n:
@@ -177,16 +168,14 @@ def _one_per_joint(group: Sequence[_Column], common: set[str], robot: Robot | No
     return [by_label[label] for label in chosen]
 
 
-def _only(
-    groups: dict[tuple[str, str], list[_Column] | str], kinds: Sequence[str], size: int = 0, source: str = "measured"
-) -> tuple[list[_Column], str]:
+def _only(groups: Groups, kinds: Sequence[str], size: int = 0, source: str = "measured") -> tuple[list[_Column], str]:
     """The only group of these kinds that is measured or does not say so, else why there is none; `size`: of the position."""
     sources = {source, source.replace("measured", "")}
     found = [group for key, group in groups.items() if key[0] in kinds and key[1].removesuffix(" motor") in sources]
-    found = [x for x in found if isinstance(x, list) and len(x) == (size or len(x))] or found
-    if len(found) == 1 and isinstance(found[0], list) and len(found[0]) == (size or len(found[0])):
-        return found[0], ""
-    return [], " or ".join(x if isinstance(x, str) else _keys(x) for x in found)
+    fits = [x for x in found if isinstance(x, list) and len(x) == (size or len(x))]
+    if len(fits) == 1:
+        return fits[0], ""
+    return [], " or ".join(x if isinstance(x, str) else _keys(x) for x in fits or found)
 
 
 def _keys(columns: Sequence[_Column]) -> str:
@@ -213,35 +202,34 @@ def _stated(columns: Sequence[_Column], otherwise: str) -> str:
 
 def _position_unit(columns: Sequence[_Column], robot: Robot | None, maker: str) -> str:
     types = [joint.position_unit for joint in robot.joints] if robot else ["rad"]
+    largest = float(np.abs(_values(columns)).max(initial=0.0))
     if maker:
         line = f"unit = {json.dumps(types if 'm' in types else 'rad')} # {maker}"
-    elif columns and "m" not in types and _side(columns, robot, maker).startswith('side = "joint"'):
-        largest = max(float(np.abs(c.x).max()) for c in columns)
-        line = f'unit = "deg" # values to {largest:.4g} are beyond 2 pi'
-        if not 2 * np.pi < largest <= MAX_TURN_DEG:
-            line = f'unit = "{FILL_IN}" # rad or deg? Values to {largest:.4g}'
-    else:
+    elif not columns or "m" in types or '"joint"' not in _side(columns, robot, maker):
         line = f'unit = "{FILL_IN}" # rad, deg, m, ...'
+    elif 2 * np.pi < largest <= MAX_TURN_DEG:
+        line = f'unit = "deg" # values to {largest:.4g} are beyond 2 pi'
+    else:
+        line = f'unit = "{FILL_IN}" # rad or deg? Values to {largest:.4g}'
     return _stated(columns, line)
 
 
 def _side(columns: Sequence[_Column], robot: Robot | None, maker: str) -> str:
-    words = {(kind, word) for c in columns for kind, word in c.words.items()}
-    kinds = {kind for kind, _ in words}
-    if "motor" in kinds:
+    words = {word for c in columns for pair in c.words.items() for word in pair}
+    if "motor" in words:
         return 'side = "motor" # by the names'
-    if maker or "joint" in kinds or any(word in _AT_JOINT for _, word in words):
+    if maker or words & {"joint", *_AT_JOINT}:
         return f'side = "joint" # {maker or "by the names"}'
     if robot and np.array_equal(robot.R, np.eye(robot.n)):
         return 'side = "joint" # robot.toml has no ratios'
     return f'side = "{FILL_IN}" # motor or joint'
 
 
-def _effort_lines(columns: Sequence[_Column], ur: bool, franka: bool) -> list[str]:
+def _effort_lines(columns: Sequence[_Column], maker: str) -> list[str]:
     kinds = {kind for c in columns for kind in c.words}
-    if ur and "current" in kinds:
+    if maker == _UR and "current" in kinds:
         return ['unit = "A" # UR RTDE', 'side = "motor" # UR RTDE: of the joints\' motors']
-    if franka and "torque" in kinds:
+    if maker == _FRANKA and "torque" in kinds:
         return ['unit = "N m" # libfranka', f'side = "joint" # libfranka: {TORQUE_SENSORS}']
     unit = _stated(columns, f'unit = "{FILL_IN}" # N m, A, mA, %, ... as the manual says')
     if re.match(r'unit = "(m?[AV]|%|per mille)"', unit) or "current" in kinds:
@@ -251,26 +239,25 @@ def _effort_lines(columns: Sequence[_Column], ur: bool, franka: bool) -> list[st
 
 def _time(table: Path, columns: Sequence[_Column]) -> tuple[list[str], Array | None]:
     """`[time]`, or a rate to be filled in; the times of the first rows in s."""
-    found = [c for c in columns if set(c.words) & {"time"} and not set(c.words) & {"position", "velocity", *_EFFORTS}]
+    found = [c for c in columns if "time" in c.words and not {*c.words} & {"position", "velocity", *_EFFORTS}]
     found = [c for c in found if (steps := np.diff(c.x)).size and (steps >= 0).all() and np.median(steps) > 0]
     found = [c for c in found if not c.label] or found
+    found = found[:1] if all(np.array_equal(c.x, found[0].x) for c in found) else found
     if len(found) != 1:
         return [f'sample_rate_hz = "{FILL_IN}" # or [time]: {_keys(found) if found else "no column of times"}'], None
     column, period = found[0], float(np.median(np.diff(found[0].x)))
-    fits = [u for u, s in TIME_UNITS.items() if MIN_RATE_HZ <= 1 / (period * s) <= MAX_RATE_HZ]
-    stated = _UNITS.get(column.unit or "")
+    stated = [unit for unit in TIME_UNITS if unit == _UNITS.get(column.unit or "")]
+    fits = stated or [u for u, s in TIME_UNITS.items() if MIN_RATE_HZ <= 1 / (period * s) <= MAX_RATE_HZ]
     lines = ["[time]", f"column = {json.dumps(column.key, ensure_ascii=False)} # grows by {period:.6g}"]
-    if stated in TIME_UNITS or len(fits) == 1:
-        unit = stated if stated in TIME_UNITS else fits[0]
-        time_s = read_columns(table, [column.key], 1)[:, 0] * TIME_UNITS[unit]
-        rate_hz = 1 / (period * TIME_UNITS[unit])
-        lines += [f'unit = "{unit}" # the rate is then {rate_hz:.6g} Hz{", the header says so" * (unit == stated)}']
-        steps = np.diff(time_s)
-        if (np.abs(steps * rate_hz - 1) > 0.1).any():
-            grid_hz = roundest_rate_hz(time_s[np.append(True, steps > 0)])
-            lines += [f"resample_hz = {grid_hz:.12g} # the steps are uneven"]
-        return lines, column.x * TIME_UNITS[unit]
-    return [*lines, f'unit = "{FILL_IN}" # s, ms, us or ns'], None
+    if len(fits) != 1:
+        return [*lines, f'unit = "{FILL_IN}" # s, ms, us or ns'], None
+    rate_hz = 1 / (period * TIME_UNITS[fits[0]])
+    lines += [f'unit = "{fits[0]}" # the rate is then {rate_hz:.6g} Hz{", the header says so" * bool(stated)}']
+    time_s = read_columns(table, [column.key], 1)[:, 0] * TIME_UNITS[fits[0]]
+    if (np.abs((steps := np.diff(time_s)) * rate_hz - 1) > 0.1).any():
+        grid_hz = roundest_rate_hz(time_s[np.append(True, steps > 0)])
+        lines += [f"resample_hz = {grid_hz:.12g} # the steps are uneven"]
+    return lines, column.x * TIME_UNITS[fits[0]]
 
 
 def _moves_as(x: Array, q: Array) -> bool:

@@ -69,7 +69,7 @@ def import_tables(
 
     Raises
     ------
-    AcquisitionError
+    BadInputError
         With `place` (file), `key`, `value` and `expected`; nothing is written then.
     """
     place = Place(str(map_path))
@@ -78,7 +78,7 @@ def import_tables(
     except OSError as error:
         place.refuse(text=f"cannot be read: {error.strerror}")
     if lines := lines_to_fill_in(content):
-        place.refuse("lines", lines, "values instead of it in these lines, then the same command again", text=FILL_IN)
+        place.refuse("lines", lines, "values instead, then the same command again", text=f"still have {FILL_IN}")
     table_map = parse_toml(content, TableMap, str(map_path))
     source = Source(tables=tables, robot=robot, place=place)
     parts, provenance, effort_object = _parts(source, table_map)
@@ -126,6 +126,8 @@ def _on_grid(source: Source, table_map: TableMap, parts: Mapping[str, Array]) ->
     if time is None:
         if given_hz is None:
             source.place.refuse("sample_rate_hz", None, "it, or a [time] table")
+        if given_hz < 1:
+            source.place.refuse("sample_rate_hz", given_hz, f"a rate in Hz, not a period: {1 / given_hz:g}?")
         return GridValues(parts=parts, start_s=0.0, rate_hz=given_hz)
     time_s, scatter_s = _times(source, time, parts)
     repeated = 0

@@ -132,12 +132,28 @@ def resample(
     """Interpolate `parts` (N, n) at the times (N,) to a uniform grid, by cubic splines.
 
     Rows that repeat the row before in time and values are left out, and rows whose `position` in `parts` contradicts their time
-    (`rows_in_time`). The default rate of the grid is that of the rows, rounded within their scatter. Raises `AcquisitionError`
+    (`rows_in_time`). The default rate of the grid is that of the rows, rounded within their scatter. Raises `BadInputError`
     if there are fewer than 4 rows, time runs backwards, two rows of one time have different values, a step is longer than
     `largest_gap_periods` median ones, or the grid has less than two samples or over 100 times as many as the rows.
     """
     from scipy.interpolate import CubicSpline
 
+    time_s, parts, report = rows_to_interpolate(time_s, parts, place, largest_gap_periods)
+    rate_hz = rate_hz or roundest_rate_hz(time_s)
+    count = int((time_s[-1] - time_s[0]) * rate_hz + 1e-6) + 1
+    if count < 2 or rate_hz * report.period_s > MAX_OVERSAMPLING:
+        expected = f"about the {1 / report.period_s:.4g} Hz of the rows, which last {time_s[-1] - time_s[0]:.4g} s"
+        place.refuse("resample_hz", rate_hz, expected)
+    grid = np.minimum(time_s[0] + np.arange(count) / rate_hz, time_s[-1])
+    report = replace(report, grid_hz=rate_hz)
+    interpolated = {name: np.asarray(CubicSpline(time_s, x)(grid)) for name, x in parts.items()}
+    return GridValues(parts=interpolated, start_s=float(time_s[0]), rate_hz=rate_hz, report=report)
+
+
+def rows_to_interpolate(
+    time_s: Array, parts: Mapping[str, Array], place: Place, largest_gap_periods: float = MAX_GAP_PERIODS
+) -> tuple[Array, Mapping[str, Array], TimeReport]:
+    """The times and rows that `resample` does not leave out or refuse, and a report on the times."""
     time_s, parts, doubled = _drop_repeated_rows(time_s, parts, place)
     if len(time_s) < 4:
         place.refuse("time", expected="4 at least", text=f"{len(time_s)} rows of different times")
@@ -154,15 +170,7 @@ def resample(
             "it separately, or set time.largest_gap_periods",
             text=f"a gap of {steps[k]:.6g} s after {after_s:.6g} s, {periods:.1f} periods",
         )
-    rate_hz = rate_hz or roundest_rate_hz(time_s)
-    count = int((time_s[-1] - time_s[0]) * rate_hz + 1e-6) + 1
-    if count < 2 or rate_hz * report.period_s > MAX_OVERSAMPLING:
-        expected = f"about the {1 / report.period_s:.4g} Hz of the rows, which last {time_s[-1] - time_s[0]:.4g} s"
-        place.refuse("resample_hz", rate_hz, expected)
-    grid = np.minimum(time_s[0] + np.arange(count) / rate_hz, time_s[-1])
-    report = replace(report, grid_hz=rate_hz, off=int((~in_time).sum()))
-    interpolated = {name: np.asarray(CubicSpline(time_s, x)(grid)) for name, x in parts.items()}
-    return GridValues(parts=interpolated, start_s=float(time_s[0]), rate_hz=rate_hz, report=report)
+    return time_s, parts, replace(report, off=int((~in_time).sum()))
 
 
 def _drop_repeated_rows(
@@ -257,7 +265,7 @@ def uniform_grid(time_s: Array, parts: Mapping[str, Array], place: Place) -> Gri
 
 @dataclass(frozen=True, kw_only=True)
 class ImportSummary:
-    """A written recording: sizes, recorded quantities, the report on the times, warnings."""
+    """A written recording: sizes, recorded quantities, the report on the times, origin of the reference, warnings."""
 
     out: Path
     robot: str
@@ -267,6 +275,7 @@ class ImportSummary:
     effort_units: tuple[str, ...] = ()
     optional: tuple[str, ...] = ()
     times: str = ""
+    reference: str = ""
     warnings: tuple[str, ...] = ()
 
 
@@ -280,7 +289,7 @@ def write_samples(header: Header, grid: GridValues, warnings: Sequence[str], pla
     warnings : written into the recording.
     place : the files, for errors.
 
-    Raises `AcquisitionError` for impossible stamps, positions or speeds.
+    Raises `BadInputError` for impossible stamps, positions or speeds.
     """
     robot, parts, stamps = header.robot, grid.parts, grid.stamps_ns(place)
     t_s = (stamps - stamps[0]) * np.float64(1e-9)
@@ -307,5 +316,6 @@ def write_samples(header: Header, grid: GridValues, warnings: Sequence[str], pla
         effort_units=robot.effort_units,
         optional=tuple(name for name in parts if name not in ("position", "effort", "reference")),
         times=grid.notes.get("times", ""),
+        reference=header.notes.get("reference", ""),
         warnings=(*overshoots, *warnings),
     )

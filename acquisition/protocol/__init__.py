@@ -32,6 +32,7 @@ from .objects import (
     STATUSWORD,
     STOP_OPTIONS,
     SUPPORTED_MODES,
+    TEXTS,
     VELOCITY_ACTUAL,
     EffortCodec,
     ObjectDictionary,

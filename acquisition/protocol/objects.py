@@ -12,7 +12,7 @@ from functools import lru_cache
 import numpy as np
 
 from ..arrays import Array, Ints
-from ..errors import AcquisitionError, Place
+from ..errors import BadInputError, Place
 
 # Types of dictionaries by their number in CiA 301.
 INTEGERS = {2: "I8", 3: "I16", 4: "I32", 5: "U8", 6: "U16", 7: "U32"}
@@ -50,6 +50,7 @@ EMERGENCY, HEARTBEAT = 0x80, 0x700  # CAN identifiers of CiA 301, plus the node 
 CONTROLWORD, STATUSWORD = 0x6040, 0x6041
 MODE_OF_OPERATION, MODE_DISPLAY = 0x6060, 0x6061
 DEVICE_TYPE, CONSUMER_HEARTBEAT, HEARTBEAT_TIME = 0x1000, 0x1016, 0x1017  # of CiA 301
+TEXTS = 0x1008, 0x1009, 0x100A  # device name, hardware version, software version
 ABORT_CONNECTION = 0x6007  # when a drive loses the master: 0 nothing, 1 fault, 2 disable voltage, 3 quick stop
 STOP_OPTIONS = QUICK_STOP_OPTION, SHUTDOWN_OPTION, DISABLE_OPTION, FAULT_OPTION = 0x605A, 0x605B, 0x605C, 0x605E
 FOLLOWING_ERROR_WINDOW, FOLLOWING_ERROR_TIME = 0x6065, 0x6066
@@ -196,14 +197,14 @@ def saturated(value: Array, kind: str) -> Ints:
 
 
 def interpolation_period(period_s: float) -> tuple[int, int]:
-    """60C2h: count (U8) and power of ten (I8) of the SYNC period. Raises `AcquisitionError` if it has no exact form."""
+    """60C2h: count (U8) and power of ten (I8) of the SYNC period. Raises `BadInputError` if it has no exact form."""
     for unit in (-3, -4, -5, -6):
         count = period_s / 10.0**unit
         if round(count) in range(1, 256) and abs(count - round(count)) < 1e-6 * count:
             return round(count), unit
     problem = "not representable as the drives' interpolation period (60C2)"
     expected = "up to 255 times 1 ms, 0.1 ms, 10 µs or 1 µs"
-    raise AcquisitionError(problem, key="bus.sync_period_s", value=period_s, shown=f"{period_s:g}", expected=expected)
+    raise BadInputError(problem, key="bus.sync_period_s", value=period_s, shown=f"{period_s:g}", expected=expected)
 
 
 IDENTITY = 0x1018
@@ -249,7 +250,7 @@ class ObjectDictionary:
 def load_dictionary(data: bytes, place: str, node: int) -> ObjectDictionary:
     """Types, access and values of an object dictionary (EDS or DCF, CiA 306) by index and sub-index.
 
-    `data` is the file's content, `node` replaces `$NODEID`. Raises `AcquisitionError` with `place`, the file's name, and the
+    `data` is the file's content, `node` replaces `$NODEID`. Raises `BadInputError` with `place`, the file's name, and the
     line: the file cannot be read, holds an entry twice, or holds no objects.
     """
     import canopen

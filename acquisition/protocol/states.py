@@ -5,7 +5,7 @@ Names, bits and transitions are those of CiA 402-2 (IEC 61800-7-201): statusword
 
 from enum import Enum, IntEnum
 
-from ..errors import AcquisitionError
+from ..errors import BusFaultError
 
 
 class State(Enum):
@@ -77,12 +77,12 @@ DISABLED = frozenset(State) - {_S.OPERATION_ENABLED, _S.QUICK_STOP_ACTIVE, _S.FA
 
 
 def state_of(statusword: int) -> State:
-    """State in a statusword (6041h). Raises `AcquisitionError` for bits of no state."""
+    """State in a statusword (6041h). Raises `BusFaultError` for bits of no state."""
     for state in State:
         mask, value = state.value
         if statusword & mask == value:
             return state
-    raise AcquisitionError(f"statusword 0x{statusword:04X}", expected="the bits of a CiA 402 state")
+    raise BusFaultError(f"statusword 0x{statusword:04X}", expected="the bits of a CiA 402 state")
 
 
 def command_of(controlword: int) -> Command | None:
@@ -95,7 +95,7 @@ def command_of(controlword: int) -> Command | None:
 
 
 def toward(state: State, goal: State) -> Command | None:
-    """First command on the shortest way to `goal`, None if none is needed. Raises `AcquisitionError` if there is no way."""
+    """First command on the shortest way to `goal`, None if none is needed. Raises `BusFaultError` if there is no way."""
     reached: dict[State, Command | None] = {state: None}
     queue = [state]
     for at in queue:
@@ -108,7 +108,7 @@ def toward(state: State, goal: State) -> Command | None:
             if then not in reached:
                 reached[then] = command if at is state else reached[at]
                 queue.append(then)
-    raise AcquisitionError(f"no command leads from {state.words} to {goal.words}")
+    raise BusFaultError(f"no command leads from {state.words} to {goal.words}")
 
 
 # Bit of the identifier: class of the error.
@@ -252,7 +252,7 @@ def status_words(statusword: int) -> str:
     """State in a statusword, and its other bits that differ from normal operation."""
     try:
         words = [state_of(statusword).words]
-    except AcquisitionError:
+    except BusFaultError:
         words = [f"statusword 0x{statusword:04X}, no state of CiA 402"]
     return ", ".join([*words, *notices(statusword), *(text for bit, text in _CLEAR.items() if not statusword & bit)])
 

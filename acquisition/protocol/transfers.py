@@ -1,13 +1,13 @@
 """PDO and SDO of CiA 301 as bytes, without I/O: mapping, configuration and bus load; expedited transfers.
 
 The SDO functions are for our requests, the answers of simulated drives, and another master's traffic. Every object read or
-written here has at most four bytes: longer transfers are not needed.
+written here has at most four bytes, but for the texts that a scan reads in segments.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
-from ..errors import AcquisitionError, Place
+from ..errors import NoAnswerError, Place, SdoAbortedError
 from .objects import BITS, ObjectEntry
 
 NOT_VALID = 1 << 31
@@ -50,7 +50,7 @@ class Pdo:
         return b"".join((values[e.index, e.sub] % (1 << e.bits)).to_bytes(e.bits // 8, "little") for e in self.entries)
 
     def unpack(self, data: bytes) -> dict[tuple[int, int], int]:
-        """Values by (index, sub-index). Raises `AcquisitionError` when the frame is too short."""
+        """Values by (index, sub-index). Raises `BadInputError` when the frame is too short."""
         if len(data) < self.length:
             Place(f"PDO 0x{self.can_id:03X}").refuse(text=f"{len(data)} bytes", expected=str(self.length))
         found, at = {}, 0
@@ -83,7 +83,7 @@ def pdos_of(
 ) -> tuple[Pdo, ...]:
     """PDOs that the `values` of a dictionary's parameters describe; `types` by object.
 
-    PDOs that are disabled or have the identifier 0 are left out. Raises `AcquisitionError` with `place` for an object of
+    PDOs that are disabled or have the identifier 0 are left out. Raises `BadInputError` with `place` for an object of
     unknown type.
     """
     communication, mapping = PARAMETERS[direction]
@@ -189,13 +189,13 @@ def answer_of(data: bytes) -> Transfer:
     return _read(data, {2: "value", 3: "written", 4: "abort"})
 
 
-def check_answer(answer: Transfer, wanted: str, place: str) -> int:
-    """The number in an answer of the kind `wanted`. Raises `AcquisitionError` with `place` for any other kind."""
+def check_answer(answer: Transfer, wanted: str, node: int, place: str) -> int:
+    """The number in the answer of a `node`, of the kind `wanted`. Raises `SdoAbortedError` or `NoAnswerError`."""
     if answer.kind == "abort":
         meaning = next((words for words, code in ABORTS.items() if code == answer.number), "abort")
-        raise AcquisitionError(f"refused by the drive: {meaning} (0x{answer.number:08X})", place=place)
+        raise SdoAbortedError(meaning, node=node, index=answer.index, code=answer.number, place=place)
     if answer.kind != wanted:
-        raise AcquisitionError(f"the drive answered {answer.kind}", place=place, expected=wanted)
+        raise NoAnswerError(f"the drive answered {answer.kind}", node=node, place=place, expected=wanted)
     return answer.number
 
 

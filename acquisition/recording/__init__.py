@@ -5,6 +5,7 @@ from .following import RecordingFollower
 from .marks import add_mark, take_marks
 from .reader import NO_SAMPLES, Recording, has_reference, read_recording, rewrite
 from .rows import (
+    CAN_FD,
     ERROR,
     EXTENDED,
     FRAME,

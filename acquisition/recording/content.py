@@ -19,10 +19,11 @@ from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 
-from ..errors import AcquisitionError
+from ..errors import BadInputError
 from ..files import GrowingBytes
 
 _MAGIC = b"\x89MCAP0\r\n"
+_IMPORTED = (".csv", ".mat", ".log", ".asc", ".blf", ".trc", ".db3")
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 _MAX_CHUNK_BYTES = 64 * 2**20  # bytes; chunks are written at about 1 MiB, a larger size is hostile or damaged
 _MAX_TOTAL_BYTES = 4 * 2**30  # bytes of all chunks unpacked
@@ -62,20 +63,24 @@ def read_content(path: Path, name: str, accept: Accept, wanted: Wanted) -> Conte
     cut, and its SHA-256.
 
     `accept(metadata, place)` raises to refuse the file before its data is read. For a file without its end, returns what was
-    written before the cut. Raises `AcquisitionError` when the file cannot be read, is not MCAP, or is damaged.
+    written before the cut. Raises `BadInputError` when the file cannot be read, is not MCAP, or is damaged.
     """
     place = str(path)
     try:
         with path.open("rb") as file:
             return _read(_Records(file), place, name, accept, wanted)
     except OSError as error:
-        raise AcquisitionError(f"cannot be read: {error.strerror}", place=place) from error
+        raise BadInputError(f"cannot be read: {error.strerror}", place=place) from error
 
 
 def _read(records: "_Records", place: str, name: str, accept: Accept, wanted: Wanted) -> Content:
     if records.first != _MAGIC:
-        expected = f"a recording: `robot-acquire import {place} --robot ROBOT.toml --map MAP.toml -o LOG.mcap` makes it"
-        raise AcquisitionError(f"is not an MCAP file (begins with {records.first!r})", place=place, expected=expected)
+        kind = Path(place).suffix.lower()
+        if kind in _IMPORTED:
+            expected = f"a recording: first `robot-acquire import {place} --robot ROBOT.toml`"
+            raise BadInputError(f"is a {kind[1:].upper()} file", place=place, expected=expected)
+        expected = "a recording, as `robot-acquire record` or `import` writes it"
+        raise BadInputError("is not an MCAP file", place=place, expected=expected)
     found = _Found(place, name, accept, wanted)
     for opcode, at, content in records:
         try:
@@ -86,9 +91,9 @@ def _read(records: "_Records", place: str, name: str, accept: Accept, wanted: Wa
             if not records.has_end and records.only_zeros_follow():
                 break  # the last record of a cut file: incomplete, followed by nothing or by unwritten disk space
             what = str(error) or type(error).__name__
-            raise AcquisitionError(f"damaged at byte {at}: {what}", place=place) from error
+            raise BadInputError(f"damaged at byte {at}: {what}", place=place) from error
     if records.has_end and not found.complete:
-        raise AcquisitionError("damaged: it has an end, but the records before do not lead to it", place=place)
+        raise BadInputError("damaged: it has an end, but the records before do not lead to it", place=place)
     return found.metadata, found.attachments, found.chunks.messages, not records.has_end, records.sha256()
 
 
@@ -127,7 +132,7 @@ class _Found:
 class GrowingContent:
     """The content of a file that another program writes, without a lock: `read` adds the records since the last call.
 
-    Raises `AcquisitionError` where the file is not one that is being written, or is damaged.
+    Raises `BadInputError` where the file is not one that is being written, or is damaged.
     """
 
     def __init__(self, path: Path, name: str, accept: Accept, wanted: Wanted) -> None:
@@ -140,21 +145,21 @@ class GrowingContent:
         try:
             there, ours = self._path.stat(), os.fstat(self._file.fileno())
         except FileNotFoundError as error:
-            raise AcquisitionError("is gone: moved or deleted while it was written", place=place) from error
+            raise BadInputError("is gone: moved or deleted while it was written", place=place) from error
         if (there.st_dev, there.st_ino) != (ours.st_dev, ours.st_ino):
-            raise AcquisitionError("was replaced by another file", place=place)
+            raise BadInputError("was replaced by another file", place=place)
         if there.st_size < self._at:
-            raise AcquisitionError(f"was cut: {there.st_size} bytes, {self._at} of which were read before", place=place)
+            raise BadInputError(f"was cut: {there.st_size} bytes, {self._at} of which were read before", place=place)
         self._file.seek(0)
         if self._file.read(len(_MAGIC)) != _MAGIC:
-            raise AcquisitionError("is not a recording", place=place)
+            raise BadInputError("is not a recording", place=place)
         self._file.seek(self._at)
         data = self._file.read(_MAX_CHUNK_BYTES)
         for opcode, begin, end in _records(data):
             try:
                 self.found.add(opcode, data[begin:end])
             except _DAMAGE as error:
-                raise AcquisitionError(f"damaged at byte {before + begin}: {error}", place=place) from error
+                raise BadInputError(f"damaged at byte {before + begin}: {error}", place=place) from error
             self._at = before + end
         return self._at > before
 

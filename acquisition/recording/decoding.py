@@ -14,8 +14,9 @@ from ..arrays import Ints
 from ..errors import Place
 from ..protocol import ObjectEntry, Pdo
 from ..robot import Bus, Drive, Robot
+from .association import associate
 from .rows import SENT, Block, Rows, Traffic, sample_dtype
-from .sync_grid import SyncTimes, associate, counted_steps, sync_steps, sync_times, without_repeats
+from .sync_grid import Bools, SyncTimes, counted_steps, recorded_syncs, sync_steps, sync_times, without_repeats
 from .writer import RecordingWriter
 
 MAX_PERIOD_ERROR = 0.05  # of the described SYNC period
@@ -47,6 +48,7 @@ class Decoded:
         rows: for each PDO the (N,) frames that samples are made of. SYNCs without an answer of each drive, or with uncertain
             answers, are left out.
         stamps: (N,) times of the SYNCs in ns.
+        late: (N,) whether a PDO that is missing or doubled within the next `MAX_RUN_SYNCS` would leave out the row.
         targets: for each drive the (N,) frames of its current targets, -1 before the first; None without a reference.
         syncs, syncs_lost: SYNC frames recorded; SYNCs that were not recorded.
         period_s: between SYNCs, pauses left out.
@@ -59,6 +61,7 @@ class Decoded:
     bus: Bus
     rows: Mapping[Pdo, Rows]
     stamps: Ints
+    late: Bools
     targets: list[Rows] | None
     pdos: tuple[PdoCount, ...]
     syncs: int
@@ -169,7 +172,7 @@ def decode(frames: Block, robot: Robot, bus: Bus, place: str, *, max_missing: fl
 
     Raises
     ------
-    AcquisitionError
+    BadInputError
         With `place`: there is no SYNC, a drive never answered, too many PDOs are missing, fewer than two samples remain, or the
         SYNC period is not that of the description.
     """
@@ -178,40 +181,43 @@ def decode(frames: Block, robot: Robot, bus: Bus, place: str, *, max_missing: fl
     if len(sync_rows) < 2:
         text = f"{len(sync_rows)} SYNC (0x{bus.file.sync_can_id:X}) in {len(frames)} frames"
         Place(place).refuse(text=text, expected="many")
+    ours = bool((traffic.at("flags", sync_rows) & SENT).all())
+    sync_rows, times = recorded_syncs(sync_rows, traffic.at("time_ns", sync_rows), ours=ours)
     carriers = _carriers(bus)
-    pdos, counted = [], []
+    pdos, repeats, counted = [], [], []
     for pdo, name in carriers.items():
         rows, short = traffic.of(pdo)
-        rows, repeats = without_repeats(rows, sync_rows, traffic.at("data", rows))
+        rows, again = without_repeats(rows, sync_rows, traffic.at("data", rows))
         if not len(rows):
             text = f"no frame 0x{pdo.can_id:03X} of {pdo.length} bytes ({name})"
             Place(place).refuse(text=text, expected="the drive's answers to SYNC; is it mapped and started?")
         pdos.append(rows)
-        counted.append(PdoCount(name=name, received=len(rows) + repeats, duplicate=repeats, short=short))
-    ours = bool((traffic.at("flags", sync_rows) & SENT).all())
-    steps, paused, torn = sync_steps(sync_rows, pdos, lambda rows: traffic.at("time_ns", rows), ours=ours)
+        repeats.append(again)
+        counted.append(PdoCount(name=name, received=len(rows) + len(again), duplicate=len(again), short=short))
+    intervals = sync_steps(sync_rows, times, pdos, lambda rows: traffic.at("time_ns", rows), ours=ours)
     if (traffic.at("length", sync_rows) >= 1).all():
-        steps = counted_steps(traffic.at("data", sync_rows)[:, 0])
+        intervals = replace(intervals, steps=counted_steps(traffic.at("data", sync_rows)[:, 0]))
+    steps = intervals.steps
     index_of = np.concatenate([[0], np.cumsum(steps[:-1])])
-    times = traffic.at("time_ns", sync_rows)
     clock = sync_times(times, index_of, int(steps.sum()), ours=ours, nominal_ns=bus.period_ns)
     if len(sync_rows) >= MIN_SYNCS:
         refuse_period(clock.period_s, bus.file.sync_period_s, place)
     del times
-    answered, rows_of_pdos, losses, missing_share = associate(pdos, sync_rows, steps, paused, torn)
+    answers = associate(pdos, repeats, sync_rows, intervals)
     del pdos, rows  # large in a long session
     counts = tuple(
         replace(pdo, late=lost["late"], duplicate=pdo.duplicate + lost["duplicate"], missing=lost["missing"])
-        for pdo, lost in zip(counted, losses, strict=True)
+        for pdo, lost in zip(counted, answers.losses, strict=True)
     )
-    if missing_share > max_missing and max(count.missing for count in counts) > MAX_MISSING_COUNT:
-        text = f"{missing_share:.1%} of the PDOs of a drive are missing"
+    if answers.missing_share > max_missing and max(count.missing for count in counts) > MAX_MISSING_COUNT:
+        text = f"{answers.missing_share:.1%} of the PDOs of a drive are missing"
         Place(place).refuse(
             text=text, expected=f"{max_missing:.0%} at most: it is uncertain which PDOs belong together"
         )
+    answered = answers.answered
     if len(answered) < 2:
         Place(place).refuse(text=f"{len(answered)} SYNC answered by all drives", expected="many")
-    rows_of = dict(zip(carriers, rows_of_pdos, strict=True))
+    rows_of = dict(zip(carriers, answers.rows, strict=True))
     stamps, syncs_lost = clock.stamps[answered], int(np.sum(steps - 1))
     return Decoded(
         traffic=traffic,
@@ -219,6 +225,7 @@ def decode(frames: Block, robot: Robot, bus: Bus, place: str, *, max_missing: fl
         bus=bus,
         rows=rows_of,
         stamps=stamps,
+        late=answers.late,
         targets=_targets(traffic, sync_rows, index_of, answered, bus),
         pdos=counts,
         syncs=len(sync_rows),

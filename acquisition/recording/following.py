@@ -1,7 +1,8 @@
 """Follows a recording while it is written, from the file alone: new rows, events and counters.
 
 The last seconds of frames are decoded again with each block. Rows are given once, and no earlier than later frames can change
-them: PDOs that are late at the end of a block are awaited, and behind a gap as many SYNCs as `associate` looks ahead.
+them: PDOs that are late at the end of a block are awaited, and behind a gap and where PDOs are late as many SYNCs as
+`associate` looks ahead.
 """
 
 from contextlib import suppress
@@ -9,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import AcquisitionError, Place
+from ..errors import BadInputError, Place
 from ..robot import resolve, robot_from_files
 from .content import GrowingContent
 from .decoding import decode
@@ -25,7 +26,7 @@ MAX_SYNCS = 8 * MAX_RUN_SYNCS  # without a row; older frames are dropped
 class RecordingFollower:
     """A recording that is being written at `path`. After each `read`, `rows`, `events` and `health` are the new ones.
 
-    `problem` is why there are no rows. Raises `AcquisitionError` as `read` does, and where the description is not written yet.
+    `problem` is why there are no rows. Raises `BadInputError` as `read` does, and where the description is not written yet.
     """
 
     def __init__(self, path: Path) -> None:
@@ -34,10 +35,10 @@ class RecordingFollower:
         self._content.read()
         found = self._content.found
         if found.metadata is None or "robot.toml" not in found.attachments:
-            raise AcquisitionError("has no description yet", place=str(path), expected="a recording that is written")
+            raise BadInputError("has no description yet", place=str(path), expected="a recording that is written")
         self.metadata, self.robot = found.metadata, robot_from_files(found.attachments, f"{path}: robot.toml")
         if self.robot.bus is None:
-            raise AcquisitionError("is of no bus", place=str(path), expected="a recording of `robot-acquire record`")
+            raise BadInputError("is of no bus", place=str(path), expected="a recording of `robot-acquire record`")
         self._file = self.robot.bus
         self._bus = None if self._file.mapped_by_traffic else resolve(self.robot, str(path))
         self._frames = np.zeros(0, FRAME)
@@ -47,7 +48,7 @@ class RecordingFollower:
         self.health: tuple[Health, ...] = ()
 
     def read(self) -> bool:
-        """Whether the file has grown. Raises `AcquisitionError`: it is gone, cut, replaced or damaged."""
+        """Whether the file has grown. Raises `BadInputError`: it is gone, cut, replaced or damaged."""
         grown, found = self._content.read(), self._content.found
         self.ended, topics = found.complete, found.chunks.take()
         self.events, self.health = events_of(topics, self._path)
@@ -68,28 +69,30 @@ class RecordingFollower:
         half_ns, shown_ns = 0.5e9 * self._file.sync_period_s, -1 if self._last is None else int(self._last["stamp_ns"])
         first = max(int(np.searchsorted(sync_ns, shown_ns)) - HISTORY_SYNCS, len(sync_ns) - MAX_SYNCS)
         if self._bus is None:
-            with suppress(AcquisitionError):  # the master has not mapped all drives yet
+            with suppress(BadInputError):  # the master has not mapped all drives yet
                 self._bus = resolve(self.robot, str(self._path), written_by_master(self._frames))
         elif first > 0:
             self._frames, sync_ns = self._frames[sync_rows[first] :], sync_ns[first:]
         if self._bus is None or len(sync_ns) < 2:
             return
         try:
-            samples = decode(self._frames, self.robot, self._bus, str(self._path), max_missing=1.0).samples
-        except AcquisitionError as error:
-            self.problem = str(error)
+            found = decode(self._frames, self.robot, self._bus, str(self._path), max_missing=1.0)
+        except BadInputError as error:
+            self.problem = error.args[0]
             return
-        stamps, self.problem = samples["stamp_ns"], ""
+        samples, self.problem = found.samples, ""
+        stamps = samples["stamp_ns"]
         same = np.flatnonzero(np.abs(stamps - shown_ns) < half_ns)
         if self._last is not None and len(same):  # wraps of position counters in the dropped frames count on
             off = self._last["position"] - samples["position"][same[0]]
             for name in ("position", "reference"):
                 if name in (samples.dtype.names or ()):
                     samples[name] += off
-        # Later frames may assign those behind a gap to other SYNCs.
-        gap = (np.diff(stamps, prepend=stamps[0]) > 2 * MIN_PAUSE_PERIODS * half_ns) & (stamps > shown_ns + half_ns)
-        gap &= (stamps > sync_ns[max(0, len(sync_ns) - MAX_RUN_SYNCS)]) & (not self.ended)
-        rows = samples[: int(np.argmax(gap))] if gap.any() else samples
+        # Later frames may assign those behind a gap to other SYNCs, and leave out late ones.
+        early = (np.diff(stamps, prepend=stamps[0]) > 2 * MIN_PAUSE_PERIODS * half_ns) | found.late
+        early &= (stamps > shown_ns + half_ns) & (not self.ended)
+        early &= stamps > sync_ns[max(0, len(sync_ns) - MAX_RUN_SYNCS)]
+        rows = samples[: int(np.argmax(early))] if early.any() else samples
         rows = rows[rows["stamp_ns"] > shown_ns + half_ns]
         if len(rows):
             self.rows, self._last = rows, rows[-1]

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import msgspec
 
-from ..errors import AcquisitionError, one_line
+from ..errors import BadInputError, one_line
 from .writer import RecordingWriter
 
 MAX_SILENT_S = 5.0  # since the last change of a file that is being written
@@ -17,14 +17,14 @@ MAX_BYTES = 2**20  # of marks that are taken together: a recorder must not be he
 
 
 def add_mark(recording: Path, text: str) -> None:
-    """Append the time and a text. Raises `AcquisitionError` where the recording is not being written."""
+    """Append the time and a text. Raises `BadInputError` where the recording is not being written."""
     with recording.open("rb") as file:
         fcntl.flock(file, fcntl.LOCK_EX)  # marks are not taken, and the file does not end, in between
         status = os.fstat(file.fileno())
         file.seek(max(0, status.st_size - 8))
         if file.read() == b"\x89MCAP0\r\n" or time.time() - status.st_mtime > MAX_SILENT_S:
             expected = "a recording that `robot-acquire record` is writing"
-            raise AcquisitionError("is not being written", place=str(recording), expected=expected)
+            raise BadInputError("is not being written", place=str(recording), expected=expected)
         with open(f"{recording.resolve()}.marks", "ab", buffering=0) as marks:  # not beside a link
             marks.write(json.dumps([time.time_ns(), one_line(text)]).encode() + b"\n")
 

@@ -131,7 +131,7 @@ def read_recording(path: str | PathLike[str]) -> Recording:
 
     Raises
     ------
-    AcquisitionError
+    BadInputError
         The file cannot be read, is no recording, is damaged, has a newer schema version, or has blocks that do not fit their
         layout.
     """

@@ -20,6 +20,7 @@ SENT = 1  # by this master; not set: received
 EXTENDED = 2  # 29-bit identifier
 ERROR = 4  # error frame
 REMOTE_REQUEST = 8  # remote request
+CAN_FD = 16  # of CAN FD: is counted by the recorder, and not in a recording
 _DATA_AT = FRAME.itemsize - 8  # offset of a frame's bytes in its row
 _NO_ID = 0xFFFF  # stands for frames that CANopen does not use
 _AT_ONCE = 100_000  # rows in memory at once; all others may be on disk

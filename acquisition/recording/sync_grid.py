@@ -1,22 +1,14 @@
-"""The grid of SYNC: which PDO answers which SYNC, and the time of each SYNC.
+"""The grid of SYNC: the time of each SYNC, and the intervals between them.
 
 **Times.** Drives sample at SYNC. The time of a SYNC that this master sends is the time of sending. Another producer sends SYNC
 by its own timer: the receive times contain delays of reception, which are never negative and do not last. So a SYNC came no
 later than each later SYNC minus the whole periods between them. A pause of the producer lasts, and remains in the times as a
 gap.
-
-**Answers.** An interval is the time from one SYNC frame to the next. A drive answers every SYNC once and in order, some answers
-after the next SYNC. The order assigns answers to SYNCs as long as none is lost: a lost one shifts all later ones of its drive.
-So the frames are divided into stretches at places where no answer is pending, and a stretch gives rows only if every PDO came
-as often as SYNC. No answer is pending
-
-- between three intervals in a row with one PDO of every drive each, unless a drive catches up later with pending answers;
-- wherever the PDOs since such a place are as many as the SYNCs.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,11 +21,10 @@ Number = TypeVar("Number", np.int32, np.int64, np.float64)
 
 MIN_PAUSE_PERIODS = 1.5  # periods: a longer step between SYNCs is a pause
 MAX_RUN_SYNCS = 255  # within which late PDOs must end; lost in a row, a longer silence is a pause
-MIN_IN_ORDER, MAX_LATE_IN_ORDER = (
-    3,
-    8,
-)  # intervals in a row that prove the order; at most so many more where drives are late
+MAX_REPEAT_PERIODS = 0.75  # after a SYNC of another producer: an earlier one may be a repeat
 _MAX_ANSWER_PERIODS = 0.75  # after SYNC: a later PDO may answer a SYNC that was not recorded
+_MAX_USUAL_PERIODS = 0.05  # from a PDO's median time after SYNC, and so many median deviations from that:
+_MAX_USUAL_RATIO = (5.0, 1.5)  # if it never came twice in an interval; else
 _MAX_DELAY_RATIO = 4.0  # times the usual delay; SYNCs with more are not used for the period
 _LOOKAHEAD_SYNCS = (15, 127)  # later SYNCs that bound the delay of one, in the first and second pass
 
@@ -55,6 +46,17 @@ class SyncTimes:
     jitter_s: tuple[float, float]
     pauses: Ints
     set_back: tuple[tuple[int, float], ...]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Intervals:
+    """Intervals from each SYNC frame to the next, (k,) each."""
+
+    steps: Rows  # periods
+    paused: Bools
+    torn: Bools  # a pause with late PDOs
+    swapped: Bools  # a PDO came after the next SYNC, but was recorded before it
+    unusual: Bools  # a PDO at an unusual time after SYNC
 
 
 def sync_times(times: Ints, index_of: Ints, grid: int, *, ours: bool, nominal_ns: int) -> SyncTimes:
@@ -144,17 +146,35 @@ def minimum_ahead(values: NDArray[Number], ahead: int) -> NDArray[Number]:
     return least
 
 
-def _interval(rows: Rows, sync_rows: Rows) -> Rows:
+def interval_of(rows: Rows, sync_rows: Rows) -> Rows:
     """Interval of each frame, -1 before the first; not stored, because those of all PDOs need much memory."""
     return np.searchsorted(sync_rows, rows).astype(np.int32) - 1
 
 
-def without_repeats(rows: Rows, sync_rows: Rows, data: NDArray[np.uint8]) -> tuple[Rows, int]:
-    """Frames of a PDO after the first SYNC without repeats, and the number of repeats; `data` (len(rows), 8): their bytes.
+def recorded_syncs(rows: Rows, times: Ints, *, ours: bool) -> tuple[Rows, Ints]:
+    """SYNC frames and their times: two that changed places are set right, and repeats by another producer are left out.
+
+    A repeat comes too early, and the next SYNC a whole number of periods after the one before it. So does a SYNC with too early
+    a time: as one that was not recorded, it gets the time between its neighbours.
+    """
+    period = float(np.median(np.diff(times))) or 1.0
+    back = np.flatnonzero(np.diff(times[:-1]) < 0)
+    back = back[(back > 0) & (times[back + 2] - times[back - 1] > 2.5 * period)]  # else the clock was set back
+    times[back], times[back + 1] = times[back + 1], times[back]
+    if ours:
+        return rows, times
+    skipped = np.append(times[2:] - times[:-2], period)[: len(times) - 1] / period  # the last one has no neighbour
+    whole = (np.abs(skipped - np.rint(skipped)) < 1 - MAX_REPEAT_PERIODS) & (skipped > 0.5)
+    repeats = np.flatnonzero(whole & (np.diff(times) < MAX_REPEAT_PERIODS * period)) + 1
+    return np.delete(rows, repeats), np.delete(times, repeats)
+
+
+def without_repeats(rows: Rows, sync_rows: Rows, data: NDArray[np.uint8]) -> tuple[Rows, Rows]:
+    """Frames of a PDO after the first SYNC without repeats, and the repeats; `data` (len(rows), 8): their bytes.
 
     A frame repeats the one before if both are of one interval, have equal bytes, and differ from the frames before and after.
     """
-    interval = _interval(rows, sync_rows)
+    interval = interval_of(rows, sync_rows)
     again = np.flatnonzero((np.diff(interval) == 0) & (interval[1:] >= 0)) + 1
     same = (data[again] == data[again - 1]).all(axis=1)
     changed = (again < 2) | (data[again - 1] != data[again - 2]).any(axis=1)
@@ -162,39 +182,46 @@ def without_repeats(rows: Rows, sync_rows: Rows, data: NDArray[np.uint8]) -> tup
     changed &= (again == len(rows) - 1) | (data[after] != data[again]).any(axis=1)
     used = interval >= 0
     used[again[same & changed]] = False
-    return rows[used], int(np.count_nonzero(same & changed))
+    return rows[used], rows[again[same & changed]]
 
 
 def sync_steps(
-    sync_rows: Rows, pdos: Sequence[Rows], times_of: Callable[[Rows], Ints], *, ours: bool
-) -> tuple[Rows, Bools, Bools]:
-    """Periods from each SYNC frame to the next; whether it is a pause; whether a pause contains late PDOs; (k,) each.
+    sync_rows: Rows, times: Ints, pdos: Sequence[Rows], times_of: Callable[[Rows], Ints], *, ours: bool
+) -> Intervals:
+    """Intervals between SYNC frames.
 
     A step of whole periods of another producer is as many SYNCs. This master may have sent SYNC late (`ours`): then, as after
-    the last SYNC, SYNCs count as lost if most drives answered each of them. `pdos`: frames by PDO; `times_of`: their times.
+    the last SYNC, SYNCs count as lost if most drives answered each of them. Whole periods without an answer are a pause, too.
+    `pdos`: frames by PDO; `times_of`: their times.
     """
-    times = times_of(sync_rows)
-    steps, paused, torn = np.ones(len(times), np.int32), np.zeros(len(times), np.bool_), np.zeros(len(times), np.bool_)
+    steps = np.ones(len(times), np.int32)
     period = float(np.median(np.diff(times))) or 1.0
     end = max(int(times_of(pdo[-1:])[0]) for pdo in pdos)
     after_last = 1 + int((end - times[-1]) / period + 1 - _MAX_ANSWER_PERIODS)
     periods = np.append(np.diff(times) / period, after_last)
     long = np.flatnonzero(periods > MIN_PAUSE_PERIODS)
     lost = np.rint(periods[long]).astype(np.int64) - 1
-    after = np.empty((len(pdos), len(long)), np.int64)
-    for count, pdo in zip(after, pdos, strict=True):
-        interval = _interval(pdo, sync_rows)
-        here = np.isin(interval, long)
-        interval = interval[here]
-        interval = interval[times_of(pdo[here]) - times[interval] > _MAX_ANSWER_PERIODS * period]
-        count[:] = np.bincount(interval, minlength=len(times))[long]
-    known = np.sort(after, axis=0)[(len(pdos) - 1) // 2] >= lost
+    ahead = np.append(np.diff(times), np.iinfo(np.int64).max)
+    after: list[Ints] = []
+    paused, torn, busy, unusual, swapped = np.zeros((5, len(times)), np.bool_)
+    for pdo in pdos:
+        interval = interval_of(pdo, sync_rows)
+        came = times_of(pdo) - times[interval]
+        after.append(np.bincount(interval[came > _MAX_ANSWER_PERIODS * period], minlength=len(times))[long])
+        swapped[interval[(came > ahead[interval]) & (ahead[interval] > 0)]] = True
+        busy[interval[came > 0.5 * period * periods[interval]]] = True
+        two = bool((np.bincount(interval, minlength=len(times))[periods <= MIN_PAUSE_PERIODS] > 1).any())
+        off = np.abs(came - np.median(came))
+        unusual[interval[off > _MAX_USUAL_PERIODS * period + _MAX_USUAL_RATIO[two] * np.median(off)]] = True
+    most = np.sort(after, axis=0)[(len(pdos) - 1) // 2]
+    known = most >= lost
     if not ours:
-        known |= (np.abs(periods[long] - lost - 1) <= MAX_PERIOD_OFFSET) & (long < len(times) - 1)
-    known &= lost < MAX_RUN_SYNCS
+        whole = np.abs(periods[long] - lost - 1) <= MAX_PERIOD_OFFSET
+        known = np.where(long < len(times) - 1, whole, known)
+    known &= (lost < MAX_RUN_SYNCS) & ((lost == 1) | (most > 0) | busy[long])  # else nothing was on the bus
     steps[long[known]] += lost[known]
-    paused[long], torn[long] = ~known, ~known & after.any(axis=0)
-    return steps, paused, torn
+    paused[long], torn[long] = ~known, ~known & np.any(after, axis=0)
+    return Intervals(steps=steps, paused=paused, torn=torn, swapped=swapped, unusual=unusual & (steps == 1))
 
 
 def counted_steps(counter: NDArray[np.uint8]) -> Rows:
@@ -203,83 +230,3 @@ def counted_steps(counter: NDArray[np.uint8]) -> Rows:
     if top > 1:
         steps[:-1] = np.mod(np.diff(counter.astype(np.int64)) - 1, top) + 1
     return steps
-
-
-def associate(
-    pdos: Sequence[Rows], sync_rows: Rows, steps: Rows, paused: Bools, torn: Bools
-) -> tuple[Rows, list[Rows], list[dict[str, int]], float]:
-    """Assign the frames of `pdos` to SYNCs where the order is proven; `steps`, `paused`, `torn` as of `sync_steps`.
-
-    Returns grid indices (N,) of the SYNCs whose answers are all known, also of SYNCs that were not recorded; for each PDO the
-    (N,) frames that answer them, and the numbers of late, duplicate and missing ones (missing: in the span in which all drives
-    answer); the largest share of missing ones of a PDO in that span.
-    """
-    edges = _sums(steps)
-    alone, caught_up = (steps == 1) & ~torn, np.zeros(len(edges), np.bool_)
-    behind = []  # of each PDO: SYNCs without an answer so far
-    for pdo in pdos:
-        count = np.bincount(_interval(pdo, sync_rows), minlength=len(steps))
-        alone &= count == 1
-        behind.append(edges - _sums(count))
-        del count
-        later, before = (minimum_ahead(x, MAX_RUN_SYNCS) for x in (behind[-1], behind[-1][::-1]))
-        # A drive that is less behind both before and later is late here.
-        caught_up |= (behind[-1] > later) & (behind[-1] > before[::-1])
-    if all(x[-1] == 0 for x in behind) and any(x.max() > 0 for x in behind):
-        torn = np.append(torn[:-1], False)  # nothing is lost, and some PDOs are late: so may the last ones be
-    # In a pause drives catch up: one that has not done so answers a SYNC that was not recorded.
-    torn = torn | paused & caught_up[1:]
-    # Late drives, too, have one PDO in each of some intervals, and a lost one may hide that they catch up.
-    hidden = min(_longest_run(alone & caught_up[1:] & caught_up[:-1]) + 1, MAX_LATE_IN_ORDER) if caught_up.any() else 0
-    in_order, sums = np.zeros(len(edges), np.bool_), _sums(alone)
-    runs = np.flatnonzero(sums[MIN_IN_ORDER + hidden :] - sums[: -MIN_IN_ORDER - hidden] == MIN_IN_ORDER + hidden)
-    for k in range(hidden, MIN_IN_ORDER + hidden + 1):
-        in_order[runs + k] = True
-    proven = in_order & ~caught_up
-    # The recording may begin while answers are pending: then there are more answers than SYNCs.
-    begin = int(np.argmax(proven)) if proven.any() else len(edges) - 1
-    unknown = np.zeros(len(edges), np.int32)
-    unknown[0] = any(x[: begin + 1].min() < 0 for x in behind)
-    proven[[0, -1]] = True
-    starts = np.flatnonzero(proven).astype(np.int32)
-    balances = [*behind, unknown, _sums(torn)]  # a torn interval is in no stretch
-    unchanged = np.ones(len(edges), np.bool_)
-    for balance in balances:
-        lowest = np.minimum.reduceat(balance, starts)  # below the start: an unnoticed loss of a SYNC or repeat of a PDO
-        lowest[:-1] = np.minimum(lowest[:-1], balance[starts[1:]])
-        level = np.where(lowest < balance[starts], np.iinfo(np.int32).max, balance[starts])
-        unchanged &= balance == np.repeat(level, np.diff(starts, append=len(edges)))
-    cuts = np.flatnonzero(unchanged | proven).astype(np.int32)
-    whole = np.ones(len(cuts) - 1, np.bool_)
-    for balance in balances:
-        whole &= np.diff(balance[cuts]) == 0
-    first, end = np.searchsorted(sync_rows, [max(p[0] for p in pdos), min(p[-1] for p in pdos)])
-    span = np.clip(cuts, first - 1, max(first - 1, end))
-    counts: list[dict[str, int]] = []
-    for balance in behind:
-        grown = np.diff(balance[span])[~whole]
-        counts.append({"duplicate": -int(grown[grown < 0].sum()), "missing": int(grown[grown > 0].sum())})
-    share = max(losses["missing"] for losses in counts) / max(1, int(edges[span[-1]] - edges[span[0]]))
-    keep = np.repeat(whole, np.diff(cuts))
-    del behind, balances, balance, edges, sums, span  # large in a long session
-    asked = np.repeat(np.flatnonzero(keep).astype(np.int32), steps[keep])  # the interval of each of the SYNCs
-    rows = []
-    for pdo, losses in zip(pdos, counts, strict=True):
-        interval = _interval(pdo, sync_rows)
-        used = keep[interval]
-        rows.append(pdo[used])
-        losses["late"] = int(np.count_nonzero(interval[used] != asked))
-    answered = np.flatnonzero(np.repeat(keep, steps)).astype(np.int32)
-    return answered, rows, counts, share
-
-
-def _sums(values: NDArray[Any]) -> Rows:
-    """Sum of all values before each, then the sum of all."""
-    sums = np.zeros(len(values) + 1, np.int32)
-    np.cumsum(values, out=sums[1:])
-    return sums
-
-
-def _longest_run(true: Bools) -> int:
-    ends = np.flatnonzero(np.diff(true, prepend=False, append=False))
-    return int((ends[1::2] - ends[::2]).max(initial=0))

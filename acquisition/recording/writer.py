@@ -143,7 +143,7 @@ class RecordingWriter:
     """Writes a recording; a context manager. `flush` makes what was written so far survive a kill or a power cut.
 
     Metadata and attachments are on the disk when the constructor returns. Raises `OSError` as files do (use `atomic_write` if
-    the file must be written whole or not at all), and `AcquisitionError` for blocks that do not fit.
+    the file must be written whole or not at all), and `BadInputError` for blocks that do not fit.
     """
 
     def __init__(self, path: Path, header: Header) -> None:

@@ -116,7 +116,7 @@ def refuse_load(bus: Bus, place: str) -> None:
 def refuse_out_of_range(path: Array, robot: Robot, bus: Bus, place: str) -> None:
     """Refuse joint positions (N, n), one row each SYNC, whose counts exceed the range of a drive's target object.
 
-    A drive at the end of its range would stop while the others move on. Raises `AcquisitionError` with `place`, the time, the
+    A drive at the end of its range would stop while the others move on. Raises `BadInputError` with `place`, the time, the
     motor, its counts and the range; also if a position is not finite.
     """
     low, high = range_of(POSITION_TYPE)
@@ -178,7 +178,7 @@ def refuse_counts(robot: Robot, i: int, file: DriveFile, at: Place) -> None:
 def axis_of(drive: Drive) -> int:
     """Offset of a drive's control and status objects from 6040h and 6041h: a multiple of 800h (CiA 402-2), 0 for one axis.
 
-    Raises `AcquisitionError` if they are not of one axis.
+    Raises `BadInputError` if they are not of one axis.
     """
     axis = drive.control.index - CONTROLWORD
     if axis % AXIS or drive.status.index - STATUSWORD != axis or drive.control.sub or drive.status.sub:
@@ -195,7 +195,7 @@ def axis_index(drive: Drive, index: int) -> int:
 def check_carriers(bus: Bus) -> None:
     """Refuse PDOs to the drives without the objects that tracking needs, or with others: these would be set to 0.
 
-    Raises `AcquisitionError` with the node and the object.
+    Raises `BadInputError` with the node and the object.
     """
     for drive in bus.drives:
         at = Place(f"node {drive.node}")

@@ -83,7 +83,7 @@ def check_recorded_positions(robot: Robot, stamp_s: Array, q: Array, place: str)
     """Warnings about joint positions q (N, n) in rad or m at the times stamp_s (N,): small overshoots of limits, or 57 times as
     much would suit them.
 
-    Raises `AcquisitionError` with `place`, joint, time, value, limit and the remedy, if a position exceeds its limits by over
+    Raises `BadInputError` with `place`, joint, time, value, limit and the remedy, if a position exceeds its limits by over
     half the joint's range, or a joint is over three times as fast as its limit; noise of samples is subtracted.
     """
     overshoots, at = [], Place(place)
@@ -114,7 +114,7 @@ def check_recorded_efforts(robot: Robot, effort: Array) -> tuple[str, ...]:
 def check_recorded_velocities(robot: Robot, q: Array, v: Array, rate_hz: float, place: str) -> tuple[str, ...]:
     """Warnings about recorded speeds v (N, n) that differ from the derivative of positions q (N, n), rad or m, at `rate_hz`.
 
-    Raises `AcquisitionError` if their unit or sign is wrong.
+    Raises `BadInputError` if their unit or sign is wrong.
     """
     h = 1 / rate_hz
     travelled = np.concatenate([np.zeros((1, q.shape[1])), np.cumsum(0.5 * h * (v[1:] + v[:-1]), axis=0)])

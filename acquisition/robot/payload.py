@@ -5,7 +5,7 @@ from typing import Annotated
 
 import msgspec
 
-from ..errors import AcquisitionError
+from ..errors import BadInputError
 from .robot import Robot
 
 Mass = Annotated[float, msgspec.Meta(gt=0, le=1e6)]
@@ -54,7 +54,7 @@ class Payload:
 def parse_payload(text: str, robot: Robot, key: str = "--payload") -> Payload:
     """The payload of `KG`, `KG@X,Y,Z` or `KG@X,Y,Z+-HALF` (m), with the frame and half-widths of the robot's `[payload]`.
 
-    Raises `AcquisitionError` with `key`, the text as `value`, and `expected`.
+    Raises `BadInputError` with `key`, the text as `value`, and `expected`.
     """
     mass, at, center = text.partition("@")
     center, within, half_width = center.partition("+-")
@@ -67,4 +67,4 @@ def parse_payload(text: str, robot: Robot, key: str = "--payload") -> Payload:
         expected = (
             "KG or KG@X,Y,Z: a mass above 0 in kg, and a centre of mass in m, each number within 5 m; +-0.005 after it"
         )
-        raise AcquisitionError(key=key, value=text, expected=expected) from error
+        raise BadInputError(key=key, value=text, expected=expected) from error

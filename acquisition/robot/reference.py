@@ -47,7 +47,7 @@ def fourier_reference(
 ) -> FourierReference:
     """A random Fourier series for each joint, from rest to rest, within `share` of its range, speed and acceleration; rad or m.
 
-    The same `seed` gives the same series; at least two `harmonics`. Raises `AcquisitionError` if the period is not positive or
+    The same `seed` gives the same series; at least two `harmonics`. Raises `BadInputError` if the period is not positive or
     a joint states no range.
     """
     if not period_s > 0:
@@ -89,7 +89,7 @@ def table_reference(path: Path, robot: Robot, period_s: float, speed: float = 1.
     """Joint positions (N, n) along a table, with cubic splines between its rows, one row each `period_s`; rad or m.
 
     The table is a CSV file with `time_s`, then each joint by name. `speed` in (0, 1] slows the path down: speeds are multiplied
-    by it, accelerations by its square. Raises `AcquisitionError` if the table cannot be read, its time does not grow, it is
+    by it, accelerations by its square. Raises `BadInputError` if the table cannot be read, its time does not grow, it is
     longer than a day or than memory allows, or has no spline through its numbers.
     """
     from scipy.interpolate import CubicSpline
@@ -119,7 +119,7 @@ def table_reference(path: Path, robot: Robot, period_s: float, speed: float = 1.
 def check_limits(q: Array, robot: Robot, period_s: float, place: str) -> None:
     """Refuse a path (N, n) from rest to rest, rad or m, that leaves the position, speed or acceleration limits of a joint.
 
-    Raises `AcquisitionError` with `place`, time, joint, value and limit; also if a joint states no limit.
+    Raises `BadInputError` with `place`, time, joint, value and limit; also if a joint states no limit.
     """
     for i, joint in enumerate(robot.joints):
         for quantity in ("position", "speed", "acceleration", "following_error"):

@@ -33,7 +33,7 @@ def resolve(robot: Robot, place: str, traffic: Mapping[int, Values] | None = Non
     """The drives of `robot` with their PDOs and codecs.
 
     `traffic` are values that another master wrote, by node and (index, sub), for drives with `mapping = "traffic"`. Raises
-    `AcquisitionError` with `place`, key, value and what was expected.
+    `BadInputError` with `place`, key, value and what was expected.
     """
     if robot.bus is None:
         Place(place).refuse("bus", None, "its drives: remove `#: ` in robot.toml, or `init --bus`")

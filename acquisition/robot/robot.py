@@ -16,12 +16,17 @@ from ..errors import Place
 from ..files import read_meshes
 from .bus import FILL_IN, BusFile, dictionary_label
 from .description import Capsule, Controller, Identification, Joint, Motor, PayloadFile, RobotFile
-from .toml import RefusedError, parse_toml
+from .toml import InvalidValueError, parse_toml
 
 SIMULATED_CONTROLLER = "simulated_controller.toml"  # of the drives of a dry run, replaces [controller]
 # Guards of [bus] and [[joint]] above these would stop nothing.
 MAX_BUS_GUARDS = {"heartbeat_s": 1.0, "late_sync_s": 1.0, "enable_motion_deg": 10.0, "enable_motion_m": 0.1}
 MAX_JOINT_GUARDS = {"following_error_deg": 30.0, "following_error_m": 0.3, "speed_deg_s": 3000.0, "speed_m_s": 20.0}
+_OTHER_FILES = {  # by their first byte
+    b"<": ("is a URDF", "; `robot-identify init {0} -o robot.toml` makes one"),
+    b"{": ("is a JSON file", "; `robot-identify export {0} --toml robot.toml` makes one of a fit"),
+    b"\x89": ("is a recording", ""),
+}
 _MESH = "mesh:"  # before a mesh's name in the URDF: the name of its attachment, a label, never a path
 
 
@@ -72,7 +77,7 @@ class Robot:
 
     @cached_property
     def bandwidth_hz(self) -> float:
-        """Bandwidth of the position loop; `AcquisitionError` if the description does not state it."""
+        """Bandwidth of the position loop; `BadInputError` if the description does not state it."""
         if self.controller.bandwidth_hz is None:
             expected = "the bandwidth of the position loop, Hz"
             Place(f"robot {self.name}").refuse("controller.bandwidth_hz", None, expected)
@@ -137,7 +142,7 @@ def load_robot(path: str | PathLike[str]) -> Robot:
 
     Raises
     ------
-    AcquisitionError
+    BadInputError
         With `place` (the file), `key`, `value` and `expected`.
     """
     path = Path(path)
@@ -146,9 +151,10 @@ def load_robot(path: str | PathLike[str]) -> Robot:
         files = {"robot.toml": path.read_bytes()}
     except OSError as error:
         place.refuse(text=f"cannot be read: {error.strerror}")
-    if files["robot.toml"].lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<"):
-        expected = f"a robot.toml; `robot-identify init {path} -o robot.toml` makes one"
-        place.refuse(text="is a URDF", expected=expected)
+    begin = files["robot.toml"].lstrip(b"\xef\xbb\xbf \t\r\n")[:1]
+    if begin in _OTHER_FILES:
+        text, way_out = _OTHER_FILES[begin]
+        place.refuse(text=text, expected=f"a robot.toml{way_out.format(path)}")
     document = parse_toml(files["robot.toml"], RobotFile, str(path))
     _refuse_idle_keys(document.controller, place.at("controller"))
     if document.bus is not None:
@@ -212,7 +218,7 @@ def robot_from_files(files: Mapping[str, bytes], place: str) -> Robot:
         controller = parse_toml(law, Controller, f"{place}: {SIMULATED_CONTROLLER}")
         try:
             f = msgspec.structs.replace(f, controller=controller)
-        except RefusedError as refusal:
+        except InvalidValueError as refusal:
             at.refuse(*refusal.args)
     urdf = None
     if f.urdf is not None:

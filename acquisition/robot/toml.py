@@ -30,10 +30,10 @@ class TomlTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
     def refuse(self, key: str, value: object, expected: str) -> NoReturn:
         """Refuse the value of a key of this table; `parse_toml` adds the place of the table."""
-        raise RefusedError(key, value, expected)
+        raise InvalidValueError(key, value, expected)
 
 
-class RefusedError(ValueError):
+class InvalidValueError(ValueError):
     """A key of a table, its value and what was expected: a `ValueError`, to which msgspec adds the place of the table."""
 
 
@@ -55,7 +55,7 @@ def parse_toml(text: bytes, kind: type[T], place: str) -> T:
     except msgspec.ValidationError as error:
         message, _, where = str(error).rpartition(" - at `$")
         message, path = (message, where[:-1].lstrip(".")) if message else (str(error), "")
-        if isinstance(error.__cause__, RefusedError):
+        if isinstance(error.__cause__, InvalidValueError):
             file.at(path).refuse(*error.__cause__.args)
         problem, expected = message, ""
         if message.startswith("Invalid enum value"):

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from ..bus import Frame, block_of
-from ..errors import AcquisitionError
+from ..errors import BusFaultError
 from ..robot import Payload, Robot
 from .process import BLOCK_S, STOPPING, Role, WatchdogPipe, run
 from .recorder import RecordedSummary, Recorder, Status
@@ -76,7 +76,7 @@ class InlineLog:
 class ProcessLog:
     """A recorder in a separate process. In the role `FED`, and only then, the session's link calls `tap`.
 
-    Raises `AcquisitionError` where the process cannot open the bus or the file.
+    Raises `BusFaultError` where the process cannot open the bus or the file.
     """
 
     def __init__(
@@ -142,11 +142,11 @@ class ProcessLog:
     def poll(self, stamp_ns: int) -> Status | None:
         """Latest status, None if there is no new one. Called at every SYNC by the SYNC loop, as a sign of life.
 
-        Raises `AcquisitionError` when the recorder has ended, hangs, or stops the drives.
+        Raises `BusFaultError` when the recorder has ended, hangs, or stops the drives.
         """
         self.alive()
         if self._watchdog_pipe is not None and (reason := self._watchdog_pipe.stopped()):
-            raise AcquisitionError(reason)
+            raise BusFaultError(reason)
         if self._frames and stamp_ns - self._frames[0].time_ns >= BLOCK_S * 1e9:
             self._hand_over()
         status = None
@@ -154,22 +154,22 @@ class ProcessLog:
             while self._connection.poll():
                 kind, content = self._connection.recv()
                 if kind == "failed":
-                    raise AcquisitionError(content)
+                    raise BusFaultError(content)
                 status = content if kind == "status" else status
         except (EOFError, OSError) as error:
-            raise AcquisitionError(_ENDED) from error
+            raise BusFaultError(_ENDED) from error
         if status is not None:
             self._heard_s = time.monotonic()
         silent_s = time.monotonic() - self._heard_s
         self._hangs = silent_s > MAX_SILENT_S
         if self._hangs:
-            raise AcquisitionError(f"no status from the recorder for {silent_s:.1f} s", expected="one every 0.5 s")
+            raise BusFaultError(f"no status from the recorder for {silent_s:.1f} s", expected="one every 0.5 s")
         if status is not None:
             self.on_status(status, stamp_ns)
         return status
 
     def finish(self, stamp_ns: int) -> RecordedSummary:
-        """End the recording. Raises `AcquisitionError` when the recorder has ended before."""
+        """End the recording. Raises `BusFaultError` when the recorder has ended before."""
         self.ended()
         if self._frames:
             self._hand_over()
@@ -194,7 +194,7 @@ class ProcessLog:
         try:
             self._connection.send(message)
         except OSError as error:
-            raise AcquisitionError(_ENDED) from error
+            raise BusFaultError(_ENDED) from error
 
     def _expect(self, wanted: str, timeout_s: float) -> Any:
         until_s = time.monotonic() + timeout_s
@@ -202,12 +202,12 @@ class ProcessLog:
             while self._connection.poll(max(0.0, until_s - time.monotonic())):
                 kind, content = self._connection.recv()
                 if kind == "failed":
-                    raise AcquisitionError(content)
+                    raise BusFaultError(content)
                 if kind == wanted:
                     return content
         except (EOFError, OSError) as error:
-            raise AcquisitionError(_ENDED) from error
-        raise AcquisitionError(f"the recorder did not answer in {timeout_s:g} s", expected=wanted)
+            raise BusFaultError(_ENDED) from error
+        raise BusFaultError(f"the recorder did not answer in {timeout_s:g} s", expected=wanted)
 
 
 SessionLog = InlineLog | ProcessLog

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..arrays import Array
 from ..bus import OPERATIONAL, Master, Orders
-from ..errors import AcquisitionError
+from ..errors import BusFaultError
 from ..protocol import FOLLOWS, REMOTE, Command, State, error_words, status_words, toward
 from ..robot import Joint, Robot
 
@@ -35,7 +35,7 @@ def enable(master: Master, targets: list[int], in_fault: Collection[int] = ()) -
     """Orders for each SYNC until every drive is in operation enabled; None where nothing is to be sent.
 
     `targets`, empty, receives the target counts (n) at which the drives are held. Only faults of the nodes `in_fault`, which
-    the operator confirmed, are reset. Raises `AcquisitionError`: another fault, or not enabled after 5 s.
+    the operator confirmed, are reset. Raises `BusFaultError`: another fault, or not enabled after 5 s.
     """
     for k in range(round(ENABLE_S / master.bus.file.sync_period_s)):
         watches = master.nodes
@@ -57,7 +57,7 @@ def enable(master: Master, targets: list[int], in_fault: Collection[int] = ()) -
                 command = Command.ENABLE_OPERATION
             if command is Command.FAULT_RESET and watch.drive.node not in in_fault:
                 place, expected = f"node {watch.drive.node} ({watch.drive.name})", "switch on disabled, as before"
-                raise AcquisitionError("went into fault after the session began", place=place, expected=expected)
+                raise BusFaultError("went into fault after the session began", place=place, expected=expected)
             if command is Command.FAULT_RESET and k % 2:
                 command = None  # a drive acts on the rising edge of this bit
             controls.append(command.controlword if command else 0)
@@ -67,11 +67,11 @@ def enable(master: Master, targets: list[int], in_fault: Collection[int] = ()) -
         for w in master.nodes
         if w.state is not State.OPERATION_ENABLED
     )
-    raise AcquisitionError(f"not enabled after {ENABLE_S:g} s: {states}", expected="operation enabled")
+    raise BusFaultError(f"not enabled after {ENABLE_S:g} s: {states}", expected="operation enabled")
 
 
 def disable(master: Master, targets: list[int]) -> Iterator[Orders]:
-    """Orders at constant targets until every drive is in switch on disabled or fault. Raises `AcquisitionError` after 5 s."""
+    """Orders at constant targets until every drive is in switch on disabled or fault. Raises `BusFaultError` after 5 s."""
     for _ in range(round(ENABLE_S / master.bus.file.sync_period_s)):
         states = [watch.state for watch in master.nodes]
         if all(state in (State.SWITCH_ON_DISABLED, State.FAULT) for state in states):
@@ -80,7 +80,7 @@ def disable(master: Master, targets: list[int]) -> Iterator[Orders]:
             Command.DISABLE_VOLTAGE if state is None else _DOWN.get(state, Command.DISABLE_VOLTAGE) for state in states
         ]
         yield [(command.controlword, target) for command, target in zip(downs, targets, strict=True)]
-    raise AcquisitionError(f"not disabled after {ENABLE_S:g} s", expected="switch on disabled")
+    raise BusFaultError(f"not disabled after {ENABLE_S:g} s", expected="switch on disabled")
 
 
 SILENT_SYNCS = 3  # in a row without an answer of a drive are a fault
@@ -110,31 +110,31 @@ class MotionState:
     clear_syncs: dict[tuple[int, int], int] = field(default_factory=dict)  # SYNCs in a row in which a (node, bit) was 0
 
 
-def node_fault(master: Master, now_ns: int) -> AcquisitionError | None:
+def node_fault(master: Master, now_ns: int) -> BusFaultError | None:
     """The fault that ends any active session: emergency, restart, lost heartbeat, missed answers, bus error."""
     if master.bus_error is not None:
-        return AcquisitionError(master.bus_error, place="bus")
+        return BusFaultError(master.bus_error, place="bus")
     lost_ns = LOST_HEARTBEATS * master.bus.file.heartbeat_s * 1e9
     for watch in master.nodes:
         node = f"node {watch.drive.node} ({watch.drive.name})"
         if watch.emergency is not None:
-            return AcquisitionError(f"emergency {error_words(watch.emergency)}", place=node)
+            return BusFaultError(f"emergency {error_words(watch.emergency)}", place=node)
         if watch.booted:
-            return AcquisitionError("has restarted", place=node)
+            return BusFaultError("has restarted", place=node)
         if watch.started and watch.nmt != OPERATIONAL:
-            return AcquisitionError(f"left operational (NMT state {watch.nmt})", place=node)
+            return BusFaultError(f"left operational (NMT state {watch.nmt})", place=node)
         # A heartbeat that left the drive before START may arrive after it.
         if watch.unstarted >= LOST_HEARTBEATS:
             text = f"not operational {watch.unstarted} heartbeats after START (NMT state {watch.nmt})"
-            return AcquisitionError(text, place=node)
+            return BusFaultError(text, place=node)
         if watch.heard_ns and now_ns - watch.heard_ns > lost_ns:
-            return AcquisitionError(f"heartbeat lost for {(now_ns - watch.heard_ns) * 1e-9:.2f} s", place=node)
+            return BusFaultError(f"heartbeat lost for {(now_ns - watch.heard_ns) * 1e-9:.2f} s", place=node)
         if watch.silent_syncs >= SILENT_SYNCS:
-            return AcquisitionError(f"{watch.silent_syncs} SYNC not answered", place=node)
+            return BusFaultError(f"{watch.silent_syncs} SYNC not answered", place=node)
     return None
 
 
-def state_fault(master: Master, motion: MotionState) -> AcquisitionError | None:
+def state_fault(master: Master, motion: MotionState) -> BusFaultError | None:
     """The fault of a drive that has left operation enabled, or does not follow commands by its statusword."""
     for watch in master.nodes:
         node, word = watch.drive.node, watch.statusword
@@ -142,7 +142,7 @@ def state_fault(master: Master, motion: MotionState) -> AcquisitionError | None:
         if watch.state is not State.OPERATION_ENABLED or word is None:
             if not motion.enabling or node in motion.enabled:
                 state = "unknown" if word is None else status_words(word)
-                return AcquisitionError(f"{state} in motion", place=name, expected="operation enabled")
+                return BusFaultError(f"{state} in motion", place=name, expected="operation enabled")
             continue
         motion.enabled.add(node)
         motion.bits_seen[node] = motion.bits_seen.get(node, 0) | word
@@ -150,11 +150,11 @@ def state_fault(master: Master, motion: MotionState) -> AcquisitionError | None:
             clear = motion.clear_syncs.get((node, bit), 0) + 1 if motion.bits_seen[node] & ~word & bit else 0
             motion.clear_syncs[node, bit] = clear
             if clear >= CLEAR_SYNCS:
-                return AcquisitionError(f"{text} for {clear} SYNC", place=name)
+                return BusFaultError(f"{text} for {clear} SYNC", place=name)
     return None
 
 
-def joint_fault(master: Master, robot: Robot, motion: MotionState) -> AcquisitionError | None:
+def joint_fault(master: Master, robot: Robot, motion: MotionState) -> BusFaultError | None:
     """The fault of a joint: limits of position, speed, following error, and motion while drives are enabled."""
     q, file = motion.measured[-1], master.bus.file
     dq = None
@@ -179,7 +179,5 @@ def joint_fault(master: Master, robot: Robot, motion: MotionState) -> Acquisitio
     return None
 
 
-def _limit_fault(joint: Joint, key: str, value: float, unit: str, expected: str) -> AcquisitionError:
-    return AcquisitionError(
-        place=joint.name, key=key, value=float(value), shown=f"{value:.4g} {unit}", expected=expected
-    )
+def _limit_fault(joint: Joint, key: str, value: float, unit: str, expected: str) -> BusFaultError:
+    return BusFaultError(place=joint.name, key=key, value=float(value), shown=f"{value:.4g} {unit}", expected=expected)

@@ -21,7 +21,7 @@ import numpy as np
 
 from ..arrays import Ints
 from ..bus import Receiver, WallClock, command_ids, describe_step, kernel_drops, not_disabled, open_bus, stop_drives
-from ..errors import AcquisitionError
+from ..errors import BusFaultError, RobotIdimError
 from ..protocol import HEARTBEAT
 from ..recording import FRAME, SENT
 from ..robot import Bus, BusFile, Payload, Robot, resolve, robot_from_files
@@ -110,8 +110,8 @@ class Watchdog:
         unconfirmed = [drive.node for drive in self._bus.drives]
         try:
             unconfirmed = stop_drives(self._bus)
-        except AcquisitionError as error:
-            self._event("fault", f"the recorder's process could not stop the drives: {error}")
+        except RobotIdimError as error:
+            self._event("fault", f"the recorder's process could not stop the drives: {error.args[0]}")
         if unconfirmed:
             with suppress(OSError, ValueError):  # a closed terminal
                 sys.stderr.write(not_disabled(unconfirmed) + "\n")
@@ -159,8 +159,8 @@ def run(pipes: Pipes, path: Path, files: Mapping[str, bytes], place: str, role: 
             recorder.close()
         if done is not None:
             connection.send(("done", done))
-    except (AcquisitionError, OSError) as error:
-        problem = str(error) if isinstance(error, AcquisitionError) else f"{path}: cannot be written: {error.strerror}"
+    except (RobotIdimError, OSError) as error:
+        problem = error.args[0] if isinstance(error, RobotIdimError) else f"{path}: cannot be written: {error.strerror}"
         try:
             connection.send(("failed", problem))
         except OSError:
@@ -231,7 +231,7 @@ def _record(
             recorder.add(block)
             if receiver.error is not None:
                 recorder.event(clock.now_ns(), "fault", f"bus: cannot be read: {receiver.error}")
-                raise AcquisitionError(f"cannot be read: {receiver.error}", place="bus")
+                raise BusFaultError(f"cannot be read: {receiver.error}", place="bus")
         status = recorder.tick(clock.now_ns(), kernel_drops(receiver.sock) if receiver is not None else 0)
         if status is not None:
             try:

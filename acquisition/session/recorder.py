@@ -2,13 +2,14 @@
 
 import shutil
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from ..errors import AcquisitionError
+from ..errors import BadInputError
 from ..recording import (
+    CAN_FD,
     FRAME,
     NO_SAMPLES,
     Block,
@@ -52,7 +53,7 @@ class RecordedSummary:
 
 
 class Recorder:
-    """Writes the recording `path`; flushed data survives a kill. Raises `AcquisitionError` if it exists or writing fails."""
+    """Writes the recording `path`; flushed data survives a kill. Raises `BadInputError` if it exists or writing fails."""
 
     def __init__(self, path: Path, robot: Robot, *, source: str, place: str, payload: Payload | None = None) -> None:
         assert robot.bus is not None
@@ -61,7 +62,7 @@ class Recorder:
         self._bus: Bus | None = None if file.mapped_by_traffic else resolve(robot, place)
         if path.exists():
             expected = "a new name; recordings are not replaced"
-            raise AcquisitionError("already exists", place=str(path), expected=expected)
+            raise BadInputError("already exists", place=str(path), expected=expected)
         header = Header(
             robot=robot,
             source=source,
@@ -80,15 +81,19 @@ class Recorder:
         try:
             self._writer = RecordingWriter(path, header)
         except OSError as error:
-            raise AcquisitionError(f"cannot be written: {error.strerror or error}", place=str(path)) from error
+            raise BadInputError(f"cannot be written: {error.strerror or error}", place=str(path)) from error
         self.channel = "".join(c if c.isalnum() or c in "_.-" else "_" for c in file.channel)[:64] or "can"
         self._recent: list[Block] = []  # since the last status
         self._status = Status()
         self.granted: dict[str, float] = {}  # constant counters, for every line of `/health`
         self._flushed_ns: int | None = None
+        self._fd_frames = 0
 
     def add(self, block: Block) -> None:
-        """Write frames in the order of reception; programs that follow the file see them at once."""
+        """Write frames in the order of reception; programs that follow the file see them at once. CAN FD is only counted."""
+        of_fd = (block["flags"] & CAN_FD) != 0
+        self._fd_frames += int(of_fd.sum())
+        block = block[~of_fd]
         if len(block):
             self._writer.frames(self.channel, block)
             self._writer.flush(sync=False)
@@ -120,7 +125,7 @@ class Recorder:
     def _next_status(self, recent: Block, elapsed_s: float, drops: int) -> Status:
         last = self._status
         low, high, counted = last.lowest, last.highest, dict.fromkeys(("late", "missing", "duplicate", "short"), 0)
-        with suppress(AcquisitionError):  # while there is no SYNC, or no drive answers
+        with suppress(BadInputError):  # while there is no SYNC, or no drive answers
             if self._bus is None:
                 self._bus = resolve(self._robot, self._place, written_by_master(recent))
             decoded = decode(recent, self._robot, self._bus, self._place, max_missing=1.0)
@@ -143,6 +148,10 @@ class Recorder:
         self._writer.flush()
         frames = read_recording(self._path).frames.get(self.channel, np.zeros(0, FRAME))
         found = write_decoded(self._writer, frames, self._robot, stamp_ns, str(self._path))
+        if self._fd_frames:
+            text = f"frames left out: {self._fd_frames} of CAN FD"
+            self._writer.event(stamp_ns, "warning", text)
+            found = replace(found, warnings=(*found.warnings, text))
         self._note_marks(stamp_ns, last=True)
         self._writer.close()
         return found
@@ -161,9 +170,9 @@ def write_decoded(writer: RecordingWriter, frames: Block, robot: Robot, stamp_ns
     try:
         bus = resolve(robot, place, written_by_master(frames))
         decoded = decode(frames, robot, bus, place)
-    except AcquisitionError as error:
-        writer.event(stamp_ns, "warning", f"{NO_SAMPLES}{error}")
-        return RecordedSummary(frames=len(frames), samples=0, warnings=(), no_samples=str(error))
+    except BadInputError as error:
+        writer.event(stamp_ns, "warning", f"{NO_SAMPLES}{error.args[0]}")
+        return RecordedSummary(frames=len(frames), samples=0, warnings=(), no_samples=error.args[0])
     decoded.write(writer, stamp_ns)
     return RecordedSummary(frames=len(frames), samples=len(decoded.stamps), warnings=decoded.warnings)
 

@@ -18,12 +18,13 @@ from ..bus import (
     Master,
     WallClock,
     confirm_motion,
+    listening_words,
     open_link,
     refuse_unsupervised,
     second_stop,
     service_of,
 )
-from ..errors import AcquisitionError
+from ..errors import BadInputError, RefusedError, RobotIdimError
 from ..options import RecordOptions
 from ..protocol import ANSWER, EMERGENCY, HEARTBEAT
 from ..recording import ERROR, EXTENDED, REMOTE_REQUEST, Block, Recording, read_recording, written_by_master
@@ -62,6 +63,7 @@ class UserInterface:
     confirm: Confirm = lambda words, faults: False
     show: ShowStatus = lambda status, left_s: None  # called twice a second
     announce: Callable[[Outcome], None] = lambda outcome: None  # called as soon as the outcome is known
+    note: Callable[[str], None] = lambda text: None  # what a passive recording does to the bus, before it is opened
 
 
 def record(
@@ -71,16 +73,16 @@ def record(
 
     `robot` has a `[bus]` section; `place` names it in errors. `out` is the recording to write; an existing file is never
     replaced. Errors of a running session are in the returned outcome; those of options, description, bus or file are raised as
-    `AcquisitionError` before it runs.
+    `RobotIdimError` before it runs.
     """
     if robot.bus is None:
         expected = "its drives, for --dry-run too: remove `#: ` in robot.toml, or `init --bus`"
-        raise AcquisitionError(place=place, key="bus", value=None, expected=expected)
+        raise BadInputError(place=place, key="bus", value=None, expected=expected)
     if options.passive and (options.track is not None or options.dry_run):
-        raise AcquisitionError("sends nothing", place="--passive", expected="no --track and no --dry-run")
+        raise RefusedError("sends nothing", what="sending", place="--passive", expected="no --track and no --dry-run")
     if robot.bus.mapped_by_traffic and not options.passive:
         expected = "'table' or 'dictionary' in an active session"
-        raise AcquisitionError(place=place, key="mapping", value="traffic", expected=expected)
+        raise BadInputError(place=place, key="mapping", value="traffic", expected=expected)
     payload = None if options.payload is None else parse_payload(options.payload, robot)
     task = _task_of(robot, robot.bus.sync_period_s, options, operator)
     bus = None if robot.bus.mapped_by_traffic else resolve(robot, place)  # before anything is opened
@@ -107,20 +109,20 @@ def record(
             outcome = run_active(robot, Master(link, bus), log, task, operator.stop, operator.announce)
         try:
             return outcome, log.finish(link.now_ns())
-        except AcquisitionError as error:
+        except RobotIdimError as error:
             raise outcome.error or error from error  # the first error may be the cause of the second
 
 
 def _task_of(robot: Robot, period_s: float, options: RecordOptions, operator: UserInterface) -> Task:
-    """The task in the options. Raises `AcquisitionError` for options that contradict each other."""
+    """The task in the options. Raises `RobotIdimError` for options that contradict each other."""
     if options.track is not None and options.duration_s is not None:
-        raise AcquisitionError("lasts as long as its reference", place="--track", expected="no --duration")
+        raise BadInputError("lasts as long as its reference", place="--track", expected="no --duration")
     if options.track is None and options.speed != 1.0:
-        raise AcquisitionError(
+        raise BadInputError(
             "applies to a reference only", key="--speed", value=options.speed, expected="--track with it"
         )
     if not 0 < options.speed <= 1:
-        raise AcquisitionError(key="--speed", value=options.speed, expected="more than 0, and 1 at most")
+        raise BadInputError(key="--speed", value=options.speed, expected="more than 0, and 1 at most")
     if options.track is None:
         return Task(duration_s=options.duration_s)
     reference = table_reference(options.track, robot, period_s, options.speed)
@@ -129,7 +131,7 @@ def _task_of(robot: Robot, period_s: float, options: RecordOptions, operator: Us
     if options.dry_run:
         return task
     if lines := lines_to_fill_in(robot):
-        raise AcquisitionError(FILL_IN, place="robot.toml", key="lines", value=lines, expected="none in [bus]")
+        raise BadInputError(FILL_IN, place="robot.toml", key="lines", value=lines, expected="none in [bus]")
     return replace(task, before_motion=lambda master: _before_motion(robot, master, options, operator.confirm))
 
 
@@ -180,7 +182,10 @@ def _listen(
     robot: Robot, place: str, out: Path, task: Task, operator: UserInterface, payload: Payload | None
 ) -> tuple[Outcome, RecordedSummary]:
     """Record the frames of the bus. Only the recorder's process opens it, and cannot send."""
-    stop, clock = operator.stop, WallClock()
+    assert robot.bus is not None
+    stop, clock, words = operator.stop, WallClock(), listening_words(robot.bus)
+    if words:
+        operator.note(words)
     log = ProcessLog(out, robot, place, Role.LISTENER, clock.now_ns() - time.monotonic_ns(), payload)
     try:
         started_s = time.monotonic()
@@ -196,12 +201,12 @@ def _listen(
                     if status.disk_full:
                         stop.reason = "disk nearly full"
                 time.sleep(0.02)
-        except AcquisitionError as error:
-            with suppress(AcquisitionError):
-                log.event(clock.now_ns(), "fault", str(error))
+        except RobotIdimError as error:
+            with suppress(RobotIdimError):
+                log.event(clock.now_ns(), "fault", error.args[0])
             raise
         reason = stop.reason or "finished"
-        with suppress(AcquisitionError):
+        with suppress(RobotIdimError):
             log.event(clock.now_ns(), "end", reason)
         return Outcome(reason=reason, fault=False), log.finish(clock.now_ns())
     finally:
@@ -235,15 +240,15 @@ def replay(path: Path, file: BusFile, stop: Stop, *, speed: float = 1.0, onto_bu
     Commands are never sent. `file` is the bus to send on, `speed` a factor on the recorded speed, and `onto_bus` allows
     interfaces with hardware. Returns the number of frames sent.
 
-    Raises `AcquisitionError`: `speed` or the interface is refused, the recording holds no frames of drives, a frame of another
+    Raises `RobotIdimError`: `speed` or the interface is refused, the recording holds no frames of drives, a frame of another
     node is received before or between the frames sent, or the bus accepts no frames.
     """
     if not speed > 0:
-        raise AcquisitionError(key="--speed", value=speed, expected="more than 0")
+        raise BadInputError(key="--speed", value=speed, expected="more than 0")
     if file.interface not in WITHOUT_HARDWARE and not onto_bus:
         problem = "hardware may be on this bus"
         expected = f"--onto-bus, or one of {', '.join(WITHOUT_HARDWARE)}"
-        raise AcquisitionError(problem, key="--interface", value=file.interface, expected=expected)
+        raise RefusedError(problem, what="sending", key="--interface", value=file.interface, expected=expected)
     recording = read_recording(path)
     frames = from_drives(recording, str(path))
     assert recording.robot.bus is not None  # else there were no drives
@@ -253,14 +258,14 @@ def replay(path: Path, file: BusFile, stop: Stop, *, speed: float = 1.0, onto_bu
     count, sync_can_id = 0, recording.robot.bus.sync_can_id
 
     def listen_until(until_s: float) -> None:
-        """Wait. Raises `AcquisitionError` at the first frame that is not our own."""
+        """Wait. Raises `RefusedError` at the first frame that is not our own."""
         while not stop.reason:
             left_s = until_s - time.monotonic()
             frame = link.take(min(max(left_s, 0.0), 0.1))
             if frame is not None and not frame.flags & ERROR:
                 place, sent = f"{file.interface} {file.channel}", f"{count} frames were" if count else "nothing was"
                 problem, expected = f"{service_of(frame, sync_can_id)} received", f"an idle bus; {sent} sent"
-                raise AcquisitionError(problem, place=place, expected=expected)
+                raise RefusedError(problem, what="sending", place=place, expected=expected)
             if left_s <= 0:
                 return
 
@@ -282,10 +287,10 @@ def from_drives(recording: Recording, place: str) -> Block:
     """Frames that the drives of the recording sent, and SYNC, from the channel with the most frames.
 
     Drives are those of the description in the recording: their TPDOs, emergencies, SDO answers and heartbeats. Error frames,
-    remote requests and 29-bit frames are left out. Raises `AcquisitionError` where no frame is left.
+    remote requests and 29-bit frames are left out. Raises `BadInputError` where no frame is left.
     """
     if not recording.frames:
-        raise AcquisitionError("holds no CAN frames", place=place, expected="a recording of drives")
+        raise BadInputError("holds no CAN frames", place=place, expected="a recording of drives")
     frames = max(recording.frames.values(), key=len)
     bus = resolve(recording.robot, f"{place}: robot.toml", written_by_master(frames))
     ids = [bus.file.sync_can_id]
@@ -295,5 +300,5 @@ def from_drives(recording: Recording, place: str) -> Block:
     plain = (frames["flags"] & (EXTENDED | ERROR | REMOTE_REQUEST)) == 0
     found: Block = frames[plain & np.isin(frames["can_id"], ids)]
     if not len(found):
-        raise AcquisitionError("holds no frame of its drives, and no SYNC", place=place, expected="some to send")
+        raise BadInputError("holds no frame of its drives, and no SYNC", place=place, expected="some to send")
     return found

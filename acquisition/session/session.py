@@ -24,7 +24,7 @@ from ..bus import (
     safe_stop,
     send_orders,
 )
-from ..errors import AcquisitionError
+from ..errors import BusFaultError, RefusedError, RobotIdimError
 from ..protocol import DISABLED, Command, Mode, State, notices
 from ..robot import Drive, Robot, approach, check_carriers, check_limits, follow, refuse_out_of_range
 from .logs import SessionLog
@@ -47,7 +47,7 @@ class Task:
     """The task of a session: to record for a time, or to follow a reference; without one nothing moves.
 
     `before_motion` checks the drives before anything is written to them; it returns texts for the recording, or raises
-    `AcquisitionError` if nothing may move.
+    `RobotIdimError` if nothing may move.
     """
 
     duration_s: float | None = None  # of a session without a reference; None: until it is stopped
@@ -62,7 +62,7 @@ class Outcome:
 
     reason: str
     fault: bool  # whether an error ended it
-    error: AcquisitionError | None = None
+    error: RobotIdimError | None = None
     unconfirmed: tuple[int, ...] = ()  # nodes of commanded drives that did not confirm to be disabled
     reports: tuple[str, ...] = ()  # of drives in fault, one line each
 
@@ -84,24 +84,24 @@ def run_active(
 
     `master` has an open link that may send; `log` gets its frames independently. `stop`, set from outside (Ctrl-C), ends the
     session. `announce` is called with the outcome as soon as it is known, also when an exception follows. An
-    `AcquisitionError` that ended the session is not raised: it is the `error` of the outcome. Any other exception is raised
+    `RobotIdimError` that ended the session is not raised: it is the `error` of the outcome. Any other exception is raised
     after the drives were disabled.
     """
     link = master.link
     session = _Session(robot, master, log, task, stop)
     reason, fault = "", True
-    failure: AcquisitionError | None = None
+    failure: RobotIdimError | None = None
     try:
         session.prepare()
         session.phases()
         reason, fault = stop.reason or "finished", False
-    except AcquisitionError as error:
-        reason, failure = str(error), error
+    except RobotIdimError as error:
+        reason, failure = error.args[0], error
     except BaseException as error:
         reason = f"{type(error).__name__}: {error}"
         raise
     finally:
-        with suppress(AcquisitionError):  # drives are disabled also when the recorder has ended
+        with suppress(RobotIdimError):  # drives are disabled also when the recorder has ended
             log.event(link.now_ns(), "fault" if fault else "end", reason)
         unconfirmed = session.make_safe()
         outcome = Outcome(reason=reason, fault=fault, error=failure, unconfirmed=tuple(unconfirmed))
@@ -112,12 +112,12 @@ def run_active(
             log.ended()
         if session.addressed:
             text = outcome.alarm or "every drive confirmed"
-            with suppress(AcquisitionError):
+            with suppress(RobotIdimError):
                 log.event(link.now_ns(), "not disabled" if unconfirmed else "disabled", text)
         session.leave(unconfirmed)  # before the reports: while those are read there is no heartbeat
         outcome = replace(outcome, reports=tuple(session.reports(unconfirmed)) if fault else ())
         for text in outcome.reports:
-            with suppress(AcquisitionError):
+            with suppress(RobotIdimError):
                 log.event(link.now_ns(), "mark", text)
         if not unconfirmed:
             announce(outcome)
@@ -143,7 +143,7 @@ class _Session:
         self.addressed = False  # whether anything was commanded or written to the drives
 
     def prepare(self) -> None:
-        """Check, configure and start the drives. Raises `AcquisitionError` where a check fails."""
+        """Check, configure and start the drives. Raises `RobotIdimError` where a check fails."""
         if self._task.reference is not None:
             check_limits(self._task.reference, self._robot, self._period_s, self._task.place)
             refuse_out_of_range(self._task.reference, self._robot, self._bus, self._task.place)
@@ -161,7 +161,7 @@ class _Session:
         self._master.configure()
         differences = self._master.differences()
         if differences:
-            raise AcquisitionError("; ".join(differences))
+            raise RefusedError("; ".join(differences), what="the session")
         if self._task.reference is not None:
             self._master.choose_mode(Mode.CYCLIC_SYNCHRONOUS_POSITION)
             self._note("mark", *refuse_slow_ramps(self._master))
@@ -215,7 +215,7 @@ class _Session:
             self._sync()
 
     def _sync(self) -> None:
-        """Send or await SYNC, take the answers, check the guards. Raises the `AcquisitionError` of a guard."""
+        """Send or await SYNC, take the answers, check the guards. Raises the `RobotIdimError` of a guard."""
         motion = self._motion
         in_motion = motion is not None and bool(motion.enabled)
         self._pace.sync(in_motion=in_motion)
@@ -232,7 +232,7 @@ class _Session:
                 motion.target = self._targets[-2] if len(self._targets) >= 2 else None
                 error = state_fault(self._master, motion) or joint_fault(self._master, self._robot, motion)
             if error is None and self._stop.at_once:
-                error = AcquisitionError(f"{self._stop.reason}, then again: quick stop")
+                error = BusFaultError(f"{self._stop.reason}, then again: quick stop")
             for watch in self._master.nodes:
                 for text in notices(watch.statusword or 0):
                     self._note_once("mark", f"node {watch.drive.node} ({watch.drive.name}): {text}")
@@ -242,14 +242,14 @@ class _Session:
         if status is not None and status.disk_full and not self._stop.reason:
             self._stop.reason = "disk nearly full"
 
-    def _other_master(self, in_motion: bool) -> AcquisitionError | None:
+    def _other_master(self, in_motion: bool) -> RobotIdimError | None:
         """The fault if another master commands our drives in motion; any other sign of one is a warning, once each."""
         signs, self._master.signs = self._master.signs, {}
         for sign, commands in signs.items():
-            error = AcquisitionError(f"{sign}: another master is active", place="bus", expected="none in motion")
+            error = BusFaultError(f"{sign}: another master is active", place="bus", expected="none in motion")
             if in_motion and commands:
                 return error
-            self._note_once("warning", str(error))
+            self._note_once("warning", error.args[0])
         return None
 
     def _positions(self) -> Array | None:
@@ -301,7 +301,7 @@ class _Session:
         return safe_stop(self._master, after_sync=lambda: self._log.poll(self._link.now_ns()))
 
     def _is_disabled(self, drive: Drive) -> bool:
-        with suppress(AcquisitionError):
+        with suppress(RobotIdimError):
             return self._master.state(drive) in DISABLED
         return False
 
@@ -319,7 +319,7 @@ class _Session:
         """End the heartbeat, and set the drives to PRE-OPERATIONAL."""
         if not self.addressed:
             return
-        with suppress(AcquisitionError):
+        with suppress(RobotIdimError):
             nodes = [drive.node for drive in self._bus.drives if drive.node not in unconfirmed]
             self._note("warning", *self._heartbeat.release(nodes))
         leave_operational(self._master)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..bus import Master
-from ..errors import AcquisitionError
+from ..errors import BusFaultError, RefusedError
 from ..robot import BusFile
 
 # In motion SYNC may be late by the larger of the two, unless `[bus] late_sync_s` is stated.
@@ -45,7 +45,7 @@ class Pace:
     def sync(self, *, in_motion: bool) -> None:
         """Wait until SYNC is due, send it (or await that of the other producer), and take the answers.
 
-        Raises `AcquisitionError` where SYNC is later than allowed in motion, or absent: drives would stop at their last
+        Raises `BusFaultError` where SYNC is later than allowed in motion, or absent: drives would stop at their last
         target, and the next target would be a step.
         """
         if self._ours:
@@ -59,7 +59,7 @@ class Pace:
             if not self._master.wait_for_sync(self.next_ns + patience_ns):
                 waited = f"{patience_ns / self._period_ns:.3g} periods"
                 expected = "the other producer's; or sync_producer = 'recorder'"
-                raise AcquisitionError(f"no SYNC in {waited}", place="bus", expected=expected)
+                raise BusFaultError(f"no SYNC in {waited}", place="bus", expected=expected)
             self._refuse_late(in_motion)
             self.next_ns = self._link.now_ns()
         self._master.wait(self.next_ns + round(MAX_ANSWER_SHARE * self._period_ns), for_answers=True)
@@ -69,7 +69,7 @@ class Pace:
         late_ns = self._link.now_ns() - self.next_ns
         if in_motion and late_ns > self._latest_ns:
             expected = f"{self._latest_ns * 1e-9:.3g} s at most: this computer was busy or stopped"
-            raise AcquisitionError(f"SYNC {late_ns * 1e-9:.3g} s late in motion", expected=expected)
+            raise BusFaultError(f"SYNC {late_ns * 1e-9:.3g} s late in motion", expected=expected)
 
 
 PRIORITY = 20  # of SCHED_FIFO, 1 to 99: above all ordinary processes, below the kernel's own threads
@@ -144,7 +144,7 @@ def sync_jitter(master: Master) -> Jitter:
     """Measure the jitter of SYNC over 200 periods or a second, 20 periods at least. Nothing is sent.
 
     Where this master produces SYNC, the times at which it would be sent are measured, else the times at which it arrives.
-    Raises `AcquisitionError` where SYNC of the other producer is absent for 50 periods.
+    Raises `BusFaultError` where SYNC of the other producer is absent for 50 periods.
     """
     file, period_ns, link = master.bus.file, master.bus.period_ns, master.link
     count = min(MAX_JITTER_SYNCS, max(MIN_JITTER_SYNCS, round(MAX_JITTER_S * 1e9 / period_ns)))
@@ -157,7 +157,7 @@ def sync_jitter(master: Master) -> Jitter:
         first = len(master.sync_times)
         for _ in range(count):
             if not master.wait_for_sync(link.now_ns() + MAX_ABSENT_PERIODS * period_ns):
-                raise AcquisitionError(
+                raise BusFaultError(
                     f"no SYNC in {MAX_ABSENT_PERIODS} periods", place="bus", expected="the other producer's"
                 )
         times = master.sync_times[first:]
@@ -171,11 +171,12 @@ def sync_jitter(master: Master) -> Jitter:
 
 
 def refuse_jitter(master: Master) -> Jitter:
-    """Measured jitter of SYNC. Raises `AcquisitionError` where it is too large to move a robot."""
+    """Measured jitter of SYNC. Raises `RefusedError` where it is too large to move a robot."""
     found = sync_jitter(master)
     if not found.fit_for_motion:
-        raise AcquisitionError(
+        raise RefusedError(
             f"{DEVIATIONS} sd exceed {found.largest_s * 1e3:g} ms, the largest delay in motion",
+            what="motion",
             place="bus",
             key="SYNC jitter sd",
             value=found.sd_s,

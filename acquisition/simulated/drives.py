@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..bus import Frame, Tap, open_link
-from ..errors import AcquisitionError
+from ..errors import BusFaultError
 from ..protocol import (
     HEARTBEAT,
     HEARTBEAT_TIME,
@@ -75,6 +75,7 @@ class SimulatedDrives:
             self._set_ramps(node, limit)
         for i, node in enumerate(self.nodes):
             stated = units_and_limits(robot, bus, i) if node.drive.dictionary is None else {}
+            node.types |= dict.fromkeys(stated.keys() - node.types, "U32")
             node.values |= stated
             node.initial |= stated
         self._reports_demand = np.array([drive.reports_demand for drive in bus.file.drive])
@@ -290,7 +291,7 @@ def serve(drives: SimulatedDrives, stopped: Callable[[], bool], ready: Callable[
     """Boot simulated drives and run them in real time on the bus of their description, for any master.
 
     `stopped` is called at least every 50 ms, and True ends the simulation; `ready` is called once the drives have booted.
-    Raises `AcquisitionError` where the bus cannot be opened or fails.
+    Raises `BusFaultError` where the bus cannot be opened or fails.
     """
     link = open_link(drives.bus.file, passive=False)
     try:
@@ -307,5 +308,5 @@ def serve(drives: SimulatedDrives, stopped: Callable[[], bool], ready: Callable[
             if frame is None or (due is not None and due <= now_ns):  # heartbeats are sent on a busy bus too
                 sent = sent + drives.advance(link.now_ns())
     finally:
-        with suppress(AcquisitionError):
+        with suppress(BusFaultError):
             link.close()

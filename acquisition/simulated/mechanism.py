@@ -2,7 +2,7 @@
 
 This package does not know the dynamics of `[parameters]`. Another package provides them by an entry point of the group
 `robot_idim.plants`: a function of the robot and its payload that returns the plant and control loops that suit the inertias
-of the unloaded robot. It raises `AcquisitionError` where the description cannot be simulated.
+of the unloaded robot. It raises `BadInputError` where the description cannot be simulated.
 """
 
 from collections.abc import Callable
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..errors import AcquisitionError, Place
+from ..errors import BadInputError, Place
 from ..recording import Block
 from ..robot import SIMULATED_CONTROLLER, Bus, Controller, Payload, Robot, robot_from_files
 
@@ -97,7 +97,7 @@ class TablePlant:
 
     def __init__(self, samples: Block, sample_rate_hz: float) -> None:
         if len(samples) == 0:
-            raise AcquisitionError("the table to replay holds no samples", expected="some")
+            raise BadInputError("the table to replay holds no samples", expected="some")
         self._samples, self._rate_hz, self._elapsed_s = samples, sample_rate_hz, 0.0
 
     @property

@@ -1,18 +1,20 @@
-"""What a simulated drive without a dictionary states of itself: modes, position units and limits of the description."""
+"""What a simulated drive without a dictionary states of itself: texts, modes, units and limits of the description."""
 
 from fractions import Fraction
 
 import numpy as np
 
-from ..protocol import MOTION_LIMITS, POSITION_UNITS, SUPPORTED_MODES, Mode, saturated
+from ..protocol import MOTION_LIMITS, POSITION_UNITS, SUPPORTED_MODES, TEXTS, Mode, saturated
 from ..robot import Bus, Robot
 
 
 def units_and_limits(robot: Robot, bus: Bus, i: int) -> dict[tuple[int, int], int]:
-    """Raw modes, position units and limits of motor `i`; 0 where the description states none, or the motor slides."""
+    """Raw texts, modes, position units and limits of motor `i`; 0 where the description states none, or the motor slides."""
     drive, per_turn = bus.drives[i], Fraction(bus.file.drive[i].counts_per_turn or 0).limit_denominator(1000)
     position, velocity, motor_speed = MOTION_LIMITS
     values = {(SUPPORTED_MODES, 0): 1 << Mode.CYCLIC_SYNCHRONOUS_POSITION - 1}
+    texts = zip(TEXTS, (b"sim", b"none", b"none"), strict=True)  # of four bytes: in one frame
+    values |= {(index, 0): int.from_bytes(text, "little") for index, text in texts}
     speeds = {velocity: drive.speed_limit or 0.0}
     if per_turn:
         for index, units in zip(POSITION_UNITS, (per_turn, Fraction(1), per_turn), strict=True):

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from acquisition.commands import Progress, add_options, add_path
 from acquisition.errors import one_line
 
-from ..errors import IdentificationError
+from ..errors import BadInputError
 from ..options import CellOptions, StudyOptions, workers
 
 if TYPE_CHECKING:
@@ -98,7 +98,7 @@ def sources(options: argparse.Namespace) -> list["RecordingFile"]:
         names = [x for path in options.recordings for x in (path.name, path.stem)]
         if not payload or name not in names:
             expected = f"NAME=KG[@X,Y,Z], NAME=none or NAME=unknown with a NAME of {', '.join(names[1::2])}"
-            raise IdentificationError(key="--payload", value=text, expected=expected)
+            raise BadInputError(key="--payload", value=text, expected=expected)
         payloads[name] = payload
     return [
         RecordingFile.at(path, robot, payloads.get(path.name, payloads.get(path.stem))) for path in options.recordings
@@ -162,9 +162,7 @@ def make_folder(out: Path) -> None:
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise IdentificationError(
-            f"cannot be created: {error.strerror}", place=str(out), expected="a folder"
-        ) from error
+        raise BadInputError(f"cannot be created: {error.strerror}", place=str(out), expected="a folder") from error
 
 
 def refuse_outputs(
@@ -182,11 +180,11 @@ def refuse_outputs(
     from acquisition.files import refuse_clash
 
     if report is not None and report.suffix not in (".md", ".html"):
-        raise IdentificationError(place=str(report), key="ending", value=report.suffix, expected=".md or .html")
+        raise BadInputError(place=str(report), key="ending", value=report.suffix, expected=".md or .html")
     refuse_clash(inputs, *outputs, report, picture, overwrite=overwrite)
     for output in (*outputs, report):
         if output is not None and not output.absolute().parent.is_dir():
-            raise IdentificationError(f"no folder {output.parent}", place=str(output), expected="an existing folder")
+            raise BadInputError(f"no folder {output.parent}", place=str(output), expected="an existing folder")
 
 
 def print_results(*items: "Document | str", everything: bool = True) -> None:

@@ -4,7 +4,7 @@ import argparse
 
 from acquisition.commands import Progress, add_flag, add_options, add_path, from_options
 
-from ..options import ReferenceOptions, list_of_factors
+from ..options import ReferenceOptions, list_of_values
 from .arguments import (
     add_pictures,
     add_robot,
@@ -26,7 +26,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         "standard deviation of the torque noise per row of the fit, in the unit of the effort, one value or one per joint "
         "(default: of FIT.json, else 2 %% of the rms torque)"
     )
-    inputs.add_argument("--noise", type=list_of_factors, metavar="A,B", help=text)
+    inputs.add_argument("--noise", type=list_of_values, metavar="A,B", help=text)
     add_options(parser.add_argument_group("reference"), ReferenceOptions)
     outputs = parser.add_argument_group("outputs")
     add_path(outputs, "-o --out", "REF.csv", "the reference, for `robot-acquire record --track`", required=True)

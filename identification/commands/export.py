@@ -4,7 +4,7 @@ import argparse
 
 from acquisition.commands import Progress, add_flag, add_path
 
-from ..errors import IdentificationError
+from ..errors import BadInputError
 from .arguments import print_results, refuse_outputs
 
 
@@ -16,15 +16,13 @@ def add(parser: argparse.ArgumentParser) -> None:
     outputs = parser.add_argument_group("outputs")
     add_path(outputs, "--urdf", "OUT.urdf", "the description's own URDF with new values, or a new one")
     add_path(outputs, "--mjcf", "OUT.xml", "a MuJoCo model")
-    add_path(
-        outputs, "--toml", "OUT.toml", "the description with the fitted values in [parameters], and the drive gains"
-    )
+    add_path(outputs, "--toml", "OUT.toml", "the description with the fitted [parameters] and drive gains")
 
 
 def run(options: argparse.Namespace) -> None:
     """Write the requested files, and print what each format cannot represent."""
     if options.urdf is None and options.mjcf is None and options.toml is None:
-        raise IdentificationError("nothing to write", place="export", expected="--urdf, --mjcf or --toml with a file")
+        raise BadInputError("nothing to write", place="export", expected="--urdf, --mjcf or --toml with a file")
     refuse_outputs([options.fit], options.urdf, options.mjcf, options.toml)
     with Progress("reading"):
         from ..export import export_fit
@@ -32,4 +30,4 @@ def run(options: argparse.Namespace) -> None:
 
         outputs = {"urdf": options.urdf, "mjcf": options.mjcf, "toml": options.toml}
         document = export_fit(read_fit(options.fit), str(options.fit), untrusted=options.allow_untrusted, **outputs)
-    print_results(document)
+    print_results(document, everything=False)

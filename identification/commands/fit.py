@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from acquisition.commands import Progress, add_flag, add_options, add_path, from_options
 
-from ..errors import IdentificationError
+from ..errors import BadInputError
 from ..options import Overrides
 from .arguments import (
     add_method,
@@ -56,10 +56,10 @@ def run(options: argparse.Namespace) -> int:
     """Fit, write the requested files, print the tables; 3 if the fit is not to be trusted."""
     if options.start is not None and options.method in ("ols", "wls"):
         text = f"has no effect with --method {options.method}"
-        raise IdentificationError(text, key="--start", value=options.start, expected="--method iv")
+        raise BadInputError(text, key="--start", value=options.start, expected="--method iv")
     if options.prior is not None and not options.consistent:
         expected = "--consistent with it"
-        raise IdentificationError("has no effect alone", key="--prior", value=str(options.prior), expected=expected)
+        raise BadInputError("has no effect alone", key="--prior", value=str(options.prior), expected=expected)
     inputs = [*options.recordings, options.robot, options.prior, Path(options.start or "regular")]
     refuse_outputs(inputs, options.json, report=options.report, picture=options.rrd)
     from acquisition.files import refuse_clash

@@ -4,7 +4,7 @@ import argparse
 
 from acquisition.commands import Progress, add_flag, add_path
 
-from ..errors import IdentificationError
+from ..errors import BadInputError
 from .arguments import add_method, add_work, make_folder, print_results, refuse_outputs, trust_status, work_of
 
 
@@ -23,7 +23,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Fit every recording without a stored fit, write and print the table; 3 if none could be fitted."""
     if (out := options.out).suffix not in (".parquet", ".csv"):
-        raise IdentificationError(place=str(out), key="ending", value=out.suffix, expected=".parquet or .csv")
+        raise BadInputError(place=str(out), key="ending", value=out.suffix, expected=".parquet or .csv")
     refuse_outputs([options.robot], out)
     with Progress("reading") as progress:
         from ..study import fleet_document, found_recordings, run_fleet, write_table

@@ -4,7 +4,7 @@ import argparse
 
 from acquisition.commands import Progress, add_flag, add_options, add_path, from_options
 
-from ..errors import IdentificationError
+from ..errors import BadInputError
 from ..options import Overrides
 from .arguments import (
     add_recordings,
@@ -29,7 +29,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> None:
     """Try sets of terms, print the table and the lines of robot.toml."""
     if options.write and options.robot is None:
-        raise IdentificationError(key="--write", value=True, expected="--robot with it, the description to write to")
+        raise BadInputError(key="--write", value=True, expected="--robot with it, the description to write to")
     refuse_outputs([*options.recordings, options.robot], options.json, report=options.report)
     with Progress("reading") as progress:
         from ..data import Recordings

@@ -8,7 +8,7 @@ from pathlib import Path
 from acquisition.commands import add_flag, add_path
 from acquisition.errors import one_line
 
-from ..errors import IdentificationError
+from ..errors import BadInputError
 from ..options import list_of_names, list_of_ratios, list_of_values
 from .arguments import refuse_outputs
 
@@ -32,16 +32,13 @@ def add(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--joints", type=list_of_names, metavar="A,B", help=text)
     for option, (metavar, text) in _URDF_OPTIONS.items():
         group.add_argument(option, type=list_of_values, metavar=metavar, help=text)
-    group.add_argument(
-        "--effort", choices=_EFFORTS["--ratio"], help="unit of the recorded efforts; %% of the rated torque"
-    )
+    text = "unit of the recorded efforts; %% of the rated torque"
+    group.add_argument("--effort", choices=_EFFORTS["--ratio"], help=text)
     text = "with --effort: motor rad (or m) per joint rad (or m), sign included"
     group.add_argument("--ratio", type=list_of_ratios, metavar="R", help=text)
     text = "with --effort A or %%: motor torque in N m (or force in N) per unit of effort"
     group.add_argument("--drive-gain", type=list_of_values, metavar="K", help=text)
-    add_flag(
-        group, "--torque-sensor", "with --effort 'N m': of torque sensors behind the gears, which do not see the rotors"
-    )
+    add_flag(group, "--torque-sensor", "with --effort 'N m': of torque sensors behind the gears, without the rotors")
     add_path(parser, "--bus", "BUS.toml", "the [bus] that `robot-acquire scan` wrote, instead of example drives")
     add_path(parser, "-o --out", "ROBOT.toml", "the description to write (default: standard output)")
     add_flag(parser, "--overwrite", "replace an existing description")
@@ -57,17 +54,17 @@ def run(options: argparse.Namespace) -> None:
     refuse_outputs([path for path in (options.robot, options.bus) if path is not None], out)
     if out is not None and out.exists() and not options.overwrite:
         expected = "a new name, or --overwrite"
-        raise IdentificationError("already exists", place=str(out), expected=expected)
+        raise BadInputError("already exists", place=str(out), expected=expected)
     if (options.robot is None) == (options.dh is None) or (options.dh and options.joints):
         expected = "ROBOT.urdf, or --dh with a letter for each joint and without --joints"
-        raise IdentificationError(key="--dh", value=options.dh, expected=expected)
+        raise BadInputError(key="--dh", value=options.dh, expected=expected)
     chain = chain_of_letters(options.dh) if options.dh else read_chain(options.robot, options.joints or ())
     given = {option: getattr(options, option[2:].replace("-", "_")) for option in (*_URDF_OPTIONS, *_EFFORTS)}
     given = {option: values for option, values in given.items() if values}
     for option, units in _EFFORTS.items():
         if option in given and (options.effort not in units or (option == "--ratio" and options.torque_sensor)):
             expected = f"with --effort {' or '.join(map(repr, units))}, and --ratio not with --torque-sensor"
-            raise IdentificationError(key=option, value=given[option], expected=expected)
+            raise BadInputError(key=option, value=given[option], expected=expected)
     sensors = given.pop("--torque-sensor", False)
     chain = replace(chain.with_options(given), effort_unit=options.effort or "", torque_sensors=sensors)
     folder = Path.cwd() if out is None else out.absolute().parent
@@ -84,9 +81,7 @@ def run(options: argparse.Namespace) -> None:
     lines += [f"locked at zero: {locked}" for locked in chain.locked]
     lines += [f"note: {note}" for note in chain.notes]
     if chain.torque_sensors:
-        lines += [
-            "rotor_inertia = false: torque sensors do not see rotors; a motor's torque referred to the joint does"
-        ]
+        lines += ["rotor_inertia = false: torque sensors do not measure rotors; a motor's torque includes its rotor"]
     missing = sum(FILL_IN in line for line in text.splitlines()[1:])
     for line in [*lines, f"to be filled in: {missing} lines with {FILL_IN}"]:
         print(one_line(line))
@@ -98,5 +93,5 @@ def _bus_of(path: Path, joints: int) -> str:
     drives = text.count("[[bus.drive]]")
     if drives != joints:
         expected = f"{joints} [[bus.drive]], one for each joint of the URDF"
-        raise IdentificationError(place=str(path), key="drives", value=drives, expected=expected)
+        raise BadInputError(place=str(path), key="drives", value=drives, expected=expected)
     return text

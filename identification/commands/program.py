@@ -1,9 +1,8 @@
 """`robot-identify`: one file per command, listed here in the order of the help."""
 
 from acquisition.commands import Program
-from acquisition.errors import AcquisitionError
+from acquisition.errors import RobotIdimError
 
-from ..errors import IdentificationError
 from .arguments import GONE
 
 PROGRAM = Program(
@@ -27,6 +26,6 @@ PROGRAM = Program(
         "demo": "record simulated drives, fit, and compare with the true parameters",
     },
     gone=GONE,
-    errors=(AcquisitionError, IdentificationError),
+    errors=(RobotIdimError,),
 )
 main = PROGRAM.main

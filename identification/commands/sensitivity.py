@@ -5,7 +5,7 @@ from hashlib import sha256
 
 from acquisition.commands import Progress, add_flag, add_path
 
-from ..options import list_of_factors
+from ..options import list_of_values
 from .arguments import add_report, add_work, print_results, refuse_outputs, sources, work_of, write_pictures
 
 
@@ -14,7 +14,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     add_path(parser, "recordings", "LOG.mcap", "the recording", nargs=1)
     add_path(parser, "--robot", "ROBOT.toml", "use this description instead of the recording's own")
     text = "white noise to add to the recorded position, rad or m rms (default: by the travel)"
-    parser.add_argument("--position-noise", type=list_of_factors, metavar="A,B", help=text)
+    parser.add_argument("--position-noise", type=list_of_values, metavar="A,B", help=text)
     add_flag(parser, "--all", "also print the values and intervals of all fits")
     add_report(parser)
     add_work(parser)

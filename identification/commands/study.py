@@ -5,7 +5,7 @@ from time import perf_counter
 
 from acquisition.commands import Progress, add_options, add_path, from_options
 
-from ..errors import IdentificationError
+from ..errors import BadInputError
 from ..options import StudyOptions
 from .arguments import (
     add_report,
@@ -50,7 +50,7 @@ def run(options: argparse.Namespace) -> None:
             progress.say(f"{len(runs)} of {study.runs} runs")
     took_s = perf_counter() - began
     if not any(run.ls for run in runs):
-        raise IdentificationError(f"no run can be fitted: {runs[0].reason}", place=str(options.robot))
+        raise BadInputError(f"no run can be fitted: {runs[0].reason}", place=str(options.robot))
     document = study_document(robot.name, study, runs, true)
     try:
         if options.json:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from acquisition.commands import Progress, add_flag, add_options, add_path, from_options
 
-from ..errors import IdentificationError
+from ..errors import BadInputError
 from ..options import Overrides, above_zero
 from .arguments import (
     add_recordings,
@@ -19,7 +19,7 @@ from .arguments import (
 )
 
 if TYPE_CHECKING:
-    from ..report import TorqueError
+    from ..report import TorqueResidual
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -42,7 +42,7 @@ def run(options: argparse.Namespace) -> int:
     if options.fit.suffix != ".json" == options.recordings[-1].suffix:
         others = " ".join(map(str, (options.fit, *options.recordings[:-1])))
         expected = f"the fit first: `robot-identify validate {options.recordings[-1]} {others}`"
-        raise IdentificationError("is no fit", place=str(options.fit), expected=expected)
+        raise BadInputError("is no fit", place=str(options.fit), expected=expected)
     refuse_outputs([options.fit, *options.recordings, options.robot], options.json, report=options.report)
     with Progress("reading") as progress:
         from .. import methods
@@ -60,7 +60,7 @@ def run(options: argparse.Namespace) -> int:
             notes += lines + of_lag
         progress.say("predicting")
         validated, errors = methods.validate_all(recordings, stored, place)
-        of_set: tuple[TorqueError, ...] = ()
+        of_set: tuple[TorqueResidual, ...] = ()
         if consistent is not None:
             _, of_set = methods.validate_all(recordings, consistent, place)
     of_settings = dict.fromkeys(text for one in validated for text in one.settings.warnings)

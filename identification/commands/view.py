@@ -7,7 +7,7 @@ from pathlib import Path
 
 from acquisition.commands import Progress, add_flag, add_options, add_path, from_options
 
-from ..errors import IdentificationError
+from ..errors import BadInputError
 from ..options import Overrides
 from .arguments import add_recordings, print_results, refuse_outputs, sources
 
@@ -32,14 +32,14 @@ def run(options: argparse.Namespace) -> None:
     """Write the Rerun file or the page, and print how to open it."""
     if options.out and len(options.recordings) > 1:
         text = f"one file for {len(options.recordings)} recordings"
-        raise IdentificationError(text, key="--out", value=str(options.out), expected="no --out: LOG.rrd each")
+        raise BadInputError(text, key="--out", value=str(options.out), expected="no --out: LOG.rrd each")
     is_page = options.out is not None and options.out.suffix == ".html"
     if options.follow and is_page:
-        raise IdentificationError(key="--out", value=str(options.out), expected="FILE.rrd with --follow")
+        raise BadInputError(key="--out", value=str(options.out), expected="FILE.rrd with --follow")
     if options.follow:
         return _follow(options)
     if options.fit:
-        raise IdentificationError("has no effect", key="--fit", value=str(options.fit), expected="--follow with it")
+        raise BadInputError("has no effect", key="--fit", value=str(options.fit), expected="--follow with it")
     outs = [options.out or Path(str(path).removesuffix(path.suffix) + ".rrd") for path in options.recordings]
     refuse_outputs([*options.recordings, options.robot], *outs)
     with Progress("reading") as progress:
@@ -61,7 +61,7 @@ def _follow(options: argparse.Namespace) -> None:
     from ..view import follow_recording
 
     if len(options.recordings) > 1:
-        raise IdentificationError(key="--follow", value=len(options.recordings), expected="one recording")
+        raise BadInputError(key="--follow", value=len(options.recordings), expected="one recording")
     refuse_outputs([*options.recordings, options.fit], options.out)
     (path,) = options.recordings
     follow_recording(

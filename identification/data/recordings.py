@@ -24,7 +24,7 @@ from acquisition.robot import (
 )
 
 from ..arrays import Array
-from ..errors import IdentificationError
+from ..errors import BadInputError
 from .signals import SignalEvent, Signals
 from .work import Work
 
@@ -48,18 +48,18 @@ def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signa
 
     Raises
     ------
-    AcquisitionError : the file cannot be read.
-    IdentificationError : it is cut off, has gaps or no joint samples, or `robot` has other units than the recording.
+    BadInputError : the file cannot be read.
+    BadInputError : it is cut off, has gaps or no joint samples, or `robot` has other units than the recording.
     """
     path = Path(path)
     recording = read_recording(path)
     if recording.cut:
         expected = f"a complete recording: `robot-acquire import {path} -o OUT.mcap` repairs it"
-        raise IdentificationError("is cut off", place=str(path), expected=expected)
+        raise BadInputError("is cut off", place=str(path), expected=expected)
     samples = recording.samples
     if samples is None or len(samples) == 0:
         expected = "some; `robot-acquire import`, with a corrected --robot, makes them from frames that are not lost"
-        raise IdentificationError(recording.no_samples, place=str(path), expected=expected)
+        raise BadInputError(recording.no_samples, place=str(path), expected=expected)
     stamps, fields = field_of(samples, "stamp_ns"), samples.dtype.names or ()
     grid, rate_hz, off_grid = _grid(stamps, recording.sample_rate_hz, path)
     first_ns, was = int(stamps[0]), recording.robot
@@ -118,7 +118,7 @@ def _refuse_other_units(was: Robot, robot: Robot, path: Path) -> None:
         for (name, before), now in zip(old, new, strict=True):
             if before != now:
                 key = f"unit of {kind} {name} in robot {robot.name}"
-                raise IdentificationError(place=str(path), key=key, value=now, expected=f"{before}, as recorded")
+                raise BadInputError(place=str(path), key=key, value=now, expected=f"{before}, as recorded")
 
 
 def _grid(stamps: NDArray[np.int64], nominal_hz: float, path: Path) -> tuple[Array, float, float]:
@@ -128,13 +128,13 @@ def _grid(stamps: NDArray[np.int64], nominal_hz: float, path: Path) -> tuple[Arr
     with theirs within 10 %. Refuses gaps over three periods and time that does not increase.
     """
     if len(stamps) < 2:
-        raise IdentificationError(place=str(path), key="samples", value=len(stamps), expected="a trajectory")
+        raise BadInputError(place=str(path), key="samples", value=len(stamps), expected="a trajectory")
     steps = np.diff(stamps)
     period = float(np.median(steps))
     bad = np.flatnonzero((steps <= 0) | (steps > (MAX_GAP + 0.5) * max(period, 1.0)))
     if bad.size:
         k = int(bad[0])
-        raise IdentificationError(
+        raise BadInputError(
             f"{bad.size} gap(s), the first after {1e-9 * (stamps[k] - stamps[0]):.4f} s: a step of {steps[k] * 1e-6:.3f} ms",
             place=str(path),
             key="samples",
@@ -237,21 +237,21 @@ class Recordings:
 def check_one_robot(recordings: Sequence[Signals]) -> None:
     """Refuse recordings of different robots, or the same recording twice.
 
-    Raises `IdentificationError` with the recording, the joint or motor, the value, and that of the first recording.
+    Raises `BadInputError` with the recording, the joint or motor, the value, and that of the first recording.
     """
     first, seen = recordings[0], {recordings[0].sha256: recordings[0].recording}
     for other in recordings[1:]:
         if other.sha256 and other.sha256 in seen:
             problem = f"has the same content as {seen[other.sha256]}"
-            raise IdentificationError(problem, place=other.recording, expected="each recording once")
+            raise BadInputError(problem, place=other.recording, expected="each recording once")
         seen[other.sha256] = other.recording
         if other.robot.n != first.robot.n:
             expected = f"{first.robot.n}, as in {first.recording}"
-            raise IdentificationError(place=other.recording, key="joints", value=other.robot.n, expected=expected)
+            raise BadInputError(place=other.recording, key="joints", value=other.robot.n, expected=expected)
         for key, value, wanted in _compare(other.robot, first.robot):
             if value != wanted:
                 expected = f"{wanted!r}, as in {first.recording}: recordings of one fit are of one robot"
-                raise IdentificationError(place=other.recording, key=key, value=value, expected=expected)
+                raise BadInputError(place=other.recording, key=key, value=value, expected=expected)
 
 
 def _compare(a: Robot, b: Robot) -> Iterator[tuple[str, Any, Any]]:

@@ -16,7 +16,7 @@ from acquisition.recording import OPTIONAL
 from acquisition.robot import EffortTiming, Payload, Robot, check_recorded_velocities
 
 from ..arrays import Array
-from ..errors import IdentificationError
+from ..errors import BadInputError
 
 NAME = "arrays"  # in place of a recording's name
 COLUMNS = ("t_s", "q", "q_ref", "effort", *OPTIONAL)  # of `Signals`, with a row for each sample
@@ -45,7 +45,7 @@ class Signals:
         health: the recorder's counters by name: t_s (k,) from the first sample, and the counts (k,).
         effort_timing: `command` of an instant, held after it; `mean` over the control period around it, as this package
             simulates; `measured` at the instant, as in ROS joint states; or `unknown`.
-        provenance: origin of the efforts, in words; `effort_object`: the part of it that tells one effort from another.
+        provenance: origin of the efforts, in words; `effort_object`: the part of it that distinguishes efforts.
         velocity: (N, n) measured speeds of the joints, rad/s or m/s, or None.
         known_torque: (N, n) known external torques on the joints, N m or N, or None.
         feedforward: (N, n) feedforward added to the controller's output, by motor in the unit of the recorded effort, or None.
@@ -86,20 +86,20 @@ class Signals:
             shape = (N,) if name == "t_s" else (N, n)
             if part is not None and part.shape != shape:
                 key, expected = f"{name}.shape", f"{shape}, as q has"
-                raise IdentificationError(place=self.recording, key=key, value=part.shape, expected=expected)
+                raise BadInputError(place=self.recording, key=key, value=part.shape, expected=expected)
         if n != self.robot.n:
             expected = f"{self.robot.n}, as the robot has"
-            raise IdentificationError(place=self.recording, key="joints recorded", value=n, expected=expected)
+            raise BadInputError(place=self.recording, key="joints recorded", value=n, expected=expected)
         if self.known_torque is not None and not self.robot.gain_known:
             units = " and ".join(sorted(set(self.robot.effort_units)))
             problem = f"cannot be added to efforts in {units}"
             expected = f"the drive gains of robot {self.robot.name}"
-            raise IdentificationError(problem, place=self.recording, key="known_torque", expected=expected)
+            raise BadInputError(problem, place=self.recording, key="known_torque", expected=expected)
         for name, array in parts.items():
             if array is not None:
                 if not np.isfinite(array).all():
                     row = int(np.argwhere(~np.isfinite(array))[0, 0])
-                    raise IdentificationError(
+                    raise BadInputError(
                         place=self.recording, key=f"{name}[{row}]", value=array[row].tolist(), expected="finite numbers"
                     )
                 array.flags.writeable = False
@@ -150,12 +150,12 @@ def signals_from_arrays(
     """
     for name in columns:
         if name not in OPTIONAL:
-            raise IdentificationError(place=NAME, key=name, expected=f"columns {', '.join(OPTIONAL)}")
+            raise BadInputError(place=NAME, key=name, expected=f"columns {', '.join(OPTIONAL)}")
     if not 0 < sample_rate_hz < math.inf:
-        raise IdentificationError(place=NAME, key="sample_rate_hz", value=sample_rate_hz, expected="a number above 0")
+        raise BadInputError(place=NAME, key="sample_rate_hz", value=sample_rate_hz, expected="a number above 0")
     if sample_rate_hz < 1:
         problem = f"a period? the rate is {1 / sample_rate_hz:g} Hz"
-        raise IdentificationError(problem, place=NAME, key="sample_rate_hz", value=sample_rate_hz, expected="1 or more")
+        raise BadInputError(problem, place=NAME, key="sample_rate_hz", value=sample_rate_hz, expected="1 or more")
     arrays: dict[str, Any] = {"q": _copy("q", q, robot.n), "effort": _copy("effort", effort, robot.n)}
     given: dict[str, Any] = {"q_ref": q_ref, **columns}
     arrays |= {x: _copy(x, given[x], robot.n) for x in ("q_ref", *OPTIONAL) if given.get(x) is not None}
@@ -181,7 +181,7 @@ def _copy(name: str, array: ArrayLike, n: int) -> Array:
     try:
         copied = np.array(array, dtype=np.float64, order="C")
     except (TypeError, ValueError) as error:
-        raise IdentificationError(str(error), place=NAME, key=name, expected=f"numbers of shape (N, {n})") from error
+        raise BadInputError(str(error), place=NAME, key=name, expected=f"numbers of shape (N, {n})") from error
     if copied.ndim != 2 or copied.shape[1] != n or len(copied) < 2:
-        raise IdentificationError(place=NAME, key=f"{name}.shape", value=copied.shape, expected=f"(N, {n}), time first")
+        raise BadInputError(place=NAME, key=f"{name}.shape", value=copied.shape, expected=f"(N, {n}), time first")
     return copied

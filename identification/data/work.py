@@ -6,7 +6,7 @@ from concurrent.futures import BrokenExecutor
 from functools import partial
 from typing import Any, NamedTuple
 
-from ..errors import IdentificationError
+from ..errors import BadInputError
 
 
 class Work(NamedTuple):
@@ -25,9 +25,7 @@ class Work(NamedTuple):
         try:  # with `partial` Dask keeps tasks whole: it would store large arguments with one worker, and lose them with it
             yield from parallel(delayed(partial(function, *task))() for task in tasks)
         except (BrokenExecutor, CancelledError) as error:
-            raise IdentificationError(
-                str(error).split(".")[0], expected="more memory, or a smaller --workers"
-            ) from error
+            raise BadInputError(str(error).split(".")[0], expected="more memory, or a smaller --workers") from error
 
 
 def _cluster(address: str) -> dict[str, Any]:
@@ -38,7 +36,7 @@ def _cluster(address: str) -> dict[str, Any]:
         (client := get_client(address, timeout=10)).wait_for_workers(1, timeout=10)
         client.run(__import__, __package__)  # an error if a worker has no such package
     except (ImportError, OSError, ValueError) as error:
-        raise IdentificationError(str(error), place=address, expected="Dask, on workers with this package") from error
+        raise BadInputError(str(error), place=address, expected="Dask, on workers with this package") from error
 
     class Backend(DaskDistributedBackend):  # type: ignore[misc]  # joblib's waits forever after errors of workers
         def submit(self, func: Any, callback: Callable[[Any], object]) -> Any:

@@ -12,7 +12,7 @@ from acquisition.files import find_mesh, write_columns
 from acquisition.robot import HARMONICS, FourierReference, Payload, Robot, refuse_out_of_range, resolve
 
 from ..arrays import Array
-from ..errors import IdentificationError
+from ..errors import BadInputError
 from ..estimation import one_thread
 from ..model import (
     BaseParameters,
@@ -124,8 +124,8 @@ def excite(
 ) -> Excitation:
     """An exciting reference that makes the base parameters as identifiable as possible within the limits.
 
-    Raises `IdentificationError`: where the limits leave no reference, or the drives would not follow it. Raises
-    `AcquisitionError`: where the drives cannot represent its positions.
+    Raises `BadInputError`: where the limits leave no reference, or the drives would not follow it. Raises
+    `BadInputError`: where the drives cannot represent its positions.
     """
     _refuse_fast(robot, settings, place)
     model = InverseModel(robot)
@@ -196,7 +196,7 @@ def _refuse_fast(robot: Robot, settings: ExcitationSettings, place: str) -> None
     if highest_hz > max_hz * (1 + 1e-9):
         count = math.floor(max_hz * settings.period_s + 1e-9)
         ways = f"--harmonics {count} or fewer, or " if count >= MIN_HARMONICS else ""
-        raise IdentificationError(
+        raise BadInputError(
             f"the highest harmonic of {highest_hz:.4g} Hz is above a third of the bandwidth of {bandwidth_hz:g} Hz",
             place=place,
             key="harmonics",
@@ -215,7 +215,7 @@ def _refuse_rest(limits: Limits, place: str) -> None:
         worst = (most - 3 * n) % len(effort.names)
         held = limits.coulomb[worst] + used[most] * limits.allowed[worst]
         name = limits.names[most].removeprefix("effort of ")
-        raise IdentificationError(
+        raise BadInputError(
             f"{name} needs {held:.4g} {effort.units[worst]} to leave rest in the middle of the ranges",
             place=place,
             expected=f"at most {100 * limits.share:g} % of the effort limit of {effort.limits[worst]:.4g}",

@@ -16,7 +16,7 @@ from acquisition.robot import Payload, Robot
 
 from ..arrays import Array
 from ..data import Signals, load_signals
-from ..errors import IdentificationError
+from ..errors import BadInputError
 from ..methods import stored_beta
 from ..model import (
     LINK,
@@ -79,11 +79,11 @@ def prior_information(
 ) -> PriorInformation:
     """Information from files and options: a fit's parameters, else those of the description.
 
-    Raises `IdentificationError`: where a file cannot be read, or is not of this robot.
+    Raises `BadInputError`: where a file cannot be read, or is not of this robot.
     """
     if noise is not None and len(noise) not in (1, robot.n):
         expected = f"one number, or one for each of {robot.n} joints"
-        raise IdentificationError(key="--noise", value=",".join(f"{x:g}" for x in noise), expected=expected)
+        raise BadInputError(key="--noise", value=",".join(f"{x:g}" for x in noise), expected=expected)
     model = InverseModel(robot)
     base = base_parameters(model)
     known = PriorInformation(
@@ -116,7 +116,7 @@ def loads_of(
 ) -> tuple[DirectModel, ...]:
     """The robot with its parameters, then the same with the payload; empty without parameters.
 
-    Raises `IdentificationError` for a payload whose torque cannot be known.
+    Raises `BadInputError` for a payload whose torque cannot be known.
     """
     payload = knowledge.payload
     if payload is not None and (knowledge.beta is None or not model.robot.gain_known):
@@ -124,7 +124,7 @@ def loads_of(
             "its torque is unknown without parameters and drive gains",
             "--fit or [parameters], and drive_gain",
         )
-        raise IdentificationError(problem, place=place, key="--payload", value=payload.text, expected=expected)
+        raise BadInputError(problem, place=place, key="--payload", value=payload.text, expected=expected)
     if knowledge.beta is None:
         return ()
     chi = base.standard_parameters(knowledge.beta)
@@ -163,7 +163,7 @@ def rows_per_s(robot: Robot) -> float:
 def earlier_information(base: BaseParameters, noise: Array, recordings: Sequence[Signals]) -> Array:
     """Sum of W'W / s² (b, b) over the rows of earlier recordings; `base` without load friction.
 
-    Raises `IdentificationError` if a recording's robot has other base parameters, or it cannot be fitted.
+    Raises `BadInputError` if a recording's robot has other base parameters, or it cannot be fitted.
     """
     M = np.zeros((base.b, base.b))
     for signals in recordings:
@@ -172,7 +172,7 @@ def earlier_information(base: BaseParameters, noise: Array, recordings: Sequence
         known = (own.names, own.units, own.expressions)
         if known != (base.names, base.units, base.expressions):
             expected = "a recording of the described robot, with the same base parameters"
-            raise IdentificationError(place=signals.recording, key="robot", value=signals.robot.name, expected=expected)
+            raise BadInputError(place=signals.recording, key="robot", value=signals.robot.name, expected=expected)
         W, _ = rows_of_recording(replace(problem, base=own)).system.weighted(1 / noise)
         M += W.T @ W
     return M
@@ -271,4 +271,4 @@ def _inverse(M: Array) -> Array:
         return np.asarray(cho_solve(cho_factor(scaled), np.eye(len(M))) * d[:, None] * d)
     except (np.linalg.LinAlgError, ValueError) as error:
         expected = "wider limits, or fewer friction terms"
-        raise IdentificationError("no reference within the limits excites all parameters", expected=expected) from error
+        raise BadInputError("no reference within the limits excites all parameters", expected=expected) from error

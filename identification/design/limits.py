@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from acquisition.robot import EffortLimits, FourierReference, Robot, effort_limits
 
 from ..arrays import Array
-from ..errors import IdentificationError
+from ..errors import BadInputError
 from ..model import DirectModel, torque_of_links, torque_without_sliding
 
 KINDS = ("position", "speed", "acceleration")
@@ -176,7 +176,7 @@ def limits_of(robot: Robot, models: Sequence[DirectModel], share: float, place: 
 
     The torque is limited by each of the `models`, with the same friction; `place` names the description in errors.
 
-    Raises `IdentificationError`: where a joint states no limit, or friction alone needs more than a joint's or motor's
+    Raises `BadInputError`: where a joint states no limit, or friction alone needs more than a joint's or motor's
     effort.
     """
     for i, joint in enumerate(robot.joints):
@@ -184,7 +184,7 @@ def limits_of(robot: Robot, models: Sequence[DirectModel], share: float, place: 
             if joint.si(kind) is None:
                 unit = "deg" if joint.type == "revolute" else "m"
                 key = f"joint[{i}].{kind}_{unit}{tail}"
-                raise IdentificationError(f"joint {joint.name} states none", place=place, key=key, expected="a limit")
+                raise BadInputError(f"joint {joint.name} states none", place=place, key=key, expected="a limit")
     ranges = np.array([joint.si("position") for joint in robot.joints])
     limits = effort_limits(robot)
     coulomb = np.zeros(len(limits.limits))
@@ -195,9 +195,7 @@ def limits_of(robot: Robot, models: Sequence[DirectModel], share: float, place: 
     for name, unit, friction, limit in zip(limits.names, limits.units, coulomb, limits.limits, strict=True):
         if friction >= share * limit:
             expected = f"less than {100 * share:g} % of the effort limit of {limit:.4g} {unit}"
-            raise IdentificationError(
-                f"{name}: Coulomb friction of {friction:.4g} {unit}", place=place, expected=expected
-            )
+            raise BadInputError(f"{name}: Coulomb friction of {friction:.4g} {unit}", place=place, expected=expected)
     motion = np.array([[joint.si(kind) for joint in robot.joints] for kind in KINDS[1:]])
     maximum = share * np.concatenate([np.ptp(ranges, axis=1)[None] / 2, motion])
     return Limits(

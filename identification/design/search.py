@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from acquisition.robot import FourierReference, fourier_reference
 
 from ..arrays import Array
-from ..errors import IdentificationError
+from ..errors import NoFitError
 from ..model import Obstacles
 from .information import Information
 from .limits import Limits, Motion, Series, motion_of
@@ -61,7 +61,7 @@ def best_of_searches(problem: SearchProblem, seed: int, place: str, say: Callabl
     """Coefficients (n, K) of the best of several searches, and deviations (b,); limits hold between samples too.
 
     The best has the smallest criterion; searches in which no deviation exceeds `MAX_DEVIATION_RATIO` times the plain one come
-    first. `say` gets a line of text at each iteration. Raises `IdentificationError`: if no search keeps the limits.
+    first. `say` gets a line of text at each iteration. Raises `BadInputError`: if no search keeps the limits.
     """
     best: tuple[tuple[bool, float], Array, Array] | None = None
     worst = ""
@@ -78,7 +78,7 @@ def best_of_searches(problem: SearchProblem, seed: int, place: str, say: Callabl
                 worst = f"{name} is exceeded by {100 * (most - 1):.3g} %"
                 continue
             sigma = problem.information.sigma(motion_of(x, basis))
-        except IdentificationError as error:  # the motion does not excite all parameters
+        except NoFitError as error:  # the motion does not excite all parameters
             worst = error.args[0]
             continue
         ratios = sigma / problem.plain
@@ -87,7 +87,7 @@ def best_of_searches(problem: SearchProblem, seed: int, place: str, say: Callabl
             best = result
     if best is None:
         expected = "wider limits, another --seed or --harmonics"
-        raise IdentificationError(f"no reference keeps the limits: {worst}", place=place, expected=expected)
+        raise NoFitError(f"no reference keeps the limits: {worst}", place=place, expected=expected)
     return best[1], best[2]
 
 
@@ -120,7 +120,7 @@ def _roomiest_pose(obstacles: Obstacles, limits: Limits, seed: int) -> Array:
     best = poses[int(room.argmax())]
     if room.max() < MARGIN_M:
         distance, pair = obstacles.nearest(best[None])
-        raise IdentificationError(f"{pair} are {distance:.3f} m apart at rest")
+        raise NoFitError(f"{pair} are {distance:.3f} m apart at rest")
     return np.asarray(best)
 
 

@@ -1,7 +1,7 @@
 """Choice of friction terms by cross-validation: over parts of a recording, or of a pair, or over recordings.
 
 Of the sets without terms whose interval contains 0, the smallest that predicts parts nearly as well as the best, as
-identification/method.md says. The score of a part is the sum of squared residuals of its weighted rows, each divided by
+identification/results.md says. The score of a part is the sum of squared residuals of its weighted rows, each divided by
 its joint's s_j of the fit with the usual terms.
 """
 
@@ -17,7 +17,7 @@ from acquisition.robot import FrictionTerm, Robot, low_speed_by_method
 
 from ..arrays import Array
 from ..data import Recordings, Signals
-from ..errors import IdentificationError
+from ..errors import BadInputError
 from ..estimation import (
     Estimate,
     are_moving,
@@ -148,7 +148,7 @@ def select_friction(
 ) -> TermChoice:
     """Try sets of friction terms on a recording, or on several of one robot, in this process.
 
-    Raises `IdentificationError`: if recordings are too long or too short, excite too little, are not of one robot, or if
+    Raises `BadInputError`: if recordings are too long or too short, excite too little, are not of one robot, or if
     fewer than two parts can be predicted by the others.
     """
     sources = signals.sources if isinstance(signals, Recordings) else (signals,)
@@ -203,7 +203,7 @@ class Trials:
     Attributes:
         whole: their system with all tried terms; `added`: joint and term of the base parameters of these, by name.
         parts: instants that are held out: fifths of time of a single recording, and of recordings that differ in payload, which
-            only all of them tell; else each of several; `names`: of the parts.
+            only all of them determine; else each of several; `names`: of the parts.
         weights: (n,) 1/s_j of the fit with the usual terms.
         unpredicted: messages about the parts whose parameters the others do not determine, by name.
         done: the trials; `left_out`: joints and terms that some of them leave out, each with the reason.
@@ -217,7 +217,7 @@ class Trials:
         self.names = [problem.signals.recording for problem in whole.problems]
         if whole.reduced:
             expected = "a part of it, or a larger decimation"
-            raise IdentificationError("too long", place=", ".join(self.names), expected=expected)
+            raise BadInputError("too long", place=", ".join(self.names), expected=expected)
         self.by_recording = len(self.names) > 1 and not whole.unknowns.payloads
         if not self.by_recording:
             edges = [np.linspace(of.start, of.stop, FIFTHS + 1).round().astype(int) for of in recordings]
@@ -242,7 +242,7 @@ class Trials:
         if (left := len(self.names) - len(self.unpredicted)) < MIN_PARTS:
             text = "; ".join(self.unpredicted.values())
             expected = f"at least {MIN_PARTS}: recordings, or fifths of one, that each move all joints"
-            raise IdentificationError(text, key="parts held out", value=left, expected=expected)
+            raise BadInputError(text, key="parts held out", value=left, expected=expected)
 
     def of(self, terms: TermSet) -> Trial:
         """The trial of a set, without terms that are unidentifiable and load friction that does not settle."""

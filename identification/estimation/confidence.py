@@ -1,4 +1,4 @@
-"""Confidence intervals that hold for correlated residuals: equal-weighted cosines and Student's t.
+"""Confidence intervals that hold for correlated residuals, equation (F): equal-weighted cosines and Student's t.
 
 Lazarus, Lewis, Stock and Watson, HAR Inference: Recommendations for Practice, Journal of Business & Economic Statistics 36
 (2018). Only the low-frequency part of the residual matters for an estimate; the cosines of the lowest frequencies measure it.

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..errors import IdentificationError
+from ..errors import NoFitError
 
 GAMMA = 1.0  # weight of the links' prior; with a generic prior, 0.1 or less is worse than none on short recordings
 GAMMA_X = 1e-6  # times gamma: only a barrier; full weight would bias friction and rotors
@@ -96,7 +96,7 @@ def consistent_parameters(
 
     Raises
     ------
-    IdentificationError : where the optimum is not reached, as with an estimate that is not finite.
+    NoFitError : where the optimum is not reached, as with an estimate that is not finite.
     """
     root = _inverse_root(beta, covariance)
     objective = _Objective(beta, root, K, physical, gamma, gamma * gamma_x)
@@ -110,7 +110,7 @@ def consistent_parameters(
         chi, decrement, more = _along_path(softened, physical.start)
         steps += more
     if not decrement <= MAX_DECREMENT:
-        raise IdentificationError(
+        raise NoFitError(
             "no consistent parameters found",
             key="Newton decrement",
             value=decrement,
@@ -289,7 +289,7 @@ def _inverse_root(beta: Array, covariance: Array) -> Array:
     try:
         return np.asarray(np.linalg.inv(np.linalg.cholesky(R)) / sigma)
     except np.linalg.LinAlgError as error:
-        raise IdentificationError("no consistent parameters found: the covariance is not positive definite") from error
+        raise NoFitError("no consistent parameters found: the covariance is not positive definite") from error
 
 
 def pseudo_inertia(parameters: Array) -> Array:

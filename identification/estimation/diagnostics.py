@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..report import TorqueError
+from ..report import TorqueResidual
 from .system import System, orthonormal, spans_of
 
 MOVING = 0.02  # of a joint's peak speed: below, it stands
 _MAX_TERMS = 500  # of the continued fraction; about max(10, sqrt(degrees of freedom)) are needed
 
 
-def torque_errors(tau: Array, predicted: Array, speed: Array, names: tuple[str, ...]) -> tuple[TorqueError, ...]:
+def torque_errors(tau: Array, predicted: Array, speed: Array, names: tuple[str, ...]) -> tuple[TorqueResidual, ...]:
     """Torque errors of each joint and of all joints together.
 
     Parameters
@@ -34,7 +34,7 @@ def torque_errors(tau: Array, predicted: Array, speed: Array, names: tuple[str, 
     moving, rho = are_moving(speed), tau - predicted
     each = [(name, tau[:, j], rho[:, j], moving[:, j]) for j, name in enumerate(names)]
     return tuple(
-        TorqueError(
+        TorqueResidual(
             name=name,
             relative_error_percent=relative_error_percent(t, r),
             moving_relative_error_percent=relative_error_percent(t[m], r[m]),

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from ..arrays import Array
-from ..errors import IdentificationError
+from ..errors import NoFitError
 from .diagnostics import f_tests
 from .system import RANK_TOLERANCE, System, orthonormal, r_factor, refuse_rank_deficiency
 
@@ -115,11 +115,11 @@ def ordinary_least_squares(system: System) -> Estimate:
 
 
 def weighted_least_squares(system: System) -> Estimate:
-    """Least squares with the rows of joint j divided by s_j, the residual deviation of that joint's own least squares.
+    """Equation (B): least squares with the rows of joint j divided by s_j, the residual deviation of its own least squares.
 
     Raises
     ------
-    IdentificationError : where there are no more used rows than parameters, or W is rank deficient.
+    NoFitError : where there are no more used rows than parameters, or W is rank deficient.
     """
     return _estimated(system, joint_weights(system))
 
@@ -183,7 +183,7 @@ def essential_parameters(system: System, full: Estimate, *, correlation: float, 
 
 
 def instrumental_variables(system: System, Z: Array, weights: Array) -> Estimate:
-    """beta = (ZᵀW)⁻¹ ZᵀY, section 3 of Janot2014, with Z, W and Y weighted.
+    """Equation (D): beta = (ZᵀW)⁻¹ ZᵀY, section 3 of Janot2014, with Z, W and Y weighted.
 
     Solved through the QR factors of Z: Z = Q R gives (QᵀW) beta = QᵀY. The covariance is s² (ZᵀW)⁻¹ ZᵀZ (WᵀZ)⁻¹, in which
     R drops out.
@@ -196,7 +196,7 @@ def instrumental_variables(system: System, Z: Array, weights: Array) -> Estimate
 
     Raises
     ------
-    IdentificationError : where QᵀW is singular, or as `weighted_least_squares` does.
+    NoFitError : where QᵀW is singular, or as `weighted_least_squares` does.
     """
     return _estimated(system, weights, Z)
 
@@ -205,7 +205,7 @@ def _estimated(system: System, weights: Array, Z: Array | None = None) -> Estima
     """Least squares, or with instruments Z (r, b), not weighted, instrumental variables."""
     r, b = float(system.rows.sum()), len(system.names)
     if r <= b:
-        raise IdentificationError(key="decimated rows", value=round(r), expected=f"more than the {b} parameters")
+        raise NoFitError(key="decimated rows", value=round(r), expected=f"more than the {b} parameters")
     W, Y = system.weighted(weights)
     spanning = W if Z is None else Z * (weights[system.joint_of_row] * system.used)[:, None]
     singular = refuse_rank_deficiency(spanning, system.names)
@@ -215,7 +215,7 @@ def _estimated(system: System, weights: Array, Z: Array | None = None) -> Estima
         condition = float(singular[0] / singular[-1])
     elif not condition < 1 / RANK_TOLERANCE:
         text, shown = "instruments and regressor have too little in common", f"{condition:.2g}"
-        raise IdentificationError(text, key="cond(ZᵀW)", value=condition, shown=shown)
+        raise NoFitError(text, key="cond(ZᵀW)", value=condition, shown=shown)
     return Estimate(
         names=system.names,
         beta=beta,

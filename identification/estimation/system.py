@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..errors import IdentificationError
+from ..errors import NoFitError
 
 SPANS = 120  # of a long recording: halves and fifths of its time end where spans do; 7.5 per half period of the fastest cosine
 _BLOCK_ROWS = 1024  # of a block that is factored at a time
@@ -218,12 +218,12 @@ def refuse_rank_deficiency(W: Array, names: tuple[str, ...]) -> Array:
     """Singular values of the column-scaled W; an error names the parameters that are not excited or not distinguishable."""
     unexcited, collinear, singular = _undetermined(W, names)
     if unexcited:
-        raise IdentificationError(
+        raise NoFitError(
             "no torque depends on them", key="parameters not excited", value=unexcited, shown=", ".join(unexcited)
         )
     if collinear:
         rank = int((singular >= RANK_TOLERANCE * singular[0]).sum())
-        raise IdentificationError(
+        raise NoFitError(
             f"the trajectory excites too little: rank {rank} for {len(names)} parameters; "
             f"not distinguishable: {', '.join(collinear)}"
         )

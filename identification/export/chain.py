@@ -12,7 +12,7 @@ import numpy as np
 
 from acquisition.errors import listed
 
-from ..errors import IdentificationError
+from ..errors import BadInputError
 
 INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 _SUFFIXES = (".urdf", ".xacro", ".xml")
@@ -86,7 +86,7 @@ class Chain:
         """Apply options in rad or m (per s, s²) and Hz: one value for all joints, or one for each.
 
         `--range` is ± about zero. The URDF's range and speed still apply; of several `--bandwidth-hz` the lowest is used.
-        Raises `IdentificationError`: a wrong number of values, a range outside the URDF's.
+        Raises `BadInputError`: a wrong number of values, a range outside the URDF's.
         """
         joints = list(self.joints)
         for option, values in options.items():
@@ -105,10 +105,10 @@ def _check_count(chain: Chain, option: str, values: Sequence[float]) -> None:
     n, kinds = len(chain.joints), {joint.type for joint in chain.joints}
     if len(values) not in (1, n):
         expected, shown = f"one, or {n} for {', '.join(joint.name for joint in chain.joints)}", f"{len(values)} values"
-        raise IdentificationError(place=chain.place, key=option, value=values, shown=shown, expected=expected)
+        raise BadInputError(place=chain.place, key=option, value=values, shown=shown, expected=expected)
     if len(values) < n and len(kinds) > 1 and option in _OPTION_FIELDS:
         expected = f"{n} values: some joints are in rad, others in m"
-        raise IdentificationError(place=chain.place, key=option, value=values[0], expected=expected)
+        raise BadInputError(place=chain.place, key=option, value=values[0], expected=expected)
 
 
 def _intersect_range(joint: UrdfJoint, side: float, place: str) -> tuple[float, float]:
@@ -116,7 +116,7 @@ def _intersect_range(joint: UrdfJoint, side: float, place: str) -> tuple[float, 
     narrowed = max(low, -side), min(high, side)
     if not narrowed[0] < narrowed[1]:
         expected = f"a range that overlaps the URDF's, {low:g} to {high:g} {joint.unit}"
-        raise IdentificationError(place=f"{place}: joint {joint.name!r}", key="--range", value=side, expected=expected)
+        raise BadInputError(place=f"{place}: joint {joint.name!r}", key="--range", value=side, expected=expected)
     return narrowed
 
 
@@ -129,13 +129,13 @@ def read_chain(path: Path, names: Sequence[str] = ()) -> Chain:
     """Read a URDF with its limits, damping and friction.
 
     `names` are the joints to identify, from the base outwards; by default the longest serial chain without fingers. Raises
-    `IdentificationError`: not a URDF, not one tree, floating or planar joints, two chains of equal length, invalid numbers,
+    `BadInputError`: not a URDF, not one tree, floating or planar joints, two chains of equal length, invalid numbers,
     reversed limits, negative masses or inertias.
     """
     try:
         text = path.read_bytes()
     except OSError as error:
-        raise IdentificationError(f"cannot be read: {error.strerror}", place=str(path)) from error
+        raise BadInputError(f"cannot be read: {error.strerror}", place=str(path)) from error
     tree = _Tree(text, str(path))
     chain = _check_names(tree, names) if names else _find_longest(tree)
     for name in dict.fromkeys(joint for last in chain for joint in tree.path(last)):
@@ -143,7 +143,7 @@ def read_chain(path: Path, names: Sequence[str] = ()) -> Chain:
         if kind in ("floating", "planar"):
             at = f"{path}: joint {name!r}, between the base and joint {chain[-1]!r}"
             expected = "fixed, revolute, continuous or prismatic joints on a fixed base"
-            raise IdentificationError(place=at, key="type", value=kind, expected=expected)
+            raise BadInputError(place=at, key="type", value=kind, expected=expected)
     rigid: dict[str, list[str]] = {name: [] for name in chain}
     for link in tree.links:
         carried = [joint for joint in tree.path(tree.above.get(link)) if joint in rigid]
@@ -168,13 +168,13 @@ class _Tree:
         try:
             robot = ET.fromstring(text)
         except (ET.ParseError, ValueError, LookupError) as error:
-            raise IdentificationError(f"is not XML: {error}", place=place, expected="a URDF") from error
+            raise BadInputError(f"is not XML: {error}", place=place, expected="a URDF") from error
         if robot.tag != "robot":
             shown, expected = f"<{robot.tag}>", "<robot>, of a URDF"
-            raise IdentificationError(place=place, key="its root", value=robot.tag, shown=shown, expected=expected)
+            raise BadInputError(place=place, key="its root", value=robot.tag, shown=shown, expected=expected)
         if any("xacro" in str(element.tag) for element in robot.iter()):
             expected = "a URDF: xacro FILE > robot.urdf makes it"
-            raise IdentificationError("has xacro elements", place=place, expected=expected)
+            raise BadInputError("has xacro elements", place=place, expected=expected)
         self.place, self.name = place, robot.get("name") or ""
         self.links, self.joints = (_by_name(robot, tag, place) for tag in ("link", "joint"))
         self.above: dict[str, str] = {}
@@ -184,23 +184,23 @@ class _Tree:
         roots = [link for link in self.links if link not in self.above]
         if len(roots) != 1:
             problem = f"{len(roots)} root links: {listed(roots)}" if roots else "no root link: its joints form a loop"
-            raise IdentificationError(problem, place=place, expected="one base link, which is no joint's child")
+            raise BadInputError(problem, place=place, expected="one base link, which is no joint's child")
         if loop := [link for link in self.links if len(self.path(self.above.get(link))) > len(self.joints)]:
             problem = f"links {listed(loop)} are in a loop of joints"
-            raise IdentificationError(problem, place=place, expected="a tree below one base link")
+            raise BadInputError(problem, place=place, expected="a tree below one base link")
 
     def _check_joint(self, name: str, joint: ET.Element) -> None:
         at, kind = f"{self.place}: joint {name!r}", joint.get("type")
         if kind not in _TYPES:
-            raise IdentificationError(place=at, key="type", value=kind, expected=f"one of {', '.join(_TYPES)}")
+            raise BadInputError(place=at, key="type", value=kind, expected=f"one of {', '.join(_TYPES)}")
         for tag in ("parent", "child"):
             if _end(joint, tag) not in self.links:
                 value, expected = _end(joint, tag) or None, f"one of the links {listed([*self.links])}"
-                raise IdentificationError(place=at, key=tag, value=value, expected=expected)
+                raise BadInputError(place=at, key=tag, value=value, expected=expected)
         child = _end(joint, "child")
         if child in self.above:
             expected = f"one parent joint per link; {self.above[child]!r} is another of this one"
-            raise IdentificationError(place=at, key="child", value=child, expected=expected)
+            raise BadInputError(place=at, key="child", value=child, expected=expected)
 
     def path(self, joint: str | None) -> list[str]:
         """The joints from the root to `joint`, including it; more than the URDF has if they form a loop."""
@@ -222,10 +222,10 @@ def _by_name(robot: ET.Element, tag: str, place: str) -> dict[str, ET.Element]:
         name = element.get("name")
         if not name or name in elements:
             where, expected = f"{place}: {tag} {i + 1}", "a name not used before" if name else "a name"
-            raise IdentificationError(place=where, key="name", value=name or None, expected=expected)
+            raise BadInputError(place=where, key="name", value=name or None, expected=expected)
         elements[name] = element
     if not elements:
-        raise IdentificationError(f"has no {tag}", place=place, expected="links, and joints between them")
+        raise BadInputError(f"has no {tag}", place=place, expected="links, and joints between them")
     return elements
 
 
@@ -245,7 +245,7 @@ def _number(text: str | None, place: str, key: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise IdentificationError(place=place, key=key, value=text, expected="a finite number")
+        raise BadInputError(place=place, key=key, value=text, expected="a finite number")
     return value
 
 
@@ -253,13 +253,13 @@ def _find_longest(tree: _Tree) -> list[str]:
     free = {name for name in tree.movable if not _OF_A_HAND.search(name)} or {*tree.movable}
     if not free:
         expected = f"joints of the types {', '.join(_MOVABLE)}"
-        raise IdentificationError("no joint moves", place=tree.place, expected=expected)
+        raise BadInputError("no joint moves", place=tree.place, expected=expected)
     chains = {name: [joint for joint in tree.path(name) if joint in free] for name in tree.movable if name in free}
     most = max(map(len, chains.values()))
     last = [name for name, chain in chains.items() if len(chain) == most]
     if len(last) > 1:
         problem = f"{len(last)} chains of {most} joints each, which end at {listed(last)}"
-        raise IdentificationError(problem, place=tree.place, expected="--joints with the joints of one chain")
+        raise BadInputError(problem, place=tree.place, expected="--joints with the joints of one chain")
     return chains[last[0]]
 
 
@@ -267,7 +267,7 @@ def _check_names(tree: _Tree, names: Sequence[str]) -> list[str]:
     for i, name in enumerate(names):
         if name not in tree.movable or name in names[:i]:
             expected = f"one of {listed(tree.movable)}, each once"
-            raise IdentificationError(place=tree.place, key="--joints", value=name, expected=expected)
+            raise BadInputError(place=tree.place, key="--joints", value=name, expected=expected)
     return list(names)
 
 
@@ -280,7 +280,7 @@ def _describe_locked(tree: _Tree, name: str) -> str:
 def _read_joint(tree: _Tree, name: str) -> UrdfJoint:
     if not _JOINT_NAME.fullmatch(name):
         expected = "1 to 64 letters, digits, spaces, and _ . -, as in robot.toml"
-        raise IdentificationError(place=tree.place, key="name of a joint", value=name, expected=expected)
+        raise BadInputError(place=tree.place, key="name of a joint", value=name, expected=expected)
     joint, at = tree.joints[name], f"{tree.place}: joint {name!r}"
 
     def number(tag: str, attribute: str) -> float:
@@ -289,11 +289,11 @@ def _read_joint(tree: _Tree, name: str) -> UrdfJoint:
 
     kind, low, high = joint.get("type"), number("limit", "lower"), number("limit", "upper")
     if kind != "continuous" and low > high:
-        raise IdentificationError(place=at, key="limit lower", value=low, expected=f"less than upper = {high:g}")
+        raise BadInputError(place=at, key="limit lower", value=low, expected=f"less than upper = {high:g}")
     numbers = {key: number(*where) for key, where in _NUMBERS.items()}
     for key, value in numbers.items():
         if value < 0:
-            raise IdentificationError(place=at, key=" ".join(_NUMBERS[key]), value=value, expected="a number from 0")
+            raise BadInputError(place=at, key=" ".join(_NUMBERS[key]), value=value, expected="a number from 0")
     return UrdfJoint(
         name=name,
         type="prismatic" if kind == "prismatic" else "revolute",
@@ -316,14 +316,14 @@ def _check_inertials(tree: _Tree, links: Sequence[str]) -> tuple[str, ...]:
             continue
         m = _number(_text(inertial, "mass", "value"), at, "mass")
         if m < 0:
-            raise IdentificationError(place=at, key="mass", value=m, expected="a number from 0, kg")
+            raise BadInputError(place=at, key="mass", value=m, expected="a number from 0, kg")
         matrix = np.zeros((3, 3))
         matrix[np.triu_indices(3)] = [_number(_text(inertial, "inertia", k), at, f"inertia {k}") for k in INERTIA]
         moments = np.linalg.eigvalsh(matrix, UPLO="U")
         slack, shown = _MAX_ROUNDING * np.abs(moments).max(), ", ".join(f"{x:.4g}" for x in moments)
         if moments[0] < -slack:
             key, expected = "principal moments", "none below zero, kg m²"
-            raise IdentificationError(place=at, key=key, value=moments.tolist(), shown=shown, expected=expected)
+            raise BadInputError(place=at, key=key, value=moments.tolist(), shown=shown, expected=expected)
         if moments[2] > moments[0] + moments[1] + slack:
             notes.append(f"link {link}: principal moments {shown} kg m²: impossible, one exceeds the sum of the others")
     return tuple(notes)

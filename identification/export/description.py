@@ -10,7 +10,7 @@ from typing import Any
 from acquisition.errors import one_line
 from acquisition.robot import FILL_IN, Robot, load_robot, robot_from_files
 
-from ..errors import IdentificationError
+from ..errors import BadInputError
 from ..model import LINK, InverseModel
 from .chain import Chain, UrdfJoint, is_urdf, read_chain
 
@@ -29,13 +29,13 @@ def robot_of_chain(chain: Chain) -> Robot:
 def read_robot(path: Path, joints: Sequence[str] = (), options: Mapping[str, Sequence[float]] | None = None) -> Robot:
     """The robot of a robot.toml; of a URDF with `joints` as of `read_chain` and `options` as of `Chain.with_options`.
 
-    Raises `IdentificationError`: as of these, or joints and options with a robot.toml. `AcquisitionError`: as of `load_robot`.
+    Raises `BadInputError`: as of these, or joints and options with a robot.toml. `BadInputError`: as of `load_robot`.
     """
     if is_urdf(path):
         return robot_of_chain(read_chain(path, joints).with_options(options or {}))
     for option in (*(["--joints"] if joints else []), *(options or {})):
         expected = "a URDF; robot.toml has a key for it"
-        raise IdentificationError(f"{option} has no effect", place=str(path), expected=expected)
+        raise BadInputError(f"{option} has no effect", place=str(path), expected=expected)
     return load_robot(path)
 
 
@@ -43,7 +43,7 @@ def chain_of_letters(letters: str) -> Chain:
     """Joints by their letters, R revolute and P prismatic, of which nothing else is known."""
     types = [{"R": "revolute", "P": "prismatic"}.get(letter) for letter in letters.upper()]
     if not types or None in types:
-        raise IdentificationError(key="--dh", value=letters, expected="a letter for each joint, R or P, such as RRPRRR")
+        raise BadInputError(key="--dh", value=letters, expected="a letter for each joint, R or P, such as RRPRRR")
     unknown: Any = dict.fromkeys(("position", "speed", "effort"))
     joints = (
         UrdfJoint(name=f"joint_{j + 1}", type=str(kind), child="", damping=0.0, friction=0.0, **unknown)
@@ -58,7 +58,7 @@ def describe(chain: Chain, urdf: str, bus: str = "") -> str:
     The text loads without changes; `bus` stands for the example drives: the text of `[bus]`. `urdf` is the path relative to its
     folder. `[parameters]` has the links' inertials in the frames of `InverseModel`, fixed and locked links lumped into their
     carrier; damping as Fv and friction as Fc.
-    Raises `IdentificationError`: a URDF that does not load, a joint that moves no mass.
+    Raises `BadInputError`: a URDF that does not load, a joint that moves no mass.
     """
     head = "\n".join([*_head(chain, urdf), *(line for j in range(len(chain.joints)) for line in _joint(chain, j))])
     head += "\n".join(_motors_and_controller(chain))
@@ -184,15 +184,13 @@ def _parameters(chain: Chain, robot: Robot) -> Iterator[str]:
     yield ""
     yield "# A-priori values: the URDF's inertials about the joints' frames (fixed and locked links lumped), its damping and"
     yield "# friction. Simulations use them; a fit does not."
-    unless = (
-        "missing friction" if chain.torque_sensors else "rotor inertias, which are not in a URDF, and missing friction"
-    )
-    yield f"# {FILL_IN}: {unless}; without values they are 0."
+    rotors = "" if chain.torque_sensors else "rotor inertias, which are not in a URDF, and "
+    yield f"# {FILL_IN}: {rotors}missing friction; without values they are 0."
     yield "[parameters]"
     for j, joint in enumerate(chain.joints):
         mass = values[j, LINK.index("M")]
         if not mass > 0:
-            raise IdentificationError(
+            raise BadInputError(
                 place=f"{chain.place}: joint {joint.name!r}",
                 key=f"mass of link {joint.child!r} and those fixed to it",
                 value=float(mass),

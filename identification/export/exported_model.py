@@ -1,7 +1,7 @@
 """Standard parameters in the form that simulators use, and the losses of a format.
 
 Formats have the friction Fv u + Fc sign(u) of each joint and, if they have couplings, of each motor that turns with several
-joints; none is negative. Other terms are left out, and their torque is told.
+joints; none is negative. Other terms are left out, and their torque is reported.
 """
 
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ import numpy as np
 from acquisition.robot import Joint
 
 from ..arrays import Array
-from ..errors import IdentificationError
+from ..errors import BadInputError
 from ..model import (
     RESISTING,
     InverseModel,
@@ -58,7 +58,7 @@ def split_parameters(model: InverseModel, chi: Array, place: str) -> ExportedMod
     Ia and Fv of a joint include the share of a motor that turns with it (Ia5 of the TX40 includes Ia6): it is subtracted here.
     The rest may be negative if the joints that share the motor together dissipate energy.
 
-    Raises `IdentificationError`, since simulators do not check: a link is no physical body, a rotor inertia is negative, or
+    Raises `BadInputError`, since simulators do not check: a link is no physical body, a rotor inertia is negative, or
     friction generates energy. `place` names the parameters' file.
     """
     links = chi[link_columns(model)]
@@ -66,11 +66,11 @@ def split_parameters(model: InverseModel, chi: Array, place: str) -> ExportedMod
         if not is_a_body(link, MIN_EIGENVALUE):
             problem = "impossible inertia for a body of positive density"
             key = f"link {j + 1}, of joint {model.robot.joints[j].name}"
-            raise IdentificationError(problem, place=place, key=key, expected="a new fit with --consistent")
+            raise BadInputError(problem, place=place, key=key, expected="a new fit with --consistent")
     for matrix, first, text in requirements(model, shaped=False):
         lowest = float(np.linalg.eigvalsh(matrix @ chi)[0])
         if lowest < -MIN_EIGENVALUE:
-            raise IdentificationError(
+            raise BadInputError(
                 "generates energy, and simulators do not check it",
                 place=place,
                 key=text,

@@ -13,7 +13,7 @@ import numpy as np
 from acquisition.errors import one_line
 from acquisition.files import atomic_write, format_numbers
 
-from ..errors import IdentificationError
+from ..errors import BadInputError
 from ..report import Cell, Document, Number, Section, Table, columns
 from .exported_model import STATES, ExportedModel, Losses, representable
 from .formats import mjcf_text, servo_loop, urdf_text
@@ -44,7 +44,7 @@ def export_model(
     """Convert a model to the requested formats.
 
     `source` names the fit; `lines` state the origin of its values. Returns the text for each path, and a report. Raises
-    `IdentificationError`: the description cannot be patched.
+    `BadInputError`: the description cannot be patched.
     """
     robot, texts, sections = m.model.robot, dict[Path, str](), [Section(lines=lines)]
     if urdf is not None:
@@ -109,7 +109,7 @@ def replace_parameters(text: str, values: Mapping[str, float], remark: str, urdf
     """Replace the values (SI) of `[parameters]` in a description, or append the table; all other lines stay.
 
     The remark, on the origin of the values, replaces the remarks directly above the table; the name `urdf` replaces the URDF's.
-    Raises `IdentificationError`: the table cannot be replaced line by line.
+    Raises `BadInputError`: the table cannot be replaced line by line.
     """
     was, written = tomllib.loads(text), {name: format_numbers(value) for name, value in values.items()}
     lines = text.splitlines()
@@ -138,5 +138,5 @@ def replace_parameters(text: str, values: Mapping[str, float], remark: str, urdf
         same = False
     if not same:
         problem, expected = "cannot be replaced line by line", "one line per value under a line [parameters]"
-        raise IdentificationError(problem, place="the fit's robot.toml", key="[parameters]", expected=expected)
+        raise BadInputError(problem, place="the fit's robot.toml", key="[parameters]", expected=expected)
     return made

@@ -7,7 +7,7 @@ import tomllib
 import msgspec
 from msgspec import UNSET
 
-from ..errors import IdentificationError
+from ..errors import BadInputError
 from ..report import DriveGain, FitFile
 from .tables import replace_in_tables
 
@@ -16,7 +16,7 @@ def with_gains(stored: FitFile, place: str) -> tuple[FitFile, tuple[str, ...]]:
     """The fit with its drive gains in its description, and lines on them.
 
     A gain that is not determined is left as described; without a described one it is written with its wide interval. Raises
-    `IdentificationError` where a [[motor]] cannot be replaced line by line.
+    `BadInputError` where a [[motor]] cannot be replaced line by line.
     """
     if stored.gains is UNSET or "robot.toml" not in stored.description:
         return stored, ()
@@ -43,7 +43,7 @@ def with_law(stored: FitFile, place: str) -> tuple[FitFile, tuple[str, ...]]:
     text = re.sub(header, rf"\g<0>{lines}", text) if described else f"{text}\n[controller]{lines}\n"
     if tomllib.loads(text)["controller"] != described | keys:
         problem, expected = "cannot be completed", "a line [controller], then a line per key"
-        raise IdentificationError(problem, place=f"the robot.toml in {place}", key="[controller]", expected=expected)
+        raise BadInputError(problem, place=f"the robot.toml in {place}", key="[controller]", expected=expected)
     law = msgspec.structs.replace(stored, description={**stored.description, "robot.toml": text})
     return law, (f"control law of the recording: {stored.law.structure}",)
 

@@ -6,7 +6,7 @@ import numpy as np
 from msgspec import UNSET
 
 from ..arrays import Array
-from ..errors import IdentificationError
+from ..errors import BadInputError
 from ..methods import Known, consistent_set, refuse_unknown_gain, stored_beta, stored_robot
 from ..model import InverseModel, base_parameters
 from ..regression import base_name
@@ -19,12 +19,12 @@ from .motors import with_gains, with_law
 def export_fit(stored: FitFile, place: str, *, untrusted: bool = False, **outputs: Path | None) -> Document:
     """Write a fit as `urdf`, `mjcf` or `toml`, and report what each format cannot represent.
 
-    Raises `IdentificationError`: the fit is not to be used and not allowed as `untrusted`; as of `model_of_fit`.
+    Raises `BadInputError`: the fit is not to be used and not allowed as `untrusted`; as of `model_of_fit`.
     """
     reasons = distrust(stored, place)
     if reasons and not untrusted:
         expected = "a fit to be trusted, or --allow-untrusted"
-        raise IdentificationError(f"not exported: {'; '.join(reasons)}", expected=expected)
+        raise BadInputError(f"not exported: {'; '.join(reasons)}", expected=expected)
     mechanism, lines = model_of_fit(stored, place)
     texts, document = export_model(mechanism, Path(place).name, lines=lines, **outputs)
     write_models(texts)
@@ -41,7 +41,7 @@ def distrust(stored: FitFile, place: str) -> list[str]:
 def model_of_fit(stored: FitFile, place: str) -> tuple[ExportedModel, tuple[str, ...]]:
     """The robot of a fit, by the fit's own description and drive gains, with all standard parameters; lines on their origin.
 
-    Raises `IdentificationError`: a fit in A or V, without a description or a covariance, or with impossible parameters.
+    Raises `BadInputError`: a fit in A or V, without a description or a covariance, or with impossible parameters.
     """
     stored, of_gains = with_gains(stored, place)
     stored, of_law = with_law(stored, place)
@@ -55,7 +55,7 @@ def model_of_fit(stored: FitFile, place: str) -> tuple[ExportedModel, tuple[str,
     if [(p.name, p.unit) for p in parameters] != names:
         other = next((f"{p.name} in {p.unit}" for p in parameters if (p.name, p.unit) not in names), None)
         expected = f"the {len(names)} of the description"
-        raise IdentificationError(place=place, key="standard_parameters", value=other, expected=expected)
+        raise BadInputError(place=place, key="standard_parameters", value=other, expected=expected)
     lines = [*of_gains, *of_law]
     if (c := stored.consistent) is not UNSET:
         lines.append(
@@ -71,13 +71,13 @@ def _make_consistent(stored: FitFile, model: InverseModel, place: str) -> tuple[
     if stored.covariance is UNSET:
         problem = "the fit is not consistent, and cannot be made so without it"
         expected = "a new fit, preferably with --consistent"
-        raise IdentificationError(problem, place=place, key="covariance", value=None, expected=expected)
+        raise BadInputError(problem, place=place, key="covariance", value=None, expected=expected)
     names, values = stored.covariance.names, np.array(stored.covariance.values)
     shared = [base_name(name) for name in names]
     left_out = {p.name: p.sigma for p in stored.left_out or ()}
     missing = [name for name in base.names if name not in shared and name not in left_out]
     if missing or values.shape != (len(names), len(names)):
-        raise IdentificationError(
+        raise BadInputError(
             place=place, key="covariance", value=", ".join(missing[:5]) or None, expected="one row per parameter"
         )
     # of parameters of single recordings the mean, as in `stored_beta`

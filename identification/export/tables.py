@@ -7,13 +7,13 @@ from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any
 
-from ..errors import IdentificationError
+from ..errors import BadInputError
 
 
 def replace_in_tables(text: str, kind: str, values: Mapping[str, Mapping[str, Any]], place: str) -> str:
     """A description with these values, by key, in the [[kind]] tables of these names; a key for None becomes a comment.
 
-    Raises `IdentificationError` where a table is not found, or not written with one key a line.
+    Raises `BadInputError` where a table is not found, or not written with one key a line.
     """
     now, written = tomllib.loads(text), set()
     made, *tables = re.split(rf"(?m)^([ \t]*\[\[[ \t]*{kind}[ \t]*\]\][ \t]*(?:#.*)?)$", text)
@@ -34,4 +34,4 @@ def replace_in_tables(text: str, kind: str, values: Mapping[str, Mapping[str, An
         if written == values.keys() and tomllib.loads(made) == now:
             return made
     problem, expected = "cannot be replaced line by line", f"a line [[{kind}]] of each, then a line per key"
-    raise IdentificationError(problem, place=place, key=f"[[{kind}]]", expected=expected)
+    raise BadInputError(problem, place=place, key=f"[[{kind}]]", expected=expected)

@@ -31,6 +31,6 @@ from .parameters import (
     validate_all,
     with_stored_gains,
 )
-from .recording_report import Validated, recording_document, validation_document
+from .recording_report import Validated, main_figures, recording_document, validation_document
 from .settled import least_squares, with_best_ramps
 from .timing import correct_known_lags

@@ -9,7 +9,7 @@ import numpy as np
 from acquisition.robot import Robot, load_robot
 
 from ..arrays import Array
-from ..errors import IdentificationError
+from ..errors import BadInputError, NoFitError
 from ..estimation import consistent_parameters, one_thread, parameter_certainty, torque_errors
 from ..model import BaseParameters, InverseModel, expected_links, physical_parameters
 from ..regression import recorded_power, torque_of_recording
@@ -37,14 +37,14 @@ def urdf_prior(robot: Robot, urdf: str, name: str) -> Robot:
 def read_prior(path: Path, robot: Robot) -> Robot:
     """The fitted `robot` as another robot.toml or a URDF, `path`, describes it, by the name of the file.
 
-    Raises `IdentificationError`: the file cannot be read.
+    Raises `BadInputError`: the file cannot be read.
     """
     if path.suffix.lower() == ".toml":
         return replace(load_robot(path), name=path.name)
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise IdentificationError(f"cannot be read: {error}", place=str(path)) from error
+        raise NoFitError(f"cannot be read: {error}", place=str(path)) from error
     return urdf_prior(robot, text, path.name)
 
 
@@ -56,7 +56,7 @@ def with_consistent(fit: Fit, prior: Robot | None = None) -> Fit:
 
     Raises
     ------
-    IdentificationError : a drive gain is not known, the prior is of another robot, or no consistent parameters are found.
+    BadInputError : a drive gain is not known, the prior is of another robot, or no consistent parameters are found.
     """
     problem, full = fit.problem, fit.least_squares.full
     covariance = covariance_of_all(full.names, fit.estimate, fit.intervals, full)
@@ -66,9 +66,7 @@ def with_consistent(fit: Fit, prior: Robot | None = None) -> Fit:
     known = Known(beta=fit.beta, covariance=covariance, reach=fit.intervals.reach)
     if any(not len(one.problem.signals.q) for one in fit.recordings):  # several, too long to be held
         text = "the recordings together are too long for the torque errors of a consistent set"
-        raise IdentificationError(
-            text, place=problem.signals.robot.name, expected="a larger decimation, or one recording"
-        )
+        raise BadInputError(text, place=problem.signals.robot.name, expected="a larger decimation, or one recording")
     alike = [one for one in fit.recordings if one.arm.names == fit.recordings[0].arm.names]
     power = recorded_power([one.problem for one in alike], fit.beta)
     found = consistent_set(problem.model, fit.base, known, prior=prior, power=power)
@@ -97,7 +95,7 @@ def consistent_set(
 
     Raises
     ------
-    IdentificationError : as `with_consistent`.
+    BadInputError : as `with_consistent`.
     """
     refuse_unknown_gain(model.robot)
     expected = None if prior is None else InverseModel(prior)
@@ -126,7 +124,7 @@ def refuse_unknown_gain(robot: Robot) -> None:
     """Refuse a fit in A or V: joints have unknown gains of their own, and a link's parameters would mix them."""
     for k, motor in enumerate(robot.motors):
         if motor.gain is None and not robot.gain_known:
-            raise IdentificationError(
+            raise BadInputError(
                 f"the fit is in {motor.recorded_unit}; link parameters need N m",
                 place=f"robot {robot.name}",
                 key=f"motor[{k}].drive_gain",
@@ -136,8 +134,8 @@ def refuse_unknown_gain(robot: Robot) -> None:
 
 
 def _in_words(sources: tuple[str, ...]) -> str:
-    """`links 1, 2 of its URDF; link 3 plausible`."""
-    words = {"[parameters]": "of its [parameters]", "URDF": "of its URDF", "plausible": "plausible by their lengths"}
+    """`links 1, 2 by the URDF; link 3 by their lengths (guess)`."""
+    words = {"[parameters]": "by [parameters]", "URDF": "by the URDF", "plausible": "by their lengths (guess)"}
     of = {source: [str(j + 1) for j, s in enumerate(sources) if s == source] for source in words}
     return "; ".join(
         f"{'all links' if len(links) == len(sources) else 'links ' + ', '.join(links)} {words[source]}"

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..data import RecordingFile, Recordings, Signals, check_one_robot
-from ..errors import IdentificationError
+from ..errors import NoFitError
 from ..estimation import Estimate, System, combined, stacked, stacked_columns
 from ..regression import (
     HELD,
@@ -191,7 +191,7 @@ class Equations:
         if all(problem.settings.filtered for problem in self.problems):
             return None
         signals = [problem.signals for problem in self.problems]
-        with suppress(IdentificationError):
+        with suppress(NoFitError):
             return self.at_cutoff(min(map(rule_cutoff_hz, signals)))
         return None
 
@@ -271,7 +271,7 @@ def read_equations(given: Signals | Recordings, overrides: Overrides, say: Say) 
 
     All have the lowest cut-off and the lowest rate of rows that the rules give.
 
-    Raises `IdentificationError` if the recordings are not of one robot, and as `make_problem`.
+    Raises `BadInputError` if the recordings are not of one robot, and as `make_problem`.
     """
     if isinstance(given, Signals):
         given = Recordings(sources=(given,))

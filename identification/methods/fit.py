@@ -12,7 +12,7 @@ from ..arrays import Array
 from ..estimation import Estimate, InstrumentTests, Intervals, Reduction
 from ..model import BaseParameters
 from ..regression import Arm, Problem, Settings, base_places
-from ..report import DirectModelError, FTest, Method, Status, TorqueError
+from ..report import DirectModelResidual, FTest, Method, Status, TorqueResidual
 from ..simulation import Instruments, Replica
 from ..trust import FitData, HeldOut, Lag, Trust
 from .gain_results import EstimatedPayload, Gains
@@ -99,7 +99,7 @@ class InstrumentEvidence:
     contrast_at: str
     rows_used_percent: float
     saturated_percent: float | None
-    direct: tuple[DirectModelError, ...]
+    direct: tuple[DirectModelResidual, ...]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -209,7 +209,7 @@ class FittedRecording:
     problem: Problem
     arm: Arm
     rows: slice
-    errors: tuple[TorqueError, ...]
+    errors: tuple[TorqueResidual, ...]
     held_out: HeldOut | None
     replica: Replica | None
 
@@ -244,15 +244,15 @@ class Fit:
     tau: Array
     tau_predicted: Array
     speed: Array
-    errors: tuple[TorqueError, ...]
+    errors: tuple[TorqueResidual, ...]
     warnings: tuple[str, ...]
     trust: Trust
     data: FitData
     iv: InstrumentEvidence | None = None
     consistent_set: ConsistentSet | None = None
-    consistent_errors: tuple[TorqueError, ...] = ()
+    consistent_errors: tuple[TorqueResidual, ...] = ()
     own: FTest | None = None
-    method_reason: str = "asked for"
+    method_reason: str = "as requested"
     gains: Gains | None = None
     payloads: tuple[EstimatedPayload, ...] = ()
 

@@ -30,7 +30,7 @@ from ..report import (
     Provenance,
     RecordingOfFit,
     StandardParameter,
-    TorqueError,
+    TorqueResidual,
     TrustLineFile,
     ValidationFile,
     versions,
@@ -153,9 +153,9 @@ def _payload(one: EstimatedPayload, fit: Fit) -> PayloadOfFit:
 def validation_file(
     recordings: Sequence[Validated],
     fit: str,
-    errors: tuple[TorqueError, ...],
+    errors: tuple[TorqueResidual, ...],
     warnings: tuple[str, ...],
-    consistent: tuple[TorqueError, ...] = (),
+    consistent: tuple[TorqueResidual, ...] = (),
 ) -> ValidationFile:
     """The JSON file of a validation; arguments as of `validation_document`."""
     first, each = recordings[0], [_recording(one.signals, one.settings, one.errors) for one in recordings]
@@ -168,7 +168,7 @@ def validation_file(
 
 
 def _on_recording(
-    signals: Signals, settings: Settings, errors: tuple[TorqueError, ...], warnings: tuple[str, ...]
+    signals: Signals, settings: Settings, errors: tuple[TorqueResidual, ...], warnings: tuple[str, ...]
 ) -> dict[str, Any]:
     whole, units, fs, cutoff_hz = errors[-1], signals.robot.effort_units, signals.sample_rate_hz, settings.cutoff_hz
     return {
@@ -199,7 +199,7 @@ def _on_recording(
 
 
 def _recording(
-    signals: Signals, settings: Settings, errors: tuple[TorqueError, ...], held_out: HeldOut | None = None
+    signals: Signals, settings: Settings, errors: tuple[TorqueResidual, ...], held_out: HeldOut | None = None
 ) -> RecordingOfFit:
     return RecordingOfFit(
         recording=signals.recording,

@@ -9,8 +9,18 @@ from ..estimation import relative_error_percent
 from ..model import LINK
 from ..regression import ROWS, base_name
 from ..report import NO_FIXED_POINT, Cell, Document, Number, Row, Section, Table, columns, value_form
+from ..trust import LEVELS
 from .fit import Fit, InstrumentEvidence
-from .recording_report import error_line, errors_section, headline, recording_lines, recordings_section, settings_lines
+from .recording_report import (
+    error_line,
+    errors_section,
+    half_width_percents,
+    headline,
+    main_figures,
+    recording_lines,
+    recordings_section,
+    settings_lines,
+)
 
 MAX_SHORT_PARAMETERS, MAX_SHORT_WARNINGS = 10, 4
 HIDDEN = Section()  # the `short` of what only `--all` prints
@@ -34,7 +44,12 @@ def fit_document(signals: Signals, fit: Fit) -> Document:
     return Document(
         title=f"{signals.robot.name}: {first_line(fit)}",
         badge=fit.trust.verdict,
-        figures=_figures(fit),
+        figures=main_figures(
+            fit.errors[-1].moving_relative_error_percent,
+            fit.trust.line("held-out blocks").value,
+            {f"held out, links of the {fit.data.prior_source}": fit.data.prior_error_percent},
+            half_width_percents(fit),
+        ),
         sections=(
             _verdict_section(fit),
             _trust_section(fit),
@@ -64,31 +79,16 @@ def first_line(fit: Fit) -> str:
     )
 
 
-def _spread(fit: Fit) -> tuple[str, str, str]:
-    """Of the essential parameters the median half-width in percent, the largest, and whose it is; empty without any."""
-    e, essential = fit.estimate, {*fit.essential_names}
-    found = zip(e.names, fit.intervals.half, np.abs(e.beta), strict=True)
-    percents = [(100 * float(half / value), name) for name, half, value in found if name in essential]
-    worst, name = max(percents, default=(0.0, ""))
-    return (f"±{np.median([x for x, _ in percents]):.2g} %", f"±{worst:.2g} %", name) if percents else ("", "", "")
-
-
 def _determined(fit: Fit) -> str:
     """How many parameters the recordings determine, and how closely."""
-    text = f"{len(fit.essential_names)} of {len(fit.least_squares.full.names)} parameters determined"
-    middle, largest, name = _spread(fit)
-    return f"{text}, half of them to {middle}, the worst ({name}) to {largest}" if name else text
-
-
-def _figures(fit: Fit) -> tuple[tuple[str, str], ...]:
-    """The figures to read first, by what they are."""
-    figures = {"torque error of moving rows": fit.errors[-1].moving_relative_error_percent}
-    figures["held out"] = fit.trust.line("held-out blocks").value
-    figures[f"held out, links of the {fit.data.prior_source}"] = fit.data.prior_error_percent
-    middle, largest, name = _spread(fit)
-    shown = {what: f"{value:.2g} %" for what, value in figures.items() if value is not None}
-    shown |= {f"half of the {len(fit.essential_names)} determined parameters": middle, f"the worst, {name}": largest}
-    return tuple((what, text) for what, text in shown.items() if text)
+    percents, of = half_width_percents(fit), len(fit.least_squares.full.names)
+    text = f"{len(percents)} of {of} parameters determined"
+    if not percents:
+        return text
+    worst = max(percents, key=percents.__getitem__)
+    if len(percents) == 1:
+        return f"{text}: {worst} to ±{percents[worst]:.2g} %"
+    return f"{text}, half of them to ±{np.median([*percents.values()]):.2g} %, the worst ({worst}) to ±{percents[worst]:.2g} %"
 
 
 def _verdict_section(fit: Fit) -> Section:
@@ -109,12 +109,12 @@ def _verdict_section(fit: Fit) -> Section:
 def _trust_section(fit: Fit) -> Section:
     """Every test of the fit, worst first; in short those that found something."""
     lines = tuple(f"{line.level}: {line.test}: {line.text.removeprefix('not made: ')}" for line in fit.trust.lines)
-    levels = [line.level for line in fit.trust.lines]
-    found = levels.count("do not use") + levels.count("caution")
-    told = sum(level != "not made" for level in levels)
-    counts = {"cannot tell": levels.count("cannot tell"), "not possible": len(levels) - told}
-    passed = [f"{levels.count('ok')} of {told} checks passed", *(f"{n} {what}" for what, n in counts.items() if n)]
-    short = Section(lines=(*lines[:found], f"{', '.join(passed)} (--all)"))
+    tests = {level: [line.test for line in fit.trust.lines if line.level == level] for level in LEVELS}
+    found = len(tests["do not use"]) + len(tests["caution"])
+    passed = f"{len(tests['ok'])} of {len(lines)} checks passed"
+    for what, names in (("inconclusive", tests["cannot tell"]), ("not possible", tests["not made"])):
+        passed += f"; {len(names)} {what}: {', '.join(names)}" if names else ""
+    short = Section(lines=(*lines[:found], f"{passed} (--all)"))
     return Section(title=f"verdict: {fit.trust.verdict}", lines=lines, short=short)
 
 
@@ -152,7 +152,7 @@ def _gains(fit: Fit) -> list[Section]:
             for name, described, value, half, determined, unit in rows
         ),
     )
-    line = f"smallest Cragg-Donald eigenvalue {g.cragg_donald:.3g}: how well the payload tells the gains apart from the arm"
+    line = f"smallest Cragg-Donald eigenvalue {g.cragg_donald:.3g}: how well the payload separates gains and arm"
     values = [f"{n} {v:.4g} ± {h:.2g} {u}" for n, v, h, u in zip(g.motors, g.values, g.half, g.units, strict=True)]
     short = Section(lines=(f"drive gains: {', '.join(values)}",))
     return [Section(title="drive gains", table=table, lines=(line,), short=short)]

@@ -1,4 +1,5 @@
-"""Drive gains by instrumental variables: the recorded effort is a regressor, its instrument the effort that the model predicts.
+"""Drive gains by instrumental variables, equation (I): the recorded effort is a regressor, its instrument the
+effort that the model predicts.
 
     X x = Y,  X = [W L -E],  x = (beta, phi, kappa),  Y = known torques - L phi_known;    Z = [W L -Ê]
 
@@ -14,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..errors import IdentificationError
+from ..errors import BadInputError, NoFitError
 from ..estimation import (
     Estimate,
     Intervals,
@@ -53,7 +54,7 @@ def measured_instruments(equations: Equations, x: Array) -> Array:
 def solve_with_gains(equations: Equations) -> tuple[Equations, Array, bool]:
     """The fixed point with the measured motion: x, and whether the steps settled.
 
-    Raises `IdentificationError` if nothing tells the scale of the gains.
+    Raises `BadInputError` if nothing determines the scale of the gains.
     """
     equations = leave_out_collinear_terms(equations.with_motors(motors_of(equations)))
     names, gains = equations.names, equations.unknowns.gains
@@ -73,10 +74,10 @@ def solve_with_gains(equations: Equations) -> tuple[Equations, Array, bool]:
         try:
             estimate = instrumental_variables(rows.system, Z, joint_weights_of(rows.system, x))
             estimate = equations.combined(rows.system, estimate)
-        except IdentificationError as error:
-            text = f"the drive gains cannot be told from the arm ({error.args[0]}): the payload does not show in the recordings"
+        except NoFitError as error:
+            text = f"drive gains and the arm cannot be separated ({error.args[0]}): the payload does not show in the recordings"
             expected = "a payload on one recording, and its mass as stated"
-            raise IdentificationError(text, key="gains", expected=expected) from error
+            raise BadInputError(text, key="gains", expected=expected) from error
         before, x = x, estimate.values_of(names)
         if (np.abs(x - before)[gains] <= MAX_CHANGE * np.abs(x[gains])).all():
             return equations, x, True
@@ -104,13 +105,13 @@ def refuse_without_scale(equations: Equations, columns: NDArray[np.intp]) -> Non
     payloads = {one.payload for one in of.payloads}
     several = len(payloads) + any(one.payload is None for one in of.arms) > 1
     if several and any(payload.center_of_mass_m is None for payload in payloads):
-        text = "the mass alone does not tell the scale: give its centre of mass"
+        text = "the mass alone does not determine the scale: give its centre of mass"
         if any(payload.mass_kg is None for payload in payloads):
-            text = "of an unknown mass no scale can be told: weigh it, or fit with drive gains that are known"
-        raise IdentificationError(text, key="payload", expected="KG@X,Y,Z")
+            text = "an unknown mass does not determine the scale: weigh it, or fit with drive gains that are known"
+        raise BadInputError(text, key="payload", expected="KG@X,Y,Z")
     places = ", ".join(problem.signals.recording for problem in equations.problems)
     text = "no recording differs in payload"
-    raise IdentificationError(text, place=places, key="gains", expected="one recording without and one with a payload")
+    raise BadInputError(text, place=places, key="gains", expected="one recording without and one with a payload")
 
 
 def factors_of(equations: Equations, x: Array) -> Array:

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..arrays import Array
 from ..data import Recordings, Signals
-from ..errors import IdentificationError
+from ..errors import BadInputError, NoFitError
 from ..estimation import (
     Estimate,
     autocorrelation,
@@ -50,6 +50,7 @@ from .timing import correct_known_lags, with_lags, with_lags_found
 Say = Callable[[str], None]
 
 
+@one_thread
 def identify(
     signals: Signals | Recordings,
     overrides: Overrides,
@@ -78,13 +79,13 @@ def identify(
 
     Raises
     ------
-    IdentificationError : a recording is too short, the recordings excite too little or are not of one robot, the first pass
-        gives no estimate, or an `iteration` is given to least squares.
+    NoFitError : a recording is too short, the recordings excite too little, or the first pass gives no estimate.
+    BadInputError : the recordings are not of one robot, or an `iteration` is given to least squares.
     """
     # (2): tau = IDM(q, dq, ddq) beta; (5), (6): Y(tau) = W(q, dq, ddq) beta + rho
     asked = replace(overrides, method="iv" if overrides.gains else method)
     equations = read_equations(signals, asked, say)
-    chosen, reason = (method, "asked for") if method is not None else _default_method(equations)
+    chosen, reason = (method, "as requested") if method is not None else _default_method(equations)
     settings = [problem.settings for problem in equations.problems]
     low = settings[0].low_speed.iv if "iv" in (asked.method, chosen) else settings[0].low_speed.ls
     if any(one.low_speed_percent != low for one in settings):  # not every recording has its reference
@@ -92,18 +93,18 @@ def identify(
     equations = correct_known_lags(equations)
     if equations.overrides.gains and chosen != "iv" and method is not None:
         text = "least squares is biased towards drive gains of 0"
-        raise IdentificationError(text, key="method", value=chosen, expected="iv with --gains")
+        raise BadInputError(text, key="method", value=chosen, expected="iv with --gains")
     equations = with_best_ramps(equations, instruments=chosen == "iv" or bool(overrides.gains))
     if chosen == "iv" or equations.overrides.gains:
         try:
             fit = _by_instruments(equations, iteration or Iteration(), essential=essential, say=say)
-        except IdentificationError as error:
-            if method is not None or motors_of(equations):
-                raise
-            raise IdentificationError.of(error, "; least squares: --method wls") from error
+        except NoFitError as error:
+            if method is None and not motors_of(equations):
+                error.args = (f"{error.args[0]}; least squares: --method wls",)
+            raise
     else:
         if iteration is not None:
-            raise IdentificationError(
+            raise BadInputError(
                 "only instrumental variables iterate", key="method", value=chosen, expected=f"iv ({reason})"
             )
         fit = _by_least_squares(equations, chosen, essential=essential)
@@ -143,7 +144,6 @@ def identify_iv(
     return identify(signals, overrides, method="iv", iteration=iteration, essential=essential, say=say)
 
 
-@one_thread
 def _by_least_squares(equations: Equations, method: Literal["ols", "wls"], *, essential: bool) -> Fit:
     """IDIM-LS: W and Y from the measured torque and the filtered position."""
     equations, full = least_squares(equations, method)
@@ -160,7 +160,6 @@ def _by_least_squares(equations: Equations, method: Literal["ols", "wls"], *, es
     return fit_of(equations, replace(evidence, position_noise=noise), ls)
 
 
-@one_thread
 def _by_instruments(equations: Equations, iteration: Iteration, *, essential: bool, say: Say) -> Fit:
     """IDIM-IV; long recordings start where their beginnings end, with the lags of these."""
     motors, begun = motors_of(equations), equations.beginning()
@@ -170,7 +169,7 @@ def _by_instruments(equations: Equations, iteration: Iteration, *, essential: bo
             if equations.reduced:  # the fit would be that of the beginning alone
                 text = "the recordings are too long to identify gains without a simulated robot"
                 expected = "a recorded reference, a larger decimation or shorter recordings"
-                raise IdentificationError(text, key="gains", expected=expected)
+                raise BadInputError(text, key="gains", expected=expected)
             return _by_measured_motion(begun, x, settled=settled, essential=essential)
         begun = begun.with_gains(factors_of(begun, x)).with_motors(())
         iteration = replace(iteration, start="ls") if iteration.values is None else iteration
@@ -223,7 +222,7 @@ def _solve_by_instruments(
         W_and_Y = equations.along(z)
         try:
             estimate = step(W_and_Y, W_and_Y.Z)
-        except IdentificationError as error:
+        except NoFitError as error:
             raise NoEstimateError(z.reason) from error
         # C = D R D
         after = covariance_of_all(names, estimate, intervals_of(W_and_Y.system, estimate), ls.full)

@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..arrays import Array
-from ..errors import IdentificationError
+from ..errors import NoFitError
 from ..estimation import Estimate, InstrumentTests, System, instrument_tests, intervals_of
 from ..model import BaseParameters, InverseModel, direct_model, poses_of, why_not_positive
 from ..regression import Problem, Term
-from ..report import DirectModelError, Status
+from ..report import DirectModelResidual, Status
 from ..simulation import ClosedLoops, Instruments, Replica, join_reasons, max_or_none
 from ..trust import covariance_of_all
 from .equations import Equations
@@ -43,7 +43,7 @@ def start_values(
     equations: Equations, iteration: Iteration, ls: LeastSquares
 ) -> tuple[Array, Array | None, Array | None]:
     """Values of x to start from, least squares, their covariance, and what is simulated first in their place: neither a regular
-    start nor given values tell the torques that a lag is found by.
+    start nor given values give the torques by which a lag is found.
     """
     problem, repeated = equations.problem, equations.unknowns.repeated
     x = ls.full.values_of(equations.names)
@@ -113,11 +113,11 @@ class NoEstimateError(Exception):
 def failed(passes: list[Pass], error: NoEstimateError, recordings: Sequence[str]) -> list[Pass]:
     """The passes; the last one has the reason why the next gave no estimate.
 
-    Raises `IdentificationError` if there is none.
+    Raises `NoFitError` if there is none.
     """
     text = "; ".join([f"pass {len(passes) + 1}: {error.__cause__}", *(str(reason) for reason in error.args if reason)])
     if not passes:
-        raise IdentificationError(f"no instruments: {text}", place=", ".join(recordings)) from error
+        raise NoFitError(f"no instruments: {text}", place=", ".join(recordings)) from error
     return [*passes[:-1], replace(passes[-1], failure=text)]
 
 
@@ -226,12 +226,12 @@ def tests_of(system: System, estimate: Estimate) -> InstrumentTests:
     return instrument_tests(estimate.Q, W, estimate.rows)
 
 
-def direct_errors(replicas: Sequence[Replica]) -> tuple[DirectModelError, ...]:
+def direct_errors(replicas: Sequence[Replica]) -> tuple[DirectModelResidual, ...]:
     """Largest errors of the simulated robot in any recording, by joint; none if one could not be simulated."""
     if any(not one.direct for one in replicas):
         return ()
     return tuple(
-        DirectModelError(
+        DirectModelResidual(
             name=joint[0].name,
             position_error_percent=largest([d.position_error_percent for d in joint]),
             torque_error_percent=largest([d.torque_error_percent for d in joint]),
@@ -250,7 +250,7 @@ def inertia_prior(equations: Equations, ls: LeastSquares) -> Array:
 
     Without that filter the inertias are poorly determined; it is left out if the recording is too short.
     """
-    with suppress(IdentificationError):
+    with suppress(NoFitError):
         if (behind := equations.behind_rule()) is not None:
             return least_squares(behind)[1].values_of(equations.names)
     return ls.full.values_of(equations.names)

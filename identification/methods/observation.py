@@ -7,7 +7,7 @@ import numpy as np
 
 from ..arrays import Array
 from ..data import ON_GRID, RecordingFile, Recordings, Signals
-from ..errors import IdentificationError
+from ..errors import NoFitError
 from ..estimation import Estimate, System, one_thread, ordinary_least_squares, weighted_least_squares
 from ..regression import (
     HELD,
@@ -111,7 +111,7 @@ def position_noise_line(problem: Problem, method: Method, ls: LeastSquares, *, a
     try:
         plain = ls.estimate if alone and stop == settings.stop else _least_squares(problem, method, ls)
         both = [_least_squares(_with_noise(problem, way * noise), method, ls) for way in (1, -1)]
-    except IdentificationError as error:
+    except NoFitError as error:
         return TrustLine(NAME, "cannot tell", f"{error.args[0]}: {ADVICE}")
     names = [name for name in ls.essential.estimate.names if name in plain.names and name in ls.estimate.names]
     indices = np.array([ls.estimate.names.index(name) for name in names])

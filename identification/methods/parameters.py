@@ -14,11 +14,11 @@ from acquisition.robot import LowSpeed, Robot, robot_from_files
 
 from ..arrays import Array
 from ..data import Signals, check_one_robot, load_signals
-from ..errors import IdentificationError
+from ..errors import BadInputError
 from ..estimation import Estimate, Intervals, one_thread, torque_errors
 from ..model import BaseParameters, InverseModel, base_parameters, base_prior, direct_model
 from ..regression import Overrides, Problem, base_name, make_problem, payload_of, torque_of_recording
-from ..report import FitFile, Parameter, ParameterSet, TorqueError
+from ..report import FitFile, Parameter, ParameterSet, TorqueResidual
 from .consistent import read_prior, refuse_unknown_gain
 from .fit import Fit, essential_names
 from .recording_report import Validated
@@ -60,13 +60,13 @@ def _estimated(label: str, fit: Fit, e: Estimate, intervals: Intervals) -> Param
 def prior_file(stored: FitFile, place: str, prior: Path) -> FitFile:
     """The a-priori links of a robot.toml or a URDF, `prior`, as known values of the base parameters of a stored fit, `place`.
 
-    Raises `IdentificationError`: the fit is in A or V or without description; a file of another robot, or without inertials.
+    Raises `BadInputError`: the fit is in A or V or without description; a file of another robot, or without inertials.
     """
     refuse_unknown_gain(robot := stored_robot(stored, place))
     base = base_parameters(model := InverseModel(robot))
     values, _ = base_prior(model, base, InverseModel(read_prior(prior, robot)))
     if not values:
-        raise IdentificationError(place=str(prior), key="inertials", value=None, expected="those of the links")
+        raise BadInputError(place=str(prior), key="inertials", value=None, expected="those of the links")
     known = true_parameters(base, np.array([values.get(name, 0.0) for name in base.names])).parameters
     return FitFile(parameters=[known[name] for name in values])
 
@@ -115,7 +115,7 @@ def stored_settings(stored: FitFile, signals: Signals, given: Overrides) -> tupl
 def stored_robot(stored: FitFile, place: str) -> Robot:
     """The robot by the description in a fit's file, `place`; a file without one is refused."""
     if not stored.description:
-        raise IdentificationError(place=place, key="description", value=None, expected="a fit with its robot.toml")
+        raise BadInputError(place=place, key="description", value=None, expected="a fit with its robot.toml")
     files = {name: text.encode() for name, text in stored.description.items()}
     return with_stored_gains(stored, robot_from_files(files, place))
 
@@ -134,7 +134,7 @@ def stored_torque(stored: FitFile, place: str, *motion: ArrayLike) -> Array:
     model, arrays = InverseModel(stored_robot(stored, place)), [np.asarray(x, dtype=np.float64) for x in motion]
     shapes, base = [x.shape for x in arrays], base_parameters(model)
     if any(shape != (len(arrays[0]), model.robot.n) for shape in shapes):
-        raise IdentificationError(key="shapes", value=shapes, expected=f"(rows, {model.robot.n}) of q, dq and ddq")
+        raise BadInputError(key="shapes", value=shapes, expected=f"(rows, {model.robot.n}) of q, dq and ddq")
     return direct_model(model, base.standard_parameters(stored_beta(stored, base, place))).torque(*arrays)
 
 
@@ -153,7 +153,7 @@ def other_meaning(stored: FitFile, base: BaseParameters) -> list[str]:
 def consistent_fit(stored: FitFile, place: str) -> FitFile:
     """The same with the values of its consistent set; a file, `place`, without one is refused."""
     if not (given := {p.name: p.value for p in stored.standard_parameters or ()}):
-        raise IdentificationError(place=place, key="standard_parameters", value=None, expected="`fit --consistent`")
+        raise BadInputError(place=place, key="standard_parameters", value=None, expected="`fit --consistent`")
     base = base_parameters(model := InverseModel(stored_robot(stored, place)))
     beta = (base.K @ [given.get(name, 0.0) for name in model.names]).tolist()
     found = zip(base.names, beta, base.units, base.expressions, strict=True)
@@ -171,7 +171,7 @@ def stored_beta(stored: FitFile, base: BaseParameters, place: str) -> Array:
         values.setdefault(base_name(p.name), []).append(p.value)
     foreign = [name for name in values if name not in base.names]
     if foreign or not values:
-        raise IdentificationError(
+        raise BadInputError(
             place=place,
             key="parameters",
             value=", ".join(foreign[:5]) or None,
@@ -181,7 +181,7 @@ def stored_beta(stored: FitFile, base: BaseParameters, place: str) -> Array:
     for name, unit in zip(base.names, base.units, strict=True):
         if units.get(name, unit) != unit:
             expected = f"{unit}, as the recording's robot has it"
-            raise IdentificationError(place=place, key=f"{name}.unit", value=units[name], expected=expected)
+            raise BadInputError(place=place, key=f"{name}.unit", value=units[name], expected=expected)
     return np.array([np.mean(values.get(name, 0.0)) for name in base.names])
 
 
@@ -217,7 +217,7 @@ def signals_as_fitted(
 @one_thread
 def validate_all(
     recordings: Sequence[tuple[Signals, Overrides]], stored: FitFile, place: str
-) -> tuple[tuple[Validated, ...], tuple[TorqueError, ...]]:
+) -> tuple[tuple[Validated, ...], tuple[TorqueResidual, ...]]:
     """Torque errors of a stored fit on recordings of one robot, each with its settings; nothing is fitted.
 
     Parameters

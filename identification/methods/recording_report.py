@@ -1,6 +1,6 @@
 """Reports of a recording: settings and ranges before a fit; torque errors of a fit on other recordings."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from ..arrays import Array
 from ..data import ON_GRID, Signals
 from ..regression import Settings, forward_backward_3db_hz
-from ..report import Document, FTest, Number, Row, Section, Table, TorqueError, columns
-from .fit import FittedRecording
+from ..report import Document, FTest, Number, Row, Section, Table, TorqueResidual, columns
+from .fit import Fit, FittedRecording
 
 ERROR_COLUMNS = ("all rows", "moving", "standing")
 
@@ -53,7 +53,7 @@ class Validated:
 
     signals: Signals
     settings: Settings
-    errors: tuple[TorqueError, ...]
+    errors: tuple[TorqueResidual, ...]
     tau: Array
     tau_predicted: Array
 
@@ -61,9 +61,9 @@ class Validated:
 def validation_document(
     recordings: Sequence[Validated],
     fit: str,
-    errors: tuple[TorqueError, ...],
+    errors: tuple[TorqueResidual, ...],
     warnings: tuple[str, ...],
-    consistent: tuple[TorqueError, ...] = (),
+    consistent: tuple[TorqueResidual, ...] = (),
 ) -> Document:
     """The torque errors of a fit on recordings that it was not made from."""
     units = recordings[0].signals.robot.effort_units
@@ -119,18 +119,18 @@ def recordings_section(recordings: Sequence[FittedRecording], own: FTest | None)
     return Section(title="recordings: relative torque error, %", table=table, lines=tuple(lines), short=short)
 
 
-def _error_cells(error: TorqueError) -> tuple[Number, ...]:
+def _error_cells(error: TorqueResidual) -> tuple[Number, ...]:
     """The cells of `ERROR_COLUMNS`."""
     percents = error.relative_error_percent, error.moving_relative_error_percent, error.standing_relative_error_percent
     return tuple(Number(percent, ".4f") for percent in percents)
 
 
-def headline(errors: tuple[TorqueError, ...]) -> str:
+def headline(errors: tuple[TorqueResidual, ...]) -> str:
     """The main figure of a report: over moving rows, since the model has no static friction."""
     return f"{_percent(errors[-1].moving_relative_error_percent)} % torque error of moving rows"
 
 
-def error_line(errors: tuple[TorqueError, ...]) -> str:
+def error_line(errors: tuple[TorqueResidual, ...]) -> str:
     """The relative torque error of all joints together, by kind of row."""
     whole = errors[-1]
     moving, standing = (
@@ -142,7 +142,27 @@ def error_line(errors: tuple[TorqueError, ...]) -> str:
     )
 
 
-def errors_section(errors: tuple[TorqueError, ...], units: tuple[str, ...]) -> Section:
+def half_width_percents(fit: Fit) -> dict[str, float]:
+    """The half-width in percent of each essential parameter."""
+    e, essential = fit.estimate, {*fit.essential_names}
+    found = zip(e.names, fit.intervals.half, np.abs(e.beta), strict=True)
+    return {name: 100 * float(half / value) for name, half, value in found if name in essential}
+
+
+def main_figures(
+    moving: float | None, held_out: float | None, more: Mapping[str, float | None], percents: Mapping[str, float]
+) -> tuple[tuple[str, str], ...]:
+    """The figures to read first, by what they are: torque errors, and half-widths of essential parameters (`percents`)."""
+    errors = {"torque error of moving rows": moving, "held out": held_out} | {**more}
+    shown = {what: f"{value:.2g} %" for what, value in errors.items() if value is not None}
+    if percents:
+        worst = max(percents, key=percents.__getitem__)
+        shown[f"half of the {len(percents)} determined parameters"] = f"±{np.median([*percents.values()]):.2g} %"
+        shown[f"the worst, {worst}"] = f"±{percents[worst]:.2g} %"
+    return tuple(shown.items())
+
+
+def errors_section(errors: tuple[TorqueResidual, ...], units: tuple[str, ...]) -> Section:
     """Relative torque errors by joint: whole, moving, standing; all joints together last."""
     heads = columns("joint", "unit", numbers=ERROR_COLUMNS)
     rows: list[Row] = [

@@ -1,7 +1,7 @@
 """Least squares of friction terms that may be unidentifiable, or depend on the link torque.
 
-A term whose column is nearly a sum of others is left out, with a message; so is load friction that its own interval does not
-tell from none, before the first step. Load friction depends on the link torque (`regression.load`): steps about the estimate
+A term whose column is nearly a sum of others is left out, with a message; so is load friction whose interval
+contains 0, before the first step. Load friction depends on the link torque (`regression.load`): steps about the estimate
 end when no parameter changes by more than a thousandth of its deviation.
 
 The ramps of the weights of samples are chosen once for a fit, by the half-widths of its method: long ones keep noise above the
@@ -16,14 +16,13 @@ from typing import Literal
 import numpy as np
 
 from ..arrays import Array
-from ..errors import IdentificationError
+from ..errors import NoFitError
 from ..estimation import (
     Estimate,
     System,
     condensed,
     instrumental_variables,
     intervals_of,
-    one_thread,
     weighted_least_squares,
 )
 from ..model import SHAPES
@@ -38,9 +37,9 @@ LONG, SHORT, *OTHERS = RAMPS
 
 
 def least_squares(equations: Equations, method: Literal["ols", "wls"] = "wls") -> tuple[Equations, Estimate]:
-    """Least squares with the terms that can be told.
+    """Least squares with the identifiable terms.
 
-    Raises `IdentificationError` as the estimators.
+    Raises `NoFitError` as the estimators.
     """
     equations, solve = leave_out_collinear_terms(equations), solver_of(method)
     if equations.load is None:
@@ -53,7 +52,7 @@ def least_squares(equations: Equations, method: Literal["ols", "wls"] = "wls") -
 
 
 def leave_out_load(equations: Equations, x: Array, solve: Callable[[System], Estimate]) -> tuple[Equations, Array]:
-    """The equations without load friction that cannot be told about x, the least certain first; and x without its places."""
+    """The equations without load friction that may be zero about x, the least certain first; and x without its places."""
     system, left_out = equations.about(x).system, dict[str, str]()
     while names := [equations.names[i] for i in equations.load_places() if equations.names[i] not in left_out]:
         kept = system.with_columns(np.flatnonzero([name not in left_out for name in system.names]))
@@ -67,15 +66,15 @@ def leave_out_load(equations: Equations, x: Array, solve: Callable[[System], Est
         if abs(value[least]) >= half[least]:
             break
         joint = equations.problem.joint_of(names[least])
-        text = f"{names[least]} = {value[least]:.2g} ± {half[least]:.2g} cannot be told from none"
+        text = f"{names[least]} = {value[least]:.2g} ± {half[least]:.2g} may be zero"
         left_out[names[least]] = f"load friction of joint {joint} left out: {text}"
     stay = [name not in left_out for name in equations.names]
     return (equations.without(left_out), x[stay]) if left_out else (equations, x)
 
 
 def settle(equations: Equations, x: Array, solve: Callable[[Rows], Estimate]) -> tuple[Rows, Estimate]:
-    """Steps x + (Z'J)^-1 Z'r until none is above a thousandth of a deviation, halved where the next one would move more
-    torque, by the weights of the step before: those of least squares rise as the residual falls.
+    """Steps x + (Z'J)^-1 Z'r, equation (C), until none is above a thousandth of a deviation, halved where the next one would
+    move more torque, by the weights of the step before: those of least squares rise as the residual falls.
 
     `solve` gives the whole step from the rows about x: one is enough without load friction. Returns the rows about the last x,
     and its estimate.
@@ -143,7 +142,6 @@ def independent_norm(system: System, names: Collection[str]) -> dict[str, float]
     return shares | {name: float(share) for name, share in zip(of_seen, left, strict=True) if name in shares}
 
 
-@one_thread
 def with_best_ramps(equations: Equations, *, instruments: bool) -> Equations:
     """The recordings with the ramps that give smaller half-widths, in the median of the parameters.
 
@@ -174,7 +172,7 @@ def with_best_ramps(equations: Equations, *, instruments: bool) -> Equations:
 
 def _half_widths(equations: Equations, *, instruments: bool) -> dict[str, float]:
     """Half-widths by parameter, without load friction; {} where parameters are undetermined."""
-    with suppress(IdentificationError):
+    with suppress(NoFitError):
         equations = leave_out_collinear_terms(equations)
         system = equations.about().system
         columns = np.setdiff1d(np.arange(len(equations.names)), equations.load_places())

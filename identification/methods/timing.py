@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..arrays import Array
-from ..errors import IdentificationError
+from ..errors import NoFitError
 from ..estimation import Estimate, spans_of
 from ..regression import NOTHING, KnownLag, Rows
 from ..simulation import Instruments
@@ -72,7 +72,7 @@ def with_lags_found(equations: Equations, z: Instruments, weights: Array) -> Equ
     for _ in range(MAX_LAG_STEPS):
         try:
             steps, sd, freedom = lags_in(equations.along(z), (z.Z, columns, fast), weights)
-        except IdentificationError:
+        except NoFitError:
             break
         now = [equations.problems[group[0]].settings.torque_lag_s for group in groups]
         found = [(float(at + step), float(s), freedom) for at, step, s in zip(now, steps, sd, strict=True)]

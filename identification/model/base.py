@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..errors import IdentificationError
+from ..errors import BadInputError
 from .inverse import InverseModel
 from .joint_terms import SHAPES, JointTerm
 
@@ -141,11 +141,11 @@ def known_parameters(dynamics: InverseModel) -> Array:
     """Standard parameters chi (p,) of the description's `[parameters]`, zero if not stated."""
     values, names, place = dynamics.robot.parameters, dynamics.names, f"robot {dynamics.robot.name}"
     if not values:
-        raise IdentificationError("no [parameters] to simulate with", place=place)
+        raise BadInputError("no [parameters] to simulate with", place=place)
     for name, value in values.items():
         if name not in names:
             text, expected = "not a standard parameter of this robot", f"such as {', '.join(names[:3])} ... {names[-1]}"
-            raise IdentificationError(text, place=place, key=f"parameters.{name}", value=value, expected=expected)
+            raise BadInputError(text, place=place, key=f"parameters.{name}", value=value, expected=expected)
     return np.array([values.get(name, 0.0) for name in names])
 
 

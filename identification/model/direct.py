@@ -5,9 +5,12 @@ the regressor is, row by row, a derivative of RNEA with the function's derivativ
 Mansard: Analytical Derivatives of Rigid Body Dynamics Algorithms, RSS 2018.
 """
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+import eigenpy
 import numpy as np
 import pinocchio as pin
 
@@ -17,6 +20,7 @@ from .inverse import FROM_PINOCCHIO, LINK, InverseModel
 from .joint_terms import FRICTION, SHAPES, JointTerm, Kind
 
 _POSES = 300  # positions of a trajectory at which M is checked
+_ONE_BY_ONE = 150  # samples per joint, up to which pinocchio computes links' torque sooner than arrays of all samples
 _DUMMY = 2.0  # mass added to each link, times the sum of masses and first moments: no sum of masses is then zero
 _MASS = FROM_PINOCCHIO[LINK.index("M")]
 _FIRST_MOMENTS = tuple(FROM_PINOCCHIO[LINK.index(name)] for name in ("MX", "MY", "MZ"))
@@ -27,6 +31,7 @@ class DirectModel:
     """The robot's equation of motion with given parameters: M(q) ddq + h(q, dq) + friction = tau, equation (1).
 
     Attributes:
+        inverse, links: the inverse model, and the links' parameters (n, 10) in the order of `LINK`.
         rigid: pinocchio's model with the links' inertias, and its `data`.
         rotor: (n, n) rotor part of M.
         viscous, viscous_up, viscous_down: (n, n) friction matrices; the last two for dq > 0 and dq < 0 only.
@@ -37,6 +42,8 @@ class DirectModel:
         offset: (n,) constant torque.
     """
 
+    inverse: InverseModel
+    links: Array
     rigid: Any
     data: Any
     rotor: Array
@@ -63,23 +70,27 @@ class DirectModel:
         bias = pin.nonLinearEffects(self.rigid, self.data, q, dq)
         return pin.crba(self.rigid, self.data, q), bias
 
-    def of_links(self, q: Array, dq: Array, ddq: Array) -> Array:
-        """tau_rigid (n,), the links' torque at one state."""
-        return np.asarray(pin.rnea(self.rigid, self.data, q, dq, ddq))
+    def lone_bias(self) -> Callable[[float], float]:
+        """h of a lone joint, without friction, as a function of its position: a + b cos q + c sin q."""
+        at = np.array([[0.0], [0.5 * np.pi], [np.pi]])
+        ahead, up, behind = (self.inertia_and_bias(q, np.zeros(1))[1].item() for q in at)
+        a, b = 0.5 * (ahead + behind), 0.5 * (ahead - behind)
+        c, cos, sin = up - a, math.cos, math.sin
+
+        def bias(q: float) -> float:
+            q = q if abs(q) < math.inf else math.nan  # the cosine of infinity is an error
+            return a + b * cos(q) + c * sin(q)
+
+        return bias if b or c else lambda q: a
 
     def gravity(self, q: Array, along: Array | None = None) -> Array:
         """Torques (N, n) that hold the robot at rest at the positions q (N, n), without friction.
 
         `along` (3,) replaces the description's gravity, m/s².
         """
-        g, rigid = np.tile(self.offset, (len(q), 1)), self.rigid
-        if along is not None:
-            rigid = rigid.copy()
-            rigid.gravity.linear = along
-        if rigid.gravity.linear.any():
-            for k, qk in enumerate(np.ascontiguousarray(q)):
-                g[k] += pin.computeGeneralizedGravity(rigid, self.data, qk)
-        return g
+        along = self.rigid.gravity.linear if along is None else along
+        still = np.zeros(q.shape)
+        return self.offset + (self.torques_of_links(q, still, still, along) if along.any() else still)
 
     def torque(self, q: Array, dq: Array, ddq: Array, dq_sign: Array | None = None) -> Array:
         """Torque (N, n) along a motion q, dq, ddq (N, n).
@@ -93,12 +104,17 @@ class DirectModel:
             sliding = sliding + np.sign(u) * self.shape(u, rigid @ self.directions.T)
         return np.asarray(rigid + (self.without_sliding(dq, ddq) + sliding @ self.directions))
 
-    def torques_of_links(self, q: Array, dq: Array, ddq: Array) -> Array:
-        """tau_rigid (N, n) along a motion q, dq, ddq (N, n)."""
-        tau, compute, model, data = np.empty(q.shape), pin.rnea, self.rigid, self.data
-        for k, state in enumerate(zip(*(np.ascontiguousarray(x) for x in (q, dq, ddq)), strict=True)):
-            tau[k] = compute(model, data, *state)
-        return tau
+    def torques_of_links(self, q: Array, dq: Array, ddq: Array, gravity: Array | None = None) -> Array:
+        """tau_rigid (N, n) along a motion q, dq, ddq (N, n); `gravity` (3,) replaces the description's, m/s²."""
+        rigid = self.rigid
+        if len(q) > _ONE_BY_ONE * q.shape[1]:
+            gravity = rigid.gravity.linear if gravity is None else gravity
+            return self.inverse.torques_of_links((q, dq, ddq), self.links, gravity)
+        if gravity is not None:
+            rigid = rigid.copy()
+            rigid.gravity.linear = gravity
+        states = zip(*(np.ascontiguousarray(x) for x in (q, dq, ddq)), strict=True)
+        return np.array([pin.rnea(rigid, self.data, *state) for state in states]).reshape(q.shape)
 
     def without_sliding(self, dq: Array, ddq: Array) -> Array:
         """Torque (..., n) of rotors, offsets and friction without the sign of a speed."""
@@ -168,6 +184,8 @@ def direct_model(dynamics: InverseModel, chi: Array) -> DirectModel:
     for j in range(n):
         rigid.inertias[j + 1] = pin.Inertia.FromDynamicParameters(values[j])
     return DirectModel(
+        inverse=dynamics,
+        links=values[:, FROM_PINOCCHIO],
         rigid=rigid,
         data=rigid.createData(),
         rotor=rotor,
@@ -180,6 +198,17 @@ def direct_model(dynamics: InverseModel, chi: Array) -> DirectModel:
         shapes={kind: shapes[kind] for kind in SHAPES if kind in shapes and shapes[kind][0].any()},
         offset=offset,
     )
+
+
+def cholesky_solver(n: int) -> Callable[[Array, Array], Any]:
+    """A function that solves A x = b for x (n,), of the upper triangle of A (n, n); its x is None if A is not positive."""
+    factors = eigenpy.LLT(n)
+
+    def solve(A: Array, b: Array) -> Any:
+        factors.compute(A.T)  # of which Eigen reads the lower triangle
+        return None if factors.info() else factors.solve(b).ravel()  # for a lone joint it is (1, 1)
+
+    return solve
 
 
 def poses_of(q: Array) -> Array:

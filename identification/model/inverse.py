@@ -7,6 +7,7 @@ are in `joint_terms`. The columns of load friction depend on parameters and are 
 """
 
 import xml.etree.ElementTree as ET
+from collections.abc import Iterator
 from functools import cached_property
 
 import numpy as np
@@ -17,7 +18,7 @@ from acquisition.errors import listed
 from acquisition.robot import Robot
 
 from ..arrays import Array
-from ..errors import IdentificationError
+from ..errors import BadInputError
 from .joint_terms import SLIDING, JointTerm, joint_terms
 
 LINK = ("XX", "XY", "XZ", "YY", "YZ", "ZZ", "MX", "MY", "MZ", "M")
@@ -119,20 +120,35 @@ class InverseModel:
         """
         by_link = {i: [place for link, place in places if link == i] for i in sorted({link for link, _ in places})}
         rows = {i: np.concatenate([places[i, place] for place in own]) for i, own in by_link.items()}
-        for k in range(0, len(motion[0]), _BLOCK):
-            block = slice(k, k + _BLOCK)
-            q, dq, ddq = (np.ascontiguousarray(x[block].T) for x in motion)
-            twists = list[Array]()
-            for i in range(1 + max(by_link, default=-1)):
-                twists.append(self._carried(i, twists, q[i], dq[i], ddq[i]))
-                if i in by_link:
-                    out[rows[i], block] = _link_torques(twists[i], by_link[i])
+        for block, twists in self._twists(motion, 1 + max(by_link, default=-1), np.array(self.robot.gravity)):
+            for i, own in by_link.items():
+                out[rows[i], block] = _link_torques(twists[i + 1], _FORCES[own], _MOMENTS[own])
 
-    def _carried(self, i: int, twists: list[Array], q: Array, dq: Array, ddq: Array) -> Array:
+    def torques_of_links(self, motion: tuple[Array, Array, Array], parameters: Array, gravity: Array) -> Array:
+        """Torque (N, n) of links with `parameters` (n, 10) in the order of `LINK`, over the motion q, dq, ddq (N, n)."""
+        tau, unit_wrenches = np.zeros(motion[0].shape), (_FORCES, _MOMENTS)
+        for block, twists in self._twists(motion, len(parameters), gravity):
+            for twist, own, carriers in zip(twists[1:], parameters, self._carriers, strict=True):
+                tau[block, carriers] += _link_torques(twist, *(np.tensordot(own[None], x, 1) for x in unit_wrenches)).T
+        return tau
+
+    def _twists(
+        self, motion: tuple[Array, Array, Array], links: int, gravity: Array
+    ) -> Iterator[tuple[slice, list[Array]]]:
+        """By block of samples, the twists of the base and of the first links, as of `_carried`."""
+        base = np.zeros((2, 3, 2, 1))
+        base[0, :, 1, 0] = -gravity
+        for k in range(0, len(motion[0]), _BLOCK):
+            q, dq, ddq = (np.ascontiguousarray(x[k : k + _BLOCK].T) for x in motion)
+            twists = [base]
+            for i in range(links):
+                twists.append(self._carried(i, twists[self.parents[i]], q[i], dq[i], ddq[i]))
+            yield slice(k, k + _BLOCK), twists
+
+    def _carried(self, i: int, before: Array, q: Array, dq: Array, ddq: Array) -> Array:
         """Twists of link i in its frame (linear and angular, 3, 2 + joints that carry it, N): its velocity, its acceleration
-        minus gravity, and its velocity for each of these joints at unit speed.
+        minus gravity, and its velocity for each of these joints at unit speed; `before` are those of its parent.
         """
-        before = twists[self.parents[i] - 1] if self.parents[i] else self._base_twists
         origin, axis, R, by_sin, by_cos = self._placements[i]
         prismatic = int(self.robot.joints[i].type == "prismatic")
         if prismatic:
@@ -168,11 +184,9 @@ class InverseModel:
         return made
 
     @cached_property
-    def _base_twists(self) -> Array:
-        """Velocity and acceleration (2, 3, 2, 1) of the base, minus gravity."""
-        twist = np.zeros((2, 3, 2, 1))
-        twist[0, :, 1, 0] = -np.array(self.robot.gravity)
-        return twist
+    def _carriers(self) -> list[list[int]]:
+        """By link the joints that carry it."""
+        return [[joint - 1 for joint in joints if joint > 0] for joints in list(self.model.supports)[1:]]
 
     def _structure(self) -> NDArray[np.bool_]:
         """Which entries (n, p) of the regressor can be non-zero: joint j carries link i."""
@@ -181,21 +195,20 @@ class InverseModel:
             if isinstance(source, JointTerm):
                 nonzero[source.rows, c] = True
             else:
-                carriers = [joint - 1 for joint in self.model.supports[source[0] + 1] if joint > 0]
-                nonzero[carriers, c] = True
+                nonzero[self._carriers[source[0]], c] = True
         return nonzero
 
 
-def _link_torques(twist: Array, places: list[int]) -> Array:
-    """Torques (P * joints, N) of the joints that carry a link, for its parameters at `places` (P,) in LINK, each 1."""
+def _link_torques(twist: Array, forces: Array, moments: Array) -> Array:
+    """Torques (P * joints, N) of the joints that carry a link, for P forces and moments (P, 3, 12) as of `_unit_wrenches`."""
     (v, w), (a, dw) = twist[:, :, 0], twist[:, :, 1]
     # f = M a + dw x MS + w x (w x MS), n = I dw + w x I w + MS x a (Khalil2002); torque v·f + w·n.
     of = np.concatenate([a + _cross(w, v), dw, w[[0, 0, 0, 1, 1, 2]] * w[[0, 1, 2, 1, 2, 2]]])
-    N, pushed = of.shape[1], [k for k, place in enumerate(places) if place >= 6]
-    n = (_MOMENTS[places].reshape(-1, 12) @ of).reshape(-1, 3, N)
+    N, pushed = of.shape[1], forces.any(axis=(1, 2))
+    n = (moments.reshape(-1, 12) @ of).reshape(-1, 3, N)
     out = np.einsum("cjn,pcn->pjn", twist[1, :, 2:], n)
-    if pushed:
-        f = (_FORCES[[places[k] for k in pushed]].reshape(-1, 12) @ of).reshape(-1, 3, N)
+    if pushed.any():
+        f = (forces[pushed].reshape(-1, 12) @ of).reshape(-1, 3, N)
         out[pushed] += np.einsum("cjn,pcn->pjn", twist[0, :, 2:], f)
     return np.asarray(out.reshape(-1, N))
 
@@ -264,7 +277,7 @@ def _model_from_urdf(robot: Robot) -> pin.Model:
         for name in wanted:
             if name not in found:
                 expected = f"one of {listed(found)}"
-                raise IdentificationError(place=place, key="movable joint", value=name, expected=expected)
+                raise BadInputError(place=place, key="movable joint", value=name, expected=expected)
         for joint in root.findall("joint"):
             if joint.get("name") in wanted:
                 _make_buildable(joint, place)
@@ -272,17 +285,17 @@ def _model_from_urdf(robot: Robot) -> pin.Model:
                 joint.set("type", "fixed")
         model = pin.buildModelFromXML(ET.tostring(root, encoding="unicode"))
     except (ET.ParseError, ValueError, RuntimeError, IndexError) as error:
-        raise IdentificationError(f"does not load: {str(error).splitlines()[0]}", place=place) from error
+        raise BadInputError(f"does not load: {str(error).splitlines()[0]}", place=place) from error
     order = list(model.names)[1:]
     if order != wanted:
         shown = ", ".join(wanted)
         key = "order of joints"
-        raise IdentificationError(place=place, key=key, value=wanted, shown=shown, expected=", ".join(order))
+        raise BadInputError(place=place, key=key, value=wanted, shown=shown, expected=", ".join(order))
     for described, built in zip(robot.joints, list(model.joints)[1:], strict=True):
         prismatic = built.shortname().startswith("JointModelP")
         if prismatic != (described.type == "prismatic") or built.nq != 1:
             where = f"{place}: joint {described.name!r}"
-            raise IdentificationError(place=where, key="type", value=built.shortname(), expected=described.type)
+            raise BadInputError(place=where, key="type", value=built.shortname(), expected=described.type)
     return model
 
 
@@ -291,7 +304,7 @@ def _make_buildable(joint: ET.Element, place: str) -> None:
     axis = joint.find("axis") if joint.get("type") != "floating" else None  # exporters write 0 0 0 for it
     if axis is not None and not any(float(x) for x in (axis.get("xyz") or "1").split()):
         where = f"{place}: joint {joint.get('name')!r}"
-        raise IdentificationError(place=where, key="axis", value="0 0 0", expected="a direction")
+        raise BadInputError(place=where, key="axis", value="0 0 0", expected="a direction")
     if joint.get("type") == "continuous":  # pinocchio uses two coordinates for it
         joint.set("type", "revolute")
     if joint.get("type") in ("revolute", "prismatic"):  # pinocchio needs limits

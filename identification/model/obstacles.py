@@ -14,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..arrays import Array
-from ..errors import IdentificationError
+from ..errors import BadInputError
 from .inverse import InverseModel
 
 Find = Callable[[str], Path | None]
@@ -61,7 +61,7 @@ def obstacles_of(dynamics: InverseModel, find: Find, poses: Array, margin_m: flo
     """The pairs of a robot's shapes, by described capsules, else by those of its URDF, and of the ground.
 
     Pairs that are nearer than `margin_m` at all `poses` (N, n) within the ranges are left out: their distance depends on the
-    shapes, not on the motion. Raises `IdentificationError`: a mesh cannot be read.
+    shapes, not on the motion. Raises `BadInputError`: a mesh cannot be read.
     """
     robot, model, geometry, missing = dynamics.robot, dynamics.model, pin.GeometryModel(), list[str]()
     if robot.ground_m is not None:
@@ -115,4 +115,4 @@ def _add_urdf_shapes(dynamics: InverseModel, geometry: Any, find: Find, missing:
             f"a collision shape cannot be read: {error}",
             "one that coal reads, or capsules in robot.toml",
         )
-        raise IdentificationError(problem, place=f"robot {dynamics.robot.name}: URDF", expected=expected) from error
+        raise BadInputError(problem, place=f"robot {dynamics.robot.name}: URDF", expected=expected) from error

@@ -7,7 +7,7 @@ from acquisition.errors import listed
 from acquisition.robot import Payload
 
 from ..arrays import Array
-from ..errors import IdentificationError
+from ..errors import BadInputError
 from .inverse import FROM_PINOCCHIO, LINK, InverseModel
 
 BALL_RADIUS_M = 0.1  # of the ball that a payload is taken for: its inertia about its centre of mass
@@ -16,11 +16,11 @@ BALL_RADIUS_M = 0.1  # of the ball that a payload is taken for: its inertia abou
 def payload_parameters(model: InverseModel, payload: Payload) -> Array:
     """The payload's XX XY XZ YY YZ ZZ MX MY MZ M (10,) in the frame of the last link, about its origin: a ball.
 
-    Without a centre of mass the ball is at the origin of the payload's frame. Raises `IdentificationError` if the mass is
+    Without a centre of mass the ball is at the origin of the payload's frame. Raises `BadInputError` if the mass is
     unknown, or the frame is no fixed link that the last joint carries.
     """
     if payload.mass_kg is None:
-        raise IdentificationError(key="payload", value=str(payload), expected="its mass")
+        raise BadInputError(key="payload", value=str(payload), expected="its mass")
     placement = pin.SE3.Identity()
     if payload.frame is not None:
         n, kind = model.robot.n, pin.FrameType.BODY
@@ -28,7 +28,7 @@ def payload_parameters(model: InverseModel, payload: Payload) -> Array:
         if payload.frame not in links:
             place, joint = f"robot {model.robot.name}", model.robot.joints[-1].name
             expected = f"a link that {joint} carries: {listed(list(links))}"
-            raise IdentificationError(place=place, key="payload.frame", value=payload.frame, expected=expected)
+            raise BadInputError(place=place, key="payload.frame", value=payload.frame, expected=expected)
         placement = links[payload.frame]
     ball = 0.4 * payload.mass_kg * BALL_RADIUS_M**2 * np.eye(3)
     body = pin.Inertia(payload.mass_kg, np.array(payload.center_of_mass_m or (0.0, 0.0, 0.0)), ball)

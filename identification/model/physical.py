@@ -12,7 +12,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..errors import IdentificationError
+from ..errors import BadInputError
 from ..estimation import Consistent, PhysicalParameters, consistent_parameters, link_parameters, pseudo_inertia
 from .base import BaseParameters
 from .inverse import FROM_PINOCCHIO, LINK, InverseModel
@@ -36,7 +36,7 @@ def expected_links(idm: InverseModel, prior: InverseModel | None = None) -> tupl
     Returns parameters (n, 10), XX XY XZ YY YZ ZZ MX MY MZ M in the model's link frames, and the source of each link.
 
     A link is from the description's `[parameters]`, else its `URDF`, else `plausible`: a rod from its joint to the next. The
-    link frames of `prior` may differ, as those of a URDF from DH rows. Raises `IdentificationError` if it has other joints or
+    link frames of `prior` may differ, as those of a URDF from DH rows. Raises `BadInputError` if it has other joints or
     its links move differently.
     """
     of = idm if prior is None else prior
@@ -231,7 +231,7 @@ def _frames_of(idm: InverseModel, prior: InverseModel) -> Array:
     joints, others = idm.robot.joints, prior.robot.joints
     if [j.type for j in joints] != [j.type for j in others]:
         where, expected = f"prior {prior.robot.name}", ", ".join(j.type for j in joints)
-        raise IdentificationError(place=where, key="joints", value=", ".join(j.type for j in others), expected=expected)
+        raise BadInputError(place=where, key="joints", value=", ".join(j.type for j in others), expected=expected)
     q = np.random.default_rng(SEED).uniform(-1.0, 1.0, size=(POSES, idm.robot.n))
     (at, turned), (at_prior, turned_prior) = idm.placements(q), prior.placements(q)
     back = turned.transpose(0, 1, 3, 2)
@@ -240,7 +240,7 @@ def _frames_of(idm: InverseModel, prior: InverseModel) -> Array:
     T[..., :3, 3] = np.einsum("knij,knj->kni", back, at_prior - at)
     differs = np.abs(T - T[0]).max(axis=(0, 2, 3)) > MAX_FRAME_DIFFERENCE
     if differs.any():
-        raise IdentificationError(
+        raise BadInputError(
             "its link moves differently from the fit's",
             place=f"prior {prior.robot.name}",
             key="joint",
@@ -264,6 +264,6 @@ def nearest_consistent(
 ) -> Consistent:
     """The physically consistent parameters nearest to base parameters beta (b,) of this covariance (b, b).
 
-    `power` as in `physical_parameters`. Raises `IdentificationError` if none are found.
+    `power` as in `physical_parameters`. Raises `BadInputError` if none are found.
     """
     return consistent_parameters(beta, covariance, base.K, physical_parameters(model, power=power))

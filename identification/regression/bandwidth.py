@@ -16,7 +16,7 @@ _FLOOR, _SEGMENTS = 10.0, 8  # power over that of the noise; parts of a recordin
 def with_bandwidth(signals: Signals) -> Signals:
     """The signals with a bandwidth of the position loop: that of the description, or one that follows the recorded motion.
 
-    The tracking of the reference does not tell it: with speed fed forward the position follows without an error, and a
+    The tracking of the reference does not show it: with speed fed forward the position follows without an error, and a
     reference recorded some milliseconds early has one without a loop.
     """
     robot, fs = signals.robot, signals.sample_rate_hz

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..errors import IdentificationError
+from ..errors import BadInputError, NoFitError
 
 BUTTERWORTH_ORDER = 4
 CHEBYSHEV_ORDER = 8
@@ -24,9 +24,9 @@ MIN_RESPONSE = 1e-14  # of an input: below rounding
 
 
 def lowpass(x: Array, cutoff_hz: float, sample_rate_hz: float) -> Array:
-    """Butterworth of order 4, forward and backward, along axis 0 (time); `cutoff_hz` is of one direction, as in papers."""
+    """Equation (A): Butterworth of order 4, forward and backward, along axis 0 (time); `cutoff_hz` is of one direction."""
     if not 0 < cutoff_hz < sample_rate_hz / 2:
-        raise IdentificationError(
+        raise BadInputError(
             key="cut-off",
             value=cutoff_hz,
             shown=f"{cutoff_hz:g} Hz",
@@ -34,7 +34,7 @@ def lowpass(x: Array, cutoff_hz: float, sample_rate_hz: float) -> Array:
         )
     padding = 3 * BUTTERWORTH_ORDER
     if len(x) <= padding:
-        raise IdentificationError(key="samples to filter", value=len(x), expected=f"more than {padding}")
+        raise NoFitError(key="samples to filter", value=len(x), expected=f"more than {padding}")
     # Relative to the first sample a joint at rest stays at exactly zero: no motion by rounding.
     filtered = _butterworth(cutoff_hz, sample_rate_hz).forward_backward((x - x[0]).T, padding)
     return np.asarray(np.ascontiguousarray(filtered.T) + x[0])
@@ -139,7 +139,7 @@ def decimate(x: Array, factor: int, *, smooth_ends: bool = True) -> Array:
         padding = 3 * CHEBYSHEV_ORDER
         if x.shape[-1] <= padding:
             samples = x.shape[-1]
-            raise IdentificationError(key=f"samples to decimate by {r}", value=samples, expected=f"more than {padding}")
+            raise NoFitError(key=f"samples to decimate by {r}", value=samples, expected=f"more than {padding}")
         first = (x.shape[-1] - 1) % r
         x = _decimated(x, r) if smooth_ends else _chebyshev(r).forward_backward(x, padding)[..., first::r]
     return np.ascontiguousarray(x)

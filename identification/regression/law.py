@@ -5,8 +5,8 @@
 The law is linear and acts on the measured position, whose noise is thus no error in the variables: least squares is right,
 whatever the robot. r, q and u pass one low-pass, which commutes with derivatives, integrals and delays; the delay d of the
 reference and the lag L of the effort are found by Gauss-Newton steps beside the gains. The speed v is dq, or dq half a period
-or a period ago, by the controller's estimate. The data tell d + L, not their parts: the estimate with the smallest d and L is
-taken. A controller's integral is a sum of rectangles: that of the path and half a period of its integrand.
+or a period ago, by the controller's estimate. The data determine only d + L: the estimate with the smallest d and L is taken.
+A controller's integral is a sum of rectangles: that of the path and half a period of its integrand.
 """
 
 import math
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from acquisition.robot import Controller
 
 from ..arrays import Array
-from ..errors import IdentificationError
+from ..errors import NoFitError
 from ..estimation import System, intervals, ordinary_least_squares
 from .motor_paths import MAX_RESIDUAL_PERCENT, LawSolution, MotorPaths, motor_paths, scaled_solution
 from .settings import KnownLag
@@ -50,13 +50,13 @@ class Law:
 
     Attributes:
         structure: as of `[controller]`, the described one if there is one; `pd` also for `cascade_p_p`.
-        reason: why the recording does not tell the law; None if it does.
+        reason: why no law is found; None if one is.
         rival: the structure that fits better than the described one; None for none.
         velocity_estimate, period_s: of the controller.
         gains, gains_half: (3, n) Kp, Kd, Ki of the law above, and half-widths of their 95 % intervals.
         delay_s, delay_half_s: (n,) of the reference. `lag_s`, `lag_sd_s`: (n,) of the effort behind the law's instant.
         residual_percent: (n,) of the effort's variation.
-        clear: (n,) motors that tell the structure by themselves.
+        clear: (n,) motors that determine the structure by themselves.
         described: (3, n) the described gains; None without. `lag_s` and `lag_sd_s` are then those with these gains.
     """
 
@@ -81,7 +81,7 @@ class Law:
         return np.array([True, True, "i" in STRUCTURES[self.structure]])
 
     def controller(self, described: Controller) -> Controller:
-        """`[controller]` with this law, which is told."""
+        """`[controller]` with this law, which is found."""
         Kp, Kd, Ki = self.gains
         kp, ki = (Kp / Kd, Ki / Kd) if self.structure.startswith("cascade") else (Kp, Ki)
         return replace_keys(
@@ -103,17 +103,17 @@ class Law:
 
 
 def law_of(problem: "Problem") -> Law | None:
-    """The control law that the recording tells, by the described structure if there is one.
+    """The control law found in the recording, by the described structure if there is one.
 
-    None without a reference, or where the described law is not linear. A law is told if every motor's residual is small and its
-    gains are positive, and if the structure is clearly better at some motor than all that it is no part of, while none that
+    None without a reference, or where the described law is not linear. A law is found if every motor's residual is small and
+    its gains are positive, and if the structure is clearly better at some motor than all that it is no part of, while none that
     contains it is.
     """
     signals, controller = problem.recorded, problem.recorded.robot.controller
     described = "pd" if controller.structure == "cascade_p_p" else controller.structure
     if signals.q_ref is None or described == "computed_torque":
         return None
-    with suppress(IdentificationError):  # too few samples to filter
+    with suppress(NoFitError):  # too few samples to filter
         motors, rate_hz = motor_paths(problem)
         if min(len(motor.u) for motor in motors) >= MIN_ROWS:
             return _told(problem, motors, rate_hz, described)
@@ -233,7 +233,7 @@ def _values(one: LawSolution, known: KnownLag, name: str, rate_hz: float) -> tup
     letters, rows = STRUCTURES[name], np.zeros(len(one.rho), dtype=np.intp)
     names = tuple(map(str, range(one.J.shape[1])))
     unit = np.array([1.0, 1 / rate_hz, 1.0 if "q" in letters else rate_hz])
-    with suppress(IdentificationError):
+    with suppress(NoFitError):
         free = ordinary_least_squares(System.whole(one.J, one.rho, rows, names))
         sd_L = 1 / math.hypot(1 / intervals(free, one.rho, 1).sigma[-1], 1 / max(known.sd_s, 1e-9))
         sd_L = math.hypot(sd_L, LEAST_LAG_SD)

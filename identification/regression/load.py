@@ -1,4 +1,4 @@
-"""Load friction: mu times the absolute link torque, which depends on the link parameters.
+"""Load friction, equation (H): mu times the absolute link torque, which depends on the link parameters.
 
 Per joint tau = ... + mu abs(tau_rigid) sign(dq), with tau_rigid the torque of the links alone on the recording's own grid,
 before any decimation. Its columns about an estimate beta_k are abs(tau_rigid) sign(dq) for mu, and for the links D = mu_k s

@@ -91,8 +91,8 @@ def sampled_at(at: Array, x: Array) -> Array:
 
 def on_spline(at: Array, c: Array) -> Array:
     """The cubic spline of coefficients c (N + 3, n) at places (K,) from 0 to N - 1."""
-    i, u = np.divmod(at, 1.0)
-    i, u = i.astype(np.intp), u[:, None]
+    i = at.astype(np.intp)
+    u = (at - i)[:, None]
     weights = ((1 - u) ** 3, 4 - 6 * u**2 + 3 * u**3, 1 + 3 * u + 3 * u**2 - 3 * u**3, u**3)
     return np.asarray(sum(weight * c[i + k] for k, weight in enumerate(weights)) / 6)
 

@@ -59,8 +59,8 @@ class MotorPaths:
         """Columns (rows, k) at d and L, and their derivatives by d and by L."""
         t = self._at - at[1]
         r, dr, ddr, ir = on_spline(t - at[0], self._r).T
-        q, dq, _, iq = on_spline(t, self._q).T
-        _, v, dv, _ = on_spline(t - clock[0], self._q).T
+        q, dq, ddq, iq = on_spline(t, self._q).T
+        v, dv = on_spline(t - clock[0], self._q).T[1:3] if clock[0] else (dq, ddq)
         e, de, none, half = r - q, dr - dq, np.zeros_like(r), 0.5 * clock[1]
         found = {
             "e": (e, -dr, -de),

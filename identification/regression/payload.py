@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from acquisition.robot import Payload
 
 from ..arrays import Array
-from ..errors import IdentificationError
+from ..errors import NoFitError
 from ..estimation import Estimate, PhysicalParameters, consistent_parameters, parameter_certainty, pseudo_inertia
 from ..model import LINK, InverseModel, link_columns, payload_parameters
 from .problem import Problem
@@ -103,7 +103,7 @@ class PayloadColumns:
             )
             found = consistent_parameters(np.r_[phi, self.fixed[stated]], C, K, body)
             (sigma, share), _ = parameter_certainty(found, C, K, body)
-        except (IdentificationError, np.linalg.LinAlgError):  # no body is near: what is known
+        except (NoFitError, np.linalg.LinAlgError):  # no body is near: what is known
             return self.fixed, np.zeros(len(LINK)), np.ones(len(LINK), dtype=bool)
         return found.chi, sigma, share > PRIOR_SHARE
 
@@ -111,7 +111,7 @@ class PayloadColumns:
 def payload_columns(problems: Sequence[Problem], labels: Sequence[str], *, scale: bool) -> list[PayloadColumns | None]:
     """The payload of each recording, None for none; equal payloads have the same parameters.
 
-    A stated centre of mass of some half-width is estimated, unless the mass alone would not tell the `scale` of gains.
+    A stated centre of mass of some half-width is estimated, unless the mass alone would not determine the `scale` of gains.
 
     If no recording is without payload, the unknown part of the lightest is left out: the base parameters are those of the
     robot that carries it.

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..arrays import Array
 from ..data import COLUMNS, RecordingFile, Signals
-from ..errors import IdentificationError
+from ..errors import BadInputError
 from ..model import BaseParameters, InverseModel, JointTerm, base_parameters
 from .bandwidth import with_bandwidth
 from .filtering import decimation_reach
@@ -155,11 +155,11 @@ def _refuse_unknown_motors(signals: Signals, gains: Sequence[str]) -> None:
     for name in gains:
         if name not in names:
             expected = f"one of {', '.join(names)}"
-            raise IdentificationError(place=f"robot {signals.robot.name}", key="gains", value=name, expected=expected)
+            raise BadInputError(place=f"robot {signals.robot.name}", key="gains", value=name, expected=expected)
     for name, gain in names.items():
         if gain is None and name not in gains:
             expected = f"drive_gain, or {name} among the gains to identify"
-            raise IdentificationError(
+            raise BadInputError(
                 place=f"robot {signals.robot.name}", key=f"motor {name}: drive_gain", value=None, expected=expected
             )
 
@@ -167,7 +167,7 @@ def _refuse_unknown_motors(signals: Signals, gains: Sequence[str]) -> None:
 def make_problem(signals: Signals, overrides: Overrides) -> Problem:
     """Set up the identification of a robot from a recording.
 
-    Raises `IdentificationError` if the settings do not suit the recording, or the robot cannot be modelled.
+    Raises `BadInputError` if the settings do not suit the recording, or the robot cannot be modelled.
     """
     gains = None
     if overrides.gains:

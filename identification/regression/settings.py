@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from acquisition.errors import AcquisitionError
+from acquisition.errors import BadInputError, NoFitError
 from acquisition.files import release_pages
 from acquisition.robot import (
     Edges,
@@ -19,7 +19,6 @@ from acquisition.robot import (
 
 from ..arrays import Array
 from ..data import Signals
-from ..errors import IdentificationError
 from ..estimation import MOVING
 from ..options import Overrides, Span
 from .filtering import MAX_PASS, Decimation, decimation_passes
@@ -108,10 +107,7 @@ def make_settings(signals: Signals, overrides: Overrides, motion: FilteredMotion
     cut-off cut where that span reaches an end of the recording. `motion` is that of the recording, if there is one.
     """
     fs, stored = signals.sample_rate_hz, signals.robot.identification
-    try:
-        places = check_recorded_positions(signals.robot, signals.t_s, signals.q, signals.recording)
-    except AcquisitionError as error:
-        raise IdentificationError.of(error) from error
+    places = check_recorded_positions(signals.robot, signals.t_s, signals.q, signals.recording)
     # A fit with --gains starts with gains of one where none is described: its efforts are no torques yet.
     looked_for = signals.robot.identified_gain is not None
     overloads = () if looked_for else check_recorded_efforts(signals.robot, signals.effort)
@@ -122,7 +118,7 @@ def make_settings(signals: Signals, overrides: Overrides, motion: FilteredMotion
     least_hz = MIN_RATE_HZ if signals.motion_hz else max(MIN_RATE_HZ, 2 * bandwidth_hz)
     if fs <= least_hz:
         expected = f"above {least_hz:g} Hz, twice the bandwidth of the position loop: a rate in Hz, not a period"
-        raise IdentificationError(place=signals.recording, key="sample_rate_hz", value=fs, expected=expected)
+        raise BadInputError(place=signals.recording, key="sample_rate_hz", value=fs, expected=expected)
     highest_hz = signals.motion_hz or CUTOFF_PER_BANDWIDTH * bandwidth_hz
     cutoff_hz: float | None = highest_hz
     for choice in (stored.cutoff_hz, overrides.cutoff_hz):
@@ -130,7 +126,7 @@ def make_settings(signals: Signals, overrides: Overrides, motion: FilteredMotion
     cutoff_hz = cutoff_hz or None
     if cutoff_hz is not None and cutoff_hz >= fs / 2:
         if overrides.cutoff_hz is not None or stored.cutoff_hz is not None:
-            raise IdentificationError(
+            raise BadInputError(
                 place=signals.recording,
                 key="cut-off",
                 value=cutoff_hz,
@@ -153,7 +149,7 @@ def make_settings(signals: Signals, overrides: Overrides, motion: FilteredMotion
     N = len(signals.q)
     cuts_given = stored.cut_start_samples is not None and stored.cut_end_samples is not None
     if cutoff_hz is not None and not cuts_given and CUT_PERIODS * fs / cutoff_hz > N:
-        raise IdentificationError(
+        raise NoFitError(
             f"{CUT_PERIODS:g} periods are longer than the recording's {N / fs:.3g} s",
             place=signals.recording,
             key="cut-off",
@@ -162,7 +158,7 @@ def make_settings(signals: Signals, overrides: Overrides, motion: FilteredMotion
             expected=f"more than {CUT_PERIODS * fs / N:.2g} Hz",
         )
     if fs / bandwidth_hz > N:
-        raise IdentificationError(
+        raise NoFitError(
             place=f"robot {signals.robot.name}",
             key="controller.bandwidth_hz",
             value=bandwidth_hz,
@@ -191,7 +187,7 @@ def make_settings(signals: Signals, overrides: Overrides, motion: FilteredMotion
     low_speed = low_speed_by_method(stored.low_speed if given is None else given)
     by_instruments = signals.q_ref is not None if overrides.method is None else overrides.method == "iv"
     if stop - start < 30 * decimation:
-        raise IdentificationError(
+        raise NoFitError(
             place=signals.recording,
             key=f"samples left after cutting the borders ({span})",
             value=max(0, stop - start),
@@ -277,7 +273,7 @@ def _span(
         speed[a:b] = np.abs(filtered.between(a, b, cutoff_hz).dq)
     peak = speed.max(axis=0)
     if not peak.any():
-        raise IdentificationError("no joint moves", place=signals.recording, expected="an exciting trajectory")
+        raise NoFitError("no joint moves", place=signals.recording, expected="an exciting trajectory")
     standing = standing_joints(peak, signals.robot.joints)
     moves = [joint.name not in standing for joint in signals.robot.joints]
     moving = np.flatnonzero((speed > MOVING * peak)[:, moves].any(axis=1))

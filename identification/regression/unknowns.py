@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..errors import IdentificationError
+from ..errors import BadInputError
 from ..estimation import Estimate
 from .payload import PayloadColumns, payload_columns
 from .problem import Problem
@@ -140,14 +140,14 @@ def make_unknowns(problems: Sequence[Problem], motors: tuple[int, ...] = (), fri
     """The unknowns of several recordings, and the gains of `motors`. Own parameters are of the kinds that the first one's
     description lists, or else of those of `friction` that stand alone.
 
-    Raises `IdentificationError` for a kind that the robot lacks, or that gravity or other parameters absorb.
+    Raises `BadInputError` for a kind that the robot lacks, or that gravity or other parameters absorb.
     """
     base, robot = problems[0].base, problems[0].signals.robot
     own = list[int]()
     if len(problems) > 1:
         listed = robot.identification.own
         for kind in friction if listed is None else listed:
-            with suppress(*[IdentificationError] * (listed is None)):
+            with suppress(*[BadInputError] * (listed is None)):
                 own += _own_places(problems[0], kind)
     labels = _labels([problem.signals.recording for problem in problems])
     of = [tuple(f"{n}@{label}" if i in own else n for i, n in enumerate(base.names)) for label in labels]
@@ -178,13 +178,11 @@ def _own_places(problem: Problem, kind: str) -> list[int]:
     columns = [c for c, s in enumerate(model.sources) if getattr(s, "kind", None) == KINDS[kind]]
     if not columns:
         expected = "offset = true of a joint" if kind == "Off" else "joints with this friction"
-        raise IdentificationError(
-            "no joint has it", place=place, key="identification.own", value=kind, expected=expected
-        )
+        raise BadInputError("no joint has it", place=place, key="identification.own", value=kind, expected=expected)
     for c in columns:
         alone = [i for i in range(base.b) if base.columns[i] == c and np.count_nonzero(base.K[i]) == 1]
         if not alone:
-            raise IdentificationError(
+            raise BadInputError(
                 f"{model.names[c]} cannot be distinguished from other parameters (gravity absorbs an offset)",
                 place=place,
                 key="identification.own",

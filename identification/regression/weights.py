@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..errors import IdentificationError
+from ..errors import NoFitError
 from .filtering import Decimation
 from .motion import BLOCK_SAMPLES
 from .problem import Problem, row_blocks
@@ -101,7 +101,7 @@ def refuse_standing_joints(share: Array, joints: tuple[str, ...], place: str, ba
     """Refuse recordings, named by `place`, in which no row of a joint counts; `share` (rows, n) weights of the rows."""
     for j, name in enumerate(joints):
         if not share[:, j].any():
-            raise IdentificationError(
+            raise NoFitError(
                 f"joint {name} never moves for longer than a period of the filters between two stops, or is never faster than "
                 "the noise of its speed",
                 place=place,

@@ -18,7 +18,7 @@ from .document import (
 from .fit_file import (
     NO_FIXED_POINT,
     Assumed,
-    DirectModelError,
+    DirectModelResidual,
     FitFile,
     FTest,
     KnownLagFile,
@@ -29,7 +29,7 @@ from .fit_file import (
     Provenance,
     RecordingOfFit,
     Status,
-    TorqueError,
+    TorqueResidual,
     TrustLineFile,
     ValidationFile,
     Verdict,

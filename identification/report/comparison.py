@@ -5,7 +5,7 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from ..errors import IdentificationError
+from ..errors import BadInputError
 from .document import Document, Number, ResultFile, Row, Section, Table, columns, value_form
 from .fit_file import FitFile
 from .parameters import Parameter
@@ -45,12 +45,12 @@ def differences(a: ParameterSet, b: ParameterSet) -> list[Difference]:
     """Differences by parameter: those of `a` first, then those that only `b` has.
 
     Parameters are matched by their expressions in standard parameters; without expressions, by name. Raises
-    `IdentificationError` where the two have nothing in common, or a parameter has different units.
+    `BadInputError` where the two have nothing in common, or a parameter has different units.
     """
     partners = _partners(a, b)
     if not partners:
         expected = "two fits of one robot, or of like robots"
-        raise IdentificationError("no parameter in common", place=f"{a.label} and {b.label}", expected=expected)
+        raise BadInputError("no parameter in common", place=f"{a.label} and {b.label}", expected=expected)
     rows = []
     for name, x in a.parameters.items():
         if name not in partners:
@@ -59,7 +59,7 @@ def differences(a: ParameterSet, b: ParameterSet) -> list[Difference]:
         y = b.parameters[partners[name]]
         if x.unit != y.unit:
             expected = f"{x.unit}, as in {a.label}"
-            raise IdentificationError(place=b.label, key=f"{name}.unit", value=y.unit, expected=expected)
+            raise BadInputError(place=b.label, key=f"{name}.unit", value=y.unit, expected=expected)
         off, sigma = x.value - y.value, math.hypot(x.spread, y.spread)
         percent, in_sigma = 100 * off / abs(y.value) if y.value else None, off / sigma if sigma > 0 else None
         rows.append(Difference(name=name, unit=x.unit, a=x, b=y, off=off, off_percent=percent, off_sigma=in_sigma))
@@ -109,7 +109,7 @@ def comparison_document(
 ) -> Document:
     """A comparison as a report, with `warnings`; in short the largest differences in sigma. With a `prior` b, also a over b.
 
-    Raises `IdentificationError`: as `differences` does.
+    Raises `BadInputError`: as `differences` does.
     """
     section, rows = comparison_section(a, b), differences(a, b)
     if prior:
@@ -186,4 +186,4 @@ def _frames(description: dict[str, str], place: str) -> str | list[object]:
         return [joint["dh"] for joint in tomllib.loads(description["robot.toml"])["joint"]]
     except (tomllib.TOMLDecodeError, KeyError, TypeError) as error:
         expected = "the robot.toml that was fitted"
-        raise IdentificationError(place=place, key="description", value=str(error), expected=expected) from error
+        raise BadInputError(place=place, key="description", value=str(error), expected=expected) from error

@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import UNSET, UnsetType
 
-from ..errors import IdentificationError
+from ..errors import BadInputError
 from .document import FORMAT, ResultFile
 from .parameters import (
     AboveZero,
@@ -35,7 +35,7 @@ Level = Literal["do not use", "caution", "cannot tell", "not made", "ok"]
 NO_FIXED_POINT: tuple[Status, ...] = ("max_iterations", "diverged")
 
 
-class TorqueError(msgspec.Struct, frozen=True, kw_only=True):
+class TorqueResidual(msgspec.Struct, frozen=True, kw_only=True):
     """Relative torque error 100 |Y - W beta| / |Y| in percent, of all, moving and standing rows; the torque's unit.
 
     In moving rows the joint is faster than 2 % of its peak speed. None without such rows or torque. `autocorrelation` is of the
@@ -125,7 +125,7 @@ class PassFile(msgspec.Struct, frozen=True, kw_only=True):
     settled: bool
 
 
-class DirectModelError(msgspec.Struct, frozen=True, kw_only=True):
+class DirectModelResidual(msgspec.Struct, frozen=True, kw_only=True):
     """Relative errors of a simulated joint: of |q - mean|, None where the joint is held, and of |tau|."""
 
     name: str
@@ -170,7 +170,7 @@ class OnRecording(ResultFile, frozen=True, kw_only=True):
     relative_error_percent: float | None = None
     moving_relative_error_percent: float | None = None
     standing_relative_error_percent: float | None = None
-    joints: list[TorqueError] = msgspec.field(default_factory=list)
+    joints: list[TorqueResidual] = msgspec.field(default_factory=list)
     sample_rate_hz: AboveZero | None = None
     off_grid_periods: float = 0.0
     cutoff_hz: AboveZero | None = None
@@ -229,7 +229,7 @@ class FitFile(OnRecording, frozen=True, kw_only=True):
     contrast_half_widths: float | UnsetType | None = UNSET
     rows_used_percent: float | UnsetType = UNSET
     saturated_percent: float | UnsetType | None = UNSET
-    direct_model: list[DirectModelError] | UnsetType = UNSET
+    direct_model: list[DirectModelResidual] | UnsetType = UNSET
 
     @property
     def summary(self) -> str:
@@ -256,28 +256,28 @@ class ValidationFile(OnRecording, frozen=True, kw_only=True):
     """The JSON file of `validate`: errors of the file `fit`, and of its consistent set, all joints last."""
 
     fit: str
-    consistent_errors: list[TorqueError] | UnsetType = UNSET
+    consistent_errors: list[TorqueResidual] | UnsetType = UNSET
 
 
 def read_fit(path: str | PathLike[str]) -> FitFile:
     """Read a fit's JSON file, or one of known values.
 
-    Raises `IdentificationError` where it cannot be read, or is not a fit of this format; `place` is the file.
+    Raises `BadInputError` where it cannot be read, or is not a fit of this format; `place` is the file.
     """
     try:
         stored = msgspec.json.decode(Path(path).read_bytes(), type=FitFile)
     except OSError as error:
-        raise IdentificationError(f"cannot be read: {error.strerror}", place=str(path)) from error
+        raise BadInputError(f"cannot be read: {error.strerror}", place=str(path)) from error
     except msgspec.MsgspecError as error:
-        raise IdentificationError(
+        raise BadInputError(
             f"not a fit: {error}", place=str(path), expected="a fit as `robot-identify fit --json` writes it"
         ) from error
     if stored.format != FORMAT:
-        raise IdentificationError(
+        raise BadInputError(
             place=str(path), key="format", value=stored.format, expected=f"{FORMAT}, read by this version"
         )
     if not all(math.isfinite(p.value) and p.sigma >= 0 and p.half >= 0 for p in stored.parameters):
-        raise IdentificationError(
+        raise BadInputError(
             place=str(path), key="parameters", expected="finite values, sigmas of at least 0, low not above high"
         )
     return stored

@@ -103,7 +103,7 @@ class DriveGain(msgspec.Struct, frozen=True, kw_only=True):
 
 class MotorLaw(msgspec.Struct, frozen=True, kw_only=True):
     """The law u = Kp (r - q) + Kd (phi dr - dq) + Ki integral + offset of a motor, with half-widths of 95 % intervals: in
-    recorded effort per motor rad (or m); `clear` if this motor alone tells the structure.
+    recorded effort per motor rad (or m); `clear` if this motor alone determines the structure.
     """
 
     motor: str
@@ -115,7 +115,7 @@ class MotorLaw(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class LawFile(msgspec.Struct, frozen=True, kw_only=True):
-    """The control law of the recording: keys of `[controller]`, null if the recording does not tell one, for the `reason`."""
+    """The control law of the recording: keys of `[controller]`, null if none is found, for the `reason`."""
 
     structure: str
     reason: str | None

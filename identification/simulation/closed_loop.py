@@ -5,27 +5,28 @@ the group `robot_idim.plants` that dry runs use.
 """
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.errors import AcquisitionError
 from acquisition.robot import Payload, Robot
 from acquisition.simulated import SUBSTEPS, LoopGains, cascaded_loops, middle_of_range
 
 from ..arrays import Array
-from ..errors import IdentificationError
+from ..errors import BadInputError
 from ..model import (
     DirectModel,
     InverseModel,
     add_payload,
     base_parameters,
+    cholesky_solver,
     described_parameters,
     direct_model,
     inertias,
     why_not_positive,
 )
-from .control_law import Control, ControlLaw, Reference, recorded_loop
+from .control_law import Control, ControlLaw, LoneControl, Reference, recorded_loop
 
 STICTION = 1e-3  # of a direction's speed scale: Coulomb friction builds up linearly below this speed
 MAX_MODE_PASSES = 8  # to find the directions that stick; nearly always one or two suffice
@@ -48,12 +49,7 @@ class Friction:
 
     def __init__(self, model: DirectModel, fastest: Array, v: Array, h: float) -> None:
         """`fastest` (c,) are the maximum speeds of the directions, `v` (n,) the initial joint speeds, `h` the step in s."""
-        self._solve = _divide
-        if len(v) > 1:
-            from scipy.linalg import lapack  # takes as long to import as a fit by least squares
-
-            self._solve = lapack.dposv
-        self._model, self._h, self._S = model, h, model.directions
+        self._solve, self._model, self._h, self._S = cholesky_solver(len(v)), model, h, model.directions
         self._v_s = STICTION * np.maximum(fastest, 1e-9)
         self._shaped = bool(model.shapes)
         self._rigid: Array | None = None  # torque of the links in the previous step
@@ -77,7 +73,7 @@ class Friction:
         self._stuck, self._level = bool(stuck.any()), level @ S + model.offset
         self._creep = (S.T * (self._slope * stuck)) @ S
 
-    def step(self, q: Array, v: Array, tau: Array, held: NDArray[np.bool_] | None = None) -> Array | None:
+    def step(self, q: Any, v: Any, tau: Any, held: NDArray[np.bool_] | None = None) -> Any:
         """Speed (n,) after a step under the torque tau, with brakes on the joints `held`; None if M is not positive."""
         h = self._h
         M, bias = self._model.inertia_and_bias(q, v)
@@ -98,10 +94,10 @@ class Friction:
                 A = M + 0.5 * h * (self._S.T * (steepness * (self._mode != 0))) @ self._S
             if self._stuck:
                 creep = self._creep
-                _, dv, info = self._solve(A + h * creep, h * (force - level - creep.dot(v)))
+                dv = self._solve(A + h * creep, h * (force - level - creep.dot(v)))
             else:
-                _, dv, info = self._solve(A, h * (force - level))
-            if info:
+                dv = self._solve(A, h * (force - level))
+            if dv is None:
                 return None
             w = v + dv
             if not self._stuck and min(self._forward.dot(w).tolist(), default=1.0) > 0:
@@ -114,7 +110,7 @@ class Friction:
                 break
             self.set_modes(found)
         if self._shaped:
-            self._rigid = self._model.of_links(q, v, dv / h)
+            self._rigid = self._model.torques_of_links(q[None], v[None], dv[None] / h)[0]
         return np.asarray(w)
 
     def _shapes(self, rigid: Array, v: Array) -> tuple[Array, Array]:
@@ -129,31 +125,62 @@ class Friction:
         return model.shape(u, along), model.steepness(u)
 
 
-def _divide(M: Array, force: Array) -> tuple[Array, Array, int]:
-    """The interface of `dposv` for a lone joint: M, the solution, and whether M is not positive."""
-    return M, force / M[0], int(not M[0, 0] > 0)
+class LoneFriction(Friction):
+    """`Friction` of a lone joint in Python floats; without brake, and without shapes."""
+
+    def __init__(self, model: DirectModel, fastest: Array, v: Array, h: float) -> None:
+        """See `Friction`."""
+        super().__init__(model, fastest, v, h)
+        V, up, down = (x.item() for x in (model.viscous, model.viscous_up, model.viscous_down))
+        M, _ = model.inertia_and_bias(np.zeros(1), np.zeros(1))
+        sides = ((x, (M + (model.rotor + 0.5 * h * x)).item()) for x in (V, V + up, V + down))
+        (self._at_rest, self._forwards, self._backwards), self._bias = sides, model.lone_bias()
+        # Without a direction of friction its sizes are zero.
+        up, down, self._lone_slope, self._lone_v_s = (
+            x.sum().item() for x in (model.up, model.down, self._slope, self._v_s)
+        )
+        offset, self._lone_mode = model.offset.item(), np.sign(v).item()
+        self._levels = {1.0: up + offset, -1.0: -down + offset, 0.0: (up - down) / 2 + offset}
+
+    def step(self, q: Any, v: Any, tau: Any, held: NDArray[np.bool_] | None = None) -> Any:
+        """See `Friction`."""
+        V, M = self._forwards if v > 0.0 else self._backwards if v < 0.0 else self._at_rest
+        h, slope, mode, force = self._h, self._lone_slope, self._lone_mode, tau - self._bias(q) - V * v
+        for _ in range(MAX_MODE_PASSES):
+            A, net = M, force - self._levels[mode]
+            if not mode:
+                A, net = M + h * slope, net - slope * v
+            if not A > 0.0:
+                return None
+            w = v + h * net / A
+            if mode:
+                if not mode * w < 0.0:
+                    break
+                mode = 0.0 if slope > 0.0 else -mode
+            else:
+                if not abs(w) > self._lone_v_s:
+                    break
+                mode = math.copysign(1.0, w)
+        self._lone_mode = mode
+        return w
 
 
 class ClosedLoop:
     """A robot in closed loop, simulated span by span; the states of robot and controller continue from one to the next."""
 
     def __init__(
-        self,
-        model: DirectModel,
-        loop: ControlLaw,
-        start: tuple[Array, Array],
-        *,
-        fastest: Array,
-        substeps: int = 1,
+        self, model: DirectModel, loop: ControlLaw, start: tuple[Array, Array], *, fastest: Array, substeps: int = 1
     ) -> None:
         """`start` is position and speed, (n,) each; `fastest` (c,) maximum speeds of the directions of Coulomb friction.
 
         A controller period has `substeps` steps.
         """
-        self._q, self._v = (x.copy() for x in start)
+        self._q, self._v = (np.array(x) for x in start)
+        self._alone = len(self._q) == 1 and not model.shapes and not loop.computed_torque
         self._h, self._substeps, self._period_s = loop.period_s / substeps, substeps, loop.period_s
-        self._control = Control(model, loop, self._q, self._v)
-        self._friction = Friction(model, fastest, self._v, self._h)
+        laws = (LoneControl, LoneFriction) if self._alone else (Control, Friction)
+        self._control = laws[0](model, loop, self._q, self._v)
+        self._friction = laws[1](model, fastest, self._v, self._h)
         self._instants = 0
 
     @np.errstate(over="ignore", invalid="ignore")  # an unstable loop is found by its tracking error
@@ -164,16 +191,20 @@ class ClosedLoop:
         the next row, without encoder noise. And why it ended early, or None: the position differs from
         the reference by more than `bound` (n,), or the inertia matrix is not positive. The state is never clipped.
         """
-        h, substeps, q_ref, encoder = self._h, self._substeps, reference.q, reference.encoder
-        N, n = q_ref.shape
+        h, substeps, q_ref = self._h, self._substeps, reference.q
+        (N, n), known = q_ref.shape, reference.known_torque
         out = np.empty((4, N * substeps, n))
         q_out, dq_out, ddq_out, tau_out = out
-        q, v, control, friction = self._q, self._v, self._control, self._friction
+        control, friction = self._control, self._friction
+        q: Any = self._q  # of a lone joint a float
+        v: Any = self._v
         control.take(reference)
-        check_every, half, reason = max(1, CHECK_EVERY // substeps), 0.5 * h, None
-        rows, known = 0, reference.known_torque
+        if self._alone:
+            (q, v), (q_out, dq_out, _, tau_out) = (x.item() for x in (q, v)), out[..., 0]
+            known = None if known is None else known[:, 0].tolist()
+        check_every, half, reason, rows = max(1, CHECK_EVERY // substeps), 0.5 * h, None, 0
         for k in range(N):
-            tau = control.torque(k, q if encoder is None else encoder.seen(q, k), v)
+            tau = control.torque(k, q, v)
             acting = tau if known is None else tau + known[k]
             for row in range(rows, rows + substeps):
                 after = friction.step(q, v, acting)
@@ -187,12 +218,12 @@ class ClosedLoop:
                 reason = self._why_lost(q, q_ref[k], bound, k)
             if reason is not None:
                 break
-        far = np.flatnonzero(~(np.abs(q_out[:rows:substeps] - q_ref[: -(-rows // substeps)]) < bound).all(axis=1))
+        far = np.flatnonzero(~(np.abs(out[0, :rows:substeps] - q_ref[: -(-rows // substeps)]) < bound).all(axis=1))
         if reason is None and far.size:
             k = int(far[0])
-            reason, rows = self._why_lost(q_out[k * substeps], q_ref[k], bound, k), k * substeps
-        self._q, self._v, self._instants = q, v, self._instants + N
-        ddq_out[:rows] = np.diff(dq_out[:rows], axis=0, append=v[None]) / h
+            reason, rows = self._why_lost(out[0, k * substeps], q_ref[k], bound, k), k * substeps
+        self._q, self._v, self._instants = np.reshape(q, n), np.reshape(v, n), self._instants + N
+        ddq_out[:rows] = np.diff(out[1, :rows], axis=0, append=self._v[None]) / h
         return out[:, :rows], reason
 
     def _why_lost(self, q: Array, q_ref: Array, bound: Array, k: int) -> str:
@@ -246,27 +277,24 @@ def described_robot(robot: Robot, payload: Payload | None = None) -> tuple[Rigid
     """The plant of `robot-acquire record --dry-run`, with the description's `[parameters]` and a payload, and loops for the
     inertias of the robot without it, as those of real drives.
 
-    The robot is at rest in the middle of its ranges. Raises `AcquisitionError` if the parameters are not of this robot, its
+    The robot is at rest in the middle of its ranges. Raises `BadInputError` if the parameters are not of this robot, its
     inertia matrix is not positive, the payload's frame is not on its last link, or `[parameters]` are not in kg and N m.
     """
     if payload is not None and not robot.gain_known:
         expected = "drive gains of the motors: in A or V a mass has no weight"
-        raise AcquisitionError(place=f"robot {robot.name}", key="payload", value=str(payload), expected=expected)
-    try:
-        dynamics = InverseModel(robot)
-        base = base_parameters(dynamics)
-        parameters = base.standard_parameters(described_parameters(dynamics, base))
-        model = loaded = direct_model(dynamics, parameters)
-        if payload is not None:
-            loaded = direct_model(dynamics, add_payload(dynamics, parameters, payload))
-    except IdentificationError as error:
-        raise AcquisitionError.of(error) from error
+        raise BadInputError(place=f"robot {robot.name}", key="payload", value=str(payload), expected=expected)
+    dynamics = InverseModel(robot)
+    base = base_parameters(dynamics)
+    parameters = base.standard_parameters(described_parameters(dynamics, base))
+    model = loaded = direct_model(dynamics, parameters)
+    if payload is not None:
+        loaded = direct_model(dynamics, add_payload(dynamics, parameters, payload))
     ranges = np.array([joint.si("position") or (-POSES_RANGE, POSES_RANGE) for joint in robot.joints])
     poses = np.random.default_rng(0).uniform(ranges[:, 0], ranges[:, 1], (POSES, robot.n))
     M = model.inertia(poses)
     reason = why_not_positive(M)
     if reason is not None:
-        raise AcquisitionError(f"robot {robot.name}: [parameters] cannot be simulated: {reason}")
+        raise BadInputError(f"robot {robot.name}: [parameters] cannot be simulated: {reason}")
     duration_s = robot.bus.sync_period_s / SUBSTEPS if robot.bus is not None else MAX_PLANT_STEP_S
     plant = RigidBodyPlant(
         loaded,

@@ -1,4 +1,4 @@
-"""The control law of the simulated robot: the described controller, the one that the recording tells, or a surrogate.
+"""The control law of the simulated robot: the described controller, the one found in the recording, or a surrogate.
 
 Control acts on motor positions q_m = R q, once per controller period, and is held in between (sample and hold):
 
@@ -24,13 +24,14 @@ Computed torque gives tau = IDM(q, dq, ddq_r + R⁻¹ u). The saturation limits 
 """
 
 from dataclasses import KW_ONLY, dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from acquisition.robot import Robot
 
 from ..arrays import Array
-from ..errors import IdentificationError
+from ..errors import BadInputError
 from ..model import DirectModel
 from ..regression import described_gains
 
@@ -108,7 +109,7 @@ class ControlLaw:
 def recorded_loop(robot: Robot) -> ControlLaw | None:
     """The loop of the description's `[controller]`, None if it states none.
 
-    Raises `IdentificationError` naming missing keys.
+    Raises `BadInputError` naming missing keys.
     """
     c = robot.controller
     integrates = c.structure in ("cascade_p_pi", "pid")
@@ -119,7 +120,7 @@ def recorded_loop(robot: Robot) -> ControlLaw | None:
     if missing := [key for key in needed if key not in stated]:
         where = f"robot {robot.name}"
         expected = f"all of {', '.join(needed)}, or none of them (then a PD of bandwidth_hz is simulated)"
-        raise IdentificationError(place=where, key=f"controller: {', '.join(missing)}", value=None, expected=expected)
+        raise BadInputError(place=where, key=f"controller: {', '.join(missing)}", value=None, expected=expected)
     structure, gains = stated["structure"], described_gains(c)
     assert gains is not None
     Kp, Kd, Ki = gains
@@ -168,13 +169,10 @@ class Control:
         self._to_joints = loop.R.T * loop.G
         self._limited, self._integrates = bool(np.isfinite(loop.saturation).any()), bool(loop.Ki.any())
         self._q1, self._q2 = q - self._T * v, q - 2 * self._T * v
-        self._start, self._integral = q, np.zeros(len(loop.Kp))
+        self._start = q
+        self._integral: Any = np.zeros(len(loop.Kp))  # of a lone joint a float
         self._integral_unset = self._integrates
-        # A linear law is mapped directly to joint torques.
-        self._plain = loop.velocity_estimate == "exact" and not loop.computed_torque
-        self._plain &= not self._limited and not self._integrates and not loop.gravity_at_q
         self._P, self._D = loop.Kp[:, None] * loop.R, loop.Kd[:, None] * loop.R
-        self._to_torque = (self._to_joints @ self._P, self._to_joints @ self._D)
 
     def take(self, reference: Reference) -> None:
         """Set the reference, or its next span; instants are counted from its start."""
@@ -185,8 +183,6 @@ class Control:
         self._added = reference.feedforward if loop.computed_torque else None
         if reference.feedforward is not None and not loop.computed_torque:
             self._reference_part = self._reference_part + reference.feedforward
-        if self._plain:
-            self._reference_part = self._reference_part @ self._to_joints.T
         if self._integral_unset:
             self._integral, self._integral_unset = self._initial_integral(), False
 
@@ -204,12 +200,11 @@ class Control:
         held = np.clip(held, -loop.saturation, loop.saturation)
         return np.divide(held, loop.Ki, out=np.zeros_like(held), where=loop.Ki > 0)
 
-    def torque(self, k: int, q: Array, v: Array) -> Array:
-        """The controller's joint torques (n,) at its instant k."""
+    def torque(self, k: int, q: Any, v: Any) -> Any:
+        """The controller's joint torques (n,) at its instant k, at which the encoder reads the positions q."""
+        if self._reference.encoder is not None:
+            q = self._reference.encoder.seen(q, k)
         loop, dq = self._loop, v
-        if self._plain:
-            P, D = self._to_torque
-            return np.asarray(self._reference_part[k] - P.dot(q) - D.dot(v))
         if loop.velocity_estimate == "backward_difference":
             dq = (q - self._q1) / self._T
         elif loop.velocity_estimate == "two_sample_mean":
@@ -248,3 +243,46 @@ class Control:
     def _motor_effort(self, tau: Array) -> Array:
         """Motor efforts (n, ...) that give the joint torques (n, ...)."""
         return np.asarray(np.linalg.solve(self._to_joints, tau))
+
+
+class LoneControl(Control):
+    """`Control` of a lone joint in Python floats; not of computed torque."""
+
+    def __init__(self, model: DirectModel, loop: ControlLaw, q: Array, v: Array) -> None:
+        """See `Control`."""
+        super().__init__(model, loop, q, v)
+        self._lone_P, self._lone_D, self._lone_G = (x.item() for x in (self._P, self._D, self._to_joints))
+        self._lone_R, self._Ki, self._share = loop.R.item(), loop.Ki.item(), loop.position_share.item()
+        self._limit, self._offset, self._bias = loop.saturation.item(), model.offset.item(), model.lone_bias()
+        samples = {"exact": 0, "backward_difference": 1, "two_sample_mean": 2}[loop.velocity_estimate]
+        self._before, self._lag_s = [self._q1.item(), self._q2.item()][:samples], samples * self._T
+
+    def take(self, reference: Reference) -> None:
+        """See `Control`."""
+        super().take(reference)
+        self._feed, self._target = self._reference_part[:, 0].tolist(), reference.q[:, 0].tolist()
+        self._integral = np.asarray(self._integral).item()
+
+    def torque(self, k: int, q: Any, v: Any) -> Any:
+        """See `Control`."""
+        loop, dq = self._loop, v
+        if self._reference.encoder is not None:
+            q = self._reference.encoder.seen(q, k).item()
+        if self._before:
+            dq = (q - self._before.pop()) / self._lag_s
+            self._before.insert(0, q)
+        u = self._feed[k] - self._lone_P * q - self._lone_D * dq
+        if loop.gravity_at_q:
+            u += (self._bias(q) + self._offset) / self._lone_G
+        if self._integrates:
+            x = self._share * (self._lone_R * (self._target[k] - q))
+            if loop.feedforward == 0.0:
+                x -= self._lone_R * dq
+            before, self._integral = self._integral, self._integral + x * self._T
+            u += self._Ki * self._integral
+        if self._limited:
+            limited = min(max(u, -self._limit), self._limit)
+            if self._integrates and limited != u:
+                self._integral = before
+            u = limited
+        return self._lone_G * u

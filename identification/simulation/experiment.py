@@ -17,7 +17,7 @@ from acquisition.files import release_pages
 from acquisition.robot import Joint
 
 from ..arrays import Array
-from ..errors import IdentificationError
+from ..errors import BadInputError
 from ..model import DirectModel, direct_model, inertias, pose_step
 from ..regression import (
     BLOCK_SAMPLES,
@@ -74,12 +74,13 @@ class Experiment:
         rate_per_bandwidth: float = RATE_PER_BANDWIDTH,
         spans: int = 0,
     ) -> None:
-        """The recorded gains are assumed to suit the inertias of `beta_ls`; with `gain_update` they follow each estimate's.
+        """The recorded gains are assumed to suit the inertias of `beta_ls`; with `gain_update`, equation (E), they follow each
+        estimate's.
 
         A period of the bandwidth has at least `rate_per_bandwidth` simulated steps and instrument samples. A long recording has
         `spans` of QR factors in place of rows, and no whole motion of it is stored.
 
-        Raises `IdentificationError` for an incomplete controller or a reference of another recording.
+        Raises `BadInputError` for an incomplete controller or a reference of another recording.
         """
         signals, robot = problem.signals, problem.signals.robot
         self.problem, self.gain_update, self.spans = problem, gain_update, spans
@@ -132,9 +133,7 @@ class Experiment:
             expected = f"at least {MIN_INSTANTS} instants"
         if what:
             place, key = f"robot {self.problem.signals.robot.name}", "controller.sample_rate_hz"
-            raise IdentificationError(
-                what, place=place, key=key, value=rate_hz, shown=f"{rate_hz:g}", expected=expected
-            )
+            raise BadInputError(what, place=place, key=key, value=rate_hz, shown=f"{rate_hz:g}", expected=expected)
 
     def _scan_recording(self) -> None:
         """Find start, poses, speeds, travel and scatter over the whole recording, block by block."""
@@ -258,7 +257,7 @@ def _refuse_foreign_reference(problem: Problem) -> None:
         place, expected = f"{signals.recording}: reference of joint {joint.name}", "the reference of this recording"
         if unstated := unstated_limits(problem):
             what, expected = "; ".join([what, *unstated]), "saturation of the motor in robot.toml"
-        raise IdentificationError(what, place=place, expected=expected)
+        raise BadInputError(what, place=place, expected=expected)
 
 
 def saturated_percents(problem: Problem) -> dict[str, float]:

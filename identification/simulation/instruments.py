@@ -28,7 +28,7 @@ from .motion import (
     MotionBlocks,
     NotSimulatedError,
     Replica,
-    TrackingError,
+    TrackingDeviation,
     nearest,
     reference_blocks,
     simulated_blocks,
@@ -104,7 +104,7 @@ def _along(
     problem, n, T = e.problem, e.problem.signals.robot.n, e.blocks[0].rows
     share, width = sample_weights(problem).of_rows, problem.base.b + n * problem.needs_drives
     factors = SpanFactors(T, n, e.spans) if e.spans else None
-    error, parts, motions = TrackingError(e), list[Array](), list[tuple[Array, ...]]()
+    error, parts, motions = TrackingDeviation(e), list[Array](), list[tuple[Array, ...]]()
     for at, motion in blocks:
         inside, q = error.add(at, motion)
         own = (motion.t_s[inside], q, *(series[inside] for series in (motion.q, motion.dq, motion.ddq, motion.tau)))

@@ -9,10 +9,10 @@ import numpy as np
 from acquisition.files import release_pages
 
 from ..arrays import Array
-from ..errors import IdentificationError
+from ..errors import NoFitError
 from ..model import DirectModel, inertias, nearest_consistent, why_not_positive
 from ..regression import Decimation, Motion, RowBlock
-from ..report import DirectModelError
+from ..report import DirectModelResidual
 from .closed_loop import ClosedLoop
 from .control_law import surrogate_loop
 from .experiment import Experiment
@@ -42,7 +42,7 @@ class Replica:
     q: Array
     decimation: Decimation
     tracking_percent: float | None
-    direct: tuple[DirectModelError, ...]
+    direct: tuple[DirectModelResidual, ...]
     reference_kind: Literal["recorded", "surrogate"]
     controller: Literal["described", "found", "surrogate"]
     J_known: bool
@@ -88,7 +88,7 @@ def reference_blocks(e: Experiment, x: Array) -> MotionBlocks:
         yield block, replace(motion, tau=model.torque(motion.q, motion.dq, motion.ddq))
 
 
-class TrackingError:
+class TrackingDeviation:
     """Accumulates the deviation of a motion from the measured one, block by block."""
 
     def __init__(self, e: Experiment) -> None:
@@ -116,7 +116,7 @@ class TrackingError:
         return 100.0 * float(np.sqrt(self._position[moving].sum() / self._e.scatter[moving].sum()))
 
     @property
-    def by_joint(self) -> tuple[DirectModelError, ...]:
+    def by_joint(self) -> tuple[DirectModelResidual, ...]:
         """Position and torque errors."""
         e = self._e
         position, torque = (
@@ -124,7 +124,7 @@ class TrackingError:
             for errors, wholes in ((self._position, e.scatter * ~e.held), (self._rho, self._tau))
         )
         return tuple(
-            DirectModelError(name=joint.name, position_error_percent=x, torque_error_percent=tau)
+            DirectModelResidual(name=joint.name, position_error_percent=x, torque_error_percent=tau)
             for joint, x, tau in zip(e.problem.signals.robot.joints, position, torque, strict=True)
         )
 
@@ -133,5 +133,5 @@ def nearest(e: Experiment, beta: Array, covariance: Array, payload: Array | floa
     """Consistent base parameters (b,) nearest to beta, of which `payload` (b,) stays; beta itself if none are found."""
     try:
         return nearest_consistent(e.problem.model, e.problem.base, beta - payload, covariance).beta + payload
-    except IdentificationError:
+    except NoFitError:
         return beta

@@ -17,7 +17,7 @@ from acquisition.session import InlineLog, Recorder, Stop, Task, run_active
 from acquisition.simulated import SUBSTEPS, DrivenPlant, LockStepLink, SimulatedDrives, describe_loops
 
 from ..arrays import Array
-from ..errors import IdentificationError
+from ..errors import BadInputError
 from ..methods import Fit
 from ..model import inertias
 from ..report import Document, Number, Row, Section, Table, columns, value_form
@@ -45,11 +45,11 @@ def record_simulated_session(
     `noise_percent` is the noise of the torque, of each joint's rms. The drives are those of `robot`; the recording has
     `described`, by default the same.
 
-    Raises `IdentificationError` or `AcquisitionError`: if the description lacks `[bus]` or values, or the session
+    Raises `BadInputError` or `BadInputError`: if the description lacks `[bus]` or values, or the session
     fails.
     """
     if robot.bus is None:
-        raise IdentificationError(place=place, key="[bus]", value=None, expected="the drives to simulate")
+        raise BadInputError(place=place, key="[bus]", value=None, expected="the drives to simulate")
     model, described = true_model(robot), described or robot
     period_s = robot.bus.sync_period_s
     t_s: Array = np.arange(round(DURATION_S / period_s) + 1, dtype=np.float64) * period_s
@@ -75,7 +75,7 @@ def record_simulated_session(
     finally:
         log.close()
     if outcome.fault:
-        raise IdentificationError(f"{out}: the simulated session failed: {outcome.reason}")
+        raise BadInputError(f"{out}: the simulated session failed: {outcome.reason}")
 
 
 def description(name: str) -> Path:

@@ -8,12 +8,11 @@ from pathlib import Path
 
 import msgspec
 
-from acquisition.errors import RobotIdimError
+from acquisition.errors import BadInputError, RobotIdimError
 from acquisition.files import atomic_write
 from acquisition.robot import load_robot
 
 from ..data import RecordingFile, Recordings, Work
-from ..errors import IdentificationError
 from ..methods import fitted_parameters, identify
 from ..regression import Overrides
 from ..report import Document, Method, Number, Parameter, ResultFile, Section, Table, columns, versions, write_json
@@ -41,13 +40,13 @@ class FleetRow(ResultFile, frozen=True, kw_only=True):
 def found_recordings(folders: Sequence[Path], robot: Path | None = None, *, by_folder: bool = False) -> Found:
     """Every `*.mcap` under the folders; `by_folder` together with the others in its folder.
 
-    The file `robot` replaces the stored descriptions. Raises `IdentificationError`: if one of `folders` has no recording.
+    The file `robot` replaces the stored descriptions. Raises `BadInputError`: if one of `folders` has no recording.
     """
     files, found, described = set[Path](), Found(), load_robot(robot) if robot else None
     for folder in folders:
         new = {x for x in folder.rglob("*.mcap") if x.is_file() and x.name[0] != "."}  # hidden ones are being written
         if not new:
-            raise IdentificationError("no recordings", place=str(folder), expected="a folder with files *.mcap")
+            raise BadInputError("no recordings", place=str(folder), expected="a folder with files *.mcap")
         files |= new
     for file in sorted(files):
         found.setdefault(file.parent if by_folder else file, []).append(RecordingFile.at(file, described))
@@ -60,7 +59,7 @@ def run_fleet(
     """A row for each entry of `found`, ordered by start; those without a start come last.
 
     Each fit is stored in the folder `store`, and reused until a file, its description, the method or versions of packages
-    differ. A failure is a row with a `reason`. Raises `AcquisitionError` if a fit cannot be stored, `IdentificationError` if a
+    differ. A failure is a row with a `reason`. Raises `BadInputError` if a fit cannot be stored, `BadInputError` if a
     worker ends early.
     """
     rows, tasks = list[FleetRow](), dict[Path, tuple[object, ...]]()

@@ -10,9 +10,10 @@ import numpy as np
 
 from ..arrays import Array
 from ..data import RecordingFile, Work
-from ..errors import IdentificationError
+from ..errors import NoFitError, RobotIdimError
 from ..estimation import one_thread
 from ..methods import Iteration, identify_iv
+from ..model import described_parameters
 from ..regression import Overrides, make_settings
 from ..report import Document, Number, Row, Section, Table, columns, value_form
 
@@ -41,8 +42,8 @@ class Variant:
 
 @dataclass(frozen=True, kw_only=True)
 class VariedFit:
-    """The `values` of a variant by parameter, empty without a fit; `ended` is the status of iv after so many `passes`, or why
-    there is no fit.
+    """The `values` of a variant by parameter, with `units`, empty without a fit; `ended` is the status of iv after so many
+    `passes`, or why there is no fit. `known`: whether the values of `[parameters]` are `true`, of a simulation, or `described`.
     """
 
     variant: Variant
@@ -50,12 +51,14 @@ class VariedFit:
     passes: int = 0
     values: Mapping[str, Values] = field(default_factory=dict)
     essential: tuple[str, ...] = ()
+    units: Mapping[str, str] = field(default_factory=dict)
+    known: tuple[str, Mapping[str, float]] = ("", {})
 
 
 def vary(source: RecordingFile, noises: Sequence[float] | None, work: Work) -> list[VariedFit]:
     """The fit by the rules, and a fit per variant; `noises` of the position are in rad or m rms, None by the travel.
 
-    Raises `IdentificationError`: the recording cannot be fitted by the rules.
+    Raises `BadInputError`: the recording cannot be fitted by the rules.
     """
     signals = source.load()
     robot, decimation = signals.robot, make_settings(signals, Overrides()).decimation
@@ -74,7 +77,7 @@ def vary(source: RecordingFile, noises: Sequence[float] | None, work: Work) -> l
     variants.append(Variant(changed="gain update", to="off", gain_update=False))
     fits = list(work.run(fit_variant, [(source, variant) for variant in variants]))
     if not fits[0].values:
-        raise IdentificationError(fits[0].ended)
+        raise NoFitError(fits[0].ended)
     return fits
 
 
@@ -87,13 +90,24 @@ def fit_variant(source: RecordingFile, variant: Variant) -> VariedFit:
     try:
         iteration = Iteration(inertias=np.full(signals.robot.n, variant.start), gain_update=variant.gain_update)
         fit = identify_iv(signals, variant.overrides, iteration)
-    except IdentificationError as error:
+    except RobotIdimError as error:
         return VariedFit(variant=variant, ended=error.args[0])
     ls = fit.least_squares
     numbers = (ls.estimate.beta, ls.intervals.half, fit.estimate.beta, fit.intervals.half)
     values = dict(zip(fit.estimate.names, zip(*(x.tolist() for x in numbers), strict=True), strict=True))
     passes = len(fit.iv.passes) if fit.iv else 0
-    return VariedFit(variant=variant, ended=fit.status, passes=passes, values=values, essential=fit.essential_names)
+    base, model = fit.base, fit.problem.model
+    described = described_parameters(model, base).tolist() if signals.robot.parameters else ()
+    known = "true" if signals.provenance.startswith("simulated") else "described"
+    return VariedFit(
+        variant=variant,
+        ended=fit.status,
+        passes=passes,
+        values=values,
+        essential=fit.essential_names,
+        units=dict(zip(base.names, base.units, strict=True)),
+        known=(known, dict(zip(base.names, described, strict=False))),
+    )
 
 
 def moves_of(fits: Sequence[VariedFit], name: str) -> Array:

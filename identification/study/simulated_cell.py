@@ -14,7 +14,7 @@ from acquisition.robot import FourierReference, Payload, Robot, fourier_referenc
 
 from ..arrays import Array
 from ..data import Signals
-from ..errors import IdentificationError
+from ..errors import BadInputError, NoFitError
 from ..model import (
     BaseParameters,
     DirectModel,
@@ -91,11 +91,11 @@ def random_reference(
     """A random exciting reference (N, n), rad or m: a Fourier series within the limits of the robot, at rest at both ends.
 
     The same seed gives the same reference. The length is a whole number of periods of about `period_s`, one if it is shorter.
-    Raises `IdentificationError` for fewer than 100 or more than 1 000 000 samples.
+    Raises `BadInputError` for fewer than 100 or more than 1 000 000 samples.
     """
     samples = duration_s * sample_rate_hz
     if not MIN_SAMPLES <= samples <= MAX_SAMPLES:
-        raise IdentificationError(
+        raise BadInputError(
             f"{duration_s:g} s at {sample_rate_hz:g} Hz: {samples:g} samples; expected {MIN_SAMPLES} to {MAX_SAMPLES}"
         )
     t_s = np.arange(round(samples) + 1) / sample_rate_hz
@@ -108,7 +108,7 @@ def closed_loop(
     """Signals of the robot of `[parameters]`, simulated with a payload along the reference q_ref (N, n), rad or m.
 
     `sample_rate_hz` is that of reference, recording and controller, which sees the noise of the encoder. Raises
-    `IdentificationError` if the description has no values or another rate, or the robot does not follow.
+    `BadInputError` if the description has no values or another rate, or the robot does not follow.
     """
     model, loop = true_model(robot, payload), recorded_loop(robot)
     if loop is None:
@@ -116,7 +116,7 @@ def closed_loop(
         if noise.position or noise.encoder_step:  # the PD estimates the speed
             loop = replace(loop, velocity_estimate="backward_difference")
     if abs(loop.period_s * sample_rate_hz - 1) > 1e-9:
-        raise IdentificationError(
+        raise BadInputError(
             f"robot {robot.name}: controller.sample_rate_hz = {1 / loop.period_s:g}: expected {sample_rate_hz:g}, the "
             "rate of the simulated recording"
         )
@@ -128,7 +128,7 @@ def closed_loop(
     follower = ClosedLoop(model, loop, (q_ref[0], dq[0]), fastest=fastest, substeps=SUBSTEPS)
     done, reason = follower.follow(reference, np.full(robot.n, 10 * np.ptp(q_ref, axis=0).max()))
     if reason:
-        raise IdentificationError(f"robot {robot.name}: cannot be simulated: {reason}")
+        raise NoFitError(f"robot {robot.name}: cannot be simulated: {reason}")
     return Signals(
         t_s=np.arange(len(q_ref)) / sample_rate_hz,
         q=encoder.seen(done[0, ::SUBSTEPS]),

@@ -11,7 +11,7 @@ from acquisition.robot import Payload, Robot, robot_from_files
 
 from ..arrays import Array
 from ..data import Signals, Work
-from ..errors import IdentificationError
+from ..errors import RobotIdimError
 from ..estimation import one_thread
 from ..methods import Fit, Iteration, identify_iv, identify_ls
 from ..model import InverseModel, direct_model, poses_of, why_not_positive
@@ -30,7 +30,7 @@ class Study(StudyOptions):
 def simulate_recording(robot: Robot, out: Path, study: Study, payload: Payload | None = None) -> None:
     """Write a recording of the robot of `[parameters]`: length, rate, seed and noise are those of a study.
 
-    Raises `IdentificationError`: a value or limit of the description is missing.
+    Raises `BadInputError`: a value or limit of the description is missing.
     """
     signals = _simulated(robot, study, study.seed, payload)
     write_signals(out, signals, source=f"simulated: random reference and noise of seed {study.seed}", noise=study.noise)
@@ -83,7 +83,7 @@ class Run:
 
 
 def run_study(robot: Robot, study: Study, work: Work) -> Iterator[Run]:
-    """All runs in order; one that fails has a `reason`. Raises `IdentificationError`: the description has no values."""
+    """All runs in order; one that fails has a `reason`. Raises `BadInputError`: the description has no values."""
     study_truth(robot)
     return work.run(one_run, [(dict(robot.files), study, number) for number in range(study.runs)])
 
@@ -110,7 +110,7 @@ def one_run(files: Mapping[str, bytes], study: Study, number: int) -> Run:
         signals = _simulated(robot, study, int(np.random.default_rng([study.seed, number]).integers(2**31)))
         run = replace(run, ls=result(identify_ls(signals, Overrides())))
         iv = identify_iv(signals, Overrides(), Iteration())
-    except IdentificationError as error:
+    except RobotIdimError as error:
         return replace(run, reason=error.args[0])
     assert iv.iv is not None
     return replace(run, status=iv.status, reason=iv.iv.reason, iv=result(iv))

@@ -34,7 +34,7 @@ from .lines import TrustLine
 MAX_TIE_PERCENT = 2.0  # of the residual's square: kinds within this are indistinguishable
 MIN_INDEPENDENT_NORM = 0.01  # share of a column's norm outside the span of W, for a usable coefficient
 MIN_BIAS = 1e-6  # the same, and of a column's norm beside the torque's: below, it is rounding and biases nothing
-MARGIN_T = 2.0  # deviations above MIN_T, at which nearly every recording tells
+MARGIN_T = 2.0  # deviations above MIN_T, at which nearly every recording shows it
 MAX_UNNOTICED = {"deg": 2.0, "mm": 10.0}  # error of a zero; a larger one that is not noticed is assumed away
 
 

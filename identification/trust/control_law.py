@@ -1,4 +1,4 @@
-"""The control law that the recording tells, against the one that is described.
+"""The control law found in the recording, against the one that is described.
 
 The law does not depend on the robot's model, so the test detects what a fit cannot: an effort of the wrong scale or sign, which
 scales every parameter and fits equally well. Units are those of the recorded effort: the drive gain cancels and is not tested.
@@ -47,7 +47,7 @@ def law_line(problem: Problem) -> tuple[TrustLine, KnownLag | None]:
     elif controller.structure == "computed_torque":
         reason = "computed torque depends on the robot's own model"
     elif law is not None and law.described is None and law.reason is not None:
-        reason = f"[controller] describes no law, and the recording does not tell one: {law.reason}"
+        reason = f"[controller] describes no law, and none is found in the recording: {law.reason}"
     elif law is not None:
         line = _line(law, [motor.name for motor in signals.robot.motors])
         if controller.gravity_feedforward:
@@ -72,7 +72,7 @@ def _line(law: Law, motors: list[str]) -> TrustLine:
     if law.described is None:
         text = f"{law.structure} found, {_gains(law, 0)} of motor {motors[0]}, {error.max():.2g} % left; {delays}"
         if not law.clear.all():
-            text += f"; {', '.join(np.array(motors)[~law.clear])} alone cannot tell"
+            text += f"; {', '.join(np.array(motors)[~law.clear])} alone do not show it"
         return TrustLine(NAME, "ok", text)
     factor = np.divide(law.gains, law.described, out=np.ones_like(law.gains), where=law.described != 0)[used]
     within = np.divide(law.gains_half, np.abs(law.described), out=np.zeros_like(law.gains), where=law.described != 0)[

@@ -115,7 +115,7 @@ class FitData:
         return base_places(self.estimate.names)
 
     def spans(self, count: int) -> list[Span]:
-        """Equal spans of time of the recordings together; of each recording, if a span alone must tell drive gains."""
+        """Equal spans of time of the recordings together; of each recording, if a span alone must determine drive gains."""
         parts = spans_of(self.observed.parts) if self.gains else [slice(0, len(self.observed.tau))]
         edges = [np.linspace(one.start, one.stop, count + 1).round().astype(int).tolist() for one in parts]
         return [tuple(slice(own[k], own[k + 1]) for own in edges) for k in range(count)]

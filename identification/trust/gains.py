@@ -13,7 +13,10 @@ from .lines import Figure, TrustLine
 MAX_HALF_PERCENT = 10.0  # of a gain; with more it is not determined
 MAX_USABLE_PERCENT = 50.0  # the same of the best gain; with more no gain is usable
 MAX_SCATTERS = 3.0  # of the catalogue's own: by more the described gains are all off by one factor
-LEAST_FACTOR, SURE_FACTOR = 1.1, 1.6  # no smaller one is told; a larger one where 3 deviations of the median tell it
+LEAST_FACTOR, SURE_FACTOR = (
+    1.1,
+    1.6,
+)  # no smaller one is reported; a larger one where 3 deviations of the median show it
 MAX_OFF_ONE_PERCENT = 2.0  # of gains that are 1 N m/A, by themselves or with their ratio
 
 
@@ -65,7 +68,7 @@ def gains_test(evidence: FitData) -> TrustLine | None:
 
 
 def _common_factor(factors: Array) -> tuple[float, float] | None:
-    """Median of factors (m,) and their scatter, by robust deviations of logarithms; None if these tell no common factor."""
+    """Median of factors (m,) and their scatter, by robust deviations of logarithms; None if there is no common factor."""
     if len(factors) < 2:
         return None
     of = np.log(factors)

@@ -27,7 +27,7 @@ Predict = Callable[..., Array]  # decimated torque (rows, n) by estimates, in as
 def held_out_parts(evidence: FitData, predict: Predict) -> tuple[HeldOut, ...]:
     """Five blocks of time of one recording, or each of several, predicted by the fit of the others.
 
-    With drive gains the blocks are of each recording, as none tells them alone. Empty where too few rows are outside a block.
+    With drive gains the blocks are of each recording: none alone determines them. Empty where too few rows are outside a block.
     Errors in percent are of the torque; where the model does not hold, joints stand: those of weighted rows leave that out.
     """
     if len(evidence.names) > 1 and not evidence.gains:

@@ -1,9 +1,10 @@
 """The lag of the recorded torque behind the motion: one per group of recordings, estimated with instruments.
 
-To first order tau(t - L) = tau(t) - L d/dt tau(t): the column -d/dt tau takes the coefficient L. It is that of the simulated
-torque, as column and as instrument, so that position noise does not bias it; least squares would find a false lag. Rows slower
-than a fifth of the peak are left out: after a reversal friction rises smoothly where the model has a step, which looks like a
-lag. Residuals are whitened, as position noise grows with frequency and would hide a lag.
+To first order, equation (G), tau(t - L) = tau(t) - L d/dt tau(t): the column -d/dt tau takes the coefficient L. It is
+that of the simulated torque, as column and as instrument, so that position noise does not bias it; least squares would
+find a false lag. Rows slower than a fifth of the peak are left out: after a reversal friction rises smoothly where the
+model has a step, which looks like a lag. Residuals are whitened, as position noise grows with frequency and would hide
+a lag.
 
 Prior information (effort timing of the recording, replay of the described controller) is combined with it by variances.
 """
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..errors import IdentificationError
+from ..errors import NoFitError
 from ..estimation import LEVEL, Estimate, System, instrumental_variables, intervals, t_quantile, whitened
 from ..regression import LAG_ORDER, KnownLag, Problem, Rows, differentiate, fast_for_lag, weighted
 from ..report import Level
@@ -36,7 +37,7 @@ def lags_in(
     """Lags (K,) of the torques in s besides those already corrected, deviations (K,) and their degrees of freedom.
 
     `along` the simulated motion: the instruments Z (r, b) of all parameters, the columns (r, K) of `by_group`, and by recording
-    which rows (n, T) are fast. Raises `IdentificationError` where the instruments do not determine the lags.
+    which rows (n, T) are fast. Raises `NoFitError` where the instruments do not determine the lags.
     """
     Z, columns, fast = along
     system, b, lengths = rows.system, len(rows.system.names), [one.shape[1] for one in fast]
@@ -48,7 +49,7 @@ def lags_in(
     rho = (system.Y - system.W @ first.beta) * system.used
     size = np.sqrt(np.bincount(system.joint_of_row, weights=rho**2) / np.maximum(1, system.rows))
     if not size.max() > 0:
-        raise IdentificationError("the fit is exact")
+        raise NoFitError("the fit is exact")
     found = instrumental_variables(system, Z, 1 / np.maximum(size, 1e-9 * size.max()))
     w = found.weights[system.joint_of_row] * system.used
     within = intervals(found, w * (system.Y - system.W @ found.beta), len(size), tuple(lengths))

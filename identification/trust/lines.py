@@ -51,7 +51,7 @@ class TrustLine:
         finding: the same in a few words, for the first line of a report.
         figures: figures by joint, motor or block, for a plot, in `unit`.
         fails_held_out: whether held-out errors are so large that, with M not positive, the fit is not to be used.
-        assumed: what the test cannot tell.
+        assumed: what the test cannot check.
     """
 
     test: str

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..errors import IdentificationError
+from ..errors import NoFitError
 from ..estimation import (
     Estimate,
     Intervals,
@@ -213,7 +213,7 @@ def consistent_test(evidence: FitData) -> TrustLine:
     try:
         power = recorded_power(moved, beta)
         nearest = nearest_consistent(problem.model, problem.base, beta, covariance[np.ix_(first, first)], power)
-    except IdentificationError as error:
+    except NoFitError as error:
         return TrustLine("consistent", "cannot tell", error.args[0])
     moves, bound = (
         np.abs(nearest.deviations) / evidence.intervals.reach,
@@ -222,8 +222,6 @@ def consistent_test(evidence: FitData) -> TrustLine:
     text = f"the nearest physical robot is at chi² = {nearest.chi_squared:.3g} ({len(names)} parameters), "
     text += f"{names[int(moves.argmax())]} moved by {moves.max():.2g} half-widths of its interval"
     if nearest.chi_squared > bound:
-        text += (
-            f", above {bound:.3g}, the limit of chance: check signs and units of efforts and positions, and the frames"
-        )
+        text += f", above {bound:.3g}, the limit of chance: check signs and units of efforts and positions, and frames"
         return TrustLine("consistent", "caution", text, nearest.chi_squared, limit=bound)
     return TrustLine("consistent", "ok", text, nearest.chi_squared, limit=bound)

@@ -1,7 +1,7 @@
 """A-priori links, of a URDF or `[parameters]`, as a witness of the recording: by joint, held out, and exchanged joints.
 
 The recorded torque of joint j is f_j times that of the prior's links, beside all that the prior does not know (rotors,
-friction), with instruments and weights of the fit. Only rows of joint j tell f_j: a wrong gain of a joint does not move others.
+friction), with instruments and weights of the fit. Only rows of joint j determine f_j: a wrong gain of a joint moves no other.
 """
 
 from contextlib import suppress
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..errors import IdentificationError
+from ..errors import NoFitError
 from ..estimation import MIN_COLUMN_NORM, Estimate, instrumental_variables, intervals_of
 from ..model import base_prior, direct_model
 from ..regression import base_name, row_states
@@ -47,7 +47,7 @@ def with_prior(evidence: FitData, predict: Predict) -> FitData:
         whole = (replace(one, names=system.names, beta=known + one.values_of(system.names)) for one in estimates)
         return predict(*whole, by_recording=by_recording)
 
-    with suppress(IdentificationError):
+    with suppress(NoFitError):
         if evidence.held_out and not evidence.gains:
             rest = replace(system, Y=system.Y - system.W @ known).with_columns(free)
             Z = (system.W if evidence.Z is None else evidence.Z)[:, free]
@@ -95,7 +95,7 @@ def _known_and_free(evidence: FitData) -> tuple[Array, NDArray[np.intp]]:
 
 def _factor(evidence: FitData, j: int) -> tuple[float, float, float, float]:
     """The factor of joint j and half its 95 % interval, and shares of the square of its torque, both without what is not of
-    links: what the prior's links explain with the factor, and their own. Zeros where nothing tells it.
+    links: what the prior's links explain with the factor, and their own. Zeros where it is undetermined.
     """
     system, (known, free) = evidence.observed.system, _known_and_free(evidence)
     own = system.joint_of_row == j
@@ -107,7 +107,7 @@ def _factor(evidence: FitData, j: int) -> tuple[float, float, float, float]:
     whole, needed = ((both - J[:, 1:] @ np.linalg.lstsq(J[:, 1:], both)[0]) ** 2).sum(axis=0) + 1e-300
     rows, names, share = 0 * system.joint_of_row[own], tuple(map(str, range(J.shape[1]))), system.share[own]
     alone = replace(system, W=J, Y=Y, joint_of_row=rows, names=names, share=share, rows=system.rows[[j]])
-    with suppress(IdentificationError):
+    with suppress(NoFitError):
         found = instrumental_variables(alone, Z, np.ones(1))
         half = float(intervals_of(alone, found).half[0])
         return float(found.beta[0]), half, 1 - found.residual_norm**2 / whole, needed / whole

@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING
 
 from acquisition.lazy import lazy_names
 
+from .charts import deviation_charts as deviation_charts
 from .pages import draw_comparison as draw_comparison
 from .pages import draw_excitation as draw_excitation
 from .pages import draw_fit as draw_fit
@@ -16,10 +17,16 @@ from .pages import join_pictures as join_pictures
 from .panels import Picture as Picture
 
 if TYPE_CHECKING:
+    from .html_page import notebook_figure as notebook_figure
     from .html_page import write_html as write_html
     from .live import follow_recording as follow_recording
     from .rerun_panels import write_rrd as write_rrd
 else:
     __getattr__, __dir__ = lazy_names(
-        __name__, {"rerun_panels": ("write_rrd",), "html_page": ("write_html",), "live": ("follow_recording",)}
+        __name__,
+        {
+            "rerun_panels": ("write_rrd",),
+            "html_page": ("notebook_figure", "write_html"),
+            "live": ("follow_recording",),
+        },
     )

@@ -50,15 +50,3 @@ def decades(values: ArrayLike, most: int) -> Axis:
     """A logarithmic axis of whole powers of ten around values above zero."""
     low, high = float(np.min(values)), float(np.max(values))
     return logarithmic(10.0 ** math.floor(math.log10(low)), 10.0 ** math.ceil(math.log10(high)), most)
-
-
-def about_zero(values: Array, half: Array, most: int) -> tuple[Axis, float]:
-    """An asinh axis of values with half-widths of intervals: linear to the returned number, logarithmic beyond."""
-    reach = float(np.max(np.abs(values) + half))
-    top = math.ceil(math.log10(reach)) if reach > 0 else 0
-    typical = float(np.median(half[half > 0])) if (half > 0).any() else 0.0
-    lowest = max(top - 5, min(top - 1, math.floor(math.log10(max(typical, 10.0 ** (top - 5))))))
-    steps = range(top, lowest, -max(1, math.ceil((top - lowest) / most)))
-    ticks = {sign * 10.0**power: f"{sign * 10.0**power:g}" for power in steps for sign in (-1, 1)}
-    width = 2 * 10.0**lowest
-    return Axis(low=-(10.0**top), high=10.0**top, ticks={0.0: "0", **ticks}, by=lambda x: np.arcsinh(x / width)), width

@@ -1,22 +1,23 @@
 """Charts of parameters, tests, gains, friction, excitations, studies: those of the HTML report alone."""
 
+import re
 from collections.abc import Sequence
 
 import numpy as np
 
 from ..design import Excitation
-from ..methods import Fit, Gains
+from ..methods import Fit
 from ..model import friction_alone
 from ..regression import base_name, rigid_torque_at_rows
 from ..report import Level, ParameterSet, differences
-from ..study import Run, VariedFit
+from ..study import Run, VariedFit, moves_of
 from ..trust import Trust
-from .axes import Axis, about_zero, decades, linear, logarithmic
+from .axes import Axis, decades, linear, logarithmic
 from .colors import COMPARED, GREEN, GREY, LIGHT, ORANGE, PREDICTED, PURPLE, SKY, VERMILLION, Color
 from .panels import Column, Curve, Graph, Mark, Rows, Shape
 
 MAX_ROWS, MAX_COLUMNS = 30, 4  # of a chart
-MAX_SIGMAS_SHOWN = 6.0  # larger differences are drawn at the edge of their chart
+MAX_HALF_WIDTHS_SHOWN = 3.0  # larger differences are drawn at the edge of their chart
 MAX_TRUSTED_SIGMAS = 3.0  # limit of a difference
 LOADS = {10.0: SKY, 50.0: ORANGE, 90.0: VERMILLION}  # percentiles of the load that curves of friction are drawn at
 SPEEDS = np.linspace(0.02, 1.0, 80)  # of these curves in each direction, relative to the peak
@@ -26,39 +27,38 @@ LEVEL_COLORS: dict[Level, Color] = {"do not use": VERMILLION, "caution": ORANGE,
 
 
 def deviation_charts(own: ParameterSet, others: Sequence[ParameterSet]) -> list[Rows]:
-    """Every parameter: value with its 95 % interval, half-width in percent, differences to other sets in sigma."""
-    names, sets = list(own.parameters), [own, *others]
-    shown = [values.parameters[name] for values in sets for name in names if name in values.parameters]
-    of_values, width = about_zero(np.array([p.value for p in shown]), np.array([p.half for p in shown]), 2)
+    """Every parameter: its 95 % interval in percent of the value, and other sets, in half-widths of this interval."""
+    names, charts = list(own.parameters), []
     percent, labels = logarithmic(0.01, 100.0, 4), " and ".join(values.label for values in others)
-    limits = (-MAX_SIGMAS_SHOWN, -MAX_TRUSTED_SIGMAS, 0.0, MAX_TRUSTED_SIGMAS, MAX_SIGMAS_SHOWN)
-    far = Axis(low=limits[0], high=limits[-1], ticks={x: f"{x:+g}" if x else "0" for x in limits})
-    off = [{d.name: d.off_sigma for d in differences(own, values)} for values in others]
-    exact = [all(p.sigma == 0 for p in values.parameters.values()) for values in others]
+    ends = MAX_HALF_WIDTHS_SHOWN
+    far = Axis(low=-ends, high=ends, ticks={x: f"{x:+g}" if x else "0" for x in (-ends, -1.0, 0.0, 1.0, ends)})
+    off = [{d.name: d.off_sigma or 0.0 for d in differences(own, values)} for values in others]
     legend = [("● essential", ORANGE), ("○ not essential", GREY)]
-    legend += [(f"{'|' if exact[k] else '×'} {values.label}", COMPARED[k]) for k, values in enumerate(others)]
+    for values, color in zip(others, COMPARED, strict=False):
+        exact = all(p.sigma == 0 for p in values.parameters.values())
+        legend.append((f"{'|' if exact else '×'} {values.label}", color))
     legend += [("beyond 3 σ", VERMILLION)] if others else []
-    legend.append((f"values on an asinh scale: linear within ±{width:g}, logarithmic beyond", GREY))
-    looks, charts = {name: _look(p.essential) for name, p in own.parameters.items()}, []
     for part in _parts(names, MAX_ROWS):
-        values, halves, sigmas = list[Mark](), list[Mark](), list[Mark]()
+        heads, halves, marks = list[tuple[str, Color]](), list[Mark](), list[Mark]()
         for row, name in enumerate(part):
-            p, (color, shape) = own.parameters[name], looks[name]
-            values.append(Mark(row=row, value=p.value, half=p.half, color=color, shape=shape))
+            p = own.parameters[name]
+            color, shape = _look(p.essential)
+            heads.append((name, color))
             share = 100 * p.half / abs(p.value) if p.value else 100.0
             halves.append(Mark(row=row, value=max(share, 0.01), color=color, shape="bar"))
+            marks.append(Mark(row=row, value=0.0, half=float(p.half > 0), color=color, shape=shape))
             for k, other in enumerate(others):
                 if (q := other.parameters.get(name)) is not None:
                     at, shape = (row + 0.28, "cross") if q.sigma else (row, "tick")
-                    values.append(Mark(row=at, value=q.value, half=q.half, color=COMPARED[k], shape=shape))
-                if (x := off[k].get(name)) is not None:
-                    level, beyond = row + 0.3 * (k - 0.5 * (len(others) - 1)), abs(x) > MAX_TRUSTED_SIGMAS
-                    sigmas.append(Mark(row=level, value=x, color=VERMILLION if beyond else COMPARED[k], shape="bar"))
-        columns = [Column(head="value ± 95 %, SI", axis=of_values, marks=values, lines=(0.0,))]
-        columns.append(Column(head="± 95 %, % of value", axis=percent, marks=halves))
+                    scale, color = p.half or q.half or 1.0, COMPARED[k]
+                    color = VERMILLION if abs(off[k].get(name, 0.0)) > MAX_TRUSTED_SIGMAS else color
+                    value, half = (q.value - p.value) / scale, q.half / scale
+                    marks.append(Mark(row=at, value=value, half=half, color=color, shape=shape))
+        columns = [Column(head="± 95 %, % of value", axis=percent, marks=halves)]
         if others:
-            columns.append(Column(head=f"minus {labels}, in σ", axis=far, marks=sigmas, lines=limits[1:4]))
-        title, heads = f"parameters of {own.label}, {part[0]} to {part[-1]}", [(name, looks[name][0]) for name in part]
+            head = f"{labels} minus {own.label}, in ± 95 %"
+            columns.append(Column(head=head, axis=far, marks=marks, lines=(-1.0, 0.0, 1.0)))
+        title = f"parameters of {own.label}, {part[0]} to {part[-1]}"
         charts.append(Rows(path=("deviations", part[0]), title=title, names=heads, columns=columns, legend=legend))
     return charts
 
@@ -74,49 +74,25 @@ def _look(known: bool) -> tuple[Color, Shape]:
 
 
 def trust_charts(trust: Trust) -> list[Rows]:
-    """Figures of the tests that have a limit, as shares of it, and those by joint or block with expected values."""
+    """Figures of the tests by joint or block, with expected values."""
     charts = list[Rows]()
-    names, shares = list[tuple[str, Color]](), list[Mark]()
     for line in trust.lines:
-        color = LEVEL_COLORS.get(line.level, GREY)
-        if line.value is not None and line.limit:
-            shares.append(Mark(row=len(names), value=abs(line.value) / line.limit, color=color, shape="bar"))
-            names.append((f"{line.test}: {line.value:.3g} of {line.limit:.3g}", color))
         if line.figures:
+            color = LEVEL_COLORS.get(line.level, GREY)
             marks = [Mark(row=k, value=f.expected, color=GREEN, shape="tick") for k, f in enumerate(line.figures)]
             marks += [Mark(row=k, value=f.value, half=f.half_width, color=color) for k, f in enumerate(line.figures)]
-            column, heads = (
-                Column(head=line.unit, axis=_around(marks), marks=marks),
-                [(f.name, LIGHT) for f in line.figures],
-            )
-            legend, title = (("● value ± 95 %", color), ("| expected", GREEN)), f"{line.test}: {line.level}"
+            column = Column(head=line.unit, axis=_around(marks), marks=marks)
+            heads, title = [(f.name, LIGHT) for f in line.figures], f"{line.test}: {line.level}"
+            value = "● value ± 95 %" if any(f.half_width for f in line.figures) else "● value"
+            legend = ((value, color), ("| expected", GREEN))
             charts.append(Rows(path=("tests", line.test), title=title, names=heads, columns=[column], legend=legend))
-    of_limit = Axis(low=0.0, high=1.3, ticks={0.0: "0", 1.0: "limit"})
-    columns = [Column(head="", axis=of_limit, marks=shares, lines=(1.0,))]
-    return [Rows(path=("tests",), title="tests with a limit", names=names, columns=columns)] * bool(names) + charts
+    return charts
 
 
 def _around(marks: Sequence[Mark]) -> Axis:
     ends = [mark.value + side * mark.half for mark in marks for side in (-1, 1)]
     margin = max(0.06 * (max(ends) - min(ends)), 1e-9)
     return linear(min(ends) - margin, max(ends) + margin, 4)
-
-
-def gains_chart(gains: Gains) -> Rows:
-    """Drive gains by motor: the described one, and the identified one with its 95 % interval, in percent of it."""
-    of = np.where(np.isfinite(gains.described), gains.described, gains.values)
-    percent, half = 100 * gains.values / of, 100 * gains.half / np.abs(of)
-    low, high = min(95.0, float((percent - half).min())), max(105.0, float((percent + half).max()))
-    marks, names = list[Mark](), list[tuple[str, Color]]()
-    for k, motor in enumerate(gains.motors):
-        color, shape = _look(bool(gains.determined[k]))
-        described = f"{gains.described[k]:.4g} to " if np.isfinite(gains.described[k]) else ""
-        names.append((f"{motor}: {described}{gains.values[k]:.4g} ± {gains.half[k]:.2g} {gains.units[k]}", color))
-        marks.append(Mark(row=k, value=percent[k], half=half[k], color=color, shape=shape))
-    column = Column(head="%", axis=linear(max(low, 0.0), min(high, 300.0), 4), marks=marks, lines=(100.0,))
-    legend = (("● identified ± 95 %", ORANGE), ("○ not determined", GREY))
-    title = "drive gains in percent of the described ones"
-    return Rows(path=("gains",), title=title, names=names, columns=[column], legend=legend)
 
 
 def friction_charts(fit: Fit, of: str = "") -> list[Graph]:
@@ -199,6 +175,31 @@ def sensitivity_charts(fits: Sequence[VariedFit]) -> list[Rows]:
     return charts
 
 
+def noise_chart(fits: Sequence[VariedFit]) -> Graph | None:
+    """The parameter that noise moves most with LS, over this noise, by both methods, and its known value, if there is noise."""
+    noisy = [fits[0], *(fit for fit in fits if fit.values and fit.variant.noise)]
+    if len(noisy) < 2:
+        return None
+    moves = {name: moves_of(noisy, name)[:, 0].max() for name in fits[0].essential or fits[0].values}
+    name = max(moves, key=lambda name: moves[name])
+    noisy.sort(key=lambda fit: fit.variant.noise)
+    x = 1e6 * np.array([fit.variant.noise for fit in noisy])
+    ls, ls_half, iv, iv_half = np.array([fit.values[name] for fit in noisy]).T
+    curves = list[Curve]()
+    for label, color, values, half in (("LS", PURPLE, ls, ls_half), ("IV", ORANGE, iv, iv_half)):
+        ends = np.stack([values - half, values + half], axis=1)
+        lines = [(x, values), *((np.full(2, at), both) for at, both in zip(x, ends, strict=True))]
+        for line in lines:
+            curves.append(Curve(key=f"{len(curves):03}", name=f"{label} ± 95 %", color=color, line=line, width=2.0))
+    known, described = fits[0].known
+    if name in described:
+        line = x[[0, -1]], np.full(2, described[name])
+        curves.append(Curve(key="true", name=known, color=GREEN, line=line, width=2.0, dashed=True))
+    unit = re.sub(r"\b(rad|m)\b", r"µ\1", noisy[-1].variant.to.partition(" ")[2])
+    title = f"{name} [{fits[0].units.get(name, '')}] over position noise [{unit}]"
+    return Graph(path=("noise", name), title=title, curves=tuple(curves))
+
+
 def study_chart(runs: Sequence[Run]) -> Rows:
     """Errors of all runs by method, with medians of least squares and of instrumental variables that converged."""
     names, marks, step = list[tuple[str, Color]](), list[Mark](), (STUDY_ROWS - 0.4) / len(runs)
@@ -211,7 +212,7 @@ def study_chart(runs: Sequence[Run]) -> Rows:
                 marks.append(Mark(row=top - 0.3 + step * (k + 0.5), value=100 * fit.error, color=color, shape=shape))
                 errors += [100 * fit.error] * ended
         median = float(np.median(errors)) if errors else None
-        heads = [name if median is None else f"{name}: median {median:.3g} %", *[""] * (STUDY_ROWS - 1)]
+        heads = [name if median is None else f"{name}: median {median:.3g}", *[""] * (STUDY_ROWS - 1)]
         names += [(head, LIGHT) for head in heads]
         if median is not None:
             marks += [Mark(row=top + k, value=median, color=LIGHT, shape="tick") for k in range(STUDY_ROWS)]

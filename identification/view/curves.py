@@ -13,13 +13,12 @@ from ..arrays import Array
 from ..data import Signals
 from ..design import Excitation
 from ..methods import Fit
-from ..regression import FilteredMotion, Motion, Settings, predicted_torque
+from ..regression import FilteredMotion, Motion, Settings
 from .colors import JOINTS, MEASURED, PREDICTED, REFERENCE, RESIDUAL, SIMULATED, VERMILLION
 from .panels import Curve, Line, Plot
 
 BUCKETS = 5000  # of a long curve, each drawn as its minimum and maximum; a screen has fewer columns
 SAMPLES_PER_PERIOD = 20.0  # drawn samples per cut-off period of long filtered curves, which then look smooth
-MAX_NOISE_RATIO = 3.0  # a raw derivative is hidden if its peak is larger, relative to the filtered one's
 _BLOCK = 200_000  # samples processed at a time, which limits memory
 
 # For `measured`, `filtered`, `reference` or `simulated` and a quantity (q, dq, ddq, torque, error), a line per joint.
@@ -32,8 +31,6 @@ LOOKS = {
     "simulated": (SIMULATED, 0.75, "simulated", ""),
 }
 NAMES = {  # key and name of some of them
-    ("filtered", "torque"): ("model_idm", "IDM"),
-    ("simulated", "torque"): ("model_ddm", "DDM"),
     ("reference", "error"): ("reference", "reference − measured"),
     ("simulated", "error"): ("simulated", "simulated − measured"),
 }
@@ -42,22 +39,21 @@ NAMES = {  # key and name of some of them
 def lines_of(signals: Signals, settings: Settings | None, fit: Fit | None) -> Lines:
     """Decimated curves of a recording; `settings` are those of the filter.
 
-    `measured` covers the whole recording, with differences of the raw position. `filtered` covers the fitted span, if there is
-    a low-pass; its torque is the model's prediction, if there is a fit. `simulated` is the robot with the estimate, if the fit
-    simulated one. Errors are positions minus the measured one.
+    `measured` covers the recording. `filtered`, if there is a low-pass, covers the fitted span, in place of raw derivatives.
+    `simulated` is the robot with the estimate, if the fit simulated one. Errors are positions minus the measured one.
     """
-    lines = {("measured", quantity): joints for quantity, joints in _decimate(signals, None, None).items()}
-    if settings is not None:
-        shown = ("q", "dq", "ddq", "torque") if settings.cutoff_hz is not None else ("torque",)
-        filtered = _decimate(signals, settings, fit)
-        lines |= {("filtered", quantity): filtered[quantity] for quantity in shown if quantity in filtered}
+    filtered = {} if settings is None or settings.cutoff_hz is None else _decimate(signals, settings)
+    lines = {("filtered", quantity): joints for quantity, joints in filtered.items()}
+    for quantity, joints in _decimate(signals, None).items():
+        if quantity in ("q", "torque") or not filtered:
+            lines["measured", quantity] = joints
     if signals.q_ref is not None:
         for quantity, x in (("q", signals.q_ref), ("error", signals.q_ref - signals.q)):
             lines["reference", quantity] = [_line(signals.t_s, column) for column in x.T]
     replica = None if fit is None else fit.replica
     if replica is not None and replica.direct and (m := replica.motion) is not None:
         t_s = signals.t_s[np.rint(m.t_s * signals.sample_rate_hz).astype(int)]  # m.t_s is index / rate
-        for quantity, x in (("q", m.q), ("dq", m.dq), ("ddq", m.ddq), ("torque", m.tau), ("error", m.q - replica.q)):
+        for quantity, x in (("q", m.q), ("dq", m.dq), ("ddq", m.ddq), ("error", m.q - replica.q)):
             lines["simulated", quantity] = [_line(t_s, column) for column in x.T]
     return lines
 
@@ -68,13 +64,13 @@ def _line(t_s: Array, x: Array) -> Line:
     return t_s[k], x[k]
 
 
-def _decimate(signals: Signals, settings: Settings | None, fit: Fit | None) -> dict[str, list[Line]]:
-    """Lines of the raw or filtered motion for each quantity and joint; with a fit, tau is its prediction."""
+def _decimate(signals: Signals, settings: Settings | None) -> dict[str, list[Line]]:
+    """Lines of the raw motion and torque, or of the filtered motion, for each quantity and joint."""
     start, stop, stride = 0, len(signals.q), 1
     if settings is not None:
         start, stop, stride = settings.start, settings.stop, model_stride(signals, settings)
     pieces: dict[str, list[list[Line]]] = defaultdict(lambda: [[] for _ in range(signals.robot.n)])
-    motion = fit.problem.motion if fit else FilteredMotion(signals)
+    motion = FilteredMotion(signals)
     step = bucket_size(-(-(stop - start) // stride))
     size = max(1, _BLOCK // (step * stride)) * step * stride
     for a in range(start, stop, size):
@@ -82,11 +78,7 @@ def _decimate(signals: Signals, settings: Settings | None, fit: Fit | None) -> d
         if stride > 1:
             m = Motion(**{name: x[::stride] for name, x in vars(m).items()})
         series = {"q": m.q, "dq": m.dq, "ddq": m.ddq}
-        if fit is not None:
-            series["torque"] = predicted_torque(
-                m, fit.problem.model, fit.base, fit.recordings[0].arm.values(fit.estimate)
-            )
-        elif settings is None:
+        if settings is None:
             series["torque"] = m.tau
         for quantity, x in series.items():
             for j, parts in enumerate(pieces[quantity]):
@@ -144,28 +136,14 @@ def position_plots(signals: Signals, lines: Lines) -> list[Plot]:
 
 
 def torque_plots(signals: Signals, lines: Lines) -> list[Plot]:
-    """One plot per joint of its torque: measured, inverse model, simulated robot."""
+    """One plot per joint of its measured torque."""
     return [_plot(signals, lines, "torque", j) for j in range(signals.robot.n)]
 
 
-def with_residual(torque: Plot, residual: Plot) -> Plot:
-    """A plot of a torque that shows what is measured and what is left of it; curves of models would hide each other."""
-    shown = (replace(curve, visible=curve.key == "measured") for curve in torque.curves)
-    return replace(torque, curves=(*shown, *(replace(curve, name="measured - model") for curve in residual.curves)))
-
-
 def motion_plots(signals: Signals, lines: Lines, j: int) -> list[Plot]:
-    """Position, speed and acceleration of joint j; no position if the first page has it, noisy derivatives hidden."""
-    first_has_position = not any(quantity == "error" for _, quantity in lines)
-    plots = [] if first_has_position else [_plot(signals, lines, "q", j, alone=True)]
-    for quantity in ("dq", "ddq"):
-        plot = _plot(signals, lines, quantity, j, alone=True)
-        raw, *rest = plot.curves
-        if ("filtered", quantity) in lines:
-            noisy = np.abs(raw.line[1]).max() > MAX_NOISE_RATIO * np.abs(rest[0].line[1]).max()
-            plot = replace(plot, curves=(replace(raw, visible=not noisy), *rest))
-        plots.append(plot)
-    return plots
+    """Position, speed and acceleration of joint j; no position if the first page has it."""
+    errors = any(quantity == "error" for _, quantity in lines)
+    return [_plot(signals, lines, quantity, j, alone=True) for quantity in (("q",) if errors else ()) + ("dq", "ddq")]
 
 
 def _plot(signals: Signals, lines: Lines, quantity: str, j: int, *, alone: bool = False) -> Plot:
@@ -185,19 +163,17 @@ def _plot(signals: Signals, lines: Lines, quantity: str, j: int, *, alone: bool 
     return Plot(path=(quantity, joint.name), title=title, curves=tuple(curves), legend=legend)
 
 
-def row_plots(robot: Robot, t_s: Array, tau: Array, tau_predicted: Array, title: str) -> tuple[list[Plot], list[Plot]]:
-    """Per joint measured and modelled torque (T, n) of decimated rows, and the residual on a scale of its own."""
-    both, residuals = [], []
+def row_plots(robot: Robot, t_s: Array, tau: Array, tau_predicted: Array) -> tuple[list[Plot], list[Plot]]:
+    """Per joint measured and modelled torque (T, n) of decimated rows with their residual, and the residual alone."""
+    torques, residuals = [], []
     for j, (joint, unit) in enumerate(zip(robot.joints, robot.effort_units, strict=True)):
-        measured = Curve(key="measured", color=MEASURED, line=(t_s, tau[:, j]), width=2.0)
+        measured = Curve(key="measured", color=MEASURED, line=(t_s, tau[:, j]), width=5.0)  # behind the model
         model = Curve(key="model", color=PREDICTED, line=(t_s, tau_predicted[:, j]))
-        both.append(
-            Plot(path=("rows", title, joint.name), title=f"torque {joint.name} [{unit}]", curves=(measured, model))
-        )
         rest = Curve(key="residual", color=RESIDUAL, line=(t_s, tau[:, j] - tau_predicted[:, j]))
-        name = f"residual {joint.name} [{unit}]"
-        residuals.append(Plot(path=("residual", joint.name), title=name, curves=(rest,), legend=False))
-    return both, residuals if (tau != tau_predicted).any() else []
+        path, title = ("residual", joint.name), f"residual {joint.name} [{unit}]"
+        residuals.append(Plot(path=path, title=title, curves=(rest,), legend=False))
+        torques.append(Plot(path=path, title=f"torque {joint.name} [{unit}]", curves=(measured, model, rest)))
+    return torques, residuals if (tau != tau_predicted).any() else []
 
 
 def column_plots(signals: Signals) -> list[Plot]:
@@ -241,7 +217,7 @@ def excitation_plots(excitation: Excitation) -> dict[str, list[Plot]]:
             for key, limit in zip(("low", "high"), limits or (), strict=False):
                 line = t_s[[0, -1]], np.full(2, limit)
                 curves.append(Curve(key=key, color=VERMILLION, line=line, width=0.75))
-            path, title = (quantity, joint.name), f"{quantity} {joint.name}, {unit}"
+            path, title = (quantity, joint.name), f"{quantity} {joint.name} [{unit}]"
             plot = Plot(path=path, title=title, curves=tuple(curves), legend=False)
             plots.setdefault(quantity, []).append(plot)
     return plots

@@ -11,7 +11,7 @@ from acquisition.files import atomic_write
 from ..report import to_html, versions
 from .colors import CLASSES, Color
 from .panels import Graph, Log, Page, Panel, Picture, Rows
-from .svg_panels import SHEET, WIDE, draw_graph, draw_rows, width_of
+from .svg_panels import HEAD, HEIGHT, PITCH, SHEET, WIDE, draw_graph, draw_rows, width_of
 
 MAX_EVENTS = 100  # of a log
 _POLICY = "default-src 'none'; style-src 'unsafe-inline'"
@@ -20,9 +20,8 @@ _POLICY = "default-src 'none'; style-src 'unsafe-inline'"
 def write_html(path: Path, picture: Picture) -> None:
     """Write the report, all panels but the moving robot, versions and digests as HTML, complete or not at all.
 
-    Raises `AcquisitionError`: the file cannot be written.
+    Raises `BadInputError`: the file cannot be written.
     """
-    style = files(__package__).joinpath("report.css").read_text(encoding="utf-8")
     pages = [text for page in picture.pages if (text := _page(page))]
     first = f'<div class="first">{_figure(picture.first)}</div>' if picture.first else ""
     whole = replace(picture.document, title="The whole report", badge="")
@@ -30,7 +29,7 @@ def write_html(path: Path, picture: Picture) -> None:
         '<!doctype html><html lang="en"><head><meta charset="utf-8">',
         f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">',
         '<meta name="viewport" content="width=device-width, initial-scale=1"><meta name="color-scheme" content="light dark">',
-        f"<title>{escape(one_line(picture.name))}</title><style>{style}</style></head><body><main>",
+        f"<title>{escape(one_line(picture.name))}</title><style>{_style()}</style></head><body><main>",
         to_html(picture.document.short, heading=1, figures=first),
         "<details><summary>The whole report: tests, parameters, settings, charts</summary>",
         to_html(whole, heading=1, figures="\n".join(pages)),
@@ -41,6 +40,18 @@ def write_html(path: Path, picture: Picture) -> None:
     ]
     with atomic_write(path) as partial:
         partial.write_text("\n".join(parts), encoding="utf-8")
+
+
+def notebook_figure(panel: Panel) -> str:
+    """A panel with the style of the report, in a frame, so that the style does not change the notebook."""
+    height = HEIGHT if isinstance(panel, Graph) else HEAD + PITCH * len(panel.names) if isinstance(panel, Rows) else 0.0
+    content = escape(f"<style>{_style()}</style>{_figure(panel)}")
+    size = f"width:100%;max-width:{SHEET:g}px;height:{1.2 * height + 64:g}px"
+    return f'<iframe srcdoc="{content}" style="{size};border:0"></iframe>'
+
+
+def _style() -> str:
+    return files(__package__).joinpath("report.css").read_text(encoding="utf-8")
 
 
 def _page(page: Page) -> str:
@@ -67,7 +78,7 @@ def _figure(panel: Panel) -> str:
         rest = f"<p>{len(panel.lines) - MAX_EVENTS} more in the recording</p>" if len(panel.lines) > MAX_EVENTS else ""
         return f'<figure class="wide"><figcaption>{title}</figcaption>{lines}{rest}</figure>'
     if isinstance(panel, Graph):
-        named = {c.name or c.key: c for c in panel.curves if c.visible} if panel.legend else {}
+        named = {c.name or c.key: c for c in panel.curves} if panel.legend else {}
         drawn, keys = draw_graph(panel), "".join(_key(name, c.color, dashed=c.dashed) for name, c in named.items())
     elif isinstance(panel, Rows):
         drawn = draw_rows(panel)

@@ -20,13 +20,13 @@ from acquisition.recording import Block, RecordingFollower
 from acquisition.robot import Robot, effort_limits
 
 from ..arrays import Array
-from ..errors import IdentificationError
+from ..errors import BadInputError
 from ..methods import stored_beta, with_stored_gains
 from ..model import InverseModel, base_parameters
 from ..regression import Decimation, later, motion_between, predicted_torque
 from ..report import FitFile, read_fit
 from .colors import GREEN, GREY, LIGHT, ORANGE, REFERENCE, RESIDUAL, Color
-from .rerun_panels import shown_text
+from .rerun_panels import event_view, shown_text
 
 RED: Color = (200, 30, 30)
 PORT, VIEWER_MEMORY = 9876, "1GB"
@@ -44,8 +44,8 @@ Lines = dict[str, tuple[Color, float]]  # level lines of a plot by name
 def follow_recording(path: Path, fit: Path | None, out: Path | None, warn: Callable[[str], None]) -> None:
     """Show the recording at `path` until it is whole, in a viewer on this machine, or written to `out`.
 
-    With `fit`, its JSON file, also the residual torque. `warn` gets warnings, one line each. Raises `AcquisitionError` or
-    `IdentificationError` where the recording cannot be followed any more: it is gone, replaced, cut, or not written.
+    With `fit`, its JSON file, also the residual torque. `warn` gets warnings, one line each. Raises `BadInputError` or
+    `BadInputError` where the recording cannot be followed any more: it is gone, replaced, cut, or not written.
     """
     follower = RecordingFollower(path)
     residual = None if fit is None else Residual(read_fit(fit), str(fit), follower.robot)
@@ -63,9 +63,7 @@ def follow_recording(path: Path, fit: Path | None, out: Path | None, warn: Calla
             page.add(follower, stalled=now_s - grown_s > STALLED_S, warn=warn)
             if now_s - grown_s > (MAX_FINISH_S if page.over else GIVE_UP_S):
                 expected = "the recorder to write; `robot-acquire import` repairs a recording that was cut"
-                raise IdentificationError(
-                    f"has not grown for {now_s - grown_s:.0f} s", place=str(path), expected=expected
-                )
+                raise BadInputError(f"has not grown for {now_s - grown_s:.0f} s", place=str(path), expected=expected)
             _wait()
     finally:
         recording.disconnect()
@@ -95,7 +93,7 @@ class Residual:
         self._beta = stored_beta(stored, self._base, place)
         rms = [joint.residual_rms for joint in stored.joints]
         if stored.sample_rate_hz is None or UNSET in rms:
-            raise IdentificationError("has no rms residuals", place=place, expected="a fit of this version: fit again")
+            raise BadInputError("has no rms residuals", place=place, expected="a fit of this version: fit again")
         self.band = [BAND * float(value) for value in rms if value is not UNSET]
         assert robot.bus is not None
         self._rate_hz, ratio = 1.0 / robot.bus.sync_period_s, stored.sample_rate_hz * robot.bus.sync_period_s
@@ -196,7 +194,7 @@ class LivePage:
         self._recording.send_columns(path, indexes=[times], columns=rr.Scalars.columns(scalars=values))
 
     def _lay_out(self) -> None:
-        bounds = rrb.VisualBounds2D(x_range=[0.0, 1400.0], y_range=[-20.0, 20.0])
+        bounds = rrb.VisualBounds2D(x_range=[0.0, 1400.0], y_range=[-14.0, 14.0])
         rows = [rrb.Spatial2DView(origin="state", visual_bounds=bounds)]
         window = rrb.VisibleTimeRange(
             "time",
@@ -212,22 +210,18 @@ class LivePage:
                     names, colors = ["target", name], [REFERENCE, LIGHT]
                 self._style(f"{name}/{j + 1}/measured", names, colors)
                 self._style(f"{name}/{j + 1}/levels", list(levels[j]), [color for color, _ in levels[j].values()])
-                title = {"error": "following error"}.get(name, name)
-                sign = "±" if name != "position" else ""
-                told = [f"{sign}{value:.3g} {key}" for key, (_, value) in levels[j].items() if key[0] != "-"]
-                views.append(
-                    rrb.TimeSeriesView(
-                        origin=f"{name}/{j + 1}",
-                        name=shown_text("; ".join((f"{title} {joint.name} [{unit}]", *told))),
-                        time_ranges=[window],
-                        plot_legend=rrb.PlotLegend(visible=False),
-                    )
-                )
+                title = {"position": "q"}.get(name, name)
+                sign = "" if name == "position" else "±"
+                told = [f"{key} {sign}{value:.3g}" for key, (_, value) in levels[j].items() if key[0] != "-"]
+                title = shown_text(
+                    f"{title} {joint.name} {', '.join(told)} [{unit}]"
+                )  # of six joints each has 30 letters
+                legend = rrb.PlotLegend(visible=False)
+                origin = f"{name}/{j + 1}"
+                views.append(rrb.TimeSeriesView(origin=origin, name=title, time_ranges=[window], plot_legend=legend))
             rows.append(rrb.Horizontal(*views))
-        unseen = rrb.encodings.TimelineColumn("time", visible=False)  # it is cut to four letters: the text has the time
-        columns = rrb.TextLogColumns(timeline_columns=[unseen], text_log_columns=["LogLevel", "Body"])
-        rows.append(rrb.TextLogView(origin="events", name="events", columns=columns))
-        shares = [1.0, *(3.0 for _ in self._levels), 2.0]
+        rows.append(event_view("events", "events"))
+        shares = [1.0, *(3.0 for _ in self._levels), 3.0]
         panel = rrb.TimePanel(state="collapsed", timeline="time", play_state="following")
         page = rrb.Vertical(*rows, row_shares=shares, name="live")
         self._recording.send_blueprint(rrb.Blueprint(page, panel, collapse_panels=True, auto_views=False))
@@ -249,20 +243,20 @@ class LivePage:
         color = GREY if self.over else RED if stalled else GREEN
         if stalled and not self.over:
             words.insert(0, "THE FILE HAS STOPPED GROWING: what is shown is old")
-        bar = rr.LineStrips2D([[(0.0, 0.0), (1400.0, 0.0)]], colors=color, radii=rr.Radius.ui_points(12.0))
+        bar = rr.LineStrips2D([[(0.0, -12.0), (1400.0, -12.0)]], colors=color, radii=rr.Radius.ui_points(4.0))
         self._recording.log("state/bar", bar, static=True)
         text, hidden = shown_text("   |   ".join(words)), rr.Radius.ui_points(0.1)
-        label = rr.Points2D([(700.0, -6.0)], labels=text, colors=LIGHT, radii=hidden, show_labels=True)
+        label = rr.Points2D([(700.0, -9.0)], labels=text, colors=LIGHT, radii=hidden, show_labels=True)
         self._recording.log("state/text", label, static=True)
 
 
 def _error_limits(robot: Robot) -> list[Lines]:
-    return [_band("abort", RED, joint.si("following_error")) for joint in robot.joints]
+    return [_band("stop", RED, joint.si("following_error")) for joint in robot.joints]
 
 
 def _ranges(robot: Robot) -> list[Lines]:
     ranges = [joint.si("position") for joint in robot.joints]
-    return [{} if x is None else {"low": (RED, x[0]), "high": (RED, x[1])} for x in ranges]
+    return [{} if x is None else {"from": (RED, x[0]), "to": (RED, x[1])} for x in ranges]
 
 
 def _effort_levels(robot: Robot) -> list[Lines]:

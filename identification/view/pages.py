@@ -6,7 +6,7 @@ from dataclasses import replace
 from ..arrays import Array
 from ..data import Signals
 from ..design import Excitation
-from ..errors import IdentificationError
+from ..errors import RobotIdimError
 from ..methods import (
     Fit,
     Validated,
@@ -22,7 +22,7 @@ from ..study import Run, VariedFit
 from . import charts, curves
 from .panels import Page, Panel, Picture, Plot
 from .robot_drawing import excitation_scene, robot_scene
-from .signal_panels import event_logs, health_plots, numbers_of_plots, spectrum_charts
+from .signal_panels import event_logs, health_plots, spectrum_charts
 
 
 def draw_fit(signals: Signals, fit: Fit, *, truth: Array | None = None) -> Picture:
@@ -31,27 +31,24 @@ def draw_fit(signals: Signals, fit: Fit, *, truth: Array | None = None) -> Pictu
     Times are seconds from the recording's first sample, on the timeline `time`. Measured curves cover the recording, filtered
     and predicted ones the fitted span. Entities are `q/<joint>/measured`, `measured_filtered`, `reference`, `simulated`, and so
     for `dq` and `ddq`; `error/<joint>/reference`, `simulated`: these positions minus the measured one, in the unit of the
-    plot's title; `torque/<joint>/measured`, `model_idm`, `model_ddm`; `residual/<joint>`, `robot`, `column/<quantity>`,
-    `events`, `health`, `report`.
+    plot's title; `torque/<joint>/measured`, `residual`; `residual/<joint>`, `robot`, `column/<quantity>`, `events`, `health`,
+    `report`.
     """
     own = fitted_parameters(fit)
     others = [least_squares_parameters(fit)] if fit.iv else []
     others += [true_parameters(fit.base, truth)] if truth is not None else []
-    compared = (comparison_section(own, other) for other in others)
-    more = (replace(section, short=Section()) for section in (numbers_of_plots(signals, fit), *compared))
+    more = (replace(comparison_section(own, other), short=Section()) for other in others)
     document = fit_document(signals, fit).followed_by(*more)
-    overview, *of_signals = _signal_pages(signals, fit.settings, fit)
-    _, residual = curves.row_plots(signals.robot, fit.t_s, fit.tau, fit.tau_predicted, "")
-    parameters: dict[str, Sequence[Panel]] = {"deviations": charts.deviation_charts(own, others)}
-    parameters["gains"] = [charts.gains_chart(fit.gains)] if fit.gains else []
+    torque, residual = curves.row_plots(signals.robot, fit.t_s, fit.tau, fit.tau_predicted)
+    overview, *of_signals = _signal_pages(signals, fit.settings, fit, residual)
     return Picture(
         name=f"{signals.robot.name}, {signals.recording}, {fit.method.upper()}",
-        first=_largest(signals, overview.groups["torque"], fit),
+        first=_largest(signals, torque, fit),
         document=document,
         pages=(
             overview,
             Page(name="trust", groups={"tests": charts.trust_charts(fit.trust)}),
-            Page(name="parameters", groups=parameters),
+            Page(name="parameters", groups={"deviations": charts.deviation_charts(own, others)}),
             Page(name="residual", groups={"residual": residual}),
             _friction_page({"": fit}),
             *of_signals,
@@ -60,13 +57,12 @@ def draw_fit(signals: Signals, fit: Fit, *, truth: Array | None = None) -> Pictu
     )
 
 
-def _largest(signals: Signals, torque: Sequence[Panel], fit: Fit) -> Plot:
+def _largest(signals: Signals, torque: Sequence[Plot], fit: Fit) -> Plot:
     """The plot of the joint with the largest error."""
     errors = [error.moving_relative_error_percent or 0.0 for error in fit.errors[:-1]]
-    plot = torque[j := errors.index(max(errors))]
-    assert isinstance(plot, Plot)
+    j = errors.index(max(errors))
     text = f"torque of {signals.robot.joints[j].name}, which has the largest error [{signals.robot.effort_units[j]}]"
-    return replace(plot, title=text, legend=True)
+    return replace(torque[j], title=text)
 
 
 def draw_friction(before: Fit, after: Fit, document: Document) -> Picture:
@@ -81,11 +77,11 @@ def draw_friction(before: Fit, after: Fit, document: Document) -> Picture:
 
 
 def draw_validation(validated: Sequence[Validated], document: Document, sha256: Mapping[str, str]) -> Picture:
-    """Recordings that a fit is applied to, a page each: measured and modelled torque of the rows, and their difference."""
+    """Recordings that a fit is applied to, a page each: torque of the rows, measured and of the model, and the residual."""
     pages = []
     for one in validated:
         t_s = one.signals.t_s[one.settings.start : one.settings.stop : one.settings.decimation][: len(one.tau)]
-        torque, residual = curves.row_plots(one.signals.robot, t_s, one.tau, one.tau_predicted, one.signals.recording)
+        torque, residual = curves.row_plots(one.signals.robot, t_s, one.tau, one.tau_predicted)
         pages.append(Page(name=one.signals.recording, groups={"torque": torque, "residual": residual}))
     digests = {**sha256, **{one.signals.recording: one.signals.sha256 for one in validated}}
     title = f"{validated[0].signals.robot.name} validation"
@@ -97,13 +93,12 @@ def draw_recording(signals: Signals, overrides: Overrides) -> Picture:
     refusal, settings, signals = None, None, with_bandwidth(signals)
     try:
         settings = make_settings(signals, overrides)
-    except IdentificationError as error:
+    except RobotIdimError as error:
         refusal = error.args[0]
-    document = recording_document(signals, settings, refusal).followed_by(numbers_of_plots(signals, None))
     return Picture(
         name=f"{signals.robot.name}, {signals.recording}",
-        document=document,
-        pages=tuple(_signal_pages(signals, settings, None)),
+        document=recording_document(signals, settings, refusal),
+        pages=tuple(_signal_pages(signals, settings, None, [])),
         sha256={signals.recording: signals.sha256},
     )
 
@@ -111,7 +106,7 @@ def draw_recording(signals: Signals, overrides: Overrides) -> Picture:
 def draw_comparison(own: ParameterSet, other: ParameterSet, document: Document, sha256: Mapping[str, str]) -> Picture:
     """Two sets of parameters.
 
-    Raises `IdentificationError`: the sets do not belong together (`report.differences`).
+    Raises `BadInputError`: the sets do not belong together (`report.differences`).
     """
     page = Page(name="parameters", groups={"deviations": charts.deviation_charts(own, [other])})
     return Picture(name=f"{own.label} and {other.label}", document=document, pages=(page,), sha256=sha256)
@@ -126,7 +121,8 @@ def draw_study(robot: str, runs: Sequence[Run], document: Document) -> Picture:
 def draw_sensitivity(sha256: Mapping[str, str], fits: Sequence[VariedFit], document: Document) -> Picture:
     """The essential parameters in all variants; `sha256` by recording."""
     page = Page(name="sensitivity", groups={"charts": charts.sensitivity_charts(fits)})
-    return Picture(name=f"{', '.join(sha256)}, sensitivity", document=document, pages=(page,), sha256=sha256)
+    name, first = f"{', '.join(sha256)}, sensitivity", charts.noise_chart(fits)
+    return Picture(name=name, document=document, pages=(page,), sha256=sha256, first=first)
 
 
 def draw_excitation(excitation: Excitation, document: Document) -> Picture:
@@ -141,13 +137,14 @@ def draw_excitation(excitation: Excitation, document: Document) -> Picture:
     return Picture(name=f"{excitation.robot.name}, excitation", document=document, pages=(page,), sha256={})
 
 
-def _signal_pages(signals: Signals, settings: Settings | None, fit: Fit | None) -> list[Page]:
-    """The pages of a recording with or without a fit: overview, signal quality, motion."""
+def _signal_pages(
+    signals: Signals, settings: Settings | None, fit: Fit | None, residuals: Sequence[Plot]
+) -> list[Page]:
+    """The pages of a recording with or without a fit and its residuals: overview, signal quality, motion."""
     lines = curves.lines_of(signals, settings, fit)
     torque = curves.torque_plots(signals, lines)
-    if fit is not None:
-        _, residual = curves.row_plots(signals.robot, fit.t_s, fit.tau, fit.tau_predicted, "")
-        torque = [curves.with_residual(*both) for both in zip(torque, residual, strict=True)] if residual else torque
+    for j, residual in enumerate(residuals):
+        torque[j] = replace(torque[j], curves=(*torque[j].curves, *residual.curves))
     overview: dict[str, Sequence[Panel]] = {
         "position": curves.position_plots(signals, lines),
         "torque": torque,

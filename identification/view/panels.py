@@ -33,7 +33,6 @@ class Curve:
     line: Line
     name: str = ""
     width: float = 1.0
-    visible: bool = True
     dashed: bool = False
 
 

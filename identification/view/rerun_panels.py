@@ -30,7 +30,7 @@ def write_rrd(path: Path, picture: Picture) -> None:
     """Write a picture as a Rerun file with its own layout (`rerun FILE.rrd`), paused at its start.
 
     The viewer stores one layout per application: the digest of the report makes each file an application of its own.
-    Raises `AcquisitionError`: the file cannot be written.
+    Raises `BadInputError`: the file cannot be written.
     """
     named, report = re.sub(r"[^A-Za-z0-9 _-]+", "-", picture.name), to_markdown(picture.document)  # else Rerun warns
     recording = rr.RecordingStream(f"{named} {hashlib.sha256(report.encode()).hexdigest()[:8]}")
@@ -82,7 +82,7 @@ def _show(recording: Any, panel: Panel) -> Any:
             for c in panel.curves:
                 entity = f"{origin}/{rr.new_entity_path([c.key]).lstrip('/')}"
                 name, columns = shown_text(c.name or c.key), rr.Scalars.columns(scalars=c.line[1])
-                style = {"names": name, "colors": c.color, "widths": c.width, "visible_series": c.visible}
+                style = {"names": name, "colors": c.color, "widths": c.width}
                 # By default Rerun averages the values of one pixel, which loses peaks.
                 recording.log(entity, rr.SeriesLines(**style, aggregation_policy="MinMax"), static=True)
                 recording.send_columns(entity, indexes=[_time(c.line[0])], columns=columns)
@@ -93,10 +93,16 @@ def _show(recording: Any, panel: Panel) -> Any:
             levels = ["WARN" if warning else "INFO" for _, warning, _ in panel.lines]
             columns = rr.TextLog.columns(text=[shown_text(text) for _, _, text in panel.lines], level=levels)
             recording.send_columns(origin, indexes=[times], columns=columns)
-            columns_shown = rrb.TextLogColumns(timeline_columns=["time"], text_log_columns=["LogLevel", "Body"])
-            return rrb.TextLogView(origin=origin, name=title, columns=columns_shown)
+            return event_view(origin, title)
         case Scene():
             return _show_robot(recording, origin, panel)
+
+
+def event_view(origin: str, title: str) -> Any:
+    """A view of texts that repeat their times: the viewer cuts those of its column to four letters."""
+    times = rrb.encodings.TimelineColumn("time", visible=False)
+    columns = rrb.TextLogColumns(timeline_columns=[times], text_log_columns=["LogLevel", "Body"])
+    return rrb.TextLogView(origin=origin, name=title, columns=columns)
 
 
 def shown_text(text: str) -> str:

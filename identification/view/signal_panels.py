@@ -4,9 +4,7 @@ import numpy as np
 
 from ..arrays import Array
 from ..data import Signals
-from ..methods import Fit
 from ..regression import Settings
-from ..report import Cell, Number, Section, Table, columns
 from .colors import JOINTS
 from .curves import curves_of
 from .panels import Curve, Graph, Log, Plot
@@ -18,10 +16,7 @@ UNCHARTED_COUNTERS = ("frames", "syncs")  # they count no faults, and are much l
 
 
 def event_logs(signals: Signals) -> list[Log]:
-    """Events of the session, if there are any. Events outside of the samples are drawn at their ends.
-
-    The text repeats the time, since the viewer's time column is too narrow.
-    """
+    """Events of the session, if there are any. Events outside of the samples are drawn at their ends."""
     end_s, lines = float(signals.t_s[-1]), []
     for event in signals.events[:MAX_LINES]:
         at = min(max(event.t_s, 0.0), end_s)
@@ -91,21 +86,3 @@ def _welch(x: Array, length: int, sample_rate_hz: float) -> Array:
         power += np.abs(np.fft.rfft(window * (part - part.mean() - t * (t @ part) / (t @ t)))) ** 2
     power[1 : (length + 1) // 2] *= 2  # one side stands for both
     return power / (len(starts) * sample_rate_hz * (window @ window))
-
-
-def numbers_of_plots(signals: Signals, fit: Fit | None) -> Section:
-    """Figures of each joint: peak effort, tracking error, residual."""
-    robot, heads = signals.robot, ["peak effort"]
-    cells: list[list[Cell]] = [[Number(float(x), ".3g") for x in np.abs(signals.effort).max(axis=0)]]
-    if signals.q_ref is not None:
-        heads.append("reference − measured, rms, rad or m")
-        cells.append([Number(float(np.sqrt(np.mean(x**2))), ".2g") for x in (signals.q_ref - signals.q).T])
-    if fit is not None:
-        heads.append("residual, rms")
-        cells.append([Number(e.residual_rms or 0.0, ".2g") for e in fit.errors[:-1]])
-    names = [joint.name for joint in robot.joints]
-    table = Table(
-        columns=columns("joint", "unit", numbers=tuple(heads)),
-        rows=tuple(zip(names, robot.effort_units, *cells, strict=True)),
-    )
-    return Section(title="figures of the plots", table=table)

@@ -20,8 +20,8 @@ STEPS = 2.0  # coordinates of curves are whole numbers, this many in a pixel
 
 
 def draw_graph(graph: Graph) -> str:
-    """Curves with their axes; those that wait for a click in Rerun are left out."""
-    curves = [curve for curve in graph.curves if curve.visible and np.isfinite(curve.line[1]).any()]
+    """Curves with their axes."""
+    curves = [curve for curve in graph.curves if np.isfinite(curve.line[1]).any()]
     points = np.concatenate(
         [*(np.stack(c.line, axis=1) for c in curves), *(dots for dots, _ in graph.dots), np.zeros((0, 2))]
     )

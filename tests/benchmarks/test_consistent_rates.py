@@ -6,8 +6,8 @@ Run with `pytest tests/benchmarks/test_consistent_rates.py -s --benchmark-enable
 import sys
 
 import pytest
+from physical_cases import lowest
 from random_arms import random_estimate
-from test_consistency import lowest
 
 from identification.estimation import consistent_parameters, one_thread
 

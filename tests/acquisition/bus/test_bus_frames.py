@@ -1,0 +1,493 @@
+"""Frames on their way from the kernel, from python-can and from logs into rows, and what a link lets out."""
+
+import socket
+import struct
+import time
+from types import SimpleNamespace
+
+import can
+import numpy as np
+import pytest
+from made_up_buses import bus_text, robot_of
+
+from acquisition.bus import (
+    Frame,
+    Link,
+    Receiver,
+    WallClock,
+    block_of,
+    describe_step,
+    kernel_drops,
+    links,
+    open_bus,
+    read_log,
+    socket_of,
+)
+from acquisition.errors import RobotIdimError
+from acquisition.recording import (
+    CAN_FD,
+    ERROR,
+    EXTENDED,
+    FRAME,
+    REMOTE_REQUEST,
+    SENT,
+    overview,
+    read_recording,
+)
+from acquisition.robot import BusFile, DriveFile
+from acquisition.session.recorder import Recorder
+from acquisition.simulated import LockStepLink
+
+
+def test_a_row_byte_for_byte():
+    """The layout that recordings hold: time, identifier, length, flags, data, little-endian, without gaps."""
+    block = block_of([Frame(0x0102030405060708, 0x185, bytes.fromhex("3712FB"), SENT | EXTENDED)])
+    assert block.tobytes().hex(" ") == "08 07 06 05 04 03 02 01 85 01 00 00 03 03 37 12 fb 00 00 00 00 00"
+    assert (SENT, EXTENDED, ERROR, REMOTE_REQUEST, CAN_FD) == (1, 2, 4, 8, 16)
+    assert len(block_of([])) == 0
+    assert block_of([]).dtype == FRAME
+
+
+# The kernel's frames (struct can_frame of linux/can.h): identifier and flags, length, three bytes, data
+
+MESSAGES = [
+    ("85 01 00 00 08 00 00 00 37 12 FB FF FF FF D4 FE", (1, 2), 0, (1_000_000_002, 0x185, 8, 0, "3712FBFFFFFFD4FE")),
+    ("85 01 00 00 02 FF FF FF 37 12 AA AA AA AA AA AA", (2, 999_999_999), 0, (2_999_999_999, 0x185, 2, 0, "3712")),
+    ("80 00 00 00 00 00 00 00 AA 00 00 00 00 00 00 00", (3, 0), 4, (3_000_000_000, 0x080, 0, SENT, "")),
+    ("78 56 34 92 01 00 00 00 01 00 00 00 00 00 00 00", (4, 0), 0, (4_000_000_000, 0x12345678, 1, EXTENDED, "01")),
+    ("85 01 00 40 08 00 00 00 00 00 00 00 00 00 00 00", (5, 0), 0, (5_000_000_000, 0x185, 8, REMOTE_REQUEST, "00" * 8)),
+    ("04 00 00 20 08 00 00 00 00 10 00 00 00 00 00 00", (6, 0), 0, (6_000_000_000, 4, 8, ERROR, "0010" + "00" * 6)),
+    ("FF 0F 00 00 0F 00 00 00 01 02 03 04 05 06 07 08", (7, 0), 0, (7_000_000_000, 0x7FF, 8, 0, "0102030405060708")),
+]  # fmt: skip
+
+
+def raising(error: Exception):
+    """A function that does nothing else."""
+
+    def fail(*_: object, **__: object) -> None:
+        raise error
+
+    return fail
+
+
+class KernelSocket(socket.socket):
+    """What `recvmsg` gives, then nothing more; it is told to stop after the first message."""
+
+    def __init__(self, messages, receiver_of) -> None:
+        super().__init__()
+        self.messages, self.receiver_of, self.options = list(messages), receiver_of, []
+
+    def setblocking(self, flag: bool) -> None:
+        assert flag
+
+    def setsockopt(self, *option) -> None:
+        self.options.append(option)
+
+    def recvmsg(self, size, ancillary, flags=0):
+        assert size >= 16
+        assert ancillary >= socket.CMSG_SPACE(16)
+        if self.messages and isinstance(self.messages[0], OSError):
+            raise self.messages[0]
+        receiver = self.receiver_of()
+        if not self.messages:
+            receiver.stopped = True
+            raise BlockingIOError
+        if len(self.messages) <= 3:
+            receiver.stopped = True  # the last ones are taken on the way out
+        return self.messages.pop(0)
+
+
+def received(messages):
+    receivers: list[Receiver] = []
+    sock = KernelSocket(messages, lambda: receivers[0])
+    receivers.append(Receiver(SimpleNamespace(socket=sock)))
+    receivers[0].run()
+    assert receivers[0].error is None
+    return receivers[0]
+
+
+def test_frames_of_the_kernel():
+    """Identifier, flags and time by hand; beyond the length there are zeros, whatever the kernel left there."""
+    raw = [
+        (bytes.fromhex(text), [(socket.SOL_SOCKET, 35, struct.pack("qq", *stamp))], flags, None)
+        for text, stamp, flags, _ in MESSAGES
+    ]
+    too_long = (bytes.fromhex("86 01 00 00 40 01 00 00") + bytes(range(64)), raw[0][1], 0, None)  # of CAN FD
+    without_time = (raw[0][0], [], 0, None)
+    receiver = received([too_long, *raw[:4], without_time, *raw[4:]])
+    block = receiver.take()
+    found = [
+        (int(r["time_ns"]), int(r["can_id"]), int(r["length"]), int(r["flags"]), r["data"].tobytes().hex().upper())
+        for r in block
+    ]
+    assert found.pop(0) == (1_000_000_002, 0x186, 8, CAN_FD, "0001020304050607")
+    assert found == [(*row[:4], row[4].ljust(16, "0")) for _, _, _, row in MESSAGES]
+    assert len(receiver.take()) == 0
+
+
+# python-can's frames
+
+
+class FakeBus:
+    """As python-can's: hands out messages and raises errors, keeps what is sent."""
+
+    def __init__(self, *messages: can.Message | Exception) -> None:
+        self.messages, self.sent, self.ended = list(messages), [], False
+
+    def recv(self, timeout):
+        message = self.messages.pop(0) if self.messages else None
+        if isinstance(message, Exception):
+            raise message
+        return message
+
+    def send(self, message, timeout=None) -> None:
+        self.sent.append((message.arbitration_id, bytes(message.data), message.is_extended_id))
+
+    def shutdown(self) -> None:
+        self.ended = True
+
+
+def message(can_id: int = 0x185, data: bytes = b"\1\2", time_s: float = 1.5, **kind: bool) -> can.Message:
+    return can.Message(timestamp=time_s, arbitration_id=can_id, data=data, **({"is_extended_id": False} | kind))
+
+
+FRAMES = [
+    (message(time_s=1700000000.123456), Frame(1700000000123456001, 0x185, b"\1\2", 0)),
+    (message(0x12345678, is_extended_id=True), Frame(1_500_000_000, 0x12345678, b"\1\2", EXTENDED)),
+    (message(4, bytes(8), is_error_frame=True), Frame(1_500_000_000, 4, bytes(8), ERROR)),
+    (message(0x185, b"", is_remote_frame=True), Frame(1_500_000_000, 0x185, b"", REMOTE_REQUEST)),
+    (message(0x80, b"", is_rx=False), Frame(1_500_000_000, 0x80, b"", SENT)),
+]
+
+
+@pytest.mark.parametrize(("given", "expected"), FRAMES)
+def test_frames_of_python_can(given, expected):
+    tapped: list[Frame] = []
+    frame = Link(FakeBus(given), passive=True, tap=tapped.append).take(0)
+    assert frame[1:] == expected[1:]
+    assert frame.time_ns == pytest.approx(expected.time_ns, abs=200)  # a double holds no more of such a time
+    assert tapped == [frame]
+
+
+def test_a_link_passes_can_fd_over_to_the_recorder_alone():
+    tapped = []
+    link = Link(FakeBus(message(data=bytes(12), is_fd=True), message(0x285)), passive=True, tap=tapped.append)
+    assert link.take(1.0).can_id == 0x285
+    assert link.take(0.0) is None
+    assert [(frame.can_id, frame.flags) for frame in tapped] == [(0x185, CAN_FD), (0x285, 0)]
+
+
+@pytest.mark.parametrize(
+    ("bus", "told"),
+    [
+        (FakeBus(can.CanOperationError("adapter gone")), "adapter gone"),
+        (SimpleNamespace(socket=KernelSocket([OSError(19, "No such device")], None)), "[Errno 19] No such device"),
+    ],
+)
+def test_a_receiver_ends_with_the_bus_and_says_why(bus, told):
+    receiver = Receiver(bus)
+    receiver.run()
+    assert receiver.error == told
+
+
+@pytest.mark.parametrize("fd", [0, 3])
+def test_can_fd_is_counted_and_in_no_recording(tmp_path, fd):
+    robot = robot_of(bus_text(1))
+    recorder = Recorder(tmp_path / "a.mcap", robot, source="test", place="robot.toml")
+    recorder.add(block_of([Frame(k, 0x185, bytes(8), CAN_FD if k < fd else 0) for k in range(5)]))
+    found = recorder.finish(10)
+    recording, text = read_recording(tmp_path / "a.mcap"), f"frames left out: {fd} of CAN FD"
+    assert found.frames == len(recording.frames["test"]) == 5 - fd
+    assert not recording.frames["test"]["flags"].any()
+    assert found.warnings == ((text,) if fd else ())
+    assert [event.text for event in overview(recording)["events"] if "CAN FD" in event.text] == list(found.warnings)
+
+
+def test_a_receiver_keeps_the_order_and_marks_can_fd():
+    fake = FakeBus(*(given for given, _ in FRAMES), message(data=bytes(12), is_fd=True))
+    receiver = Receiver(fake)
+    receiver.stopped = True  # what has arrived is still taken
+    receiver.run()
+    assert receiver.error is None
+    block = receiver.take()
+    assert block["can_id"].tolist() == [*(frame.can_id for _, frame in FRAMES), 0x185]
+    assert block["flags"].tolist() == [*(frame.flags for _, frame in FRAMES), CAN_FD]
+    assert len(receiver.take()) == 0
+
+
+# Links
+
+
+def test_what_a_link_sends():
+    fake, tapped = FakeBus(), []
+    link = Link(fake, passive=False, tap=tapped.append)
+    link.send(0x605, b"\x40\x41\x60\0\0\0\0\0")
+    assert fake.sent == [(0x605, b"\x40\x41\x60\0\0\0\0\0", False)]
+    assert [frame[1:] for frame in tapped] == [(0x605, b"\x40\x41\x60\0\0\0\0\0", SENT)]
+    assert abs(tapped[0].time_ns - link.now_ns()) < 10e9
+    link.close()
+    assert fake.ended
+    fake.shutdown = raising(can.CanOperationError("the adapter is gone"))
+    link.close()  # it is left
+
+
+def test_what_a_link_cannot_send_or_read_is_told_and_not_noted():
+    fake, tapped = FakeBus(OSError("gone")), []
+    with pytest.raises(RobotIdimError, match="bus: passive: nothing is ever sent"):
+        Link(fake, passive=True, tap=tapped.append).send(0x80, b"")
+    assert fake.sent == []
+    fake.send = raising(can.CanOperationError("buffer full"))
+    link = Link(fake, passive=False, tap=tapped.append)
+    with pytest.raises(RobotIdimError, match="bus: frame 0x605 cannot be sent: buffer full"):
+        link.send(0x605, b"")
+    with pytest.raises(RobotIdimError, match="bus: cannot be read: gone"):
+        link.take(0)
+    assert tapped == []
+
+
+def group(*messages: can.Message | Exception) -> FakeBus:
+    """The bus of a multicast group."""
+    fake = FakeBus(*messages)
+    fake._multicast = SimpleNamespace(_socket=None)
+    return fake
+
+
+def test_a_datagram_that_is_no_frame_ends_nothing_on_a_group_unless_its_socket_fails():
+    datagram, broken = can.CanOperationError("no frame"), can.CanOperationError("failed to wait")
+    broken.__cause__ = OSError(19, "No such device")
+    assert Link(group(datagram, message()), passive=False).take(0.1).can_id == 0x185
+    for fake, why in ((FakeBus(datagram), "no frame"), (group(broken), "failed to wait")):
+        with pytest.raises(RobotIdimError, match=f"bus: cannot be read: {why}"):
+            Link(fake, passive=False).take(0.01)
+    noisy = group()
+    noisy.messages = SimpleNamespace(pop=lambda _: datagram)  # again and again
+    assert Link(noisy, passive=False).take(0.01) is None
+
+
+def test_an_adapter_that_gives_back_what_was_sent(monkeypatch):
+    """As gs_usb does, marked as not received. What others send from this machine may be marked so too, and stays."""
+    monkeypatch.setattr(FakeBus, "__module__", "can.interfaces.gs_usb")
+    fake = FakeBus()
+    link = Link(fake, passive=False)
+    link.send(0x80, b"")
+    fake.messages.append(message(0x80, b"", is_rx=False))
+    assert link.take(0.0) is None
+    link.send(0x81, b"")
+    fake.messages += [message(0x81, b""), message(0x81, b"", is_rx=False)]
+    assert link.take(0.0).can_id == 0x81  # somebody else's
+    assert link.take(0.0) is None
+
+
+def test_frames_that_a_group_gives_back_are_left_out_once_and_can_fd_always():
+    """A multicast group returns what was sent; the same bytes from somebody else, later, are a frame like any other."""
+    heard = (message(0x80, b""), message(data=bytes(12), is_fd=True), message(0x185), message(0x80, b""))
+    for bus, ids in ((group(*heard), [0x185, 0x80]), (FakeBus(*heard), [0x80, 0x185, 0x80])):  # one gives nothing back
+        link = Link(bus, passive=False)
+        link.send(0x80, b"")
+        assert [link.take(1.0).can_id for _ in ids] == ids  # without the frame of CAN FD
+        assert link.take(0) is None
+
+
+def test_simulated_time_stands_still_while_anybody_speaks():
+    """Others act at 5 ns of their own accord, three times; a frame has the time at which it comes."""
+    acts, tapped = [5, 5, 5], []
+
+    def advance(now_ns: int) -> list[tuple[int, bytes]]:
+        assert now_ns >= acts.pop(0)
+        return [(0x285, b"")]
+
+    others = SimpleNamespace(boot=lambda: [(0x185, b"")], due_ns=lambda: acts[0] if acts else None, advance=advance)
+    link = LockStepLink(others, tap=tapped.append)
+    link._time_ns = 0
+    times = []
+    while frame := link.receive(20):
+        times.append((frame.can_id, frame.time_ns))
+    assert times == [(0x185, 0), (0x285, 5), (0x285, 5), (0x285, 5)]
+    assert [(f.can_id, f.time_ns) for f in tapped] == times
+    assert link.now_ns() == 20
+    assert link.receive(10) is None
+    assert link.now_ns() == 20
+
+
+def test_drops_that_the_kernel_counts():
+    """SO_MEMINFO: nine counters, the last one of drops."""
+    asked = []
+
+    def getsockopt(*option: int) -> bytes:
+        asked.append(option)
+        return struct.pack("9I", *range(10, 19))
+
+    assert kernel_drops(SimpleNamespace(getsockopt=getsockopt)) == 18
+    assert asked == [(1, 55, 36)]  # SOL_SOCKET, SO_MEMINFO
+    assert kernel_drops(None) == 0
+    assert kernel_drops(SimpleNamespace(getsockopt=lambda *_: b"")) == 0
+
+
+def bus_file(**keys) -> BusFile:
+    drive = DriveFile(node=1, reference="6074", counts_per_turn=1.0)
+    return BusFile(**({"interface": "socketcan", "channel": "can0", "drive": (drive,), "sync_period_s": 0.002} | keys))
+
+
+def opened(monkeypatch, passive=False, **keys):
+    """The options that python-can is opened with, and the bus."""
+    asked = []
+
+    def bus(**options):
+        asked.append(options)
+        return FakeBus()
+
+    monkeypatch.setattr(can, "Bus", bus)
+    found = open_bus(bus_file(**keys), passive=passive)
+    return asked[0], found
+
+
+@pytest.mark.parametrize(
+    ("keys", "passive", "expected"),
+    [
+        ({}, False, {"channel": "can0", "fd": True}),
+        ({"bitrate": 500_000}, True, {"channel": "can0", "fd": True}),  # `ip link` sets the rate of a network interface
+        ({"interface": "pcan", "bitrate": 500_000}, False, {"channel": "can0", "bitrate": 500_000}),
+        ({"interface": "slcan"}, False, {"channel": "can0", "bitrate": 1_000_000}),
+        ({"interface": "slcan"}, True, {"channel": "can0", "bitrate": 1_000_000, "listen_only": True}),
+        ({"interface": "gs_usb", "channel": "1"}, True, {"channel": 1, "bitrate": 1_000_000}),
+        (
+            {"interface": "udp_multicast", "channel": "239.1.2.3:4321"},
+            False,
+            {"channel": "239.1.2.3", "port": 4321, "hop_limit": 0, "fd": False},
+        ),
+        (
+            {"interface": "udp_multicast", "channel": "239.1.2.3", "loopback": False},
+            False,
+            {"channel": "239.1.2.3", "hop_limit": 1, "fd": False},
+        ),
+    ],
+)
+def test_how_a_bus_is_opened(monkeypatch, keys, passive, expected):
+    options, bus = opened(monkeypatch, passive, **keys)
+    assert options == {"interface": keys.get("interface", "socketcan"), "ignore_config": True} | expected
+    if not passive:
+        bus.send(message())
+        return
+    for send in (bus.send, bus.send_periodic):
+        with pytest.raises(RobotIdimError, match="passive"):
+            send(message(), 0.1)
+
+
+@pytest.mark.parametrize(
+    "error", [can.CanInitializationError("no such device"), OSError("no such device"), ImportError]
+)
+def test_a_bus_that_cannot_be_opened_is_told(monkeypatch, error):
+    monkeypatch.setattr(can, "Bus", raising(error))
+    why = "ImportError" if error is ImportError else "no such device"
+    with pytest.raises(RobotIdimError, match=f"bus: pcan PCAN_USBBUS1: cannot be opened: {why}"):
+        open_bus(bus_file(interface="pcan", channel="PCAN_USBBUS1"), passive=False)
+
+
+def test_a_queue_is_enlarged_past_the_limit_where_we_may():
+    granted, asked = [212_992, 212_992], []
+
+    def setsockopt(level: int, option: int, value: int) -> None:
+        asked.append((level, option, value))
+
+    sock = SimpleNamespace(setsockopt=setsockopt, getsockopt=lambda *_: granted[0])
+    links.request_queue_size(sock)
+    assert asked == [(1, 8, 4 * 2**20), (1, 33, 4 * 2**20)]  # SO_RCVBUF, SO_RCVBUFFORCE
+    asked.clear()
+    granted[0] = 8 * 2**20
+    links.request_queue_size(sock)
+    assert asked == [(1, 8, 4 * 2**20)]
+    assert links.queue_bytes(sock) == 8 * 2**20
+
+
+def test_the_socket_under_a_bus_of_the_kernel_and_under_a_group():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
+        assert socket_of(SimpleNamespace(socket=sock)) is sock
+        assert socket_of(SimpleNamespace(_multicast=SimpleNamespace(_socket=sock))) is sock
+        file = bus_file(interface="udp_multicast", channel="239.1.2.3:4321")
+        links.stay_on_loopback(SimpleNamespace(_multicast=SimpleNamespace(_socket=sock)), file)
+        assert socket.inet_ntoa(sock.getsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, 4)) == "127.0.0.1"
+    assert socket_of(SimpleNamespace(socket="of another kind")) is None
+    assert socket_of(SimpleNamespace()) is None
+
+
+# Logs and times
+
+
+def test_a_candump_by_hand(tmp_path):
+    path = tmp_path / "a.log"
+    path.write_text(
+        "(0.000001) can0 080#\n"
+        "(1.500000) can0 185#3712FBFFFFFFD4FE\n"
+        "(2.250000) can1 12345678#0102\n"
+        "(3.000000) can0 185#R\n"
+        "(4.000000) can0 20000080#\n"
+        "(5.000000) can0 185##1AABB\n"
+        "(6.000000) can0 000#0105\n"
+        "(2147483647.000000) can0 080#\n"
+    )
+    assert list(read_log(path)) == [
+        ("can0", Frame(1000, 0x080, b"", 0)),
+        ("can0", Frame(1_500_000_000, 0x185, bytes.fromhex("3712FBFFFFFFD4FE"), 0)),
+        ("can1", Frame(2_250_000_000, 0x12345678, b"\1\2", EXTENDED)),
+        ("can0", Frame(3_000_000_000, 0x185, b"", REMOTE_REQUEST)),
+        (None, Frame(4_000_000_000, 0, b"", ERROR)),
+        ("can0", None),
+        ("can0", Frame(6_000_000_000, 0, b"\1\5", 0)),
+        ("can0", Frame(2_147_483_647_000_000_000, 0x80, b"", 0)),
+    ]
+
+
+@pytest.mark.parametrize("step_ns", [3_600_000_000_000, 60_000_000, -60_000_000])
+@pytest.mark.parametrize("seen_after", [0, 3])
+def test_times_go_on_where_the_clock_is_set(step_ns, seen_after):
+    """Frames 2 ms apart, block by block; that the clock was set is noticed with the first new stamp, or a block before."""
+    now, wall = [0], [0]
+    clock = WallClock(lambda: now[0] + wall[0], lambda: now[0], offset_ns=0)
+    true_ns, found = 10**9 + 2_000_000 * np.arange(500), []
+    blocks = np.split(true_ns, [50, 100, 130 + seen_after, 200, 300, 400])
+    for block in blocks:
+        now[0] = int(block[-1])
+        wall[0] = step_ns if now[0] >= true_ns[130] else 0
+        assert clock.step_ns() == (step_ns if now[0] == blocks[2 if seen_after else 3][-1] else 0)
+        found.append(clock.continued(block + step_ns * (block >= true_ns[130 + seen_after])))
+    assert np.concatenate(found).tolist() == true_ns.tolist()
+    assert clock.shift_ns == step_ns
+
+
+def test_an_adapter_with_a_clock_of_its_own_keeps_it():
+    wall = [0]
+    clock = WallClock(lambda: wall[0], lambda: 0, offset_ns=0)
+    clock.continued(np.array([1, 2]))
+    wall[0] = 100_000_000
+    clock.step_ns()
+    for first in (3, 5, 7):
+        assert clock.continued(np.array([first, first + 1])).tolist() == [first, first + 1]
+    assert clock.continued(np.array([90_000_000])).tolist() == [90_000_000]  # a pause
+
+
+def test_a_clock_that_is_set_is_told_apart_from_one_that_goes_on():
+    wall, monotonic = [1_000_000_000], [5_000_000_000]
+    clock = WallClock(lambda: wall[0], lambda: monotonic[0])
+    found = []
+    for elapsed_ns, by_ns in (
+        (500_000_000, 0),
+        (500_000_000, 10_000_000),
+        (100, 3_600_000_000_000),
+        (100, -50_000_000),
+    ):
+        wall[0] += elapsed_ns + by_ns
+        monotonic[0] += elapsed_ns
+        found.append(clock.step_ns())
+    assert found == [0, 0, 3_600_000_000_000, -50_000_000]
+    assert clock.now_ns() == 2_000_000_200  # as if it had never been set
+    assert describe_step(found[2]) == "the clock was set forward by 3.6e+03 s"
+    assert describe_step(found[3]) == "the clock was set back by 0.05 s"
+
+
+def test_time_does_not_follow_a_clock_that_is_set(monkeypatch):
+    link = Link(None, passive=True)
+    before = link.now_ns()
+    assert abs(before - time.time_ns()) < 1_000_000_000
+    real = time.time_ns
+    monkeypatch.setattr(time, "time_ns", lambda: real() - 3600 * 10**9)
+    assert 0 <= link.now_ns() - before < 1_000_000_000

@@ -1,0 +1,176 @@
+"""Passive recordings: python-can's own adapter classes, over made-up drivers, are set to only listen; the user is told."""
+
+import subprocess
+from collections.abc import Callable
+from types import SimpleNamespace
+
+import can
+import pytest
+from can.interfaces import cantact, pcan, slcan
+from can.interfaces.kvaser import canlib
+from can.interfaces.pcan import basic
+from can.interfaces.seeedstudio import seeedstudio
+from made_up_buses import bus_text
+
+from acquisition.bus import listening_words, open_bus
+from acquisition.bus.passive import LISTEN_ONLY
+from acquisition.commands import main
+from acquisition.errors import RobotIdimError
+from acquisition.robot import BusFile
+
+Asked = list[tuple[object, ...]]
+
+
+def bus_at(interface: str, channel: str) -> BusFile:
+    return BusFile(interface=interface, channel=channel, drive=(), sync_period_s=1.0, bitrate=500_000)
+
+
+class Noting:
+    """A driver that notes its calls; `returns`: results other than 0, by name."""
+
+    def __init__(self, asked: Asked, **returns: object) -> None:
+        self.asked, self.returns = asked, returns
+
+    def __getattr__(self, name: str) -> Callable[..., object]:
+        return lambda *given, **named: (self.asked.append((name, *given)), self.returns.get(name, 0))[1]
+
+
+def pcan_driver(monkeypatch: pytest.MonkeyPatch, asked: Asked, confirms: tuple[int, int] = (0, 1)) -> None:
+    def get_value(handle: object, parameter: object) -> tuple[int, int]:
+        return (
+            confirms
+            if parameter is basic.PCAN_LISTEN_ONLY
+            else (0, b"4.9.0" if parameter is basic.PCAN_API_VERSION else 0)
+        )
+
+    driver = Noting(asked)
+    driver.GetValue = get_value
+    monkeypatch.setattr(pcan.pcan, "PCANBasic", lambda: driver)
+
+
+def kvaser_driver(monkeypatch: pytest.MonkeyPatch, asked: Asked) -> None:
+    names = (
+        "canGetNumberOfChannels canOpenChannel canIoCtlInit canSetBusParams canSetBusOutputControl canBusOn kvReadTimer"
+    )
+    for name in (
+        *names.split(),
+        "canSetAcceptanceFilter",
+        "canFlushTransmitQueue",
+        "canWriteSync",
+        "canBusOff",
+        "canClose",
+    ):
+        monkeypatch.setattr(canlib, name, getattr(Noting(asked), name), raising=False)
+
+
+def serial_driver(monkeypatch: pytest.MonkeyPatch, asked: Asked) -> None:
+    port = Noting(asked)
+    module = SimpleNamespace(serial_for_url=lambda *_, **__: port, Serial=lambda *_, **__: port)
+    for user in (slcan, seeedstudio):
+        monkeypatch.setattr(user, "serial", module)
+    monkeypatch.setattr(slcan.time, "sleep", lambda s: None)
+
+
+def cantact_driver(monkeypatch: pytest.MonkeyPatch, asked: Asked) -> None:
+    monkeypatch.setattr(cantact, "cantact", SimpleNamespace(Interface=lambda: Noting(asked)))
+
+
+# Interface, channel, driver, and what it is told: to only listen, to take part.
+ADAPTERS = {
+    "pcan": ("PCAN_USBBUS1", pcan_driver, *(("SetValue", 0x51, basic.PCAN_LISTEN_ONLY, on) for on in (1, 0))),
+    "kvaser": (
+        "0",
+        kvaser_driver,
+        *(("canSetBusOutputControl", 0, mode) for mode in (1, 4)),
+    ),  # canDRIVER_SILENT, _NORMAL
+    "slcan": ("/dev/ttyACM0", serial_driver, ("write", b"L\r"), ("write", b"O\r")),
+    "cantact": ("0", cantact_driver, ("set_monitor", 0, True), ("set_monitor", 0, False)),
+    "seeedstudio": ("/dev/ttyUSB0", serial_driver, 0x02, 0x00),  # mode in the frame that begins with AA 55 12
+}
+
+
+def told(asked: Asked) -> Asked:
+    """The calls with plain values."""
+    values = [tuple(getattr(x, "value", x) if x is not basic.PCAN_LISTEN_ONLY else x for x in call) for call in asked]
+    modes = [call[1][13] for call in values if call[0] == "write" and call[1][:3] == b"\xaa\x55\x12"]
+    return values + modes
+
+
+@pytest.mark.parametrize("interface", ADAPTERS)
+def test_an_adapter_is_told_to_only_listen(monkeypatch, interface):
+    assert set(ADAPTERS) == set(LISTEN_ONLY)
+    channel, driver, listen, take_part = ADAPTERS[interface]
+    for passive in (True, False):
+        asked: Asked = []
+        driver(monkeypatch, asked)
+        bus = open_bus(bus_at(interface, channel), passive=passive)
+        assert type(bus).__module__.startswith("can.interfaces.")
+        assert (listen in told(asked)) == passive
+        assert (take_part in told(asked)) != passive
+        bus.shutdown()
+
+
+@pytest.mark.parametrize("confirms", [(0, 0), (0x04000, 1)])  # off; a parameter that the driver does not have
+def test_a_pcan_that_does_not_confirm_is_no_passive_bus(monkeypatch, confirms):
+    asked: Asked = []
+    pcan_driver(monkeypatch, asked, confirms)
+    with pytest.raises(RobotIdimError, match="bus: pcan PCAN_USBBUS1: does not confirm listen-only: expected a driver"):
+        open_bus(bus_at("pcan", "PCAN_USBBUS1"), passive=True)
+    assert asked[-1][0] == "Uninitialize"
+    open_bus(bus_at("pcan", "PCAN_USBBUS1"), passive=False).shutdown()
+
+
+# As `ip -details link show` of iproute2 6.1 prints them.
+HEAD = "3: can0: <NOARP,UP,LOWER_UP> mtu 16 qdisc pfifo_fast state UP\n    link/can  promiscuity 0  allmulti 0\n"
+SHOWN = {
+    "    can <LISTEN-ONLY> state ERROR-ACTIVE restart-ms 0 \n\t  bitrate 500000\n": "listens only",
+    "    can <LOOPBACK,LISTEN-ONLY> state STOPPED restart-ms 0 \n": "listens only",
+    "    can <BERR-REPORTING> state ERROR-ACTIVE restart-ms 0 \n": "acknowledges all frames",
+    "    can state ERROR-ACTIVE restart-ms 0 \n\t  bitrate 500000\n": "acknowledges all frames",
+    "    vcan numtxqueues 1 gso_max_size 65536 \n": "",
+}
+
+
+@pytest.mark.parametrize("shown", [*SHOWN, None])
+def test_what_a_network_interface_does(monkeypatch, shown):
+    def run(command, **_):
+        assert command == ["ip", "-details", "link", "show", "dev", "can0"]
+        if shown is None:
+            raise FileNotFoundError("ip")
+        return SimpleNamespace(stdout=HEAD + shown)
+
+    monkeypatch.setattr(subprocess, "run", run)
+    words = listening_words(bus_at("socketcan", "can0"))
+    expected = SHOWN.get(shown, "may acknowledge all frames")
+    assert words.startswith(f"socketcan can0 {expected}") if expected else words == ""
+    assert ("ip link set can0 type can bitrate 500000 listen-only on" in words) == ("all frames" in expected)
+
+
+@pytest.mark.parametrize(
+    ("interface", "said"),
+    [
+        ("kvaser", "kvaser 0 listens only: a drive that is alone on the bus gets no acknowledge"),
+        (
+            "gs_usb",
+            "gs_usb 0 acknowledges all frames, and destroys them at a wrong bit rate; python-can has no listen-only",
+        ),
+        ("ixxat", "ixxat 0 acknowledges all frames"),
+        ("virtual", ""),
+    ],
+)
+def test_the_user_is_told_before_the_bus_is_opened(tmp_path, monkeypatch, capsys, interface, said):
+    robot = tmp_path / "robot.toml"
+    robot.write_text(bus_text(1, interface=interface, channel="0"))
+
+    def opened(*_: object, **__: object) -> None:
+        raise RobotIdimError(f"opened; before: {capsys.readouterr().err}")
+
+    monkeypatch.setattr("acquisition.session.running.ProcessLog", opened)
+    assert main(["record", str(robot), "-o", str(tmp_path / "a.mcap"), "--passive"]) == 1
+    assert f"opened; before: {said}".rstrip() in (err := capsys.readouterr().err)
+    assert ("acknowledge" in err) == bool(said)
+
+
+def test_arguments_are_those_of_python_can():
+    assert can.BusState[LISTEN_ONLY["pcan"]["state"]] is can.BusState.PASSIVE
+    assert LISTEN_ONLY["kvaser"]["driver_mode"] is canlib.DRIVER_MODE_SILENT

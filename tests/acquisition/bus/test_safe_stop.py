@@ -1,0 +1,244 @@
+"""The one stop: when voltage goes off at each drive, by measured speed, and which drives count as disabled."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from dry_sessions import SlowAnswers, SyncOfAnother, Through, say
+from faulty_drives import FaultyDrives
+from made_up_buses import bus_of, bus_text, robot_of
+
+import acquisition.bus.stopping as stopping
+from acquisition.bus import Master, safe_stop, stop_drives
+from acquisition.errors import RobotIdimError
+from acquisition.protocol import Command, Mode, State
+from acquisition.simulated import DrivenPlant, LockStepLink, SimulatedDrives, cascaded_loops
+
+SPEED = 2.0  # rad/s of joint 1 when the stop begins; the limits are 200 °/s and 4000 °/s²
+LIMIT = np.deg2rad(4000)
+CAP_S = 0.5 + 1.2 * SPEED / LIMIT  # the simulated drives' ramp is the acceleration limit
+
+
+class Coasting:
+    """Joint 1 turns at SPEED until it is held, then as `after` says (s since then, to the share of SPEED); joint 2 stands."""
+
+    def __init__(self, after: Callable[[float], float]) -> None:
+        self.q, self.after, self.held_s = np.zeros(2), after, 0.0
+
+    def state(self):
+        return self.q.copy(), np.zeros(2)
+
+    def prescribed_effort(self):
+        return np.zeros(2)
+
+    def step(self, effort, held, duration_s):
+        share = self.after(self.held_s) if held[0] else 1.0
+        self.held_s += duration_s if held[0] else 0.0
+        self.q = self.q + np.array([SPEED * share * duration_s, 0.0])
+
+
+def moving(
+    after: Callable[[float], float],
+    *,
+    started: bool = True,
+    ramp: dict[int, int] | None = None,
+    simulated: type[SimulatedDrives] = FaultyDrives,
+    extra: str = "",
+) -> tuple[LockStepLink, Master, list[tuple[int, int, bytes]]]:
+    """Two enabled drives, and what is sent to them from here on."""
+    robot = robot_of(bus_text(2, extra=extra))
+    bus, sent = bus_of(robot), list[tuple[int, int, bytes]]()
+    mechanism = DrivenPlant(plant=Coasting(after), loops=cascaded_loops(robot, np.ones(2)))
+    run = LockStepLink(
+        simulated(robot, bus, mechanism, supervised=False),
+        tap=lambda f: sent.append((f.time_ns, f.can_id, f.data)),
+    )
+    for node in run.drives.nodes:
+        node.values |= {(index, 0): value for index, value in (ramp or {}).items()}
+    master = Master(run, bus)
+    master.configure()
+    master.choose_mode(Mode.CYCLIC_SYNCHRONOUS_POSITION)
+    if started:
+        master.start()
+    for node in (1, 2):
+        for command in (Command.SHUTDOWN, Command.SWITCH_ON, Command.ENABLE_OPERATION):
+            master.write(node, 0x6040, 0, command.controlword, 2)
+    for _ in range(20):
+        master.sync()
+        master.wait(run.now_ns() + 2_000_000)
+    assert run.drives.states == [State.OPERATION_ENABLED] * 2
+    sent.clear()
+    return run, master, sent
+
+
+def off_s(sent: list[tuple[int, int, bytes]], node: int) -> float:
+    """From the first quick stop to the first disable voltage by PDO: controlwords 0002h and 0000h."""
+    words = [(t, data[:2]) for t, can_id, data in sent if can_id == 0x200 + node]
+    assert words[0][1] == b"\x02\x00"
+    return (next(t for t, word in words if word == b"\x00\x00") - words[0][0]) * 1e-9
+
+
+@pytest.mark.parametrize(
+    ("after", "at_s", "within_s"),
+    [
+        (lambda t: 0.0, 0.02, 0.012),
+        (lambda t: max(0.0, 1 - t / 0.2), 0.2, 0.02),  # until it stands, and not before
+        (lambda t: 1.0, 0.05, 0.006),  # the quick stop does not work
+        (lambda t: 1.0 + t, 0.05, 0.006),
+        (lambda t: max(0.5, 1 - 3 * t), CAP_S, 0.006),  # slower, but never at rest
+    ],
+)
+def test_voltage_goes_off_at_standstill_or_where_nothing_else_helps(after, at_s, within_s):
+    run, master, sent = moving(after)
+    assert safe_stop(master) == []
+    assert run.drives.states == [State.SWITCH_ON_DISABLED] * 2
+    assert off_s(sent, 1) == pytest.approx(at_s, abs=within_s)
+    assert off_s(sent, 2) == pytest.approx(0.014, abs=0.012)  # it stands, whatever the other does
+
+
+COUNTS = 50 * 65536 / (2 * np.pi)  # per rad of a joint
+
+
+def halved(t: float) -> float:
+    return max(0.5, 1 - 3 * t)
+
+
+def slowly(t: float) -> float:
+    return max(0.0, 1 - 0.5 * t)
+
+
+ONE_RAD_S2 = {0x6085: round(COUNTS)}
+
+
+@pytest.mark.parametrize(
+    ("after", "ramp", "at_s", "kind"),
+    [
+        (halved, ONE_RAD_S2, 0.5 + 1.2 * 0.985 * SPEED, FaultyDrives),
+        (halved, {0x605A: 5, 0x6084: round(2 * COUNTS)}, 0.5 + 1.2 * SPEED / 2.0, FaultyDrives),
+        (halved, {0x605A: 0}, 0.5 + SPEED / LIMIT, FaultyDrives),  # unknown
+        (lambda t: 1 - 0.5 * t, {0x605A: 3}, 0.05, FaultyDrives),  # unknown, and too slow for that
+        (slowly, ONE_RAD_S2, 1.98, FaultyDrives),  # 2.5 % slower after 0.05 s
+        (slowly, ONE_RAD_S2, 1.98, SlowAnswers),  # the ramp is still being read
+        # Above the start, but it falls; it runs away at last.
+        (lambda t: 1.0 + (t > 0.01) if t < 0.03 else max(0.0, 2 - 90 * (t - 0.03)), {}, 0.074, FaultyDrives),
+        (lambda t: 1 - 0.5 * t if t < 0.3 else 1.2, ONE_RAD_S2, 0.302, FaultyDrives),
+    ],
+)
+def test_a_quick_stop_is_let_finish_by_its_ramp_and_only_one_that_does_not_work_is_cut(after, ramp, at_s, kind):
+    _, master, sent = moving(after, ramp=ramp, simulated=kind)
+    assert safe_stop(master) == []
+    assert off_s(sent, 1) == pytest.approx(at_s, abs=0.02)
+
+
+def test_where_sync_of_another_producer_ends_nothing_stands():
+    _, master, sent = moving(lambda t: 1.0, extra='sync_producer = "other"')
+    master.synced_ns = None  # it was not ours
+    safe_stop(master)
+    assert off_s(sent, 1) == pytest.approx(0.5 + 1.2 * np.deg2rad(200) / LIMIT, abs=0.03)
+
+
+def test_a_drive_that_sends_no_position_any_more_is_given_the_time_of_its_ramp():
+    def silence(t: float) -> float:
+        if t > 0.024:
+            run.drives.silent.add(0)
+        return 1.0
+
+    run, master, sent = moving(silence)
+    assert safe_stop(master) == [1]
+    assert off_s(sent, 1) == pytest.approx(CAP_S, abs=0.03)
+
+
+def test_quick_stop_goes_to_all_nodes_at_once_by_pdo_and_by_sdo():
+    _, master, sent = moving(lambda t: 0.0)
+    safe_stop(master)
+    first_ns = sent[0][0]
+    at_once = {(can_id, data) for t, can_id, data in sent if t == first_ns}
+    quick = bytes.fromhex("2b40600002000000")  # two bytes to 6040h:0
+    assert {(0x601, quick), (0x602, quick)} <= at_once
+    assert {can_id for can_id, data in at_once if data[:2] == b"\x02\x00"} >= {0x201, 0x202}
+
+
+def test_a_drive_that_hears_no_pdo_is_stopped_by_sdo():
+    run, master, sent = moving(lambda t: 0.0, started=False)
+    assert safe_stop(master) == []
+    assert run.drives.states == [State.SWITCH_ON_DISABLED] * 2
+    assert not any(can_id in (0x201, 0x202) for _, can_id, _ in sent)  # no position was heard: no target is made up
+
+
+def test_a_silent_drive_keeps_no_other_waiting_and_is_told():
+    run, master, sent = moving(lambda t: 1.0)
+    run.drives.silent.add(1)
+    began_ns = run.now_ns()
+    assert safe_stop(master) == [2]
+    assert run.drives.states[0] is State.SWITCH_ON_DISABLED
+    assert off_s(sent, 1) == pytest.approx(0.05, abs=0.006)
+    assert (run.now_ns() - began_ns) * 1e-9 < CAP_S + 1.2
+
+
+@pytest.mark.parametrize(("by_ms", "steps_ms"), [(30, [2, 32, 2, 2]), (1, [2, 3, 1, 2])])
+def test_a_late_sync_of_the_stop_is_made_up_for_by_the_next_one_alone_if_at_all(by_ms, steps_ms):
+    """No burst follows a stall; one late by less than a period moves no later one."""
+    run, master, sent = moving(lambda t: max(0.0, 1 - t / 0.2))
+
+    class Late(Through):
+        late_ns = by_ms * 1_000_000
+
+        def receive(self, until_ns):
+            frame = super().receive(until_ns)
+            if frame is None and len([1 for _, can_id, _ in sent if can_id == 0x80]) == 20:  # the next SYNC is due
+                self.link._time_ns, self.late_ns = self.now_ns() + self.late_ns, 0
+            return frame
+
+    master.link = Late(link=run)
+    assert safe_stop(master) == []
+    steps = np.diff([t for t, can_id, _ in sent if can_id == 0x80])
+    assert (steps[18:22] // 1_000_000).tolist() == steps_ms
+    assert steps.min() >= 1_000_000
+
+
+def test_the_orders_of_a_stop_keep_to_the_sync_of_another_producer():
+    run, master, sent = moving(lambda t: max(0.0, 1 - t / 0.2), extra='sync_producer = "other"')
+    master.link = SyncOfAnother(link=run, next_ns=run.now_ns() + 2_000_000)
+    assert safe_stop(master) == []
+    words = [can_id for _, can_id, _ in sent if can_id in (0x80, 0x201)]
+    assert len(words) > 100
+    assert words[:100] == [0x201, 0x80] * 50
+
+
+def test_voltage_off_is_commanded_as_soon_as_a_drive_has_confirmed():
+    """By SDO, while its joint still turns."""
+    run, master, sent = moving(lambda t: max(0.0, 1 - t / 0.2))
+    run.drives.nodes[0].state = State.SWITCH_ON_DISABLED  # by its own reaction, at speed
+    assert safe_stop(master) == []
+    assert off_s(sent, 1) < 0.045  # earlier than any judgement of its speed
+
+
+def test_a_fault_is_disabled_switched_on_is_not_and_a_bus_that_takes_nothing_ends_too(monkeypatch):
+    run, master, _ = moving(lambda t: 0.0)
+    with monkeypatch.context() as patch:
+        say(patch, lambda node, word: 0x0233 if node == 2 else 0x0250)
+        assert safe_stop(master) == [2]
+    say(monkeypatch, lambda node, word: 0x0218)
+    assert safe_stop(master) == []
+
+    def refuse(*_):
+        raise RobotIdimError("bus: gone")
+
+    monkeypatch.setattr(run, "send", refuse)
+    monkeypatch.setattr(run, "receive", refuse)
+    assert safe_stop(master) == [1, 2]
+
+
+def test_after_disable_or_the_second_stop_no_session_can_enable_by_pdo(monkeypatch):
+    run, master, _ = moving(lambda t: 0.0)
+    monkeypatch.setattr(stopping, "open_link", lambda *_, **__: run)
+    monkeypatch.setattr(run, "close", lambda: None, raising=False)
+    assert stop_drives(master.bus) == []
+    master.wait(run.now_ns() + 1_000_000)
+    assert [node.nmt for node in run.drives.nodes] == [127, 127]
+    for word in (0x06, 0x07, 0x0F):
+        for node in (1, 2):
+            run.send(0x200 + node, word.to_bytes(2, "little") + bytes(4))
+        master.sync()
+        master.wait(run.now_ns() + 2_000_000)
+    assert run.drives.states == [State.SWITCH_ON_DISABLED] * 2

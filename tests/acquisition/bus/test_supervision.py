@@ -1,0 +1,195 @@
+"""What drives notice of a master that dies: its heartbeat, their consumers of it, and what check tells of them."""
+
+import itertools
+
+import msgspec
+import pytest
+from dry_sessions import at_boot, connected, dry_session, findings, swing
+from made_up_buses import bus_of, bus_text, robot_of
+
+from acquisition.bus import Master, MasterHeartbeat, second_stop, supervision_of
+from acquisition.bus.supervision import free_entry, timeout_ms
+from acquisition.protocol import Command, Mode, State
+from acquisition.session import Task
+from acquisition.simulated import LockStepLink
+from acquisition.simulated import node as simulated_supervision
+
+MS = 1_000_000
+TRACK = Task(reference=swing(2))
+# 1016h:1 = 127 << 16 | 300 ms as an expedited SDO of four bytes (CiA 301, 7.2.4 and 7.5.2.17), and its removal.
+ASKED, REMOVED = bytes.fromhex("231610012c017f00"), bytes.fromhex("2316100100000000")
+
+
+def test_a_tracking_session_is_supervised_from_start_to_disabled(tmp_path):
+    session = dry_session(tmp_path / "a.mcap", TRACK)
+    assert session.outcome.reason == "finished"
+    frames = session.frames
+    beats = frames[frames["can_id"] == 0x77F]
+    assert {bytes(d[:n]) for d, n in zip(beats["data"], beats["length"], strict=True)} == {b"\x05"}
+    syncs = frames["time_ns"][frames["can_id"] == 0x80]
+    # Three in every time-out of 300 ms, from the first SYNC on; none between SYNCs but those of the end.
+    times = beats["time_ns"].tolist()
+    assert times[0] == syncs[0]
+    assert max(b - a for a, b in itertools.pairwise(times)) <= 100 * MS
+    assert set(times[:-2]) <= set(syncs.tolist())
+    for node in (1, 2):
+        asked = frames[
+            (frames["can_id"] == 0x600 + node) & (frames["data"][:, 1] == 0x16) & (frames["data"][:, 0] == 0x23)
+        ]
+        assert [d.tobytes() for d in asked["data"]] == [ASKED, REMOVED]
+        removed_ns = asked["time_ns"][1]
+        assert removed_ns >= session.recording.events[-1].stamp_ns - 100 * MS
+        assert removed_ns - times[-1] < 300 * MS  # it ends before the time-out is over
+    assert [node.values[0x1016, 1] for node in session.drives.nodes] == [0, 0]
+    assert not (frames["can_id"] == 0x81).any()
+
+
+def enabled(*, abort_connection: int = 1, supervised: bool = True) -> tuple[LockStepLink, Master, MasterHeartbeat]:
+    """Two drives in operation enabled, whose master has sent one heartbeat and now says nothing more."""
+    run, master = connected(supervised=supervised)
+    heartbeat = MasterHeartbeat(master)
+    master.configure()
+    master.choose_mode(Mode.CYCLIC_SYNCHRONOUS_POSITION)
+    heartbeat.request()
+    master.start()
+    for node in run.drives.nodes:
+        node.values[0x6007, 0] = abort_connection
+        for command in (Command.SHUTDOWN, Command.SWITCH_ON, Command.ENABLE_OPERATION):
+            master.write(node.drive.node, 0x6040, 0, command.controlword, 2)
+    master.sync()
+    master.wait(run.now_ns() + MS)
+    return run, master, heartbeat
+
+
+@pytest.mark.parametrize(
+    ("option", "state"),
+    [
+        (0, State.OPERATION_ENABLED),
+        (1, State.FAULT),
+        (2, State.SWITCH_ON_DISABLED),
+        (3, State.QUICK_STOP_ACTIVE),
+    ],
+)
+def test_a_drive_reacts_to_a_lost_heartbeat_as_6007_says(monkeypatch, option, state):
+    monkeypatch.setattr(simulated_supervision, "SYNC_LOST_NS", 3600 * 10**9)
+    run, master, _ = enabled(abort_connection=option)
+    master.wait(run.now_ns() + 298 * MS)
+    assert run.drives.states == [State.OPERATION_ENABLED] * 2
+    assert master.nodes[0].emergency is None
+    master.wait(run.now_ns() + 3 * MS)
+    assert run.drives.states == [state] * 2
+    assert master.nodes[0].emergency == 0x8130
+
+
+def test_an_unsupervised_drive_notices_nothing():
+    run, master, heartbeat = enabled(abort_connection=0, supervised=False)
+    assert ["not there" in text or "does not exist" in text for text in heartbeat.request()] == [True, True]
+    master.wait(run.now_ns() + 2000 * MS)
+    assert run.drives.states == [State.OPERATION_ENABLED] * 2
+
+
+def test_consumers_of_others_stay_as_they_are(tmp_path, monkeypatch):
+    """Full, with one of another producer, or with what a killed session left."""
+    other, ours = 5 << 16 | 700, 127 << 16 | 300
+
+    def entries(node):
+        node.values |= {(0x1016, 1): other, (0x1016, 2): other + 0x10000 if node.drive.node == 1 else ours}
+
+    at_boot(monkeypatch, entries)
+    session = dry_session(tmp_path / "a.mcap", TRACK)
+    assert session.outcome.reason == "finished"
+    full, left = session.drives.nodes
+    assert (full.values[0x1016, 1], full.values[0x1016, 2]) == (other, other + 0x10000)
+    assert (left.values[0x1016, 1], left.values[0x1016, 2]) == (other, 0)
+    (warning,) = [text for text in session.events("warning") if "1016" in text]
+    assert warning.startswith("node 1: object 1016: no free sub-index")
+
+
+@pytest.mark.parametrize(
+    ("entries", "sub"),
+    [
+        ([], None),
+        ([0], 1),
+        ([5 << 16 | 100, 0], 2),
+        ([5 << 16 | 100, 5 << 16], 2),
+        ([0, 127 << 16 | 90], 2),
+        ([127 << 16, 0], 1),
+        ([5 << 16 | 100], None),
+        ([200 << 16 | 100], 1),
+    ],
+)
+def test_a_free_entry(entries, sub):
+    assert free_entry(entries, 127) == sub
+
+
+def test_the_time_out_is_three_heartbeats_or_periods():
+    assert timeout_ms(bus_of(robot_of(bus_text(2))).file) == 300
+    assert timeout_ms(bus_of(robot_of(bus_text(2, extra="heartbeat_s = 0.01"))).file) == 30
+    assert timeout_ms(bus_of(robot_of(bus_text(2, period_s=0.02, extra="heartbeat_s = 0.01"))).file) == 60
+
+
+@pytest.mark.parametrize(
+    ("values", "missing", "expected"),
+    [
+        ({(0x6007, 0): 0}, (), "6007 = 0: a lost heartbeat has no effect"),
+        ({(0x6007, 0): 3}, (), "6007 = 3: quick stop when the connection is lost"),
+        ({(0x1016, 1): 5 << 16 | 80}, (), "1016 = node 5 80 ms; --track writes 0x007F012C (node 127, 300 ms) to sub-index 2"),
+        ({(0x1016, 0): 0}, (), "1016 = none in use: no free sub-index: the drive does not detect the loss of the master"),
+        ({}, (0x1016,), "1016 = not there: the drive does not detect the loss of the master"),
+        ({(0x1029, 1): 0}, (), "1029:1 = 0: pre-operational"),
+        ({(0x1029, 1): 1}, (), "1029:1 = 1: no change of the NMT state"),
+        ({(0x1029, 1): 2}, (), "1029:1 = 2: stopped"),
+        ({(0x1400, 5): 0}, (), "1400:5 = 0: a missing PDO to the drive has no effect"),
+        ({(0x1400, 5): 50}, (), "1400:5 = 50: an error after 50 ms without the PDO"),
+        ({(0x605A, 0): 0}, (), "quick stop 605A = 0: voltage off at once, the motor coasts"),
+        ({(0x605A, 0): 6}, (), "quick stop 605A = 6: quick-stop ramp, then held in quick stop active"),
+        ({(0x605A, 0): 0xFFFF}, (), "quick stop 605A = -1: manufacturer-specific"),
+        ({(0x605B, 0): 1}, (), "shutdown 605B = 1: slow-down ramp, then off"),
+        ({(0x605C, 0): 0}, (), "disable operation 605C = 0: voltage off at once, the motor coasts"),
+        ({(0x605E, 0): 2}, (), "fault reaction 605E = 2: quick-stop ramp, then off"),
+        ({}, (0x605E,), "fault reaction 605E = not there"),
+        ({(0x6065, 0): 2**32 - 1}, (), "following error 6065 = 0xFFFFFFFF: off"),
+        ({(0x6065, 0): 900, (0x6066, 0): 20}, (), "6065 = 900: an error above 900 of the drive's position units, after 20 ms"),
+    ],
+)  # fmt: skip
+def test_supervision_in_words(values, missing, expected):
+    run, master = connected(robot_of(bus_text(1)))
+    node = run.drives.nodes[0]
+    node.types |= {(0x1029, 1): "U8", (0x1400, 5): "U16"}
+    node.values |= {(0x1029, 1): 1, (0x1400, 5): 0} | values
+    for key in [key for key in node.values if key[0] in missing]:
+        del node.values[key]
+    shown = [" = ".join(pair) for pair in supervision_of(master, master.bus.drives[0])]
+    assert any(expected in line for line in shown)
+
+
+def test_check_shows_it_and_where_there_is_no_second_stop():
+    run, master = connected()
+    (reaction,) = findings(run, master.bus, "reaction 6007", 2)
+    assert reaction.found.startswith("1: fault")
+    file = master.bus.file
+    assert second_stop(file).startswith("the recorder's process stops the drives")
+
+    slcan = msgspec.structs.replace(file, interface="slcan")
+    assert second_stop(slcan).startswith("none: slcan opens once only")
+
+
+def test_a_simulated_drive_stops_at_its_own_following_error():
+    """Twice the joint's 5 degrees at a ratio of 50 and 65536 counts a turn: 91 022 counts."""
+    run, _, _ = enabled()
+    node = run.drives.nodes[0]
+    assert node.values[0x6065, 0] == 91_022
+    supervision = run.drives._supervisions[0]
+    assert (supervision.follow(91_022), node.state) == ([], State.OPERATION_ENABLED)
+    assert supervision.follow(-91_023) == [(0x81, bytes.fromhex("1186010000000000"))]
+    assert node.state is State.FAULT
+
+
+def test_a_second_session_on_the_same_simulated_drives():
+    """The consumer of the first one does not time out again when its entry is written once more."""
+    run, master, heartbeat = enabled()
+    heartbeat.release([1, 2])
+    master.wait(run.now_ns() + 2000 * MS)
+    heartbeat.request()
+    master.wait(run.now_ns() + 100 * MS)
+    assert [watch.emergency for watch in master.nodes] == [0x8700] * 2  # SYNC is lost, the master is not

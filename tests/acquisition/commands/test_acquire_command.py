@@ -1,0 +1,238 @@
+"""robot-acquire: what it prints, how it ends, what it leaves behind."""
+
+import json
+import os
+import resource
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import REPLAY, robot_named
+from made_up_buses import bus_text
+from made_up_recordings import header, some_frames, some_samples, write
+
+from acquisition.commands import main
+from acquisition.recording import SENT, Header, RecordingWriter, read_recording
+
+SCARA = REPLAY / "scara" / "robot.toml"
+MAP = """
+sample_rate_hz = 1000
+[position]
+columns = [1, 2]
+unit = "rad"
+[effort]
+columns = [3, 4]
+unit = "N m"
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    rng = np.random.default_rng(0)
+    np.savetxt(tmp_path / "a.csv", rng.normal(size=(300, 4)), delimiter=",")
+    (tmp_path / "map.toml").write_text(MAP)
+    return tmp_path
+
+
+def import_command(folder: Path, out: Path) -> list[str]:
+    return ["import", str(folder / "a.csv"), "--robot", str(SCARA), "--map", str(folder / "map.toml"), "-o", str(out)]
+
+
+def run(*arguments: str, **options: object) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "acquisition", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False, **options)  # type: ignore[call-overload,no-any-return]
+
+
+def refused(capsys: pytest.CaptureFixture[str], arguments: list[str]) -> str:
+    assert main(arguments) == 1
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.count("\n") == 1
+    assert captured.err.startswith("robot-acquire: ")
+    return captured.err
+
+
+def test_import_info_repair(folder, capsys):
+    log, cut, out = folder / "log.mcap", folder / "cut.mcap", folder / "out.mcap"
+    assert main(import_command(folder, log)) == 0
+    assert "log.mcap: SCARA, 300 samples at 1000 Hz, effort in N m\n" in capsys.readouterr().out
+    assert main(["info", str(log), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    samples = read_recording(log).samples
+    assert (found["robot"], found["samples"], found["sample_rate_hz"], found["cut"]) == ("SCARA", 300, 1000.0, False)
+    assert found["joints"][1]["position"] == [samples["position"][:, 1].min(), samples["position"][:, 1].max()]
+    assert found["attachments"] == {"robot.toml": SCARA.stat().st_size}
+    assert found["sha256"] == read_recording(log).sha256
+    cut.write_bytes(log.read_bytes()[:-300])
+    assert main(["import", str(cut), "-o", str(out)]) == 0
+    assert "out.mcap: SCARA, 300 samples at 1000 Hz\n" in capsys.readouterr().out
+    recovered = read_recording(out).samples
+    assert recovered.tobytes() == samples.tobytes()
+    assert main(["info", str(cut)]) == 0
+    assert "missing: only what was written before the cut" in capsys.readouterr().out
+
+
+def test_info_tells_everything_and_passes_no_terminal_codes_on(tmp_path, capsys):
+    write(tmp_path / "a.mcap", robot_named("scara"))
+    assert main(["info", str(tmp_path / "a.mcap")]) == 0
+    text = capsys.readouterr().out
+    for part in (
+        "SCARA", "a test", "made up", "240 at 1000 Hz", "with reference", "kernel_drops 200", "CAN can0", "240 frames",
+        "../../etc/drive.eds (11 bytes)", "whole", "shoulder", "elbow", "track", "stop", "gaps      none",
+    ):  # fmt: skip
+        assert part in text
+    sent = np.count_nonzero(some_frames(240)["flags"] & SENT)
+    assert 0 < sent < 240
+    assert f"240 frames, {sent} of them sent, 0.239 s" in text
+    samples = np.delete(some_samples(100), [50, 51])
+    with RecordingWriter(
+        tmp_path / "b.mcap",
+        Header(robot=robot_named("scara"), source="[bold]x\x1b[2J", sample_rate_hz=1000.0, effort_provenance=""),
+    ) as writer:
+        writer.samples(samples)
+        writer.event(0, "phase", "\x1b]0;title\x07 [red]track[/red]")
+    assert main(["info", str(tmp_path / "b.mcap")]) == 0
+    text = capsys.readouterr().out
+    assert "1, 2 samples missing" in text
+    assert "[bold]x" in text
+    assert "[red]track[/red]" in text
+    assert not {c for c in text if ord(c) < 32} - {"\n"}
+
+
+def test_info_tells_times_from_the_first_sample_and_pads_no_line(tmp_path, capsys):
+    start_ns, text = 1_795_260_831_000_000_000, "disabled: " + "every drive confirmed " * 20
+    samples, frames = some_samples(100), some_frames(20)
+    samples["stamp_ns"] += start_ns - samples["stamp_ns"][0]
+    frames["time_ns"] += start_ns - frames["time_ns"][0]
+    for name in ("sample", "frame"):
+        with RecordingWriter(tmp_path / name, header(robot_named("scara"))) as writer:
+            writer.event(start_ns - 22_000_000, "phase", "configure")
+            if name == "frame":
+                writer.frames("can0", frames)
+            else:
+                writer.samples(samples)
+            writer.event(start_ns + 12_218_000_000, "end", text)
+        assert main(["info", str(tmp_path / name)]) == 0
+        lines = (printed := capsys.readouterr().out).splitlines()
+        assert f"s from the first {name}" in printed
+        for words in (["phase", "-0.022000", "configure"], ["end", "12.218000", *text.split()]):
+            assert words in [line.split() for line in lines]
+        assert not [line for line in lines if line != line.rstrip()]
+        assert sum(len(line) > 120 for line in lines) == 1
+        assert main(["info", str(tmp_path / name), "--json"]) == 0
+        assert json.loads(capsys.readouterr().out)["first_ns"] == start_ns
+
+
+def test_known_errors_are_one_line_and_leave_nothing(folder, capsys):
+    (folder / "old.mcap").write_bytes(b"old")
+    (folder / "bad.csv").write_text("1,2,3,4\n1,2,3,x\n")
+    before, a = sorted(folder.iterdir()), {name: str(folder / name) for name in ("a.csv", "map.toml", "a.mcap", "out")}
+    command, recording = import_command(folder, folder / "log.mcap"), ["import", a["a.mcap"], "-o", a["out"]]
+    for arguments, told in (
+        (["import", str(folder / "none.csv"), *command[2:]], "none.csv: cannot be read"),
+        ([*command[:3], a["a.csv"], *command[4:]], "not valid TOML"),
+        (import_command(folder, folder / "none" / "log.mcap"), "No such file"),
+        (import_command(folder, folder), "found a folder or a device"),
+        (["info", a["a.csv"]], "is a CSV file"),
+        (["info", str(folder / "a\nb.mcap")], "a b.mcap: cannot be read"),
+        (recording, "a.mcap: cannot be read"),
+        ([*recording[:2], *recording[1:]], "a second recording: expected one"),
+        ([*recording, "--payload", "2"], "--payload = '2': expected none"),
+        (["import", a["a.csv"], "--map", a["map.toml"], *recording[2:]], "--robot is missing: expected the robot's"),
+        (["import", str(folder / "bad.csv"), *import_command(folder, folder / "old.mcap")[2:], "--overwrite"],
+         "line 2: column 4 = 'x'"),
+    ):  # fmt: skip
+        assert told in refused(capsys, arguments)
+    assert sorted(folder.iterdir()) == before
+    assert (folder / "old.mcap").read_bytes() == b"old"
+
+
+def test_sessions_that_cannot_begin_are_one_line(tmp_path, capsys):
+    robot, there = tmp_path / "robot.toml", tmp_path / "there.mcap"
+    robot.write_text(bus_text(2, channel="nobody"))
+    there.write_bytes(b"x")
+    before = sorted(tmp_path.iterdir())
+    second, out = ("--duration", "1"), ("-o", str(tmp_path / "a.mcap"))
+    for arguments, expected in (
+        (["record", str(robot), "-o", str(there), "--dry-run", *second], "already exists"),
+        (["record", str(robot), *out, "--passive", "--dry-run"], "--passive: sends nothing"),
+        (["record", str(robot), *out, "--duration", "0"], "--duration = 0.0: expected more than 0"),
+        (["record", str(REPLAY / "emps" / "robot.toml"), *out], "bus is missing"),
+        (["record", str(robot), "-o", str(tmp_path / "no" / "a.mcap"), *second], "cannot be written: No such file"),
+        (["replay", str(there), "--interface", "virtual", "--channel", "x"], "is not an MCAP file"),
+        (["export", str(there), "-o", str(tmp_path / "o.csv")], "is not an MCAP file"),
+        (["import", str(tmp_path / "x.log"), "--robot", str(robot), *out], "x.log: cannot be read"),
+    ):
+        assert expected in refused(capsys, arguments)
+    assert sorted(tmp_path.iterdir()) == before
+    assert main(["record", str(robot), *out, *second]) == 1  # of a bus on which nobody is, there is a recording
+    errors = capsys.readouterr().err
+    assert "node 1: object 6041:0: no answer" in errors
+    assert errors.count("\n") == 1
+
+
+def test_inputs_are_not_replaced(folder, capsys):
+    content = (folder / "a.csv").read_bytes()
+    robot = folder / "robot.toml"
+    robot.write_bytes(SCARA.read_bytes())
+    for out in (folder / "a.csv", folder / "map.toml", robot):
+        arguments = import_command(folder, out)
+        arguments[3] = str(robot)
+        assert "is an input too" in refused(capsys, arguments)
+    assert main(import_command(folder, folder / "log.mcap")) == 0
+    capsys.readouterr()
+    log = str(folder / "log.mcap")
+    assert "is an input too" in refused(capsys, ["import", log, "-o", log])
+    assert (folder / "a.csv").read_bytes() == content
+    assert robot.read_bytes() == SCARA.read_bytes()
+    assert not read_recording(folder / "log.mcap").cut
+
+
+@pytest.mark.parametrize("command", ["import", "import --topic /t", "import --map m.toml", "export"])
+@pytest.mark.parametrize("name", ["log.mcap", "log.bin"])
+def test_a_recording_is_not_replaced(folder, capsys, command, name):
+    """By its suffix, or by what it holds; the option is asked for before anything is read."""
+    log = folder / name
+    content = b"old" if name == "log.mcap" else b"\x89MCAP0"
+    log.write_bytes(content)
+    of_robot = ["--robot", str(SCARA)] if command.startswith("import") else []
+    told = refused(capsys, [*command.split(), "missing", *of_robot, "-o", str(log)])
+    assert told.startswith(f"robot-acquire: {log}: already exists")
+    assert ("--overwrite" in told) == (command != "export")
+    assert log.read_bytes() == content
+    if command != "export":
+        assert "already exists" not in refused(
+            capsys, [*command.split(), "no", *of_robot, "-o", str(log), "--overwrite"]
+        )
+    assert log.read_bytes() == content
+
+
+def test_a_full_disk_is_one_line_and_leaves_nothing(folder):
+    before = sorted(folder.iterdir())
+    result = run(
+        *import_command(folder, folder / "log.mcap"),
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096)),
+        cwd=REPLAY.parent,
+    )
+    assert (result.returncode, result.stdout) == (1, "")
+    assert result.stderr.count("\n") == 1
+    assert "log.mcap: cannot be written: File too large" in result.stderr
+    assert sorted(folder.iterdir()) == before
+
+
+def test_wrong_usage_is_status_2():
+    for arguments in ([], ["fly"], ["info"], ["import"]):
+        with pytest.raises(SystemExit) as caught:
+            main(arguments)
+        assert caught.value.code == 2
+
+
+def test_a_terminal_without_unicode(tmp_path):
+    write(tmp_path / "a.mcap", robot_named("scara"))
+    ascii_only = {**os.environ, "PYTHONIOENCODING": "ascii"}
+    for arguments in (["info", str(tmp_path / "a.mcap")], ["info", str(tmp_path / "a.mcap"), "--json"]):
+        result = run(*arguments, env=ascii_only, cwd=REPLAY.parent)
+        assert (result.returncode, result.stderr) == (0, "")
+        assert "made up, R?" in result.stdout

@@ -1,0 +1,290 @@
+"""Listening before sending: replay on a idle bus only, sessions and checks while another master is active, NMT by node."""
+
+import itertools
+import threading
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from dry_sessions import Through, Unasked, connected, dry_session, findings, heard_at_once, swing
+from made_up_buses import bus_of, bus_text, robot_of
+from virtual_buses import Ear, bus_file
+
+from acquisition.bus import Frame, Link, open_bus, service_of
+from acquisition.bus.frames import other_node, sign_of_master
+from acquisition.commands import main
+from acquisition.errors import RobotIdimError
+from acquisition.protocol import State
+from acquisition.recording import EXTENDED, REMOTE_REQUEST, SENT, read_recording
+from acquisition.session import InlineLog, Stop, Task, replay, running
+from acquisition.simulated import LockStepLink, SimulatedDrives
+
+ROBOT = robot_of(bus_text(2))
+BUS = bus_of(ROBOT)
+TASKS = [Task(duration_s=0.1), Task(reference=swing(2, seconds=0.4, amplitude=0.02))]
+
+
+@pytest.fixture(scope="module")
+def tracked(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A session that moved two drives."""
+    path = tmp_path_factory.mktemp("listening") / "log.mcap"
+    assert not dry_session(path, TASKS[1]).outcome.fault
+    return path
+
+
+# Identifiers of CiA 301 written out; the drives are nodes 1 and 2, with TPDO 1 and RPDO 1 on the usual identifiers.
+SERVICES = [
+    (0x000, "NMT command", True),
+    (0x080, "SYNC", True),
+    (0x081, "emergency of node 1", False),
+    (0x181, "TPDO 1 of node 1", False),
+    (0x201, "RPDO 1 to node 1", True),
+    (0x303, "RPDO 2 to node 3", True),
+    (0x4FF, "TPDO 4 of node 127", False),
+    (0x57F, "RPDO 4 to node 127", True),
+    (0x581, "SDO answer of node 1", False),
+    (0x602, "SDO request to node 2", True),
+    (0x701, "heartbeat of node 1", False),
+    (0x77F, "heartbeat of node 127", True),
+    (0x700, "frame 0x700", False),
+    (0x690, "frame 0x690", False),
+]
+
+
+@pytest.mark.parametrize(("can_id", "service", "master"), SERVICES)
+def test_what_a_frame_says_of_its_sender(can_id, service, master):
+    frame = Frame(0, can_id, b"\x05")
+    assert service_of(frame, 0x80) == service
+    sign = sign_of_master(frame, BUS)
+    assert (sign is not None) == master
+    assert sign is None or sign.startswith(service)
+    assert sign_of_master(frame._replace(flags=EXTENDED), BUS) is None
+
+
+def test_what_is_no_sign_of_a_master():
+    """Boot-ups, SYNC of a producer that is described, and our own identifiers."""
+    frame = Frame(0, 0x77F, b"\0")
+    assert (service_of(frame, 0x80), sign_of_master(frame, BUS)) == ("boot-up of node 127", None)
+    assert [other_node(Frame(0, 0x705, data), BUS) for data in (b"\0", b"\x05")] == [None, 5]
+    assert [other_node(Frame(0, can_id, b"\x05"), BUS) for can_id in (0x701, 0x700, 0x185)] == [None] * 3
+    other = bus_of(robot_of(bus_text(2, extra='sync_producer = "other"')))
+    assert sign_of_master(Frame(0, 0x80, b""), other) is None
+    swapped = bus_of(robot_of(bus_text(1, drive="""tpdo = [{ objects = ["6041", "6064", "6074"], can_id = 0x201 }]
+rpdo = [{ objects = ["6040", "607A"], can_id = 0x181 }]""")))  # fmt: skip
+    assert sign_of_master(Frame(0, 0x201, bytes(8)), swapped) is None
+    assert sign_of_master(Frame(0, 0x181, bytes(6)), swapped) == "TPDO 1 of node 1"
+    assert sign_of_master(Frame(0, 0x701, b"", REMOTE_REQUEST), swapped) == "remote request for heartbeat of node 1"
+
+
+@pytest.mark.parametrize("can_id", [0x80, 0x83, 0x185, 0x585, 0x701, 0x705, 0x123])
+def test_replay_is_refused_whoever_is_heard(tracked, can_id, monkeypatch):
+    file = bus_file(f"replay_{can_id:03X}")
+    somebody, ear = Link(open_bus(file, passive=False), passive=False), Ear(file.channel)
+    monkeypatch.setattr(running, "open_link", heard_at_once(partial(somebody.send, can_id, b"\x01")))
+    try:
+        with pytest.raises(RobotIdimError) as caught:
+            replay(tracked, file, Stop())
+    finally:
+        somebody.close()
+    assert service_of(Frame(0, can_id, b"\x01"), 0x80) in str(caught.value)
+    assert "received: expected an idle bus; nothing was sent" in str(caught.value)
+    assert [frame.can_id for frame in ear.frames()] == [can_id]
+
+
+def test_replay_on_a_silent_bus_sends_what_drives_sent_and_sync(tracked, capsys):
+    file = bus_file("replay_silent")
+    ear = Ear(file.channel)
+    assert main(["replay", str(tracked), "--interface", "virtual", "--channel", file.channel, "--speed", "4"]) == 0
+    recorded = next(iter(read_recording(tracked).frames.values()))
+    drives = np.isin(recorded["can_id"], [0x80, 0x81, 0x82, 0x181, 0x182, 0x581, 0x582, 0x701, 0x702])
+    expected = recorded[drives]
+    assert {0, 0x201, 0x202, 0x601, 0x602} <= set(recorded["can_id"][~drives].tolist())
+    found = ear.frames()
+    assert [frame.can_id for frame in found] == expected["can_id"].tolist()
+    assert [list(frame.data) for frame in found] == [r["data"][: r["length"]].tolist() for r in expected]
+    assert f"{len(found)} frames sent" in capsys.readouterr().out
+    # Over many spans of half the length: a few frames that a busy machine sends late do not decide.
+    half, times_ns = len(found) // 2, np.array([frame.time_ns for frame in found])
+    spans = [times[half:] - times[:-half] for times in (expected["time_ns"], times_ns)]
+    assert np.median(spans[0] / spans[1]) == pytest.approx(4.0, rel=0.05)
+
+
+def test_replay_begins_at_once_whatever_the_clock_of_the_recording_was(tracked, monkeypatch):
+    """Recordings of real drives hold times since 1970."""
+    recording = read_recording(tracked)
+    ((channel, frames),) = recording.frames.items()
+    frames = frames.copy()
+    frames["time_ns"] += 1_700_000_000_000_000_000
+    monkeypatch.setattr(running, "read_recording", lambda _: replace(recording, frames={channel: frames}))
+    stop = Stop()
+    timer = threading.Timer(60.0, lambda: setattr(stop, "reason", "not begun"))
+    timer.start()
+    assert replay(tracked, bus_file("replay_since_1970"), stop, speed=1000.0) > 100
+    timer.cancel()
+    assert stop.reason == ""
+
+
+@pytest.mark.parametrize("can_id", [0x701, 0x123])
+def test_replay_stops_at_the_first_stranger(tracked, can_id):
+    """Drives that are switched on while it sends, or anybody else."""
+    file = bus_file(f"replay_met_{can_id:03X}")
+    somebody, ear = Link(open_bus(file, passive=False), passive=False), Ear(file.channel)
+
+    def meet() -> None:
+        heard = 0
+        while heard < 20:
+            heard += somebody.take(0.1) is not None
+        somebody.send(can_id, b"met")
+
+    met = threading.Thread(target=meet)
+    met.start()
+    try:
+        with pytest.raises(RobotIdimError) as caught:
+            replay(tracked, file, Stop(), speed=0.5)
+    finally:
+        met.join()
+        somebody.close()
+    ids = [(frame.can_id, bytes(frame.data)) for frame in ear.frames()]
+    at = ids.index((can_id, b"met"))
+    assert at >= 20
+    assert len(ids) - at <= 10
+    assert caught.value.expected.startswith("an idle bus; ")
+    assert caught.value.expected.split()[3:] == [str(len(ids) - 1), "frames", "were", "sent"]
+
+
+def test_replay_onto_hardware_must_be_asked_for(tracked):
+    with pytest.raises(RobotIdimError, match=r"interface = 'socketcan': hardware .* expected onto_bus"):
+        replay(tracked, bus_file("nowhere0", "socketcan"), Stop())
+    with pytest.raises(RobotIdimError, match="nowhere0: cannot be opened"):
+        replay(tracked, bus_file("nowhere0", "socketcan"), Stop(), onto_bus=True)
+
+
+def neighbour(can_id: int) -> partial:
+    """Somebody sends one frame 0.3 s after the start."""
+    return partial(Unasked, frames=[Frame(1_300_000_000, can_id, b"\x05")])
+
+
+def other_device(can_id: int = 0x185) -> partial:
+    """Node 5, a gripper, sends all that a device sends by itself, every 20 ms, throughout; `can_id` is that of its PDO."""
+    own = itertools.cycle([(0x705, b"\x05"), (0x705, b"\0"), (0x085, bytes(8)), (can_id, b"\x01\x02")])
+    return partial(Unasked, frames=[Frame(1_010_000_000 + k * 20_000_000, *next(own)) for k in range(500)])
+
+
+def test_a_listed_device_that_beats_stops_no_session_in_motion(tmp_path):
+    robot = robot_of(bus_text(2, extra="other_nodes = [5]"))
+    session = dry_session(tmp_path / "a.mcap", TASKS[1], robot=robot, through=other_device())
+    assert session.outcome.reason == "finished"
+    run, _ = connected(robot)
+    assert not findings(other_device()(link=run), run.drives.bus, "other nodes")
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_a_device_that_is_not_listed_has_its_own_words_unless_there_is_another_master(tmp_path, task):
+    session = dry_session(tmp_path / "a.mcap", task, through=other_device())
+    error = session.outcome.error
+    assert (error.place, error.key, error.value) == ("bus", "other_nodes", ())
+    assert "a device that robot.toml does not describe, or a wrong node id" in str(error)
+    assert "other_nodes = [5]" in error.expected
+    assert "master is active" not in str(error)
+    assert len(session.sent) == 0
+    session = dry_session(tmp_path / "b.mcap", task, through=other_device(0x602))
+    assert "SDO request to node 2: another master is active" in session.outcome.reason
+
+
+@pytest.mark.parametrize("task", TASKS)
+@pytest.mark.parametrize("can_id", [0x000, 0x080, 0x201, 0x605, 0x77F])
+def test_a_session_beside_another_master_sends_nothing(tmp_path, task, can_id):
+    session = dry_session(tmp_path / "a.mcap", task, through=neighbour(can_id))
+    assert session.outcome.fault
+    assert service_of(Frame(0, can_id, b""), 0x80) in session.outcome.reason
+    assert "record --passive" in session.outcome.reason
+    assert len(session.sent) == 0
+    assert session.events("disabled") + session.events("not disabled") == []
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_an_enabled_drive_without_a_master_is_left_as_it_is(tmp_path, task):
+    """Only SDO reads are sent; the way out is named."""
+
+    @dataclass(kw_only=True)
+    class Enabled(Through):
+        def receive(self, until_ns):
+            frame = super().receive(until_ns)
+            if frame is not None and frame.can_id == 0x581:
+                return frame._replace(data=frame.data[:4] + b"\x37\x02\0\0")  # 6041h: operation enabled
+            return frame
+
+    session = dry_session(tmp_path / "a.mcap", task, through=Enabled)
+    assert session.outcome.reason.startswith("node 1: operation enabled before the session began")
+    assert "`robot-acquire disable`" in session.outcome.reason
+    assert session.sent["can_id"].tolist() == [0x601]
+    assert session.sent["data"].tolist() == [[0x40, 0x41, 0x60, 0, 0, 0, 0, 0]]
+    assert session.drives.states == [State.SWITCH_ON_DISABLED] * 2
+    assert not any(node.operational for node in session.drives.nodes)
+    assert session.events("disabled") + session.events("not disabled") == []
+
+
+INTRUDERS = [
+    (0x000, 0, "NMT command", True),
+    (0x202, 0, "RPDO 1 to node 2", True),
+    (0x202, SENT, "RPDO 1 to node 2", True),  # of another program of this machine
+    (0x601, 0, "SDO request to node 1", True),
+    (0x605, 0, "SDO request to node 5", False),
+    (0x303, 0, "RPDO 2 to node 3", False),
+    (0x182, REMOTE_REQUEST, "remote request for TPDO 1 of node 2", False),
+]
+LONG = Task(reference=np.zeros((301, 2)))
+INTRUDED_NS = 2_300_000_000  # the session tracks its reference then
+
+
+def intruder(can_id: int, flags: int = 0) -> partial:
+    """Somebody sends one frame again and again, for 50 ms."""
+    times = range(INTRUDED_NS, INTRUDED_NS + 50_000_000, 3_000_000)
+    return partial(Unasked, frames=[Frame(t, can_id, b"\x01\x03\0\0\0\0\0\0", flags) for t in times])
+
+
+@pytest.mark.parametrize(("can_id", "flags", "service", "fault"), INTRUDERS)
+def test_another_master_in_motion_is_noticed_within_two_periods(tmp_path, can_id, flags, service, fault):
+    session = dry_session(tmp_path / "a.mcap", LONG, through=intruder(can_id, flags))
+    (event,) = [e for e in session.recording.events if "another master is active" in e.text]
+    assert event.text == f"bus: {service}: another master is active: expected none in motion"
+    assert event.kind == ("fault" if fault else "warning")
+    assert session.outcome.fault == fault
+    assert 0 <= event.stamp_ns - INTRUDED_NS <= 2 * 2_000_000
+    assert session.events("phase")[-1] == ("track" if fault else "disable")
+
+
+def test_another_master_at_rest_is_a_warning_once_each(tmp_path):
+    session = dry_session(tmp_path / "a.mcap", Task(duration_s=1.0), through=intruder(0x202))
+    assert session.outcome.reason == "finished"
+    (warning,) = [text for text in session.events("warning") if "another master" in text]
+    assert warning.startswith("bus: RPDO 1 to node 2: another master is active")
+
+
+@pytest.mark.parametrize("can_id", [0x080, 0x202])
+def test_frames_of_the_second_stop_are_not_those_of_another_master(tmp_path, can_id):
+    class Stopped(InlineLog):
+        def poll(self, stamp_ns):
+            if stamp_ns >= INTRUDED_NS:
+                raise RobotIdimError("the recorder's process stopped the drives")
+            return super().poll(stamp_ns)
+
+    session = dry_session(tmp_path / "a.mcap", LONG, through=intruder(can_id), log_of=Stopped)
+    assert session.outcome.reason == "the recorder's process stopped the drives"
+
+
+def test_a_check_beside_another_master_sends_nothing_and_says_what_it_leaves_out():
+    sent: list[Frame] = []
+    run = LockStepLink(
+        SimulatedDrives(ROBOT, BUS), tap=lambda frame: sent.append(frame) if frame.flags & SENT else None
+    )
+    alone = findings(neighbour(0x181)(link=run), BUS)
+    assert sum("switch on disabled" in finding.found for finding in alone) == 2
+    sent.clear()
+    (found,) = findings(Unasked(link=run, frames=[Frame(run.now_ns(), 0x602, b"\x05")]), BUS)
+    assert (found.subject, found.ok) == ("other nodes", False)
+    assert found.found.startswith("bus: SDO request to node 2: another master is active")
+    assert "SYNC are not checked" in found.found
+    assert sent == []

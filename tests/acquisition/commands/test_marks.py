@@ -1,0 +1,182 @@
+"""Marks of an operator: noted beside a recording that is being written, copied into it, shown by `info`."""
+
+import fcntl
+import os
+import threading
+import time
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+from dry_sessions import dry_session, swing
+from made_up_buses import bus_text, robot_of
+
+from acquisition.commands import main
+from acquisition.errors import RobotIdimError
+from acquisition.recording import add_mark, read_recording
+from acquisition.session import InlineLog, Recorder, Task
+
+
+class Marked(InlineLog):
+    """Another terminal notes marks at the beginning, in the middle, and after the last SYNC."""
+
+    path: Path
+    polls = 0
+
+    def poll(self, stamp_ns):
+        self.polls += 1
+        if self.polls in (3, 700):
+            assert main(["mark", str(self.path), f"bumped\n{self.polls} times"]) == 0
+        return super().poll(stamp_ns)
+
+    def finish(self, stamp_ns):
+        assert main(["mark", str(self.path), "at the end"]) == 0
+        return super().finish(stamp_ns)
+
+
+def test_marks_are_events_of_the_recording(tmp_path, capsys):
+    path = tmp_path / "log.mcap"
+    done = dry_session(path, Task(reference=swing(2)), log_of=type("Here", (Marked,), {"path": path}))
+    assert done.events("operator") == ["bumped 3 times", "bumped 700 times", "at the end"]
+    marks = [e.stamp_ns for e in done.recording.events if e.kind == "operator"]
+    assert marks == sorted(marks)
+    assert marks[1] < done.recording.samples["stamp_ns"][-1]
+    assert not list(tmp_path.glob("*.marks*"))
+    capsys.readouterr()
+    assert main(["info", str(path)]) == 0
+    shown = capsys.readouterr().out
+    assert all(text in shown for text in done.events("operator"))
+
+
+def test_a_mark_keeps_its_time_what_is_no_mark_is_left_out_and_info_shows_it_behind_others(tmp_path, capsys):
+    path, robot = tmp_path / "log.mcap", robot_of(bus_text(2))
+    recorder = Recorder(path, robot, source="test", place="robot.toml")
+    second = 10**9
+    lines = [
+        f'[{time.time_ns() - 2 * second}, "before"]',
+        "nonsense",
+        "[1]",
+        f'[{time.time_ns() + 9 * second}, "ahead"]',
+        "[null, 1]",
+    ]
+    for k in range(25):
+        recorder.event(k, "mark", f"event {k}.")
+    (tmp_path / "log.mcap.marks").write_bytes("\n".join(lines).encode() + b"\n\xff\n")
+    recorder.finish(100 * second)
+    found = [e for e in read_recording(path).events if e.kind == "operator"]
+    assert [e.text for e in found] == ["before", "ahead"]
+    assert 97.5 < found[0].stamp_ns / second <= 98
+    assert found[1].stamp_ns == 100 * second
+    assert main(["info", str(path)]) == 0
+    shown = capsys.readouterr().out
+    assert ("ahead" in shown, "event 24." in shown) == (True, False)
+
+
+HOSTILE = {
+    "infinite": b'[1e400,"x"]',
+    "deep": b"[" * 50_000,
+    "deep, closed": b"[1," + b"[" * 50_000 + b"]" * 50_000 + b"]",
+    "deep text": b'[1,{"a":' * 5_000,
+    "digits": b"[" + b"9" * 100_000 + b',"x"]',
+    "not a number": b'[NaN,"x"]',
+    "surrogate": rb'[1,"\ud800"]',
+    "bytes": b'[1,"\xff\xfe"]\x00\r[',
+    "large": b'[1,"x"]\n' * 200_000,
+    "folder": Path.mkdir,
+    "pipe": os.mkfifo,
+    "endless": lambda path: path.symlink_to("/dev/zero"),
+    "nowhere": lambda path: path.symlink_to("missing"),
+}
+
+
+class Hostile(InlineLog):
+    """Each half second something else stands where marks are expected, and a mark after it."""
+
+    path: Path
+
+    def poll(self, stamp_ns):
+        status = super().poll(stamp_ns)
+        if status is not None and self.left:
+            name, content = self.left.popitem()
+            marks = Path(f"{self.path}.marks")
+            if os.path.lexists(marks):
+                assert marks.is_dir() or not marks.is_file() or marks.stat().st_size > 2**20  # only such stay
+                marks.rename(marks.with_suffix(f".{len(self.left)}"))
+            if isinstance(content, bytes):
+                marks.write_bytes(content + b"\n")
+                if len(content) <= 2**20:
+                    assert main(["mark", str(self.path), f"after {name}"]) == 0
+            else:
+                content(marks)
+        return status
+
+
+def test_nothing_in_the_place_of_marks_ends_a_session(tmp_path):
+    path = tmp_path / "log.mcap"
+    here = type("Here", (Hostile,), {"path": path, "left": dict(HOSTILE)})
+    done = dry_session(path, Task(duration_s=0.5 * len(HOSTILE) + 1), log_of=here)
+    assert done.raised is None
+    assert done.outcome.reason == "finished"
+    assert done.recorded.samples > 100
+    assert not here.left
+    of_bytes = [name for name, content in HOSTILE.items() if isinstance(content, bytes) and name != "large"]
+    assert sorted(done.events("operator")) == sorted(f"after {name}" for name in of_bytes)
+
+
+def test_marks_that_others_add_while_the_recorder_takes_them_are_all_kept(tmp_path):
+    path, link, told = tmp_path / "log.mcap", tmp_path / "link.mcap", []
+    recorder = Recorder(path, robot_of(bus_text(2)), source="test", place="robot.toml")
+    Path(f"{path}.marks.taken").write_text(f'[{time.time_ns()}, "left over"]\n')  # of a recorder that was killed
+    link.symlink_to(path)
+
+    def add(to: Path, name: str) -> None:
+        with suppress(RobotIdimError):  # finished
+            for k in range(100_000):
+                add_mark(to, f"{name} {k}")
+                told.append(f"{name} {k}")
+
+    adding = [threading.Thread(target=add, args=(to, name)) for to, name in ((path, "a"), (path, "b"), (link, "c"))]
+    for thread in adding:
+        thread.start()
+    for k in range(100):
+        recorder.tick(10**9 + k, 0, now=True)
+    recorder.finish(2 * 10**9)  # while they go on
+    for thread in adding:
+        thread.join(10)
+    found = [e.text for e in read_recording(path).events if e.kind == "operator"]
+    assert len(told) > 300
+    assert sorted(found) == sorted(["left over", *told])
+    assert not list(tmp_path.glob("*.marks*"))
+
+
+def test_who_keeps_the_lock_of_marks_does_not_hold_up_the_recorder(tmp_path):
+    path = tmp_path / "log.mcap"
+    recorder = Recorder(path, robot_of(bus_text(2)), source="test", place="robot.toml")
+    add_mark(path, "kept")
+    with path.open("rb") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        started_s = time.monotonic()
+        recorder.tick(10**9, 0, now=True)
+        assert time.monotonic() - started_s < 0.5
+        recorder.finish(2 * 10**9)
+        assert time.monotonic() - started_s < 10
+    assert "kept" in Path(f"{path}.marks").read_text()
+
+
+@pytest.mark.parametrize("kind", ["finished", "cut", "none", "table"])
+def test_a_mark_without_a_recording_that_is_written(tmp_path, capsys, kind):
+    path = tmp_path / "log.mcap"
+    recorder = Recorder(path, robot_of(bus_text(2)), source="test", place="robot.toml")
+    if kind == "finished":
+        recorder.finish(10**9)
+    elif kind == "none":
+        path.unlink()
+    elif kind == "table":
+        path.write_text("t,q1")
+    if kind in ("cut", "table"):
+        os.utime(path, (time.time() - 20, time.time() - 20))
+    assert main(["mark", str(path), "too late"]) == 1
+    error = capsys.readouterr().err
+    assert error.startswith(f"robot-acquire: {path}: ")
+    assert error.count("\n") == 1
+    assert not list(tmp_path.glob("*.marks*"))

@@ -1,0 +1,548 @@
+"""`robot-acquire scan`: reads only, silent beside another master, what odd nodes say, a `[bus]` that check and record take."""
+
+import itertools
+import re
+import time
+from collections import Counter
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+
+import canopen
+import pytest
+from dry_sessions import Answering, Through, connected, dry_session, heard_at_once, swing
+from faulty_drives import FaultyDrives
+from made_up_buses import bus_of, bus_text, robot_of
+from virtual_buses import Ear, bus_file, served
+
+from acquisition.bus import Frame, Link, Master, Uploads, open_bus, open_link, scan_nodes
+from acquisition.bus.uploads import upload_segments
+from acquisition.commands import checking, main
+from acquisition.commands.checking import table
+from acquisition.commands.command_line import Progress
+from acquisition.commands.scanning import ARRAYS, OBJECTS, bus_lines, findings_of
+from acquisition.errors import RobotIdimError
+from acquisition.protocol import abort_answer, value_answer
+from acquisition.recording import ERROR, REMOTE_REQUEST
+from acquisition.robot import lines_to_fill_in
+from acquisition.session import Task
+from acquisition.simulated import LockStepLink
+
+SEGMENTS = b"\x60" + bytes(7), b"\x70" + bytes(7)  # requests for the next part of a text
+IDENTITY = {(0x1018, sub): value for sub, value in ((1, 0xFB), (2, 0x60500000), (3, 0x1700010), (4, 77))}
+
+
+def scan(channel: str, *options: str) -> int:
+    return main(["scan", "--interface", "virtual", "--channel", channel, *options])
+
+
+def is_upload(frame: Frame) -> bool:
+    """An SDO request of CiA 301 to read: command 40h, nothing behind index and sub-index; or 60h, 70h and nothing."""
+    reads = (frame.data[:1] == b"\x40" and frame.data[4:] == bytes(4)) or frame.data in SEGMENTS
+    return 0x601 <= frame.can_id <= 0x67F and reads
+
+
+def filled_in(text: str) -> str:
+    return re.sub(r" *# FILL IN.*", "", text)
+
+
+def test_six_drives_are_scanned_by_reads_only(tmp_path, capsys):
+    out = tmp_path / "bus.toml"
+    with served("scan_six", 6):
+        ear, started_s = Ear("scan_six"), time.monotonic()
+        assert scan("scan_six", "--toml", str(out)) == 0
+        assert time.monotonic() - started_s < 6
+    frames = ear.frames()
+    from_drives = {base + node for base in (0x580, 0x700) for node in range(1, 7)}
+    sent = [frame for frame in frames if frame.can_id not in from_drives]
+    assert len(sent) > 127 + 6 * 40
+    assert all(is_upload(frame) for frame in sent)
+    device_type = [frame.can_id for frame in sent if frame.data[1:4] == b"\x00\x10\x00"]
+    assert device_type[:127] == list(range(0x601, 0x680))
+    lines = capsys.readouterr().out.splitlines()
+    assert all(line.startswith("ok") and "1, 2, 3, 4, 5, 6" in line for line in lines[:-1])
+    assert lines[1].endswith('1008 "sim", 1009 "none", 100A "none"')
+    assert lines[-1] == f"{out}: to be filled in: 13 lines with FILL IN"
+    assert "switch on disabled" in lines[2]
+    assert out.read_text().count("[[bus.drive]] # FILL IN: which joint?") == 6
+    assert out.read_text().count("counts_per_turn = 65536 # FILL IN: turn the motor once and compare") == 6
+
+
+def test_requests_are_a_millisecond_apart_and_nothing_comes_before_half_a_second():
+    times: list[int] = []
+
+    @dataclass(kw_only=True)
+    class Timed(Through):
+        def send(self, can_id, data):
+            times.append(self.now_ns())
+            super().send(can_id, data)
+
+    link = Timed(link=drives_of(2))
+    started_ns = link.now_ns()
+    scan_nodes(Uploads(link, bus_file()), OBJECTS, ARRAYS)
+    assert times[0] - started_ns >= 500_000_000
+    assert min(b - a for a, b in itertools.pairwise(times)) >= 1_000_000
+    assert times[126] - times[0] < 200_000_000  # the answers are awaited together
+
+
+def drives_of(n: int, kind: type[FaultyDrives] = FaultyDrives) -> LockStepLink:
+    return connected(robot_of(bus_text(n)), kind)[0]
+
+
+@pytest.mark.parametrize(
+    "frame",
+    [b"", b"\x82\x00", b"\x40\x41\x60\x00" + bytes(3), b"\x2b\x40\x60\x00\x06" + bytes(3), b"\x61" + bytes(7)],
+)
+@pytest.mark.parametrize("can_id", [0x000, 0x080, 0x201, 0x581, 0x600, 0x601, 0x680, 0x77F])
+def test_nothing_but_a_read_can_be_sent(can_id, frame):
+    if can_id != 0x601:
+        frame = frame or b"\x40\x41\x60\x00" + bytes(4)  # a read, but to an identifier of another service
+    link = Answering()
+    with pytest.raises(RobotIdimError, match="is no SDO read"):
+        Uploads(link, bus_file()).send(can_id, frame)
+    assert link.sent == []
+
+
+MASTERS = [(0x000, b"\x01\x00"), (0x080, b""), (0x605, bytes(8)), (0x201, bytes(6))]
+
+
+@pytest.mark.parametrize(("can_id", "data"), MASTERS)
+def test_beside_another_master_nothing_is_sent(can_id, data, capsys, monkeypatch):
+    channel = f"scan_beside_{can_id:03X}"
+    other, ear = Link(open_bus(bus_file(channel), passive=False), passive=False), Ear(channel)
+    monkeypatch.setattr("acquisition.bus.open_link", heard_at_once(partial(other.send, can_id, data)))
+    assert scan(channel) == 1
+    other.close()
+    assert [frame.can_id for frame in ear.frames()] == [can_id]
+    assert "another master is active: expected none during a scan; nothing was sent" in capsys.readouterr().err
+
+
+@dataclass(kw_only=True)
+class Sudden(Through):
+    """Sends one frame as soon as `after` frames were sent; holds it until the scan receives again, as a socket does."""
+
+    frame: Frame
+    after: int
+    sent: list[tuple[int, bytes]] = field(default_factory=list)
+    met: int = -1  # frames sent before
+
+    def send(self, can_id, data):
+        self.sent.append((can_id, data))
+        super().send(can_id, data)
+
+    def receive(self, until_ns):
+        if self.met < 0 and len(self.sent) >= self.after:
+            self.met = len(self.sent)
+            return self.frame
+        return super().receive(until_ns)
+
+
+BEGUN = "expected none during a scan; {} SDO reads were sent"
+WRONG = "error frame: no acknowledgement.*bitrate"
+
+
+@pytest.mark.parametrize(
+    ("frame", "after", "told", "for_good"),
+    [
+        *((Frame(0, 0x80, b""), after, BEGUN, "another master is active") for after in (1, 60, 127, 128, 150, 200)),
+        *((Frame(0, 0x701, b"", REMOTE_REQUEST), after, BEGUN, "another master is active") for after in (1, 150)),
+        *((Frame(0, 0x20, bytes(8), ERROR), after, WRONG, WRONG) for after in (0, 30, 140)),
+    ],
+)
+def test_a_master_that_begins_or_an_error_frame_silences_the_scan(frame, after, told, for_good):
+    link = Sudden(link=drives_of(2), frame=frame, after=after)
+    uploads = Uploads(link, bus_file())
+    with pytest.raises(RobotIdimError, match=told.format(after)):
+        scan_nodes(uploads, OBJECTS, ARRAYS)
+    for _ in range(2):
+        with pytest.raises(RobotIdimError, match=for_good):
+            uploads.send(0x601, b"\x40\x00\x10" + bytes(5))
+    assert len(link.sent) == after
+
+
+class Odd(FaultyDrives):
+    """Drives whose answers to some reads are others: by node and object, the frame or None."""
+
+    answers: dict[tuple[int, int, int], bytes | None]
+    asked: Counter[tuple[int, int, int]]
+
+    def receive(self, now_ns, can_id, data):
+        sent = super().receive(now_ns, can_id, data)
+        key = (can_id - 0x600, int.from_bytes(data[1:3], "little"), data[3]) if len(data) == 8 else (0, 0, 0)
+        self.asked[key] += 1
+        if key in self.answers:
+            answer = self.answers[key]
+            return [] if answer is None else [(0x580 + key[0], answer)]
+        return sent
+
+
+def odd(n: int, answers: dict[tuple[int, int, int], bytes | None]):
+    """The readings and heard services of `n` drives with other answers."""
+    link = drives_of(n, Odd)
+    link.drives.answers, link.drives.asked = answers, Counter()
+    uploads = Uploads(link, bus_file())
+    nodes = scan_nodes(uploads, OBJECTS, ARRAYS)
+    return nodes, uploads.heard, link.drives
+
+
+def row(nodes, heard, subject, node):
+    (found,) = [f for f in findings_of(nodes, heard) if (f.subject, f.node) == (subject, node)]
+    return found
+
+
+def test_odd_answers_are_said_as_such():
+    answers = {
+        (1, 0x6075, 0): abort_answer(0x6075, 0, "general error"),
+        (1, 0x6092, 1): abort_answer(0x6092, 1, "object does not exist"),
+        (1, 0x6092, 2): abort_answer(0x6092, 2, "sub-index does not exist"),
+        (1, 0x6041, 0): value_answer(0x6041, 0, 0x250, 4),
+        (1, 0x6064, 0): value_answer(0x6064, 0, -5, 2),
+        (1, 0x6502, 0): b"\x41\x02\x65\x00\x08\x00\x00\x00",  # the beginning of an upload of 8 bytes
+        (1, 0x6080, 0): None,
+        (2, 0x6074, 0): value_answer(0x6074, 0, 7, 4),
+        (2, 0x607D, 1): value_answer(0x607D, 1, -70000, 4),
+    }
+    nodes, heard, drives = odd(2, answers)
+    assert row(nodes, heard, "state", 1).found == (
+        "6041 0x250 switch on disabled (4 bytes: expected 2), 6064 -5 (2 bytes: expected 4)"
+    )
+    assert row(nodes, heard, "modes", 1).found == "6502 (more than 4 bytes: expected 4)"
+    assert row(nodes, heard, "rated mA, mN m", 1).found == "6075 (general error (0x08000000)), 6076 420"
+    units = row(nodes, heard, "units per turn", 1)
+    assert units.found.startswith("6092:1 -, 6092:2 -, 6091:1 1, 6091:2 1, 608F:1 65536, 608F:2 1")
+    limits = row(nodes, heard, "limits", 1).found
+    assert "6080 (no answer)" in limits
+    assert drives.asked[1, 0x6080, 0] == 2
+    bad = {f.subject for f in findings_of(nodes, heard) if f.node == 1 and not f.ok}
+    assert bad == {"state", "modes", "rated mA, mN m", "limits"}
+    assert row(nodes, heard, "limits", 2).found.startswith("607D:1 -70000, ")
+    assert {f.subject for f in findings_of(nodes, heard) if f.node == 2 and not f.ok} == {"efforts"}
+    written = list(bus_lines(bus_file(), nodes))
+    efforts = [line.split(" #")[0] for line in written if line.startswith(("reference", "actual"))]
+    assert efforts == ['reference = "6074"', 'actual = "6077"']  # whatever 6074h is in the second, it is not CiA 402's
+    # 608Fh stands in where 6092h is not there.
+    assert sum("counts_per_turn = 65536 #" in line for line in written) == 2
+
+
+BEGUN_TEXT = b"\x41\x08\x10\x00\x0a\x00\x00\x00"  # 10 bytes follow in segments
+
+
+def test_texts_that_are_odd_or_not_there_are_said():
+    answers = {
+        (1, 0x1009, 0): abort_answer(0x1009, 0, "object does not exist"),
+        (1, 0x100A, 0): b"\x43\x0a\x10\x00v\xfc\n\x00",  # latin-1, and with a line feed
+        (2, 0x1008, 0): BEGUN_TEXT,
+        (2, 0, 0): abort_answer(0x1008, 0, "general error"),  # to the request for a segment
+        (3, 0x1008, 0): BEGUN_TEXT,
+        (3, 0, 0): b"\x10" + b"seconds",  # the toggle bit of the second segment to the request for the first
+    }
+    nodes, heard, _ = odd(3, answers)
+    (shown,) = [line for line in table(findings_of(nodes, heard)) if "name, versions  1 " in line]
+    assert shown.startswith("ok")
+    assert shown.endswith('1008 "sim", 1009 -, 100A "v\ufffd "')
+    for node, problem in ((2, "general error (0x08000000)"), (3, "no answer")):
+        found = row(nodes, heard, "name, versions", node)
+        assert (found.ok, found.found) == (False, f'1008 ({problem}), 1009 "none", 100A "none"')
+
+
+def test_a_text_in_segments_byte_for_byte_and_its_requests_are_all_answered():
+    """CiA 301, 7.2.4.3.6: toggle bits, unused bytes of the last segment; then one answer more is another device's."""
+    answers = [BEGUN_TEXT, b"\x00Drive 1", b"\x19B\xb03\0\0\0\0"]
+    sent = []
+
+    def answer(can_id, data):
+        sent.append(data)
+        return [(0x585, answers[len(sent) - 1])]
+
+    master = Master(Answering(answer), bus_of(robot_of(bus_text(1))))
+    assert master.upload(5, 0x1008).kind == "other"
+    assert upload_segments(master, 5, 0x1008).data == b"Drive 1B\xb03"
+    assert sent == [b"\x40\x08\x10\x00" + bytes(4), *SEGMENTS]
+    master.dispatch(Frame(0, 0x585, value_answer(0x6041, 0, 0, 2)))
+    assert master.doubled == {5}
+
+
+def test_a_server_that_aborts_the_long_upload_before_is_asked_again():
+    long = {(1, 0x6502, 0): b"\x41\x02\x65\x00\x08\x00\x00\x00"}
+    nodes, _, _ = odd(1, long)
+    aborted: list[str] = []
+
+    class Aborts(Odd):
+        def receive(self, now_ns, can_id, data):
+            if aborted == ["open"]:
+                aborted[:] = ["done"]
+                return [(0x581, abort_answer(0x6502, 0, "command specifier not known"))]
+            sent = super().receive(now_ns, can_id, data)
+            if data[1:4] == b"\x02\x65\x00" and not aborted:
+                aborted[:] = ["open"]
+            return sent
+
+    plain = drives_of(1, Aborts)
+    plain.drives.answers, plain.drives.asked = long, Counter()
+    again = scan_nodes(Uploads(plain, bus_file()), OBJECTS, ARRAYS)
+    assert aborted == ["done"]
+    assert again == nodes
+
+
+def test_pythons_canopen_as_a_node():
+    """An SDO server of others: an upload in segments, a size of its own, an object without a value, and none at all."""
+    dictionary = canopen.ObjectDictionary()
+    for index, kind, value in (
+        (0x1000, canopen.objectdictionary.UNSIGNED32, 0x20192),
+        (0x6041, canopen.objectdictionary.UNSIGNED16, 0x21),
+        (0x6064, canopen.objectdictionary.INTEGER32, -5),
+        (0x6502, canopen.objectdictionary.UNSIGNED64, 0x80),
+        (0x6075, canopen.objectdictionary.UNSIGNED32, None),
+        (0x6076, canopen.objectdictionary.UNSIGNED16, 420),
+    ):
+        variable = canopen.objectdictionary.ODVariable(f"object {index:04X}", index)
+        variable.data_type, variable.value = kind, value
+        dictionary.add_object(variable)
+    for index, name in ((0x1008, "Third Drive 24/5"), (0x1009, "A7"), (0x100A, "v1.2.30")):  # 16, 2 and 7 bytes
+        variable = canopen.objectdictionary.ODVariable(f"object {index:04X}", index)
+        variable.data_type, variable.value = canopen.objectdictionary.VISIBLE_STRING, name
+        dictionary.add_object(variable)
+    network = canopen.Network()
+    network.connect(interface="virtual", channel="scan_canopen")
+    link = open_link(bus_file("scan_canopen"), passive=False)
+    try:
+        network.create_node(9, dictionary)
+        uploads = Uploads(link, bus_file())
+        nodes = scan_nodes(uploads, OBJECTS, ARRAYS)
+    finally:
+        link.close()
+        network.disconnect()
+    assert list(nodes) == [9]
+    assert row(nodes, {}, "name, versions", 9).found == '1008 "Third Drive 24/5", 1009 "A7", 100A "v1.2.30"'
+    assert row(nodes, {}, "state", 9).found == "6041 0x21 ready to switch on, 6064 -5"
+    assert row(nodes, {}, "modes", 9).found == "6502 (more than 4 bytes: expected 4)"
+    assert row(nodes, {}, "rated mA, mN m", 9).found == "6075 (abort (0x060A0023)), 6076 420 (2 bytes: expected 4)"
+    assert row(nodes, {}, "limits", 9).found == "607D:1 -, 607D:2 -, 607F -, 6080 -, 6085 -"
+
+
+def test_a_node_that_falls_silent_does_not_hold_up_the_scan_and_mapped_pdos_are_shown():
+    silent = {(1, index, sub): None for index, sub in [*OBJECTS, *((index, 0) for index in ARRAYS)] if index != 0x1000}
+    nodes, heard, drives = odd(2, silent)
+    assert {reading.problem for reading in nodes[1].values() if reading.value is None} == {"no answer"}
+    assert sum(count for (node, _, _), count in drives.asked.items() if node == 1) == 2 + 2 * 2
+    assert row(nodes, heard, "drive", 1).found.startswith("1000 0x20192, 1018:1 (no answer), 1018:2 (no answer)")
+    assert (row(nodes, heard, "PDOs", 1).found, row(nodes, heard, "PDOs", 1).ok) == ("no answer", False)
+    assert row(nodes, heard, "state", 2).ok
+    assert (row(nodes, heard, "PDOs", 2).found, row(nodes, heard, "PDOs", 2).ok) == ("none is mapped", True)
+    read = {
+        (0x1800, 1): 0x181,
+        (0x1A00, 0): 2,
+        (0x1A00, 1): 0x60410010,
+        (0x1A00, 2): 0x60640020,
+        (0x1400, 1): 0x80000201,
+    }
+    read |= {(0x1600, 0): 1, (0x1600, 1): 0x60400010, (0x1016, 2): 0x7F001E}
+    nodes, heard, _ = odd(1, {(1, *key): value_answer(*key, value, 4 if key[1] else 1) for key, value in read.items()})
+    assert row(nodes, heard, "PDOs", 1).found == "tpdo 1 0x181 6041 6064; rpdo 1 0x201 off 6040"
+    assert "1016 0x2, 1016:1 0x0, 1016:2 0x7F001E" in row(nodes, heard, "supervision", 1).found
+    # What was read of the PDOs before the node fell silent is shown.
+    mapped = {
+        (1, 0x1800, 1): value_answer(0x1800, 1, 0x181, 4),
+        (1, 0x1A00, 0): abort_answer(0x1A00, 0, "general error"),
+    }
+    nodes, heard, _ = odd(1, mapped | {(1, 0x1801, 1): None, (1, 0x1802, 1): None})
+    assert row(nodes, heard, "PDOs", 1).found == "tpdo 1 0x181; no answer"
+
+
+def test_devices_that_are_no_drives_and_nodes_that_are_only_heard():
+    answers = {
+        (1, 0x1000, 0): value_answer(0x1000, 0, 0x00030191, 4),
+        (1, 0x6041, 0): abort_answer(0x6041, 0, "object does not exist"),
+        (2, 0x1000, 0): None,
+        (3, 0x1000, 0): abort_answer(0x1000, 0, "general error"),  # a drive that names no profile
+        **{(3, *key): value_answer(*key, value, 4) for key, value in IDENTITY.items()},
+    }
+    nodes, heard, _ = odd(3, answers)
+    rows = table(findings_of(nodes, heard))
+    assert any(re.fullmatch(r"ok  no drive +1  +1000 0x30191, 1018:1 0x0, .*", line) for line in rows)
+    assert any(re.fullmatch(r"NO  only heard +2  +boot-up", line) for line in rows)
+    assert any("1018:1 0xFB, 1018:2 0x60500000, 1018:3 0x1700010, 1018:4 0x4D" in line for line in rows)
+    lines = list(bus_lines(bus_file(), nodes))
+    assert [line for line in lines if line.startswith("other_nodes")] == ["other_nodes = [1] # no drives"]
+    assert [line.split(" #")[0] for line in lines if line.startswith("node")] == ["node = 3"]
+
+
+def all_answer(device: int = 0, silent: tuple[int, ...] = (), *heard: int) -> Answering:
+    """A link to all node ids that are not in `silent`, each a device of type `device`; heartbeats of `heard`."""
+
+    def answer(can_id, data):
+        key = int.from_bytes(data[1:3], "little"), data[3]
+        if can_id - 0x600 in silent:
+            return []
+        refused = abort_answer(*key, "object does not exist")
+        return [(can_id - 0x80, value_answer(*key, device, 4) if key == (0x1000, 0) else refused)]
+
+    link = Answering(answer)
+    link.waiting = [(0x700 + node, b"\x7f") for node in heard]
+    return link
+
+
+NO_ID = "# master_node = ... # FILL IN: of this program; no node id is free"
+
+
+@pytest.mark.parametrize(
+    ("link", "said"),
+    [
+        (all_answer(), NO_ID),
+        (all_answer(402), NO_ID),
+        (all_answer(0, (9, 5)), "master_node = 9 # of this program; no device has it"),
+        (all_answer(0, (9, 5), 9), "master_node = 5 # of this program; no device has it"),  # 9 is heard only
+        (all_answer(0, tuple(range(2, 128)), 127, 126), "master_node = 125 # of this program; no device has it"),
+        (all_answer(0, tuple(range(2, 128))), None),
+    ],
+)
+def test_the_node_id_of_this_program_is_that_of_no_device_and_progress_is_shown(link, said, tmp_path, monkeypatch):
+    asked = []
+    monkeypatch.setattr("acquisition.bus.open_link", lambda *_, **__: link)
+    with monkeypatch.context() as patch:
+        patch.setattr(Progress, "say", lambda progress, text: asked.append(text))
+        assert scan("scan_all", "--toml", str(tmp_path / "bus.toml")) == 0
+    lines = (tmp_path / "bus.toml").read_text().splitlines()
+    assert [line for line in lines if "master_node" in line] == ([said] if said else [])
+    nodes = [int(re.fullmatch(r"asking node (\d+) of 1 to 127", text)[1]) for text in asked]
+    assert nodes[:127] == list(range(1, 128))
+    answering = sorted({can_id - 0x600 for can_id, data in link.sent if data[1:4] != b"\x00\x10\x00"})
+    assert list(dict.fromkeys(nodes[127:])) == answering
+
+
+def test_a_progress_line_is_on_terminals_only(monkeypatch, capsys):
+    monkeypatch.setattr("acquisition.bus.open_link", lambda *_, **__: all_answer(0, tuple(range(8, 128))))
+    assert scan("scan_all") == 0
+    assert capsys.readouterr().err == ""
+
+
+def described(bus: str, joints: int = 2) -> str:
+    """robot.toml with `joints` and the text of `[bus]`."""
+    return bus_text(joints).split("[bus]")[0] + bus
+
+
+@pytest.fixture
+def scanned(tmp_path: Path) -> Path:
+    """What a scan of two drives wrote."""
+    with served("scan_two", 2):
+        assert scan("scan_two", "--toml", str(tmp_path / "bus.toml")) == 0
+    return tmp_path / "bus.toml"
+
+
+def test_what_a_scan_writes_is_no_go_for_track_until_it_is_filled_in(scanned, capsys, monkeypatch):
+    monkeypatch.setattr(
+        checking, "_jitter", lambda master: checking.Finding("SYNC", "even, whatever this machine does")
+    )
+    bus, robot = scanned.read_text(), scanned.with_name("robot.toml")
+    for text, lines in ((described(bus), 5), (described(filled_in(bus)), 0)):
+        robot.write_text(text)
+        capsys.readouterr()
+        with served("scan_two", 2):
+            status = main(["check", str(robot)])
+        out, err = capsys.readouterr()
+        marked = [n for n, line in enumerate(text.splitlines(), 1) if "FILL IN" in line]
+        assert len(marked) == lines
+        rows = [line for line in out.splitlines() if "FILL IN" in line]
+        shown = f"robot.toml: lines {', '.join(map(str, marked))}: --track refuses"
+        assert [row.split(maxsplit=3) for row in rows] == ([["NO", "FILL", "IN", shown]] if lines else [])
+        assert (status == 1) if lines else ("FILL IN" not in err)
+        # On a busy machine SYNC is uneven, which forbids any session.
+        assert not lines or re.search("no go for --track: .*FILL IN|no go: .*FILL IN.*SYNC", err)
+        assert re.search(r"ok  description +agrees with rated values", out)
+
+
+def test_what_a_scan_writes_records_once_it_is_filled_in(scanned, tmp_path):
+    robot = robot_of(described(filled_in(scanned.read_text())))
+    session = dry_session(tmp_path / "log.mcap", Task(reference=swing(2, seconds=0.4, amplitude=0.02)), robot=robot)
+    assert session.outcome.reason == "finished"
+    assert session.recording.samples["position"][:, 0].max() > 0.03
+
+
+def test_track_refuses_what_is_not_filled_in(scanned, tmp_path, capsys, monkeypatch):
+    (tmp_path / "robot.toml").write_text(described(scanned.read_text()))
+    path = swing(2, seconds=2.0, amplitude=0.02)
+    rows = [f"{0.002 * k},{q[0]},{q[1]}" for k, q in enumerate(path)]
+    (tmp_path / "ref.csv").write_text("\n".join(["time_s,joint_1,joint_2", *rows]))
+    monkeypatch.chdir(tmp_path)
+    command = ["record", "robot.toml", "--track", "ref.csv", "-o", "log.mcap"]
+    ear = Ear("scan_two")
+    assert main([*command, "--yes"]) == 1
+    assert "FILL IN: expected none in [bus]" in capsys.readouterr().err
+    assert ear.frames() == []
+    assert not (tmp_path / "log.mcap").exists()
+    assert main([*command, "--dry-run"]) == 0
+
+
+def test_only_marks_in_bus_count():
+    marked = "[controller] # FILL IN\nbandwidth_hz = 5 # FILL IN"
+    text = bus_text(1).replace("[controller]\nbandwidth_hz = 5", marked)
+    assert lines_to_fill_in(robot_of(text)) == []
+    below = "\n[parameters] # FILL IN\nM1 = 1 # FILL IN\n"
+    text = text.replace("node = 1", "node = 1 # FILL IN") + below
+    number = next(n for n, line in enumerate(text.splitlines(), 1) if "node = 1" in line)
+    assert lines_to_fill_in(robot_of(text)) == [number]
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["socketcan", "--bitrate", "500000"], "--bitrate = 500000: of socketcan: expected none: ip link set can0"),
+        (["slcan"], "--bitrate is missing: a wrong one destroys the frames of others"),
+        (["slcan", "--bitrate", "123"], "--bitrate = 123"),
+        (["virtual", "--toml", "here.toml"], "here.toml: already exists"),
+    ],
+)
+def test_options_that_are_refused(options, said, tmp_path, monkeypatch, capsys):
+    (tmp_path / "here.toml").write_text("mine")
+    monkeypatch.chdir(tmp_path)
+    assert main(["scan", "--channel", "can0", "--interface", *options]) == 1
+    assert said in capsys.readouterr().err
+    assert (tmp_path / "here.toml").read_text() == "mine"
+
+
+def test_an_empty_bus(tmp_path, capsys):
+    assert scan("scan_nobody", "--toml", str(tmp_path / "bus.toml")) == 1
+    assert "bus: virtual scan_nobody: no node answers" in capsys.readouterr().err
+    assert not (tmp_path / "bus.toml").exists()
+
+
+@pytest.mark.parametrize(
+    ("values", "lines"),
+    [
+        ({}, ['reference = "6074"', "rated_torque_nm = 0.42", "counts_per_turn = 65536"]),
+        ({(0x6091, 1): 9, (0x6092, 1): 2304}, ['reference = "6074"', "rated_torque_nm = 0.42", "counts_per_turn = 256"]),
+        ({(0x6091, 2): 0, (0x6092, 2): 4}, ['reference = "6074"', "rated_torque_nm = 0.42", "counts_per_turn = 16384"]),
+        ({(0x6092, 1): 0}, ['reference = "6074"', "rated_torque_nm = 0.42", "counts_per_turn = 65536"]),
+        ({(0x6092, 1): 0, (0x608F, 2): 0, (0x6076, 0): 0}, ['reference = "6074"']),
+        ({(0x6076, 0): 0xFFFFFFFF}, ['reference = "6074"', "counts_per_turn = 65536"]),
+        ({(0x6074, 0): None, (0x6075, 0): 1250}, ['actual = "6077"', "rated_torque_nm = 0.42", "counts_per_turn = 65536"]),
+        ({(0x6074, 0): None, (0x6077, 0): None, (0x6075, 0): 1250}, ['actual = "6078"', "rated_current_a = 1.25"]),
+        ({(0x6074, 0): None, (0x30D0, 0): 7}, ['reference = "30D0"', "counts_per_turn = 65536"]),
+    ],
+)  # fmt: skip
+def test_units_and_efforts_of_a_drive(values, lines):
+    link = drives_of(1)
+    (node,) = link.drives.nodes
+    for key, value in values.items():
+        node.types.setdefault(key, "I32")
+        node.values[key] = 0 if value is None else value
+        if value is None:
+            del node.values[key]
+    nodes = scan_nodes(Uploads(link, bus_file()), OBJECTS, ARRAYS)
+    written = list(bus_lines(bus_file(), nodes))
+    at = next(k for k, line in enumerate(written) if line.startswith("node = 1"))
+    stated = [line.split(" #")[0] for line in written[at + 1 :] if not line.startswith("#")]
+    assert stated[: len(lines)] == lines
+    assert len(stated) == len(lines) + (lines[0] == 'actual = "6078"')
+    assert ("FILL IN" in written[at + 1]) == ("30D0" in written[at + 1])
+
+
+def test_a_drive_with_the_node_id_of_the_master(tmp_path):
+    """Its heartbeats are no sign of a master: 127 is the node id that many drives come with."""
+    drive = bus_text(1, channel="scan_127", extra="master_node = 5").replace("node = 1\n", "node = 127\n")
+    with served("scan_127", 1, drive):
+        ear = Ear("scan_127")
+        assert scan("scan_127", "--toml", str(tmp_path / "bus.toml")) == 0
+        assert 0x77F in {frame.can_id for frame in ear.frames()}
+    bus = robot_of(described((tmp_path / "bus.toml").read_text(), 1)).bus
+    assert (bus.drive[0].node, bus.master_node) == (127, 126)

@@ -1,0 +1,175 @@
+"""Whatever stands in a file, a reader returns or raises `RobotIdimError` in one line; nothing else gets out."""
+
+import contextlib
+import os
+import random
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import pytest
+from conftest import REPLAY, robot_named
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from made_up_recordings import write
+
+from acquisition.errors import RobotIdimError
+from acquisition.files import read_columns
+from acquisition.importing import import_tables
+from acquisition.recording import read_recording
+from acquisition.robot import Robot, robot_from_files
+
+FUZZ = settings(
+    max_examples=int(os.environ.get("FUZZ_EXAMPLES", "150")), deadline=None, suppress_health_check=list(HealthCheck)
+)
+TOMLS = [path.read_text() for path in sorted(REPLAY.glob("*/*.toml"))]
+VALUES = st.sampled_from(
+    [
+        "0", "-1", "1e308", "-1e-320", "nan", "inf", "9" * 30, "true", "1979-05-27", '""', '"x"', '"rad"', '"A"', '"N m/A"',
+        '"m"', '"deg"', "[]", "[[]]", "{}", "{a=1}", "[1,2]", "[0,0,0]", "[nan]", "[1e300,1e300]", "[[0,0],[0,0]]",
+        "[[1e300,1],[1,1e300]]",
+    ]
+)  # fmt: skip
+
+
+@contextlib.contextmanager
+def one_line_or_fine() -> Iterator[None]:
+    try:
+        yield
+    except RobotIdimError as error:
+        text = str(error)
+    else:
+        return
+    assert text.isprintable()
+    assert ": " in text
+
+
+@st.composite
+def changed_toml(draw: st.DrawFn) -> str:
+    """A description with lines dropped, doubled or moved, and values exchanged."""
+    lines = draw(st.sampled_from(TOMLS)).splitlines()
+    for _ in range(draw(st.integers(1, 4))):
+        k = draw(st.integers(0, len(lines) - 1))
+        key = lines[k].partition("=")[0]
+        change = draw(st.sampled_from(["drop", "double", "move", "value", "text"]))
+        if change == "drop" and len(lines) > 1:
+            del lines[k]
+        elif change == "double":
+            lines.insert(k, lines[k])
+        elif change == "move":
+            lines.insert(draw(st.integers(0, len(lines) - 1)), lines[k])
+        elif change == "value" and "=" in lines[k]:
+            lines[k] = f"{key}= {draw(VALUES)}"
+        else:
+            lines[k] = draw(st.text(max_size=20))
+    return "\n".join(lines)
+
+
+def use_robot(text: str) -> None:
+    with one_line_or_fine():
+        robot = robot_from_files({"robot.toml": text.encode("utf-8", "surrogatepass")}, "robot.toml")
+        assert robot.n == len(robot.effort_units)
+        assert np.isfinite(robot.R).all()
+        assert robot.files
+
+
+def use_map(text: str) -> None:
+    with TemporaryDirectory() as folder, one_line_or_fine():
+        path = Path(folder) / "map.toml"
+        path.write_bytes(text.encode("utf-8", "surrogatepass"))
+        import_tables([path.with_name("none.csv")], EMPS, path, path.with_name("out.mcap"))
+
+
+@pytest.mark.parametrize("use", [use_robot, use_map])
+@FUZZ
+@given(text=changed_toml() | st.text(alphabet=st.sampled_from("[]{}=.,\"'\n\\ #ab1e-_:T")))
+def test_changed_descriptions(use: Callable[[str], None], text: str) -> None:
+    use(text)
+
+
+CELLS = st.sampled_from(
+    ["1", "-2.5", "1e5", "nan", "inf", "", "x", '"3"', "1,5", "0x1", "1_0", " 4 ", "#", "ᵀ", "1e999"]
+)
+LINES = st.builds(lambda cells, mark: mark.join(cells), st.lists(CELLS, max_size=5), st.sampled_from(",;\t "))
+
+
+@FUZZ
+@given(
+    content=st.binary(max_size=200)
+    | st.lists(LINES, max_size=8).map(lambda lines: "\n".join(lines).encode())
+    | st.lists(LINES, max_size=8).map(lambda lines: ("a,b,c,d\n" + "\r\n".join(lines)).encode("utf-16")),
+    columns=st.lists(st.sampled_from(["a", "d", "", "x"]) | st.integers(-2, 6), min_size=1, max_size=4),
+)
+def test_any_csv(tmp_path_factory: pytest.TempPathFactory, content: bytes, columns: list[str | int]) -> None:
+    path = scratch(tmp_path_factory) / "a.csv"
+    path.write_bytes(content)
+    with one_line_or_fine():
+        values = read_columns(path, columns, len(columns))
+        assert values.shape[1] == len(columns)
+        assert np.isfinite(values).all()
+
+
+@FUZZ
+@given(
+    text=changed_toml(),
+    numbers=st.lists(st.lists(st.floats(width=32), min_size=5, max_size=5), min_size=1, max_size=6),
+)
+def test_any_import(tmp_path_factory: pytest.TempPathFactory, text: str, numbers: list[list[float]]) -> None:
+    folder = scratch(tmp_path_factory)
+    lines = [",".join(map(str, row)) for row in numbers]
+    (folder / "a.csv").write_text("\n".join(["t,qm,qg,vir,Joint_1", *lines]))
+    (folder / "map.toml").write_bytes(text.encode("utf-8", "surrogatepass"))
+    with one_line_or_fine():
+        result = import_tables([folder / "a.csv"] * 2, EMPS, folder / "map.toml", folder / "out.mcap")
+        assert read_recording(folder / "out.mcap").sample_rate_hz == result.sample_rate_hz
+
+
+EMPS = robot_named("emps")
+
+
+@FUZZ
+@given(content=st.binary(max_size=300), magic=st.booleans(), end=st.booleans())
+def test_any_bytes_as_a_recording(
+    tmp_path_factory: pytest.TempPathFactory, content: bytes, magic: bool, end: bool
+) -> None:
+    path = scratch(tmp_path_factory) / "a.mcap"
+    mark = b"\x89MCAP0\r\n"
+    path.write_bytes(mark * magic + content + mark * end)
+    with one_line_or_fine():
+        pytest.fail(f"read as {read_recording(path)}")
+
+
+def test_changed_recordings(tmp_path: Path) -> None:
+    """Bytes exchanged, dropped, doubled and moved, with and without the CRC that would tell at once."""
+    robot: Robot = robot_named("scara")
+    write(tmp_path / "whole.mcap", robot, blocks=3)
+    whole = (tmp_path / "whole.mcap").read_bytes()
+    chance = random.Random(0)
+    read = 0
+    for _ in range(10 * FUZZ.max_examples):
+        data = bytearray(whole[: len(whole) - 8 * chance.randrange(2)])
+        for _ in range(chance.randint(1, 3)):
+            a, b = sorted(chance.randrange(8, len(data)) for _ in range(2))
+            b = min(b, a + chance.choice([1, 8, 200]))
+            change = chance.randrange(4)
+            if change == 0:
+                data[a:b] = chance.randbytes(b - a)
+            elif change == 1:
+                del data[a:b]
+            elif change == 2:
+                data[a:a] = data[a:b]
+            else:
+                data[a : a + 8] = chance.choice([0, 1, 2**31, 2**63 - 1, 2**64 - 1]).to_bytes(8, "little")
+        (tmp_path / "a.mcap").write_bytes(data)
+        with one_line_or_fine():
+            read_recording(tmp_path / "a.mcap")
+            read += 1
+    assert read > 10  # some changes fall into what nobody reads; the others were refused
+
+
+def scratch(factory: pytest.TempPathFactory) -> Path:
+    """One folder for all examples: hypothesis runs many in one test."""
+    folder = factory.getbasetemp() / "scratch"
+    folder.mkdir(exist_ok=True)
+    return folder

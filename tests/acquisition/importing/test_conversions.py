@@ -1,0 +1,290 @@
+"""Logs of other tools in, CSV out."""
+
+import can
+import numpy as np
+import pytest
+from made_up_buses import bus_of, bus_text, flat, robot_of, session
+from made_up_recordings import header, some_samples
+
+from acquisition.bus import read_log
+from acquisition.commands import main
+from acquisition.errors import RobotIdimError
+from acquisition.files import read_columns
+from acquisition.importing import export_csv, import_log, import_recording
+from acquisition.recording import ERROR, SENT, RecordingWriter, decode, read_recording
+from acquisition.session import Recorder
+from identification import load_signals
+
+ROBOT = robot_of(bus_text())
+
+
+def write_log(path, frames) -> None:
+    with can.Logger(path) as logger:
+        for row in frames:
+            logger.on_message_received(
+                can.Message(
+                    timestamp=row["time_ns"] * 1e-9,
+                    arbitration_id=int(row["can_id"]),
+                    is_extended_id=False,
+                    data=row["data"].tobytes()[: row["length"]],
+                    channel=0 if path.suffix != ".log" else "can0",
+                )
+            )
+
+
+@pytest.mark.parametrize("suffix", [".log", ".asc", ".blf", ".trc"])
+def test_logs_of_other_tools_are_decoded(tmp_path, suffix):
+    log, out = tmp_path / f"a{suffix}", tmp_path / "a.mcap"
+    frames = flat(session(targets=True))
+    write_log(log, frames)
+    found = import_log(log, out, ROBOT, "robot.toml")
+    assert (found.samples, found.has_reference, found.warnings) == (50, True, ())
+    recording = read_recording(out)
+    stored = recording.frames["log"]
+    for field in ("can_id", "length", "data"):
+        assert stored[field].tolist() == frames[field].tolist()
+    assert recording.samples["position"][0, 0] * 50 * 65536 / (2 * np.pi) == pytest.approx(1000)
+    assert recording.metadata["source"] == f"log a{suffix}"
+
+
+TRC = """;$FILEVERSION=1.1
+;$STARTTIME=43474.5
+;   Start time: 09.01.2019 12:00:00.000.0
+;   Message Number) Time Offset (ms) Type ID (hex) Data Length Data Bytes (hex)
+     1)         0.0  Rx         0080  0
+     2)         1.5  Rx         0181  8  37 12 E8 03 00 00 F4 FF
+     3)         2.0  Warng  FFFFFFFF  4  00 00 00 08  BUSHEAVY
+     4)         4.0  Tx         0601  2  40 41
+"""
+
+
+def test_a_pcan_trace_by_hand(tmp_path):
+    """Days since 1899-12-30 and milliseconds: noon of 2019-01-09, 1547035200 s of Unix time. The status line is no frame."""
+    (tmp_path / "a.trc").write_text(TRC)
+    base = 1_547_035_200_000_000_000
+    assert [(i, f.time_ns - base, f.can_id, f.data.hex(), f.flags) for i, f in read_log(tmp_path / "a.trc")] == [
+        ("1", 0, 0x80, "", 0),
+        ("1", pytest.approx(1_500_000, abs=500), 0x181, "3712e8030000f4ff", 0),
+        ("1", pytest.approx(4_000_000, abs=500), 0x601, "4041", SENT),
+    ]
+
+
+def test_import_of_a_trace_asks_for_no_map(tmp_path, capsys):
+    (tmp_path / "r.toml").write_text(bus_text())
+    command = ["--robot", str(tmp_path / "r.toml"), "-o", str(tmp_path / "a.mcap"), "--overwrite"]
+    write_log(tmp_path / "a.trc", flat(session()))
+    assert main(["import", str(tmp_path / "a.trc"), *command]) == 0
+    assert "a.mcap: made up, 50 samples at 500 Hz" in capsys.readouterr().out
+    (tmp_path / "a.trc").write_text(TRC)
+    assert main(["import", str(tmp_path / "a.trc"), *command]) == 1
+    assert "a.trc: 1 SYNC (0x80) in 3 frames" in capsys.readouterr().err
+    for tables, told in (
+        (["a.trc", "b.csv"], "b.csv: a table needs --map MAP.toml"),
+        (["a.trc"] * 2, "a second CAN log"),
+    ):
+        assert main(["import", *(str(tmp_path / name) for name in tables), *command]) == 1
+        assert told in capsys.readouterr().err
+
+
+def test_csv_holds_every_digit(tmp_path):
+    log, mcap, out = tmp_path / "a.log", tmp_path / "a.mcap", tmp_path / "a.csv"
+    write_log(log, flat(session(targets=True)))
+    import_log(log, mcap, ROBOT, "robot.toml")
+    assert export_csv(mcap, out) == 50
+    names = ["time_s", "joint_2_position_rad", "joint_1_effort_N_m", "joint_1_reference_rad"]
+    table, samples = read_columns(out, names, len(names)), read_recording(mcap).samples
+    assert table[:, 0] == pytest.approx(np.arange(50) * 0.002)
+    assert table[:, 1].tolist() == samples["position"][:, 1].tolist()
+    assert table[:, 2].tolist() == samples["effort"][:, 0].tolist()
+    assert table[:, 3].tolist() == samples["reference"][:, 0].tolist()
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "expected"),
+    [
+        ("a.log", b"", "holds no CAN frames"),
+        ("a.log", b"(1.0) can0 zzz\n", "damaged after 0 frames"),
+        ("a.blf", b"LOGGjunk", "damaged after 0 frames"),
+        ("a.asc", b"\xff\xfe\n", "holds no CAN frames|damaged"),
+        ("a.txt", b"x", "suffix '.txt': expected .log"),
+        ("a.trc", b"", "holds no CAN frames"),
+        ("a.trc", b";$FILEVERSION=1.1\n;\n", "holds no CAN frames"),
+        ("a.trc", b"1)  1059.9  Rx  0181  8  00 00\n", "damaged"),
+        (
+            "a.trc",
+            b";$FILEVERSION=1.1\n1)  1059.9  Rx  0181  8  00 00\n",
+            "damaged: TRCReader: Failed to parse message '1\\)",
+        ),
+        (
+            "a.trc",
+            b";$FILEVERSION=1.2\n1)  1059.9 1  Rx  0080  0\n",
+            "version 1.2 of PCAN's format: expected one of 1.0, 1.1",
+        ),
+        (
+            "a.log",
+            b"(1.0) can0 080#\n(1.1) can0 181#001122334455667788\n",
+            r"frame 2 \(0x181\): 9 bytes: expected 8 at most",
+        ),
+    ],
+)
+def test_logs_that_are_none(tmp_path, name, content, expected):
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(RobotIdimError, match=expected) as caught:
+        import_log(tmp_path / name, tmp_path / "o.mcap", ROBOT, "robot.toml")
+    assert "\n" not in str(caught.value)
+    assert not (tmp_path / "o.mcap").exists()
+
+
+@pytest.mark.parametrize("time", ["99999999999999999999.0", "-5.0", "2147483649.0", "nan"])
+def test_a_time_that_no_recording_holds(tmp_path, time):
+    log = tmp_path / "a.log"
+    log.write_text(f"(1.0) can0 080#\n(1.001) can0 181#00\n({time}) can0 080#\n")
+    with pytest.raises(RobotIdimError) as caught:
+        import_log(log, tmp_path / "o.mcap", ROBOT, "robot.toml")
+    assert str(caught.value) == f"{log}: frame 3: time {float(time):.10g} s: expected 0 to 2147483648"
+    assert list(tmp_path.iterdir()) == [log]
+
+
+@pytest.mark.parametrize(
+    ("channel", "more", "left_out", "count"),
+    [
+        ("test", "(1.2) can0 181##1000102030405060708090A0B\n", ("frames left out: 1 of CAN FD",), 150),
+        ("can1", None, ("frames left out: 150 of interface can0",), 150),
+        # python-can's reader tells no interface of a candump's error frame.
+        ("test", "(1.098500) can0 20000080#0000000000000000\n", (), 151),
+    ],
+)
+def test_frames_of_a_log_that_are_left_out(tmp_path, channel, more, left_out, count):
+    log, out = tmp_path / "a.log", tmp_path / "o.mcap"
+    write_log(log, flat(session()))
+    log.write_text(log.read_text() + (log.read_text().replace("can0", "can1") if more is None else more))
+    found = import_log(log, out, robot_of(bus_text(channel=channel)), "robot.toml")
+    assert (found.samples, found.warnings) == (50, left_out)
+    recording = read_recording(out)
+    frames = recording.frames["log"]
+    assert (len(frames), bool(frames["flags"][-1] & ERROR)) == (count, count == 151)
+    assert recording.metadata.get("left_out", "") == "".join(left_out)
+
+
+def test_two_interfaces_are_not_taken_for_one_and_can_fd_alone_is_no_log(tmp_path):
+    log = tmp_path / "a.log"
+    write_log(log, flat(session()))
+    log.write_text(log.read_text() + log.read_text().replace("can0", "can1"))
+    with pytest.raises(RobotIdimError) as caught:
+        import_log(log, tmp_path / "o.mcap", ROBOT, "robot.toml")
+    told = "frames: 150 of interface can0, 150 of interface can1: expected one interface: filter the log, or name one"
+    assert str(caught.value) == f"{log}: {told} of them as bus.channel in robot.toml"
+    log.write_text("(1.2) can0 181##1000102030405060708090A0B\n")
+    with pytest.raises(RobotIdimError, match=r"a\.log: holds no CAN frames \(1 of CAN FD\): expected some"):
+        import_log(log, tmp_path / "o.mcap", ROBOT, "robot.toml")
+
+
+def test_what_has_no_frames_or_no_samples_is_told(tmp_path):
+    for name in ("a.mcap", "b.mcap"):
+        with RecordingWriter(tmp_path / name, header(ROBOT, 500.0)) as writer:
+            if name == "a.mcap":
+                writer.samples(some_samples(3))
+    with pytest.raises(RobotIdimError, match="holds no CAN frames"):
+        import_recording(tmp_path / "a.mcap", tmp_path / "o.mcap", None, "x")
+    with pytest.raises(RobotIdimError, match="holds no joint samples"):
+        export_csv(tmp_path / "b.mcap", tmp_path / "o.csv")
+
+
+def lossy(share: float) -> np.ndarray:
+    """A session of which a share of drive 1's PDOs is lost."""
+    frames = flat(session(syncs=400, targets=True))
+    of_first = np.flatnonzero(frames["can_id"] == 0x181)[10:-10]
+    return np.delete(frames, of_first[:: round(1 / share)])
+
+
+def recorded(path, frames, samples=None) -> None:
+    with RecordingWriter(path, header(ROBOT, 500.0)) as writer:
+        writer.frames("can0", frames)
+        if samples is not None:
+            writer.samples(samples)
+
+
+def recorder_of(path, frames) -> Recorder:
+    recorder = Recorder(path, ROBOT, source="x", place="robot.toml")
+    recorder.add(frames)
+    return recorder
+
+
+def told(capsys, *arguments) -> str:
+    status = main([str(argument) for argument in arguments])
+    captured = capsys.readouterr()
+    return f"{status} {captured.out}{captured.err}"
+
+
+def test_why_there_are_no_samples_is_said_by_all_who_need_some(tmp_path, capsys):
+    log, cut = tmp_path / "a.mcap", tmp_path / "cut.mcap"
+    recorder = recorder_of(log, lossy(1 / 8))
+    why = "12.0% of the PDOs of a drive are missing: expected 5% at most"
+    assert why in recorder.finish(3 * 10**9).no_samples
+    assert read_recording(log).samples is None
+    for command in (["info", log], ["export", log, "-o", tmp_path / "a.csv"]):
+        assert why in (text := told(capsys, *command))
+    assert "with a corrected --robot" in text
+    with pytest.raises(RobotIdimError, match=why):
+        load_signals(log)
+    cut.write_bytes(log.read_bytes()[:-100])
+    assert f"warning: no samples: {cut}: {why}" in told(capsys, "import", cut, "-o", tmp_path / "b.mcap")
+
+
+def test_a_recording_that_was_cut_is_recovered_with_its_samples(tmp_path, capsys):
+    recorder = recorder_of(tmp_path / "a.mcap", flat(session()))
+    recorder.tick(1, 0, now=True)
+    (tmp_path / "cut.mcap").write_bytes((tmp_path / "a.mcap").read_bytes())
+    recorder.finish(3 * 10**9)
+    out = tmp_path / "out.mcap"
+    assert "made up, 50 samples at 500 Hz" in told(capsys, "import", tmp_path / "cut.mcap", "-o", out)
+    assert read_recording(out).samples.tobytes() == read_recording(tmp_path / "a.mcap").samples.tobytes()
+
+
+def test_a_late_sync_of_ours_is_called_late(tmp_path, capsys):
+    """By exactly two periods. SYNC of another producer that is not recorded is missing, and so is the one before: the answers
+    that follow may be those of either.
+    """
+    frames = flat(session())
+    late = frames.copy()
+    late["time_ns"][75:] += 4_000_000
+    lost = np.delete(frames, [75, 76, 77])
+    lost["flags"] = 0
+    for name, block, words in (
+        ("a", late, "1, 0 samples missing, 1 SYNC late"),
+        ("b", lost, "1, 2 samples missing, 0 SYNC"),
+    ):
+        recorder_of(tmp_path / f"{name}.mcap", block).finish(3 * 10**9)
+        assert words in told(capsys, "info", tmp_path / f"{name}.mcap")
+    exported = told(capsys, "export", tmp_path / "b.mcap", "-o", tmp_path / "b.csv")
+    assert "warning: 2 samples are missing in 1 gaps" in exported
+
+
+def test_what_goes_block_by_block_is_the_same(tmp_path, monkeypatch, capsys):
+    frames = flat(session(targets=True))
+    recorded(tmp_path / "a.mcap", frames)
+    import_recording(tmp_path / "a.mcap", tmp_path / "b.mcap", None, "x")
+    export_csv(tmp_path / "b.mcap", tmp_path / "b.csv")
+    overview = told(capsys, "info", tmp_path / "b.mcap")
+    for name in ("rows._AT_ONCE", "rows._TAKEN", "decoding._AT_ONCE"):
+        monkeypatch.setattr(f"acquisition.recording.{name}", 7)
+    assert told(capsys, "info", tmp_path / "b.mcap") == overview
+    import_recording(tmp_path / "a.mcap", tmp_path / "c.mcap", None, "x")
+    b, c = (read_recording(tmp_path / name).samples for name in ("b.mcap", "c.mcap"))
+    assert b.tobytes() == c.tobytes()
+    export_csv(tmp_path / "b.mcap", tmp_path / "c.csv")
+    assert (tmp_path / "c.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
+
+
+def test_recovery_copies_samples_where_their_frames_do_not_decode(tmp_path, capsys):
+    """Frames that lost too much."""
+    log, cut, out = tmp_path / "a.mcap", tmp_path / "cut.mcap", tmp_path / "out.mcap"
+    samples = decode(flat(session(syncs=400, targets=True)), ROBOT, bus_of(ROBOT), "x").samples
+    recorded(log, lossy(1 / 8), samples)
+    cut.write_bytes(log.read_bytes()[:-8])
+    text = told(capsys, "import", cut, "-o", out)
+    recovered = read_recording(out)
+    assert "12.0% of the PDOs of a drive are missing" in text
+    assert "made up, 400 samples at" in text
+    assert recovered.samples.tobytes() == samples.tobytes()
+    assert recovered.events[-1].text.endswith("the 400 samples before the cut are copied")

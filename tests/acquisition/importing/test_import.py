@@ -1,0 +1,402 @@
+"""Tables into recordings: the rule, and every doubt in one line."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.io
+from descriptions import COUPLED, ONE_JOINT
+
+from acquisition.errors import RobotIdimError
+from acquisition.importing import ImportSummary, import_tables
+from acquisition.recording import read_recording
+from acquisition.robot import Robot, robot_from_files
+from identification.data import load_signals
+
+ROBOT = COUPLED.replace("[[10, 4], [-3, 20]]", "[[10, 0], [20, 20]]").replace("zero_deg = -45\n", "")
+MAP = """
+sample_rate_hz = 500
+[position]
+columns = ["p1", "p2"]
+unit = "deg"
+side = "motor"
+[effort]
+columns = ["c1", "c2"]
+unit = "mA"
+side = "motor"
+"""
+Q = np.array([[0.0, 0.0], [900.0, 1800.0], [-900.0, 0.0]])
+CURRENT = np.array([[1000.0, 0.0], [0.0, 2000.0], [-500.0, 4000.0]])
+
+
+@pytest.fixture
+def two() -> Robot:
+    return robot_from_files({"robot.toml": ROBOT.encode()}, "two")
+
+
+@pytest.fixture
+def table(tmp_path: Path) -> Path:
+    return csv(tmp_path / "a.csv", "p1,p2,c1,c2", Q, CURRENT)
+
+
+def csv(path: Path, header: str, *columns: np.ndarray, separator: str = ",") -> Path:
+    lines = [separator.join(f"{value:.9g}" for value in row) for row in np.column_stack(columns)]
+    path.write_text("\n".join([*([header] if header else []), *lines, ""]))
+    return path
+
+
+def run(folder: Path, robot: Robot, table_map: str, *tables: Path) -> ImportSummary:
+    (folder / "map.toml").write_text(table_map)
+    return import_tables(tables, robot, folder / "map.toml", folder / "out.mcap")
+
+
+def refusal(folder: Path, robot: Robot, table_map: str, *tables: Path) -> tuple[str, str, object, str]:
+    """Place, key, value and what was expected; nothing is written."""
+    with pytest.raises(RobotIdimError) as caught:
+        run(folder, robot, table_map, *tables)
+    assert not (folder / "out.mcap").exists()
+    assert not list(folder.glob(".*"))
+    error = caught.value
+    assert "\n" not in str(error)
+    return error.place.replace(f"{folder}/", ""), error.key, error.value, error.expected
+
+
+def test_motor_side_goes_through_the_robots_rule(tmp_path, two, table):
+    result = run(tmp_path, two, MAP, table)
+    recording = read_recording(result.out)
+    # Joint 1 turns by q_motor / 10 from its zero at 90°; joint 2 by the rest of motor 2 once joint 1 is taken off.
+    assert np.rad2deg(recording.samples["position"]) == pytest.approx(np.array([[90, 0], [180, 0], [0, 90]]))
+    # tau = Rᵀ G i: 1 A gives 0.5 N m at motor 1, 0.25 N m at motor 2.
+    assert recording.samples["effort"] == pytest.approx(np.array([[5, 0], [10, 10], [17.5, 20]]))
+    assert recording.samples["stamp_ns"].tolist() == [0, 2_000_000, 4_000_000]
+    assert recording.samples.dtype.names == ("stamp_ns", "position", "effort")
+    assert (recording.sample_rate_hz, result.sample_rate_hz, result.samples) == (500.0, 500.0, 3)
+    assert result.effort_units == ("N m", "N m")
+    assert recording.metadata["source"] == "tables a.csv"
+    told = "a.csv: c1, c2: mA at the motor; joint effort = motor_matrixᵀ · drive gain [0.5, 0.25] · value, in N m"
+    assert recording.metadata["effort_provenance"] == told
+    assert recording.attachments["robot.toml"] == ROBOT.encode()
+
+
+def test_an_effort_beyond_its_limit_is_told(tmp_path):
+    text = ROBOT.replace('name = "second"\n', 'name = "second"\neffort_nm = 16\n')
+    robot = robot_from_files({"robot.toml": text.encode()}, "two")
+    result = run(tmp_path, robot, MAP, csv(tmp_path / "a.csv", "p1,p2,c1,c2", Q, CURRENT))
+    assert result.warnings == ("effort of joint second up to 20 N m: limit 16 N m",)
+
+
+def test_joint_side_stands_as_it_is(tmp_path, two, table):
+    """Where a joint has a zero, which would do nothing, it is refused."""
+    table_map = MAP.replace("motor", "joint").replace("mA", "mN m") + '[reference]\ncolumns = ["p2", "p1"]\n'
+    table_map += 'unit = ["deg", "rad"]\nside = "joint"\n'
+    with pytest.raises(
+        RobotIdimError, match=r"position.side = 'joint': zero_deg of joint first in robot.toml has no effect"
+    ):
+        run(tmp_path, two, table_map, table)
+    plain = robot_from_files({"robot.toml": ROBOT.replace("zero_deg = 90\n", "").encode()}, "plain.toml")
+    result = run(tmp_path, plain, table_map, table)
+    recording = read_recording(result.out)
+    samples = recording.samples
+    result.out.unlink()
+    assert samples["position"] == pytest.approx(np.deg2rad(Q))
+    assert samples["effort"] == pytest.approx(CURRENT * 1e-3)
+    assert samples["reference"] == pytest.approx(Q[:, ::-1] * [np.pi / 180, 1])
+    assert result.has_reference
+    assert recording.metadata["effort_provenance"] == "a.csv: c1, c2: mN m at the joint; joint effort = value in N m"
+    # The unit tells the side too: N m can only be the joint's where motors are recorded in A.
+    recording = read_recording(run(tmp_path, two, MAP.replace('"mA"\nside = "motor"', '"N m"'), table).out)
+    assert recording.samples["effort"].tolist() == CURRENT.tolist()
+    assert recording.metadata["effort_provenance"] == "a.csv: c1, c2: N m at the joint; joint effort = value in N m"
+
+
+@pytest.mark.parametrize("separator", [",", ";", "\t", " ", "  "])
+@pytest.mark.parametrize(
+    "header",
+    [
+        "p1,p2,c1,c2",
+        "# p1,p2,c1,c2",
+        '"p1","p2","c1","c2"',
+        "\ufeffp1,p2,c1,c2",
+        "# by a PC\n# at night\np1,p2,c1,c2",
+        "# by a PC\n# p1,p2,c1,c2",
+        "",
+    ],
+)
+def test_kinds_of_csv(tmp_path, two, separator, header):
+    table = csv(tmp_path / "a.csv", header.replace(",", separator), Q, CURRENT, separator=separator)
+    table.write_text(table.read_text().replace("\n", "\r\n") + "\r\n# end\r\n")
+    table_map = MAP if header else MAP.replace('["p1", "p2"]', "[1, 2]").replace('["c1", "c2"]', "[3, 4]")
+    samples = read_recording(run(tmp_path, two, table_map, table).out).samples
+    assert samples["effort"] == pytest.approx(np.array([[5, 0], [10, 10], [17.5, 20]]))
+
+
+def test_text_in_other_columns_and_vectors_rows_and_matrices_of_a_mat_file(tmp_path, two):
+    (tmp_path / "a.csv").write_text("when,p1,p2,c1,c2\n12:00,0,0,1000,0\n12:01,900,1800,0,2000\n")
+    scipy.io.savemat(tmp_path / "a.mat", {"q": Q, "c1": CURRENT[:, 0], "c2": CURRENT[:, [1]].astype(np.int16)})
+    for name, table_map, n in (("a.csv", MAP, 2), ("a.mat", MAP.replace('["p1", "p2"]', '["q"]'), 3)):
+        result = run(tmp_path, two, table_map, tmp_path / name)
+        samples = read_recording(result.out).samples
+        assert np.rad2deg(samples["position"]) == pytest.approx(np.array([[90, 0], [180, 0], [0, 90]])[:n])
+        assert samples["effort"] == pytest.approx(np.array([[5, 0], [10, 10], [17.5, 20]])[:n])
+        result.out.unlink()
+
+
+def with_time(unit: str, rate: str = "") -> str:
+    return MAP.replace("sample_rate_hz = 500", rate) + f'[time]\ncolumn = "t"\nunit = "{unit}"\n'
+
+
+@pytest.mark.parametrize(("unit", "scale"), [("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
+def test_stamps_lie_on_the_grid_through_the_times(tmp_path, two, unit, scale):
+    rng = np.random.default_rng(0)
+    time_s = 2.0 + np.arange(1000) / 500 + rng.uniform(-5e-5, 5e-5, 1000)
+    columns = [np.zeros((1000, 4)), np.round(time_s * scale, 9)]
+    recording = read_recording(
+        run(tmp_path, two, with_time(unit), csv(tmp_path / "a.csv", "p1,p2,c1,c2,t", *columns)).out
+    )
+    assert recording.sample_rate_hz == 500.0
+    assert set(np.diff(recording.samples["stamp_ns"])) == {2_000_000}
+    assert recording.samples["stamp_ns"][0] == pytest.approx(time_s[0] * 1e9, abs=1e3)
+
+
+@pytest.mark.parametrize("rate_hz", [1000.0, 5000.0, 3.0, 1024.0, 44.1, 999.5])
+def test_the_rate_is_the_roundest_that_fits(tmp_path, two, rate_hz):
+    columns = [np.zeros((2000, 4)), np.arange(2000) / rate_hz]
+    table = csv(tmp_path / "a.csv", "p1,p2,c1,c2,t", *columns)
+    assert run(tmp_path, two, with_time("s"), table).sample_rate_hz == rate_hz
+
+
+def test_a_short_record_with_jitter_keeps_its_own_rate_and_times_before_0_begin_at_0(tmp_path, two):
+    time_s = np.array([0.0, 0.00221, 0.00416]) - 0.01  # 481 Hz; the scatter alone would allow 500
+    result = run(tmp_path, two, with_time("s"), csv(tmp_path / "a.csv", "p1,p2,c1,c2,t", np.zeros((3, 4)), time_s))
+    assert result.sample_rate_hz == pytest.approx(2 / 0.00416, rel=1e-4)
+    assert read_recording(result.out).samples["stamp_ns"] == pytest.approx([0, 2_080_000, 4_160_000], abs=50_000)
+
+
+GRID = np.arange(100) / 500
+
+
+@pytest.mark.parametrize(
+    ("time_s", "rate", "place", "key", "value", "expected"),
+    [
+        (np.delete(GRID, [7, 8]), "", "a.csv: t", "row 8", None, "0.002 s (2 rows missing)"),
+        (np.insert(GRID, 7, GRID[7]), "", "a.csv: t", "row 9", None, "a later time"),
+        (GRID[::-1], "", "a.csv: t", "row 2", None, "a later time"),
+        (np.zeros(100), "", "a.csv: t", "row 2", None, "a later time"),
+        (GRID + 3e-4 * (np.arange(100) == 50), "", "a.csv: t", "row 51", None, "0.002 s (not uniform)"),
+        (GRID * (1 + 0.4 * GRID), "", "a.csv: t", "row 50", None, "0.0010792 s at most"),
+        (GRID, "sample_rate_hz = 1000", "map.toml", "sample_rate_hz", 1000.0, "500, the rate of the times"),
+        (GRID * 1e12, "", "a.csv", "", None, "68 years and 100 MHz at most"),
+        (GRID + 1e10, "", "a.csv", "", None, "68 years and 100 MHz at most"),
+    ],
+)  # fmt: skip
+def test_times_that_are_no_grid(tmp_path, two, time_s, rate, place, key, value, expected):
+    rows = [f"0,0,0,0,{t:.17g}" for t in time_s]
+    (tmp_path / "a.csv").write_text("\n".join(["p1,p2,c1,c2,t", *rows]))
+    found = refusal(tmp_path, two, with_time("s", rate), tmp_path / "a.csv")
+    assert (*found[:3], found[3].split(";")[0]) == (place, key, value, expected)
+
+
+CELLS = "4, as in line 1, the names of the columns; delete lines above them"
+
+
+@pytest.mark.parametrize(
+    ("content", "place", "key", "value", "expected"),
+    [
+        ("", "a.csv", "", None, "a table"),
+        ("p1,p2,c1,c2\n", "a.csv", "", None, "numbers below the header"),
+        ("p1,p2,c1,c2\n1,2,3,4\n", "map.toml", "position", None, "2 at least"),
+        ("p1,p2,c1\n1,2,3\n", "a.csv", "", None, "one of p1, p2, c1"),
+        ("p1,p2,c1,c2,c2\n1,2,3,4,5\n", "a.csv", "", None, "one of p1, p2, c1, c2, c2"),
+        ("p1,p2,c1,c2\n1,2,3,4\n1,2,x,4\n", "a.csv: line 3", "c1", "x", "a number"),
+        ("p1,p2,c1,c2\n\n# remark\n1,2,3,4\n1,2,,4\n", "a.csv: line 5", "c1", "", "a number"),
+        ("p1,p2,c1,c2\n1,2,3,4\n1,2,1_0,4\n", "a.csv: line 3", "c1", "1_0", "a number"),
+        ("p1;p2;c1;c2\n1;2;3;4\n1.5;2;3,5;4\n", "a.csv: line 3", "c1", "3,5", "a number"),
+        ("p1;p2;c1;c2\n1;2;3;4\n1;2;1.003,5;4\n", "a.csv: line 3", "c1", "1.003.5", "a number"),
+        ("p1,p2,c1,c2\n1,2,3,4\n1,2,3\n", "a.csv: line 3", "", None, CELLS),
+        ("p1,p2,c1,c2\n1,2,3,4\n1,2,3,5,4\n", "a.csv: line 3", "", None, CELLS),
+        ("p1,p2,c1,c2\n1,2,3,4\n1,2,3,nan\n", "a.csv: row 2", "c2", np.nan, "a finite number"),
+        ("p1,p2,c1,c2\n1,2,3,4\n1,-inf,3,4\n", "a.csv: row 2", "p2", -np.inf, "a finite number"),
+        ("p1,p2,c1,c2\n1,2,3,4\n1,1e999,3,4\n", "a.csv: row 2", "p2", np.inf, "a finite number"),
+        ("1,2,3,4\n1,2,3,4\n", "a.csv", "", None, "numbers from 1 to 4"),
+    ],
+)  # fmt: skip
+def test_csv_mistakes(tmp_path, two, content, place, key, value, expected):
+    (tmp_path / "a.csv").write_text(content)
+    found = refusal(tmp_path, two, MAP, tmp_path / "a.csv")
+    assert tuple(map(repr, found)) == tuple(map(repr, (place, key, value, expected)))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "key", "value", "expected"),
+    [
+        ("sample_rate_hz = 500", "", "sample_rate_hz", None, "it, or a [time] table"),
+        ("sample_rate_hz = 500", "sample_rate_hz = -1", "sample_rate_hz", -1, "`float` > 0.0"),
+        ("sample_rate_hz = 500", "sample_rate_hz = 0.008", "sample_rate_hz", 0.008, "a rate in Hz, not a period: 125?"),
+        ('["p1", "p2"]', '["p1"]', "position.columns", None, "2, one per joint"),
+        ('["p1", "p2"]', "[]", "position.columns", None, "`array` of length >= 1"),
+        ('["p1", "p2"]', "[1, 9]", "", None, "a number from 1 to 4"),
+        ('["p1", "p2"]', "[0, 1]", "", None, "a number from 1 to 4"),
+        ('unit = "deg"', 'unit = "degree"', "position.unit", "degree", "one of rad, deg, m, mm, um"),
+        ('unit = "deg"', 'unit = "mm"', "position.unit", None, "an angle"),
+        ('unit = "deg"', 'unit = ["deg", "deg", "deg"]', "position.unit", None, "one, or 2, one per joint"),
+        ('unit = "deg"\nside = "motor"', 'unit = "deg"', "position.side", None, "'motor' or 'joint'"),
+        ('side = "motor"\n[effort]', 'side = "load"\n[effort]', "position.side", "load", "one of 'joint', 'motor'"),
+        ('unit = "mA"', 'unit = "mV"', "effort.unit", None, "A, as in robot.toml"),
+        ('"mA"\nside = "motor"', '"mA"\nside = "joint"', "effort.unit", None, "N m, as in robot.toml"),
+        ('"mA"\nside = "motor"', '"N"', "effort.unit", None, "A, as in robot.toml"),
+        ('unit = "mA"', 'unit = "Nm"', "effort.unit", "Nm", "one of A, mA, V, mV, N m, mN m, N, %, per mille"),
+        ('unit = "mA"', 'unit = "mA"\ntable = 2', "effort.table", 2, "1 at most, the number of tables given"),
+        ('unit = "mA"', 'unit = "mA"\ntable = 0', "effort.table", 0, "`int` >= 1"),
+        ('unit = "mA"', 'unit = "mA"\nscale = 2', "effort", None, ""),
+        (
+            "sample_rate_hz = 500",
+            'sample_rate_hz = 500\neffort_timing = "late"',
+            "effort_timing",
+            "late",
+            "one of 'command', 'mean', 'measured', 'unknown'",
+        ),
+        ("[effort]", "[torque]", "top level", None, ""),
+    ],
+)  # fmt: skip
+def test_map_mistakes(tmp_path, two, old, new, key, value, expected, table):
+    assert MAP.count(old) == 1
+    found = refusal(tmp_path, two, MAP.replace(old, new), table)
+    assert found == ("map.toml" if key else "a.csv", key, value, expected)
+
+
+def test_the_side_may_be_left_out_where_nothing_hangs_on_it(tmp_path, two, table):
+    """With an identity matrix position has one meaning; with a gain the unit of the effort tells its side."""
+    table_map = MAP.replace('side = "motor"\n', "")
+    direct = ROBOT.replace("[[10, 0], [20, 20]]", "[[1, 0], [0, 1]]").replace("zero_deg = 90\n", "")
+    robot = robot_from_files({"robot.toml": direct.encode()}, "direct")
+    samples = read_recording(run(tmp_path, robot, table_map, table).out).samples
+    assert samples["position"] == pytest.approx(np.deg2rad(Q))
+    assert samples["effort"] == pytest.approx(CURRENT * [0.5e-3, 0.25e-3])
+    (tmp_path / "out.mcap").unlink()
+    geared = direct.replace("[[1, 0], [0, 1]]", "[[1, 0], [0, 2]]")
+    for unit in ("drive_gain = 0.5\n", "drive_gain = 0.25\n", 'drive_gain_unit = "N m/A"\n'):
+        geared = geared.replace(unit, 'effort_unit = "A"\n' if "unit" in unit else "")
+    joint_position = table_map.replace('unit = "deg"', 'unit = "deg"\nside = "joint"')
+    in_amperes = robot_from_files({"robot.toml": geared.encode()}, "amperes")
+    assert refusal(tmp_path, in_amperes, joint_position, table)[1:3] == ("effort.side", None)
+
+
+def test_a_motor_may_turn_where_its_joint_slides(tmp_path):
+    """A spindle of 5 mm: 2π/0.005 rad at the motor for each metre of the joint, and N m at the motor for newtons."""
+    slide = ROBOT.partition("[[joint]]")[0].replace("motor_matrix = [[10, 0], [20, 20]]\n", "")
+    slide += '[[joint]]\nname = "slide"\ntype = "prismatic"\n'
+    slide += "dh = { alpha_deg = 0, d_m = 0, theta_deg = 0, r_m = 0 }\n"
+    slide += (
+        f'[[motor]]\nname = "m"\neffort_unit = "N m"\nratio = {2 * np.pi / 0.005}\n[controller]\nbandwidth_hz = 9\n'
+    )
+    robot = robot_from_files({"robot.toml": slide.encode()}, "slide")
+    table = csv(tmp_path / "a.csv", "p1,c1", np.array([0.0, 720.0]), np.array([0.0, 1000.0]))
+    table_map = MAP.replace(', "p2"', "").replace(', "c2"', "").replace("mA", "mN m")
+    result = run(tmp_path, robot, table_map, table)
+    samples = read_recording(result.out).samples
+    assert samples["position"] == pytest.approx(np.array([[0], [0.01]]))
+    assert samples["effort"] == pytest.approx(np.array([[0], [2 * np.pi / 0.005]]))
+    assert result.effort_units == ("N",)
+    result.out.unlink()
+    joint_side = table_map.replace('"deg"\nside = "motor"', '"deg"\nside = "joint"')
+    assert refusal(tmp_path, robot, joint_side, table) == ("map.toml", "position.unit", None, "a length")
+
+
+def test_mat_mistakes(tmp_path, two):
+    good = {"p1": Q[:, 0], "p2": Q[:, 1], "c1": CURRENT[:, 0]}
+    for extra, place, key, value, expected in (
+        ({}, "", "", None, "one of p1, p2, c1"),
+        ({"c2": CURRENT[:2, 1]}, "", "", None, "variables of one length, 2 columns in all"),
+        ({"c2": "text"}, "", "", None, "a vector or matrix of real numbers"),
+        ({"c2": np.array([1, 2, 3j])}, "", "", None, "a vector or matrix of real numbers"),
+        ({"c2": {"a": 1}}, "", "", None, "a vector or matrix of real numbers"),
+        ({"c2": np.zeros((0, 0))}, "", "", None, "variables of one length, 2 columns in all"),
+        ({"c2": np.array([1, np.nan, 3])}, ": row 2", "c2", np.nan, "a finite number"),
+    ):
+        scipy.io.savemat(tmp_path / "a.mat", good | extra)
+        found = refusal(tmp_path, two, MAP, tmp_path / "a.mat")
+        assert tuple(map(repr, found)) == tuple(map(repr, (f"a.mat{place}", key, value, expected)))
+    numbers = MAP.replace('["c1", "c2"]', "[3, 4]")
+    assert refusal(tmp_path, two, numbers, tmp_path / "a.mat")[3] == "one of p1, p2, c1, c2"
+    whole = (tmp_path / "a.mat").read_bytes()
+    (tmp_path / "a.mat").write_bytes(whole[: len(whole) // 2])
+    assert refusal(tmp_path, two, MAP, tmp_path / "a.mat")[::2] == ("a.mat", None)
+    for content in (b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(512), b"\x89HDF\r\n\x1a\n".ljust(512)):
+        (tmp_path / "a.mat").write_bytes(content)
+        assert refusal(tmp_path, two, MAP, tmp_path / "a.mat")[3].startswith("version 7;")
+
+
+SINGLE = (
+    ONE_JOINT.replace("revolute", "KIND")
+    .replace("ratio = 50\n", "")
+    .replace('drive_gain = 0.2\ndrive_gain_unit = "N m/A"', 'effort_unit = "EFFORT"')
+)
+SINGLE_MAP = """
+sample_rate_hz = 500
+[position]
+columns = ["p"]
+unit = "POSITION"
+[effort]
+columns = ["c"]
+unit = "EFFORT"
+"""
+
+
+@pytest.mark.parametrize(
+    ("recorded", "position", "effort", "value", "si"),
+    [
+        ("N m", "rad", "N m", [1.25, 0.42], [1.25, 0.42]),
+        ("N m", "deg", "mN m", [180.0, 420.0], [3.141592653589793, 0.42]),
+        ("A", "deg", "A", [-57.29577951308232, 2.5], [-1.0, 2.5]),
+        ("A", "rad", "mA", [0.0, 2500.0], [0.0, 2.5]),
+        ("V", "rad", "V", [0.0, -10.0], [0.0, -10.0]),
+        ("V", "rad", "mV", [0.0, -10.0], [0.0, -0.01]),
+        ("N", "m", "N", [0.3, 80.0], [0.3, 80.0]),
+        ("N", "mm", "N", [250.0, 0.0], [0.25, 0.0]),
+        ("N", "um", "N", [-1500.0, 0.0], [-0.0015, 0.0]),
+    ],
+)
+def test_units_of_position_and_effort_by_hand(tmp_path, recorded, position, effort, value, si):
+    kind = "prismatic" if recorded == "N" else "revolute"
+    robot = robot_from_files({"robot.toml": SINGLE.replace("KIND", kind).replace("EFFORT", recorded).encode()}, "x")
+    table = csv(tmp_path / "a.csv", "p,c", *np.array([[0.0, 0.0], value]).T)
+    result = run(tmp_path, robot, SINGLE_MAP.replace("POSITION", position).replace("EFFORT", effort), table)
+    samples = read_recording(result.out).samples
+    assert samples["position"][:, 0] == pytest.approx([0.0, si[0]], rel=1e-8)
+    assert samples["effort"][:, 0] == pytest.approx([0.0, si[1]], rel=1e-12)
+    assert result.effort_units == (recorded,)
+
+
+def test_times_in_words_that_are_no_unit_and_columns_of_other_lengths_or_none(tmp_path, two):
+    table = csv(tmp_path / "a.csv", "p1,p2,c1,c2,t", np.zeros((3, 4)), np.arange(3.0))
+    short = csv(tmp_path / "b.csv", "t", np.arange(2.0))
+    found = refusal(tmp_path, two, with_time("min"), table)
+    assert found == ("map.toml", "time.unit", "min", "one of s, ms, us, ns")
+    two_tables = with_time("s") + "table = 2\n"
+    assert refusal(tmp_path, two, two_tables, table, short)[::3] == ("map.toml", "one column of 3 rows")
+    assert refusal(tmp_path, two, two_tables, table)[1:3] == ("time.table", 2)
+    tables = csv(tmp_path / "a.csv", "p1,p2", Q), csv(tmp_path / "b.csv", "c1,c2", CURRENT[:2])
+    table_map = MAP.replace('unit = "mA"', 'unit = "mA"\ntable = 2')
+    assert refusal(tmp_path, two, table_map, *tables) == ("map.toml", "effort", None, "3 as in position")
+
+
+@pytest.mark.parametrize(
+    ("stated", "kept", "timing"),
+    [
+        ("", "not known", "unknown"),
+        ('effort_timing = "command"', "command of the instant, held after it", "command"),
+        ('effort_timing = "mean"', "mean over the control period", "mean"),
+        ('effort_timing = "measured"', "measured at the instant of the sample", "measured"),
+    ],
+)
+def test_what_instants_efforts_belong_to_is_what_the_map_says(tmp_path, two, stated, kept, timing, table):
+    out = run(tmp_path, two, f"{stated}\n{MAP}", table).out
+    assert read_recording(out).metadata.get("effort_timing") == kept
+    assert load_signals(out).effort_timing == timing
+
+
+def test_missing_files_are_named(tmp_path, two):
+    assert refusal(tmp_path, two, MAP, tmp_path / "none.csv")[0] == "none.csv"
+    assert refusal(tmp_path, two, MAP, tmp_path)[0] == str(tmp_path)
+    with pytest.raises(RobotIdimError, match=r"none\.toml: cannot be read: No such file"):
+        import_tables([], two, tmp_path / "none.toml", tmp_path / "out.mcap")

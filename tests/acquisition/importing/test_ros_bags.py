@@ -1,0 +1,424 @@
+"""ROS 2 bags: those that the package rosbags writes are read sample by sample."""
+
+import sqlite3
+from contextlib import closing
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import REPLAY, robot_named
+from controller_bags import CONTROLLER, HUMBLE, OLD, STORES, controller_bag
+from made_up_bags import DQ, EFFORT, FIRST_NS, NAMES, RATE_HZ, STATE, STORE, TEXT, N, Q, T, bag, message
+from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+from rosbags.rosbag2 import CompressionMode, StoragePlugin, Writer
+
+from acquisition.commands import main
+from acquisition.errors import RobotIdimError
+from acquisition.importing import BagOptions, import_bag
+from acquisition.recording import Header, RecordingWriter, read_recording
+from identification.data import load_signals
+from identification.regression import Overrides, make_problem
+
+TOML = REPLAY / "scara" / "robot.toml"
+OPTIONS = BagOptions(topic="/joint_states", effort_unit=["N m"])
+
+
+def run(path, out):
+    """The status of an import."""
+    where = ["--robot", str(TOML), "--topic", "/joint_states", "-o", str(out)]
+    return main(["import", str(path), *where, "--effort-unit", "N m"])
+
+
+def imported(path, out):
+    assert run(path, out) == 0
+    return read_recording(out)
+
+
+def refusal(path, capsys):
+    out = path.parent / "out.mcap"
+    assert run(path, out) == 1
+    err = capsys.readouterr().err
+    assert not out.exists()
+    assert err.count("\n") == 1
+    return err
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """A bag of joint states, mcap without compression."""
+    return bag(tmp_path_factory.mktemp("bag") / "whole", map(message, range(N)))
+
+
+STORAGES = {
+    "mcap": (StoragePlugin.MCAP, None),
+    "mcap, zstd": (StoragePlugin.MCAP, CompressionMode.STORAGE),
+    "mcap, zstd by message": (StoragePlugin.MCAP, CompressionMode.MESSAGE),
+    "db3": (StoragePlugin.SQLITE3, None),
+    "db3, zstd by file": (StoragePlugin.SQLITE3, CompressionMode.FILE),
+}
+
+
+BARE = ("mcap", "mcap, zstd", "db3")  # of the others the folder's metadata.yaml alone says how they are compressed
+
+
+@pytest.mark.parametrize(("kind", "whole_folder"), [*((k, True) for k in STORAGES), *((k, False) for k in BARE)])
+def test_bags_of_rosbags_are_read_sample_by_sample(tmp_path, kind, whole_folder, capsys):
+    storage, compression = STORAGES[kind]
+    path = bag(tmp_path / "a_bag", map(message, range(N)), storage=storage, compression=compression)
+    if not whole_folder:
+        (path,) = (file for file in path.iterdir() if file.suffix in (".mcap", ".db3"))
+    recording = imported(path, tmp_path / "out.mcap")
+    samples = recording.samples
+    assert samples["position"] == pytest.approx(Q, abs=1e-12)
+    assert samples["velocity"] == pytest.approx(DQ, abs=1e-12)
+    assert samples["effort"] == pytest.approx(EFFORT, abs=1e-12)
+    assert samples["stamp_ns"].tolist() == [FIRST_NS + k * 10_000_000 for k in range(N)]
+    assert recording.sample_rate_hz == RATE_HZ
+    told = f"effort of {path}: /joint_states: N m at the joint, as stated; joint effort = value in N m"
+    assert recording.metadata["effort_provenance"] == told
+    assert recording.metadata["times"].startswith(f"header stamps of {N} rows: steps 10 to 10 ms, median 10 ms")
+    assert recording.metadata["times"] in capsys.readouterr().out
+
+
+def lz4_mcap(path, messages):
+    """An .mcap whose chunks are compressed by lz4, by another writer."""
+    from mcap.writer import CompressionType
+    from mcap.writer import Writer as McapWriter
+
+    with path.open("wb") as file:
+        writer = McapWriter(file, compression=CompressionType.LZ4)
+        writer.start(profile="ros2", library="a test")
+        schema = writer.register_schema(STATE, "ros2msg", STORE.generate_msgdef(STATE, ros_version=2)[0].encode())
+        channel = writer.register_channel("/joint_states", "cdr", schema, {"offered_qos_profiles": ""})
+        for k, m in enumerate(messages):
+            stamp = FIRST_NS + k * 10_000_000
+            writer.add_message(channel, stamp, bytes(STORE.serialize_cdr(m, STATE)), stamp)
+        writer.finish()
+    return path
+
+
+def test_chunks_of_lz4(tmp_path):
+    recording = imported(lz4_mcap(tmp_path / "a.mcap", map(message, range(N))), tmp_path / "out.mcap")
+    assert recording.samples["position"] == pytest.approx(Q, abs=1e-12)
+
+
+def test_joints_go_by_name_and_times_by_header(tmp_path):
+    """Elbow first, a gripper among them; receptions jitter by milliseconds, header stamps do not."""
+    rng = np.random.default_rng(0)
+    path = tmp_path / "a"
+    with Writer(path, version=9) as w:
+        states = w.add_connection("/joint_states", STATE, typestore=STORE)
+        received = FIRST_NS + np.cumsum(rng.integers(5_000_000, 15_000_000, N))
+        for k in range(N):
+            m = message(k, names=("elbow", "gripper", "shoulder"), velocity=None)
+            w.write(states, int(received[k]), STORE.serialize_cdr(m, STATE))
+            if k % 7 == 0:  # another publisher, of a gripper
+                m = message(k, names=("gripper",), velocity=None)
+                w.write(states, int(received[k]) + 1, STORE.serialize_cdr(m, STATE))
+    recording = imported(path, tmp_path / "out.mcap")
+    assert recording.samples["position"] == pytest.approx(Q, abs=1e-12)
+    assert recording.samples["effort"] == pytest.approx(EFFORT, abs=1e-12)
+    assert "velocity" not in recording.samples.dtype.names
+    assert [event.text for event in recording.events] == ["29 messages without any of the joints are left out"]
+
+
+def test_times_are_header_stamps_from_0_on_or_receptions_where_there_are_none(tmp_path, capsys):
+    path = bag(tmp_path / "a", (message(k, stamp_ns=0) for k in range(N)))
+    assert imported(path, tmp_path / "a.mcap").samples["stamp_ns"][0] == FIRST_NS + 3_000_000
+    assert "warning: headers have no stamps: times are those of reception" in capsys.readouterr().out
+    path = bag(tmp_path / "b", (message(k, stamp_ns=k * 10_000_000) for k in range(N)))  # of simulated time
+    np.testing.assert_array_equal(imported(path, tmp_path / "b.mcap").samples["stamp_ns"], np.arange(N) * 10_000_000)
+
+
+def test_efforts_of_a_bag_were_measured_and_no_lag_is_expected(tmp_path, whole):
+    """The robot's control rate is described: commands of it would be shifted by half a millisecond."""
+    imported(whole, tmp_path / "out.mcap")
+    signals = load_signals(tmp_path / "out.mcap")
+    assert signals.effort_timing == "measured"
+    assert make_problem(signals, Overrides()).settings.known_lag.value_s == 0.0
+    command = make_problem(replace(signals, effort_timing="command"), Overrides())
+    assert command.settings.known_lag.value_s == -0.5e-3
+
+
+def test_currents_of_the_motors_go_through_the_robots_rule(tmp_path, whole, capsys):
+    """3 N m/A at motors of ratios 2 and 5 are 6 and 15 N m at the joints for an ampere; N m is of the joints."""
+    text = TOML.read_text()
+    toml = tmp_path / "amperes.toml"
+    replaced = text
+    for line in text.splitlines():
+        if line.startswith(("effort_unit", "drive_gain", "ratio")):
+            replaced = replaced.replace(line + "\n", "")
+    head, *motors = replaced.split("[[motor]]")
+    for k, ratio in enumerate((2, 5)):
+        motors[k] = f'\nratio = {ratio}\ndrive_gain = 3\ndrive_gain_unit = "N m/A"' + motors[k]
+    toml.write_text("[[motor]]".join([head, *motors]))
+    for unit, factor in (("A", [6, 15]), ("mA", [0.006, 0.015]), ("N m", [1, 1])):
+        out = tmp_path / "out.mcap"
+        options = ["--topic", "/joint_states", "--effort-unit", unit, "-o", str(out), "--overwrite"]
+        assert main(["import", str(whole), "--robot", str(toml), *options]) == 0
+        assert read_recording(out).samples["effort"] == pytest.approx(EFFORT * factor, abs=1e-12)
+    assert main(["import", str(whole), "--robot", str(toml), *options[:2], "--effort-unit", "V", *options[4:]]) == 1
+    assert "effort.unit: gives V at the motor: expected A, as in robot.toml" in capsys.readouterr().err
+
+
+def edited(count=40, **change):
+    """Messages with `change`: a part for all of them, or what makes it of a message's number."""
+    for k in range(count):
+        yield message(k, **{name: part(k) if callable(part) else part for name, part in change.items()})
+
+
+def with_value(x, row, value):
+    return x * np.where(np.arange(N) == row, value, 1)[:, None]
+
+
+ONE_PUBLISHER = "one publisher; record the topic of the arm's own driver"
+
+
+@pytest.mark.parametrize(
+    ("change", "place", "key", "value", "expected"),
+    [
+        ({"count": 0}, "", "", None, "the joints shoulder, elbow of robot.toml"),
+        ({"effort": None}, "", "", None, "measured torques or currents in them"),
+        ({"effort": 0 * EFFORT}, "", "effort", None, "measured efforts; this driver does not publish them"),
+        ({"effort": EFFORT * [1, np.nan]}, "", "effort of joint elbow", None, "measured efforts"),
+        ({"effort": with_value(EFFORT, 3, np.nan)}, ": state 4", "effort of joint shoulder", np.nan, "a finite number"),
+        ({"position": with_value(Q, 2, np.inf)}, ": state 3", "position of joint shoulder", np.inf, "a finite number"),
+        ({"names": ("elbow", "wrist")}, ": message 1", "", None, "all joints of robot.toml in each message, by"),
+        ({"names": ("gripper",)}, "", "", None, "the joints shoulder, elbow of robot.toml"),
+        ({"velocity": lambda k: None if k == 5 else DQ}, "", "", None, "velocity in all or in none"),
+        ({"effort": lambda k: None if k == 5 else EFFORT}, "", "", None, "effort in all or in none"),
+        ({"frame": lambda k: "" if k % 2 else "left"}, ": message 2", "", None, ONE_PUBLISHER),
+        ({"names": lambda k: NAMES if k % 2 else NAMES[::-1]}, ": message 2", "", None, ONE_PUBLISHER),
+        ({"stamp_ns": lambda k: FIRST_NS + (k - 30 * (k % 2)) * 10**7}, "", "row 2", None, "growing times of one source"),
+        ({"stamp_ns": lambda k: FIRST_NS + (k // 2) * 10**7}, "", "row 2", None, "one row for each time"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_with_a_bag_is_told(tmp_path, robot, change, place, key, value, expected):
+    folder, out = bag(tmp_path / "bag", edited(**change)), tmp_path / "out.mcap"
+    with pytest.raises(RobotIdimError) as caught:
+        import_bag(folder, robot, out, OPTIONS)
+    assert not out.exists()
+    error = caught.value
+    assert (error.place, error.key, repr(error.value)) == (f"{folder}: /joint_states{place}", key, repr(value))
+    assert error.expected.startswith(expected)
+
+
+def test_a_topic_that_a_bag_does_not_have_is_told_in_one_line(tmp_path, capsys):
+    away = bag(tmp_path / "away", map(message, range(5)), topic="/arm/joint_states")
+    told = "away: topic /joint_states does not exist: expected one of sensor_msgs/msg/JointState: /arm/joint_states"
+    assert told in refusal(away, capsys)
+
+
+def in_turns(every=1, **other):
+    """The states of the driver, and 5 ms after each one of a second node with the same names and `other` parts."""
+    for k in range(N):
+        yield message(k)
+        if k % every == 0:
+            yield message(k, stamp_ns=FIRST_NS + k * 10_000_000 + 5_000_000, **other)
+
+
+@pytest.mark.parametrize(
+    ("key", "other"),
+    [
+        ("position", {"position": np.roll(Q, 3, axis=0)}),
+        ("position", {"position": np.repeat(Q[:1], N, axis=0)}),
+        ("effort", {"effort": 0 * EFFORT}),
+        ("effort", {"effort": 0 * EFFORT, "every": 7}),
+        ("effort", {"effort": 0.9 * EFFORT}),
+    ],
+    ids=["late copies", "frozen", "no effort", "no effort now and then", "other efforts"],
+)
+def test_two_publishers_with_the_same_names_are_refused(tmp_path, key, other):
+    path = bag(tmp_path / "two", in_turns(**other))
+    with pytest.raises(RobotIdimError) as refused:
+        import_bag(path, robot_named("scara"), tmp_path / "out.mcap", OPTIONS)
+    assert refused.value.key.startswith(key)
+    assert "one publisher" in refused.value.expected
+    assert not (tmp_path / "out.mcap").exists()
+
+
+def test_true_states_are_of_one_publisher(tmp_path):
+    """In coarse numbers; with noise; with drives that are off at first and at the end; with a current that passes zero."""
+    rng, off = np.random.default_rng(0), ((T < 0.3) | (T > 1.7))[:, None]
+    for k, (q, effort) in enumerate(
+        [
+            (np.round(Q, 2), np.round(EFFORT, 1)),
+            (Q + 1e-3 * rng.standard_normal(Q.shape), EFFORT + 0.3 * rng.standard_normal(Q.shape)),
+            (Q, np.where(off, 0.0, EFFORT)),
+            (np.round(np.outer(np.arange(N), [0.015, 0.01]), 2), EFFORT),  # steps of one and two digits in turns
+            (Q, np.rint(EFFORT * [5.0, 0.0])),
+        ]
+    ):
+        path = bag(tmp_path / str(k), (message(i, position=q, effort=effort, velocity=None) for i in range(N)))
+        imported(path, tmp_path / f"{k}.mcap")
+
+
+def test_several_publishers_are_told(tmp_path):
+    """A connection has a profile of quality of service for each publisher."""
+    none, kinds = QosTime(0, 0), (QosHistory, int, QosReliability, QosDurability)
+    qos = Qos(*(kind(1) for kind in kinds), none, none, QosLiveliness(1), none, False)
+    with Writer(tmp_path / "a", version=9) as w:
+        states = w.add_connection("/joint_states", STATE, typestore=STORE, offered_qos_profiles=[qos, qos])
+        for k in range(N):
+            w.write(states, FIRST_NS + k * 10_000_000, STORE.serialize_cdr(message(k), STATE))
+    found = import_bag(tmp_path / "a", robot_named("scara"), tmp_path / "out.mcap", OPTIONS)
+    assert [text for text in found.warnings if text.startswith("/joint_states has 2 publishers")]
+
+
+def test_doubts_about_a_bag_are_told_and_kept(tmp_path, capsys):
+    """Stamps of a clock that is read late, a message that is there twice, velocities that are no numbers."""
+    late_ns = np.random.default_rng(4).integers(0, 4_000_000, N).tolist()
+    unknown = DQ * np.where(np.arange(N) == 7, np.nan, 1)[:, None]
+    messages = [
+        message(k, stamp_ns=FIRST_NS + k * 10_000_000 + late, velocity=unknown) for k, late in enumerate(late_ns)
+    ]
+    messages.insert(50, messages[49])
+    recording = imported(bag(tmp_path / "late", messages), tmp_path / "out.mcap")
+    assert "velocity" not in recording.samples.dtype.names
+    texts = [event.text for event in recording.events]
+    assert texts[0] == "velocities that are not finite numbers are left out"
+    assert texts[1].startswith("stamps jitter by 1.71 ms, more than the motion allows")
+    assert texts[1].endswith("import a table whose map states sample_rate_hz")
+    assert ", 1 doubled rows left out" in recording.metadata["times"]
+    printed = capsys.readouterr().out
+    assert all(f"warning: {text}" in printed for text in texts)
+
+
+# Every 12.5 ms, from 103 ms after the first joint state to 98 ms before the last.
+OWN_NS = 103_000_000 + 12_500_000 * np.arange(144)
+
+
+def states_of(q, own_ns=OWN_NS, names=NAMES[::-1]):
+    """States of a controller whose reference is the function `q` of time, the joints in another order."""
+    return [(FIRST_NS + int(ns), names, q(1e-9 * ns)[: len(names)]) for ns in own_ns]
+
+
+def reversed_reference(t):
+    return np.array([0.4 * np.sin(3 * t), 0.6 * np.sin(2 * t)])
+
+
+def with_controllers(path, topics, version=HUMBLE, storage=StoragePlugin.MCAP):
+    return controller_bag(path, [(FIRST_NS + k * 10_000_000, message(k)) for k in range(N)], topics, version, storage)
+
+
+@pytest.mark.parametrize("storage", ["mcap", "db3", "db3 without definitions"])
+@pytest.mark.parametrize("version", STORES)
+def test_the_reference_is_that_of_the_controller_at_the_times_of_the_joint_states(tmp_path, version, storage, capsys):
+    plugin = StoragePlugin.MCAP if storage == "mcap" else StoragePlugin.SQLITE3
+    path = with_controllers(tmp_path / "a", {CONTROLLER: states_of(reversed_reference)}, version, plugin)
+    if storage.endswith("definitions"):
+        (file,) = path.glob("*.db3")
+        with closing(sqlite3.connect(file)) as database, database:
+            database.execute("DELETE FROM message_definitions")
+    samples = imported(path, tmp_path / "out.mcap").samples
+    at_s = 1e-9 * (samples["stamp_ns"] - FIRST_NS).astype(float)
+    np.testing.assert_allclose(samples["reference"], reversed_reference(at_s).T[:, ::-1], atol=2e-7)
+    np.testing.assert_allclose(samples["position"], Q[11:190], atol=1e-12)
+    assert at_s[0] == pytest.approx(0.11)
+    told = f"reference: {CONTROLLER}, 144 rows at 80 Hz, interpolated; 21 samples before and after it left out\n"
+    out = capsys.readouterr().out
+    assert "with reference" in out
+    assert told in out
+
+
+def test_of_two_controllers_one_is_named_and_one_of_other_joints_is_none(tmp_path, capsys):
+    gripper = {"/gripper/controller_state": states_of(reversed_reference, names=("finger",))}
+    two = {CONTROLLER: states_of(reversed_reference), "/other/state": states_of(lambda t: 0.5 * reversed_reference(t))}
+    path = with_controllers(tmp_path / "a", gripper | two)
+    expected = "expected one of them in --topic, after a comma"
+    told = f"robot-acquire: {path}: has the references {CONTROLLER}, /other/state: {expected}\n"
+    assert refusal(path, capsys) == told
+    options = ["--topic", "/joint_states, /other/state", "--effort-unit", "N m", "-o", str(tmp_path / "1.mcap")]
+    assert main(["import", str(path), "--robot", str(TOML), *options]) == 0
+    assert "reference: /other/state, " in capsys.readouterr().out
+    reference = read_recording(tmp_path / "1.mcap").samples["reference"]
+    assert np.abs(reference[:, 0]).max() == pytest.approx(0.3, abs=1e-3)
+    alone = with_controllers(tmp_path / "b", gripper | {CONTROLLER: states_of(reversed_reference)})
+    assert import_bag(alone, robot_named("scara"), tmp_path / "2.mcap", OPTIONS).reference.startswith(CONTROLLER)
+
+
+def with_nan(t):
+    return np.array([np.nan if t > 1 else 0.0, 0.0])
+
+
+@pytest.mark.parametrize(
+    ("states", "problem"),
+    [
+        (states_of(reversed_reference, names=("elbow", "wrist")), "message 1: joints shoulder missing in elbow, wrist"),
+        (states_of(reversed_reference, names=("finger",)), "has finger: expected the joints shoulder, elbow"),
+        (states_of(with_nan), "state 73: position of joint elbow = nan"),
+        (states_of(reversed_reference, np.delete(OWN_NS, slice(50, 60))), "time: a gap of 0.1375 s"),
+        (states_of(reversed_reference, OWN_NS + 10**10), "time: from 10.103 s to 11.8905 s after the first joint state"),
+        ([], "has no messages"),
+        (states_of(reversed_reference, np.full(9, -FIRST_NS)), "time: only one has them"),
+    ],
+    ids=["a joint missing", "other joints", "nan", "a gap", "another time", "empty", "no stamps"],
+)  # fmt: skip
+def test_a_reference_that_cannot_be_used_is_a_warning_and_if_asked_for_a_refusal(tmp_path, robot, states, problem):
+    path = with_controllers(tmp_path / "a", {CONTROLLER: states}, OLD)
+    found = import_bag(path, robot, tmp_path / "out.mcap", OPTIONS)
+    assert not found.has_reference
+    (warning,) = found.warnings
+    assert warning.startswith(f"no reference: {path}: {CONTROLLER}: {problem}")
+    with pytest.raises(RobotIdimError) as refused:
+        import_bag(path, robot, tmp_path / "asked.mcap", replace(OPTIONS, reference_topic=CONTROLLER))
+    assert f"no reference: {refused.value}" == warning
+    assert not (tmp_path / "asked.mcap").exists()
+
+
+def test_a_reference_topic_of_another_type_or_none_is_told(tmp_path, robot, whole):
+    for topic, problem in (("/rosout", f"has type {TEXT}"), ("/away", "does not exist")):
+        with pytest.raises(RobotIdimError, match=f"topic {topic} {problem}: expected a topic of control_msgs/msg/"):
+            import_bag(whole, robot, tmp_path / "out.mcap", replace(OPTIONS, reference_topic=topic))
+
+
+def test_options_that_do_not_go_together(tmp_path, whole, capsys):
+    def told(*options):
+        assert main(["import", str(whole), "--robot", str(TOML), "-o", str(tmp_path / "out.mcap"), *options]) == 1
+        return capsys.readouterr().err
+
+    assert "a ROS 2 bag needs --topic: expected the topic" in told()
+    topic = ("--topic", "/joint_states")
+    assert "--effort-unit is missing: a bag does not contain it: expected the unit" in told(*topic)
+    assert "--effort-unit = 'Nm': expected one of A, mA" in told(*topic, "--effort-unit", "Nm")
+    assert "--effort-unit: 3 units: expected one, or 2" in told(*topic, "--effort-unit", "A,A,A")
+    assert "--map = " in told(*topic, "--map", "x.toml")
+    in_nm = (*topic, "--effort-unit", "N m")
+    assert "--resample-hz = -1.0: expected a number above 0" in told(*in_nm, "--resample-hz", "-1")
+    assert "--effort-unit = 'A': is only for ROS 2 bags: expected --topic" in told("--effort-unit", "A")
+
+
+def test_files_that_are_no_bags(tmp_path, robot, capsys):
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "text.mcap").write_text("no bag")
+    (tmp_path / "text.db3").write_text("no bag")
+    own = tmp_path / "own.mcap"
+    with RecordingWriter(own, Header(robot=robot, source="", sample_rate_hz=100.0, effort_provenance="")):
+        pass
+    cut = bag(tmp_path / "cut", map(message, range(N)))
+    (file,) = cut.glob("*.mcap")
+    file.write_bytes(file.read_bytes()[:20_000])
+    for name in ("folder", "text.mcap", "text.db3", "own.mcap", "cut", "missing.mcap"):
+        assert f"{tmp_path / name}: cannot be read: " in refusal(tmp_path / name, capsys)
+
+
+@pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
+def test_damaged_bags_are_read_or_refused_in_one_line(tmp_path, storage, capsys):
+    path = bag(tmp_path / "a", map(message, range(20)), storage=storage)
+    (file,) = (f for f in path.iterdir() if f.suffix in (".mcap", ".db3"))
+    whole, rng = file.read_bytes(), np.random.default_rng(1)
+    seen = set()
+    for k in range(16):
+        damaged = bytearray(whole)
+        if k % 2:
+            damaged = damaged[: rng.integers(len(whole))]
+        else:
+            for place in rng.integers(len(whole), size=200):
+                damaged[place] = rng.integers(256)
+        file.write_bytes(bytes(damaged))
+        status, out = run(file, tmp_path / "out.mcap"), tmp_path / "out.mcap"
+        err = capsys.readouterr().err
+        seen.add(status)
+        assert status == 0 or (status == 1 and err.count("\n") == 1 and err.startswith(f"robot-acquire: {file}"))
+        out.unlink(missing_ok=True)
+    assert 1 in seen

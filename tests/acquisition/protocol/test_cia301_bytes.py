@@ -1,0 +1,518 @@
+"""CiA 301 byte for byte: identifiers, SDO, PDO parameters, NMT, heartbeats, emergencies; every frame typed by hand."""
+
+import re
+
+import numpy as np
+import pytest
+from dry_sessions import Answering
+from made_up_buses import bus_of, bus_text, robot_of
+
+from acquisition.bus import Frame, Master
+from acquisition.errors import NoAnswerError, RobotIdimError, SdoAbortedError
+from acquisition.protocol import (
+    ObjectEntry,
+    Pdo,
+    State,
+    abort_answer,
+    answer_of,
+    bus_load,
+    check_answer,
+    configuration,
+    frame_bits,
+    interpolation_period,
+    pdos_of,
+    read_request,
+    request_of,
+    usual_can_id,
+    value_answer,
+    write_request,
+    written_answer,
+)
+from acquisition.robot import Bus, Robot
+from acquisition.simulated import SimulatedDrives
+
+STATUS, POSITION, TORQUE = (
+    ObjectEntry(index=0x6041, sub=0, type="U16"),
+    ObjectEntry(index=0x6064, sub=0, type="I32"),
+    ObjectEntry(index=0x6074, sub=0, type="I16"),
+)
+INTERPOLATION = ObjectEntry(index=0x60C2, sub=2, type="I8")
+# What CiA 301 (table of SDO abort codes) says of the codes that have a text.
+ABORT_WORDS = {
+    0x05030000: "toggle bit",
+    0x05040000: "timed out",
+    0x05040001: "command specifier",
+    0x06010000: "access",
+    0x06010001: "read of a write-only",
+    0x06010002: "write to a read-only",
+    0x06020000: "object does not exist",
+    0x06040041: "cannot be mapped",
+    0x06040042: "PDO would be too long",
+    0x06070010: "length does not match",
+    0x06090011: "sub-index does not exist",
+    0x06090030: "value out of range",
+    0x08000000: "general error",
+    0x08000022: "state",
+}
+
+
+def data(text: str) -> bytes:
+    return bytes.fromhex(text)
+
+
+# SDO
+
+
+@pytest.mark.parametrize(
+    ("frame", "expected"),
+    [
+        (read_request(0x6041, 0), "40 41 60 00 00 00 00 00"),
+        (read_request(0x1018, 4), "40 18 10 04 00 00 00 00"),
+        (write_request(0x6060, 0, 8, 1), "2F 60 60 00 08 00 00 00"),
+        (write_request(0x60C2, 2, -3, 1), "2F C2 60 02 FD 00 00 00"),
+        (write_request(0x6040, 0, 0x010F, 2), "2B 40 60 00 0F 01 00 00"),
+        (write_request(0x2000, 1, 0x030201, 3), "27 00 20 01 01 02 03 00"),
+        (write_request(0x607A, 0, -2, 4), "23 7A 60 00 FE FF FF FF"),
+        (write_request(0x1800, 1, 0x80000185, 4), "23 00 18 01 85 01 00 80"),
+        (value_answer(0x6061, 0, 8, 1), "4F 61 60 00 08 00 00 00"),
+        (value_answer(0x6041, 0, 0x1237, 2), "4B 41 60 00 37 12 00 00"),
+        (value_answer(0x2000, 0, 0x030201, 3), "47 00 20 00 01 02 03 00"),
+        (value_answer(0x1000, 0, 0x00020192, 4), "43 00 10 00 92 01 02 00"),
+        (value_answer(0x6064, 0, -5, 4), "43 64 60 00 FB FF FF FF"),
+        (value_answer(0x60C2, 2, -4, 1), "4F C2 60 02 FC 00 00 00"),
+        (written_answer(0x6040, 0), "60 40 60 00 00 00 00 00"),
+        (abort_answer(0x2000, 7, "sub-index does not exist"), "80 00 20 07 11 00 09 06"),
+    ],
+)
+def test_sdo_frames_made(frame, expected):
+    assert frame == data(expected)
+
+
+@pytest.mark.parametrize(
+    ("text", "kind", "key", "value"),
+    [
+        ("40 41 60 00 00 00 00 00", "read", (0x6041, 0), ""),
+        ("2F 60 60 00 08 AA AA AA", "write", (0x6060, 0), "08"),
+        ("2B 40 60 00 0F 01 AA AA", "write", (0x6040, 0), "0F 01"),
+        ("27 00 20 01 01 02 03 AA", "write", (0x2000, 1), "01 02 03"),
+        ("23 7A 60 00 FE FF FF FF", "write", (0x607A, 0), "FE FF FF FF"),
+        ("22 7A 60 00 FE FF FF FF", "write", (0x607A, 0), "FE FF FF FF"),  # expedited, size not indicated
+        ("2E 60 60 00 08 00 00 00", "write", (0x6060, 0), "08 00 00 00"),  # its bits 2 and 3 say nothing then
+        ("80 00 20 07 11 00 09 06", "abort", (0x2000, 7), "11 00 09 06"),
+        ("21 10 10 01 40 00 00 00", "other", (0, 0), ""),  # a segmented write begins
+        ("00 61 62 63 64 65 66 67", "other", (0, 0), ""),  # a segment
+        ("60 00 00 00 00 00 00 00", "other", (0, 0), ""),  # the next segment is asked for
+        ("A0 10 10 01 00 00 00 00", "other", (0, 0), ""),  # a block transfer
+        ("40 41 60 00 00 00 00", "other", (0, 0), ""),
+        ("", "other", (0, 0), ""),
+    ],
+)
+def test_sdo_requests_read(text, kind, key, value):
+    found = request_of(data(text))
+    assert (found.kind, (found.index, found.sub), found.data) == (kind, key, data(value))
+
+
+@pytest.mark.parametrize(
+    ("text", "kind", "key", "value"),
+    [
+        ("4F 61 60 00 08 AA AA AA", "value", (0x6061, 0), 8),
+        ("4B 41 60 00 37 12 AA AA", "value", (0x6041, 0), 0x1237),
+        ("47 00 20 03 01 02 03 AA", "value", (0x2000, 3), 0x030201),
+        ("43 00 10 00 92 01 02 80", "value", (0x1000, 0), 0x80020192),
+        ("42 00 10 00 92 01 02 80", "value", (0x1000, 0), 0x80020192),
+        ("60 40 60 00 00 00 00 00", "written", (0x6040, 0), 0),
+        ("80 00 20 00 00 00 02 06", "abort", (0x2000, 0), 0x06020000),
+        ("41 08 10 00 0A 00 00 00", "other", (0, 0), 0),  # a segmented answer begins: 10 bytes
+        ("01 61 62 63 64 65 66 67", "other", (0, 0), 0),  # its last segment
+        ("20 00 00 00 00 00 00 00", "other", (0, 0), 0),  # a segment was taken
+        ("43 00 10 00 92 01 02 00 00", "other", (0, 0), 0),
+    ],
+)
+def test_sdo_answers_read(text, kind, key, value):
+    found = answer_of(data(text))
+    assert (found.kind, (found.index, found.sub), found.number) == (kind, key, value)
+
+
+@pytest.mark.parametrize("code", ABORT_WORDS)
+def test_abort_codes_in_words(code):
+    answer = answer_of(data("80 00 20 00") + code.to_bytes(4, "little"))
+    with pytest.raises(SdoAbortedError) as caught:
+        check_answer(answer, "value", 5, "node 5: object 2000:0")
+    assert (caught.value.node, caught.value.index, caught.value.code) == (5, 0x2000, code)
+    assert ABORT_WORDS[code] in caught.value.meaning
+    assert str(caught.value) == f"node 5: object 2000:0: refused by the drive: {caught.value.meaning} (0x{code:08X})"
+
+
+def test_answers_that_are_not_the_one_wanted():
+    assert check_answer(answer_of(data("4B 41 60 00 37 12 00 00")), "value", 5, "x") == 0x1237
+    with pytest.raises(NoAnswerError, match="x: the drive answered written: expected value") as caught:
+        check_answer(answer_of(data("60 41 60 00 00 00 00 00")), "value", 5, "x")
+    assert caught.value.node == 5
+    unknown = answer_of(data("80 41 60 00 01 00 00 FF"))
+    with pytest.raises(SdoAbortedError, match=re.escape("x: refused by the drive: abort (0xFF000001)")):
+        check_answer(unknown, "value", 5, "x")
+
+
+# Identifiers and PDOs
+
+
+@pytest.mark.parametrize(
+    ("direction", "expected"),
+    [("tpdo", [0x185, 0x285, 0x385, 0x485, None]), ("rpdo", [0x205, 0x305, 0x405, 0x505, None])],
+)
+def test_identifiers_of_the_predefined_connection_set(direction, expected):
+    assert [usual_can_id(direction, number, 5) for number in (1, 2, 3, 4, 5)] == expected
+
+
+def frames_of(direction: str, pdo: Pdo) -> list[str]:
+    return [write_request(*write).hex(" ").upper() for write in configuration(direction, pdo)]
+
+
+def test_a_tpdo_is_configured_byte_for_byte():
+    """Off, at every SYNC, no objects, the objects, their number, on: CiA 301, 7.5.2.38."""
+    assert frames_of("tpdo", Pdo(number=1, can_id=0x185, entries=(STATUS, POSITION, TORQUE))) == [
+        "23 00 18 01 85 01 00 80",
+        "2F 00 18 02 01 00 00 00",
+        "2F 00 1A 00 00 00 00 00",
+        "23 00 1A 01 10 00 41 60",
+        "23 00 1A 02 20 00 64 60",
+        "23 00 1A 03 10 00 74 60",
+        "2F 00 1A 00 03 00 00 00",
+        "23 00 18 01 85 01 00 00",
+    ]
+
+
+def test_an_rpdo_is_configured_byte_for_byte():
+    control = ObjectEntry(index=0x6040, sub=0, type="U16")
+    assert frames_of("rpdo", Pdo(number=3, can_id=0x405, entries=(control, INTERPOLATION))) == [
+        "23 02 14 01 05 04 00 80",
+        "2F 02 14 02 01 00 00 00",
+        "2F 02 16 00 00 00 00 00",
+        "23 02 16 01 10 00 40 60",
+        "23 02 16 02 08 02 C2 60",
+        "2F 02 16 00 02 00 00 00",
+        "23 02 14 01 05 04 00 00",
+    ]
+
+
+TPDO_VALUES = {
+    (0x1801, 1): 0x40000285,  # bit 30: no remote requests
+    (0x1A01, 0): 3,
+    (0x1A01, 1): 0x60410010,
+    (0x1A01, 2): 0x60C20208,
+    (0x1A01, 3): 0x60640020,
+    (0x1A01, 4): 0x60770010,  # beyond the number of objects
+}
+KINDS = {(0x6041, 0): "U16", (0x60C2, 2): "I8", (0x6064, 0): "I32", (0x6077, 0): "I16"}
+
+
+def test_pdos_out_of_a_drives_parameters():
+    expected = Pdo(number=2, can_id=0x285, entries=(STATUS, INTERPOLATION, POSITION))
+    assert pdos_of("tpdo", TPDO_VALUES, KINDS, "x") == (expected,)
+    assert pdos_of("rpdo", TPDO_VALUES, KINDS, "x") == ()
+    of_29_bits = pdos_of("tpdo", TPDO_VALUES | {(0x1801, 1): 0x20000285}, KINDS, "x")
+    assert [pdo.can_id for pdo in of_29_bits] == [0x20000285]  # distinguished from 285h, so that it is refused
+    last = {(0x15FF, 1): 0x301, (0x17FF, 0): 1, (0x17FF, 1): 0x60410010}
+    assert [(pdo.number, pdo.can_id) for pdo in pdos_of("rpdo", last, KINDS, "x")] == [(512, 0x301)]
+
+
+@pytest.mark.parametrize("change", [{(0x1801, 1): 0x80000285}, {(0x1801, 1): 0}, {(0x1A01, 0): 0}, {(0x1801, 1): None}])
+def test_pdos_that_are_switched_off(change):
+    values = {key: value for key, value in (TPDO_VALUES | change).items() if value is not None}
+    assert pdos_of("tpdo", values | {(0x1801, 2): 1}, KINDS, "x") == ()
+
+
+def test_objects_in_pdos_by_their_bits():
+    unknown = {(0x1800, 1): 0x185, (0x1A00, 0): 2, (0x1A00, 1): 0x20000120}
+    (pdo,) = pdos_of("tpdo", unknown, {}, "x")
+    assert pdo.entries == (ObjectEntry(index=0x2000, sub=1, type="U32"),)  # the second place is empty
+    for word, expected in (
+        (0x60640010, "6064:0 of 16 bits"),
+        (0x20000101, "2000:1 of 1 bits"),
+        (0x200001FF, "2000:1 of 255"),
+    ):
+        with pytest.raises(RobotIdimError, match=f"x: tpdo 1: {expected}.*: expected whole bytes of its own type"):
+            pdos_of("tpdo", unknown | {(0x1A00, 1): word}, KINDS, "x")
+
+
+def test_values_in_a_frame():
+    pdo = Pdo(number=1, can_id=0x185, entries=(STATUS, POSITION, TORQUE))
+    values = {(0x6041, 0): 0x9237, (0x6064, 0): -5, (0x6074, 0): -300}
+    assert pdo.pack(values) == data("37 92 FB FF FF FF D4 FE")
+    assert pdo.unpack(data("37 92 FB FF FF FF D4 FE")) == values
+    assert pdo.unpack(data("37 92 01 02 03 04 FF 7F")) == {
+        (0x6041, 0): 0x9237,
+        (0x6064, 0): 0x04030201,
+        (0x6074, 0): 32767,
+    }
+    assert pdo.unpack(data("37 92 FB FF FF FF D4 FE 00")) == values  # what is beyond belongs to nobody
+    with pytest.raises(RobotIdimError, match="PDO 0x185: 7 bytes: expected 8"):
+        pdo.unpack(data("37 92 FB FF FF FF D4"))
+    assert [pdo.offset(0x6041, 0), pdo.offset(0x6064, 0), pdo.offset(0x6074, 0)] == [0, 2, 6]
+    assert [pdo.offset(0x6064, 1), pdo.offset(0x6065, 0)] == [None, None]
+    assert (pdo.bits, pdo.length) == (64, 8)
+
+
+def test_bits_on_the_wire():
+    """47 of frame and gap, 8 for each byte, and a stuffing bit for four of the 34 + 8 n - 1 that are stuffed."""
+    assert [frame_bits(n) for n in range(9)] == [55, 65, 75, 85, 95, 105, 115, 125, 135]
+    pdos = [
+        Pdo(number=1, can_id=0x185, entries=(STATUS, POSITION, TORQUE)),
+        Pdo(number=1, can_id=0x205, entries=(POSITION,)),
+    ]
+    assert bus_load(pdos, bitrate=500_000, sync_period_s=0.002) == pytest.approx((55 + 135 + 95) / 1000)
+
+
+@pytest.mark.parametrize(
+    ("period_s", "expected"),
+    [(0.001, (1, -3)), (0.004, (4, -3)), (0.255, (255, -3)), (0.0005, (5, -4)), (0.0125, (125, -4)), (0.00025, (25, -5)),
+     (0.000125, (125, -6))],
+)  # fmt: skip
+def test_the_interpolation_period_of_60c2(period_s, expected):
+    assert interpolation_period(period_s) == expected
+
+
+@pytest.mark.parametrize("period_s", [0.256, 0.0003333, 1e-7])
+def test_periods_that_60c2_cannot_say(period_s):
+    with pytest.raises(RobotIdimError, match=r"bus.sync_period_s = .*60C2"):
+        interpolation_period(period_s)
+
+
+# NMT, heartbeats, emergencies: a node as its master's frames move it
+
+
+@pytest.fixture
+def robot() -> Robot:
+    return robot_of(bus_text(1).replace("node = 1\n", "node = 5\n"))
+
+
+@pytest.fixture
+def bus(robot: Robot) -> Bus:
+    return bus_of(robot)
+
+
+@pytest.fixture
+def node(robot: Robot, bus: Bus):
+    return SimulatedDrives(robot, bus).nodes[0]
+
+
+def written(node, *frames: str) -> None:
+    for frame in frames:
+        ((can_id, answer),) = node.receive(0x605, data(frame))
+        assert (can_id, answer) == (0x585, data("60") + data(frame)[1:4] + bytes(4)), frame
+
+
+MAPPED = (
+    "23 00 14 01 05 02 00 80",
+    "2F 00 16 00 00 00 00 00",
+    "23 00 16 01 10 00 40 60",
+    "23 00 16 02 20 00 7A 60",
+    "2F 00 16 00 02 00 00 00",
+    "2F 00 14 02 01 00 00 00",
+    "23 00 14 01 05 02 00 00",
+    "23 00 1A 01 10 00 41 60",
+    "2F 00 1A 00 01 00 00 00",
+    "23 00 18 01 85 01 00 00",
+)
+
+
+def commanded(node, control: str) -> str:
+    """A controlword by RPDO, SYNC, and the statusword of the TPDO after the next SYNC."""
+    assert node.receive(0x205, data(control + "00 00 00 00")) == []
+    node.apply()
+    node.tick()
+    ((can_id, answer),) = node.answers()
+    assert can_id == 0x185
+    return answer.hex(" ")
+
+
+def test_boot_up_and_heartbeats(node):
+    assert node.boot() == [(0x705, data("00"))]
+    assert node.heartbeat() == [(0x705, data("7F"))]
+    for command, expected in (("01 05", "05"), ("02 05", "04"), ("80 00", "7F"), ("01 00", "05"), ("02 06", "05")):
+        assert node.receive(0x000, data(command)) == []
+        assert node.heartbeat() == [(0x705, data(expected))]
+    for command in ("81 05", "82 05", "81 00"):
+        assert node.receive(0x000, data(command)) == [(0x705, data("00"))]
+        assert node.heartbeat() == [(0x705, data("7F"))]
+    assert node.receive(0x000, data("01")) == []
+    assert node.heartbeat() == [(0x705, data("7F"))]
+
+
+def test_a_message_of_an_error_without_a_fault(node):
+    """Code, error register (bit 0: some error, bit 4: communication), five bytes of the maker's."""
+    assert node.error(0x8130, 0x11) == [(0x085, data("30 81 11 00 00 00 00 00"))]
+    assert node.error(0x8130) == [(0x085, data("30 81 01 00 00 00 00 00"))]
+    assert node.state is State.SWITCH_ON_DISABLED
+
+
+def test_a_reset_forgets_values_mapping_and_state(node):
+    written(node, *MAPPED, "2F 60 60 00 08 00 00 00")
+    node.receive(0x000, data("01 05"))
+    commanded(node, "06 00")
+    assert node.receive(0x000, data("81 05")) == [(0x705, data("00"))]
+    assert (node.tpdos, node.rpdos, node.state) == ((), (), State.SWITCH_ON_DISABLED)
+    assert node.receive(0x605, data("40 60 60 00 00 00 00 00")) == [(0x585, data("4F 60 60 00 00 00 00 00"))]
+    assert node.receive(0x605, data("40 00 14 01 00 00 00 00")) == [(0x585, data("43 00 14 01 00 00 00 80"))]
+
+
+@pytest.mark.parametrize(
+    ("asked", "answer"),
+    [
+        ("40 41 60 00 00 00 00 00", "4B 41 60 00 50 02 00 00"),
+        ("40 00 10 00 00 00 00 00", "43 00 10 00 92 01 02 00"),
+        ("40 76 60 00 00 00 00 00", "43 76 60 00 A4 01 00 00"),  # 420
+        ("40 61 60 00 00 00 00 00", "4F 61 60 00 FF 00 00 00"),  # the mode asked for is displayed
+        ("40 55 55 00 00 00 00 00", "80 55 55 00 00 00 02 06"),
+        ("40 18 10 09 00 00 00 00", "80 18 10 09 11 00 09 06"),
+        ("23 00 1A 01 20 00 41 60", "80 00 1A 01 41 00 04 06"),  # 6041 has 16 bits, not 32
+        ("23 00 1A 01 10 00 55 55", "80 00 1A 01 41 00 04 06"),
+        ("21 10 10 01 40 00 00 00", "80 00 00 00 01 00 04 05"),
+    ],
+)
+def test_sdo_answers_of_a_node(node, asked, answer):
+    written(node, "2F 60 60 00 FF 00 00 00")
+    assert node.values[0x6061, 0] == -1
+    assert node.receive(0x605, data(asked)) == [(0x585, data(answer))]
+    assert node.receive(0x606, data(asked)) == []
+    node.receive(0x000, data("02 05"))  # stopped: NMT and heartbeats only
+    assert node.receive(0x605, data(asked)) == []
+
+
+def test_mapping_is_refused_where_cia_301_refuses_it(node):
+    written(node, *MAPPED[:5], "2F 00 14 02 01 00 00 00")
+    objects_are_counted = node.receive(0x605, data("23 00 16 01 10 00 40 60"))
+    assert objects_are_counted == [(0x585, data("80 00 16 01 22 00 00 08"))]
+    written(node, "23 00 14 01 05 02 00 00")
+    assert node.receive(0x605, data("2F 00 16 00 00 00 00 00")) == [(0x585, data("80 00 16 00 22 00 00 08"))]
+    long = ("23 01 1A 01 20 00 64 60", "23 01 1A 02 20 00 64 60", "23 01 1A 03 08 00 61 60")
+    written(node, *long)
+    assert node.receive(0x605, data("2F 01 1A 00 03 00 00 00")) == [(0x585, data("80 01 1A 00 42 00 04 06"))]
+    written(node, "2F 01 1A 00 02 00 00 00")  # 64 bits just fit
+    written(node, "23 02 1A 01 08 01 C2 60", "23 02 1A 02 08 02 C2 60")  # both parts of 60C2h
+    assert node.receive(0x605, data("23 02 1A 03 08 03 C2 60")) == [(0x585, data("80 02 1A 03 41 00 04 06"))]
+
+
+def test_a_node_is_enabled_stopped_quickly_and_reset_by_its_bits(node):
+    """Beside the state's own bits: voltage present (4), remote (9), and, enabled in CSP, following the command (12)."""
+    written(node, *MAPPED)
+    assert node.receive(0x205, data("06 00 00 00 00 00")) == []  # not operational: no PDO is taken
+    node.apply()
+    assert node.answers() == []
+    node.receive(0x000, data("01 05"))
+    assert commanded(node, "00 00") == "50 02"  # switch on disabled
+    assert commanded(node, "0f 00") == "50 02"  # illegal there
+    assert commanded(node, "06 00") == "31 02"
+    assert commanded(node, "07 00") == "33 02"
+    assert commanded(node, "0f 00") == "37 12"
+    assert commanded(node, "02 00") == "17 02"  # quick stop active
+    assert commanded(node, "02 00") == "17 02"  # and it stays so
+    assert commanded(node, "0f 00") == "37 12"
+    assert commanded(node, "02 00") == "17 02"
+    assert commanded(node, "00 00") == "50 02"
+    assert node.emergency(0x8700) == [(0x085, data("00 87 01 00 00 00 00 00"))]
+    assert node.statusword & 0x4F == 0x0F
+    node.tick()
+    assert commanded(node, "0f 00") == "18 02"  # fault
+    assert commanded(node, "80 00") == "50 02"
+    node.emergency(0x2310)
+    node.tick()
+    assert commanded(node, "80 00") == "18 02"  # bit 7 was not low in between: no rising edge
+    assert commanded(node, "8f 00") == "18 02"
+    assert commanded(node, "00 00") == "18 02"
+    assert commanded(node, "80 00") == "50 02"
+
+
+def test_what_leaves_operational_leaves_no_torque(node):
+    written(node, *MAPPED)
+    node.receive(0x000, data("01 05"))
+    for word in ("06 00", "07 00", "0f 00"):
+        commanded(node, word)
+    assert node.state is State.OPERATION_ENABLED
+    node.receive(0x000, data("80 05"))
+    assert node.state is not State.OPERATION_ENABLED
+    assert node.answers() == []
+
+
+def test_an_rpdo_acts_at_sync_or_at_once_as_its_transmission_type_says(node):
+    written(node, *MAPPED)
+    node.receive(0x000, data("01 05"))
+    node.receive(0x205, data("06 00 FE FF FF FF"))
+    assert node.values[0x607A, 0] == 0
+    node.apply()
+    assert node.values[0x607A, 0] == -2
+    node.receive(0x205, data("06 00 FE FF FF"))  # too short
+    node.apply()
+    assert node.values[0x607A, 0] == -2
+    node.receive(0x205, data("06 00 05 00 00 00"))
+    node.receive(0x205, data("06 00 07 00 00 00"))  # the last before SYNC counts
+    node.apply()
+    assert node.values[0x607A, 0] == 7
+    written(node, "2F 00 14 02 FF 00 00 00")
+    node.receive(0x205, data("06 00 03 02 01 00"))
+    assert node.values[0x607A, 0] == 0x010203
+    written(node, "2F 00 14 02 F0 00 00 00")  # 240 is the last synchronous one
+    node.receive(0x205, data("06 00 00 00 00 00"))
+    assert node.values[0x607A, 0] == 0x010203
+
+
+# The master
+
+
+def test_a_master_reads_and_writes(bus):
+    answers = {
+        data("40 41 60 00 00 00 00 00"): [
+            (0x586, data("4B 41 60 00 11 11 00 00")),  # of another node
+            (0x585, data("4B 40 60 00 22 22 00 00")),  # to another question
+            (0x585, data("4B 41 60 00 37 12 00 00")),
+        ],
+        data("2B 40 60 00 06 00 00 00"): [(0x585, data("60 40 60 00 00 00 00 00"))],
+        data("40 00 10 00 00 00 00 00"): [(0x585, data("80 00 10 00 00 00 00 08"))],
+    }
+    link = Answering(lambda can_id, asked: answers.get(asked, []))
+    master = Master(link, bus)
+    assert master.read(5, 0x6041) == 0x1237
+    master.write(5, 0x6040, 0, 6, 2)
+    with pytest.raises(RobotIdimError, match=re.escape("node 5: object 1000:0: refused by the drive: general error")):
+        master.read(5, 0x1000)
+    with pytest.raises(RobotIdimError, match="node 5: object 1001:0: no answer in"):
+        master.read(5, 0x1001)
+    assert link.sent[:2] == [(0x605, data("40 41 60 00 00 00 00 00")), (0x605, data("2B 40 60 00 06 00 00 00"))]
+
+
+def test_nmt_and_sync_of_a_master(bus):
+    link = Answering()
+    master = Master(link, bus)
+    for command in (1, 2, 0x80, 0x81, 0x82):
+        master.nmt(command, 5)
+    master.sync()
+    assert link.sent == [*((0, data(f"{command} 05")) for command in ("01", "02", "80", "81", "82")), (0x80, b"")]
+
+
+@pytest.mark.parametrize(("text", "nmt", "booted"), [("00", 0, True), ("04", 4, False), ("05", 5, False), ("7F", 127, False),
+                                                     ("FF", 127, False)])  # fmt: skip
+def test_heartbeats_as_a_master_takes_them(bus, text, nmt, booted):
+    master = Master(Answering(), bus)
+    master.dispatch(Frame(0, 0x705, data(text)))
+    master.dispatch(Frame(0, 0x706, data("04")))  # a node that is not ours
+    assert (master.nodes[0].nmt, master.nodes[0].booted) == (nmt, booted)
+
+
+def test_emergencies_and_pdos_as_a_master_takes_them(bus):
+    master = Master(Answering(), bus)
+    watch = master.nodes[0]
+    master.dispatch(Frame(0, 0x086, data("10 23 01 00 00 00 00 00")))
+    master.dispatch(Frame(0, 0x085, data("00 00 00 00 00 00 00 00")))  # no error any more
+    assert watch.emergency is None
+    master.dispatch(Frame(0, 0x085, data("10 23 02 00 00 00 00 00")))
+    assert watch.emergency == 0x2310
+    master.dispatch(Frame(0, 0x185, data("37 12 FB FF FF FF D4")))  # too short
+    assert (watch.statusword, watch.counts, watch.answers) == (None, None, 0)
+    master.dispatch(Frame(0, 0x185, data("37 12 FB FF FF FF D4 FE")))
+    assert (watch.statusword, watch.counts, watch.answers) == (0x1237, -5, 1)
+    assert watch.state is State.OPERATION_ENABLED
+
+
+def test_a_node_without_a_dictionary_has_the_usual_objects(node):
+    assert {0x1000, 0x1001, 0x1017, 0x1018, 0x1400, 0x1600, 0x1800, 0x1A00} <= {index for index, _ in node.values}
+    assert np.array([node.values[first, 1] for first in (0x1400, 0x1403, 0x1800, 0x1803)]).tolist() == [1 << 31] * 4

@@ -1,0 +1,194 @@
+"""CiA 402-2 as tables typed out of the standard: no expectation here goes through a table of the package."""
+
+import itertools
+
+import pytest
+
+from acquisition.errors import RobotIdimError
+from acquisition.protocol import (
+    AUTOMATIC,
+    BITS,
+    DISABLED,
+    EFFORT_OBJECTS,
+    STANDARD,
+    TRANSITIONS,
+    Command,
+    Mode,
+    State,
+    command_of,
+    state_of,
+    toward,
+)
+
+# Statusword 6041h, bits 7 to 0; x: either. The bits 8 to 15 belong to no state.
+STATUSWORDS = {
+    "NOT_READY_TO_SWITCH_ON": "x0xx0000",
+    "SWITCH_ON_DISABLED": "x1xx0000",
+    "READY_TO_SWITCH_ON": "x01x0001",
+    "SWITCHED_ON": "x01x0011",
+    "OPERATION_ENABLED": "x01x0111",
+    "QUICK_STOP_ACTIVE": "x00x0111",
+    "FAULT_REACTION_ACTIVE": "x0xx1111",
+    "FAULT": "x0xx1000",
+}
+# Controlword 6040h, bits 7 to 0. "Disable operation" has the bits of "switch on".
+CONTROLWORDS = {
+    "SHUTDOWN": "0xxxx110",
+    "SWITCH_ON": "0xxx0111",
+    "ENABLE_OPERATION": "0xxx1111",
+    "DISABLE_VOLTAGE": "0xxxxx0x",
+    "QUICK_STOP": "0xxxx01x",
+    "FAULT_RESET": "1xxxxxxx",
+}
+# Number, from, command, to. 12 is by command here; a drive may also do it by itself, as 605Ah says.
+DIAGRAM = """
+ 2  SWITCH_ON_DISABLED  SHUTDOWN          READY_TO_SWITCH_ON
+ 3  READY_TO_SWITCH_ON  SWITCH_ON         SWITCHED_ON
+ 4  SWITCHED_ON         ENABLE_OPERATION  OPERATION_ENABLED
+ 5  OPERATION_ENABLED   SWITCH_ON         SWITCHED_ON
+ 6  SWITCHED_ON         SHUTDOWN          READY_TO_SWITCH_ON
+ 7  READY_TO_SWITCH_ON  QUICK_STOP        SWITCH_ON_DISABLED
+ 7  READY_TO_SWITCH_ON  DISABLE_VOLTAGE   SWITCH_ON_DISABLED
+ 8  OPERATION_ENABLED   SHUTDOWN          READY_TO_SWITCH_ON
+ 9  OPERATION_ENABLED   DISABLE_VOLTAGE   SWITCH_ON_DISABLED
+10  SWITCHED_ON         QUICK_STOP        SWITCH_ON_DISABLED
+10  SWITCHED_ON         DISABLE_VOLTAGE   SWITCH_ON_DISABLED
+11  OPERATION_ENABLED   QUICK_STOP        QUICK_STOP_ACTIVE
+12  QUICK_STOP_ACTIVE   DISABLE_VOLTAGE   SWITCH_ON_DISABLED
+15  FAULT               FAULT_RESET       SWITCH_ON_DISABLED
+16  QUICK_STOP_ACTIVE   ENABLE_OPERATION  OPERATION_ENABLED
+"""
+COMMANDED = {
+    (State[was], Command[command]): State[then]
+    for _, was, command, then in (line.split() for line in DIAGRAM.strip().splitlines())
+}
+# What to command next on the way to each goal, out of the diagram of the standard; "-": the drive goes on by itself.
+UP = {
+    "NOT_READY_TO_SWITCH_ON": "-",
+    "SWITCH_ON_DISABLED": "SHUTDOWN",
+    "READY_TO_SWITCH_ON": "SWITCH_ON",
+    "SWITCHED_ON": "ENABLE_OPERATION",
+    "OPERATION_ENABLED": "-",
+    "QUICK_STOP_ACTIVE": "ENABLE_OPERATION",
+    "FAULT_REACTION_ACTIVE": "-",
+    "FAULT": "FAULT_RESET",
+}
+DOWN = dict.fromkeys(UP, "DISABLE_VOLTAGE") | {
+    "NOT_READY_TO_SWITCH_ON": "-",
+    "SWITCH_ON_DISABLED": "-",
+    "FAULT_REACTION_ACTIVE": "-",
+    "FAULT": "FAULT_RESET",
+}
+# Types that CiA 301 and CiA 402-2 give: index and sub-index in hexadecimal; a range of sub-indices is written out.
+TYPES = {
+    "I8": "6060 6061 6098 60C2:2",
+    "I16": "6007 605A 605B 605C 605D 605E 606A 6071 6074 6077 6078 6086 6088 60B2 60C0",
+    "I32": "6062 6063 6064 6069 606B 606C 607A 607B:1 607B:2 607C 607D:1 607D:2 60B0 60B1 60F4 60FA 60FC 60FF",
+    "U8": "1001 1003:0 1016:0 1018:0 1019 1029:0 1029:1 1400:0 1400:2 1600:0 1800:0 1800:2 1A00:0 607E 60C2:0 60C2:1",
+    "U16": "100C 1015 1017 1400:3 1400:5 1800:3 1800:5 603F 6040 6041 6066 6068 606D 606E 606F 6070 6072 6073 60E0 60E1",
+    "U32": "1000 1002 1003:1 1005 1006 1007 1014 1016:1 1018:1 1018:2 1018:3 1018:4 1400:1 1600:1 1800:1 1A00:1 6065 6067 "
+    "6075 6076 6079 607F 6080 6081 6083 6084 6085 6087 608F:1 608F:2 6090:1 6090:2 6091:1 6091:2 6092:1 6092:2 6099:1 "
+    "6099:2 609A 60C5 60C6 60FD 60FE:1 60FE:2 6502",
+}
+
+
+def words(pattern: str, bits: int) -> set[int]:
+    """All numbers of `bits` bits whose lowest eight are as the pattern says."""
+    low = [int("".join(p), 2) for p in itertools.product(*({"x": "01"}.get(c, c) for c in pattern))]
+    return {high << 8 | byte for high in range(2 ** (bits - 8)) for byte in low}
+
+
+def state_or_none(statusword: int) -> State | None:
+    try:
+        return state_of(statusword)
+    except RobotIdimError:
+        return None
+
+
+def test_every_statusword_tells_the_state_of_the_table():
+    expected = {word: State[name] for name, pattern in STATUSWORDS.items() for word in words(pattern, 12)}
+    assert len(expected) == 16 * (8 + 8 + 4 * 4 + 8 + 8)  # no word belongs to two states
+    assert len(STATUSWORDS) == len(State) == 8
+    for word in range(2**12):
+        assert state_or_none(word) is expected.get(word), hex(word)
+    for word in (0x1237, 0x0637, 0xF027):
+        assert state_of(word) is State.OPERATION_ENABLED
+    with pytest.raises(RobotIdimError, match="statusword 0x1211: expected the bits of a CiA 402 state"):
+        state_of(0x1211)
+
+
+def test_every_controlword_gives_the_command_of_the_table():
+    expected = {word: Command[name] for name, pattern in CONTROLWORDS.items() for word in words(pattern, 12)}
+    assert len(expected) == 2**12  # one command for each, none for two
+    for word, command in expected.items():
+        assert command_of(word) is command, hex(word)
+        assert command_of(word | 0xF000) is command, hex(word)
+
+
+def test_the_word_written_for_each_command():
+    words = [6, 7, 15, 0, 2, 128]  # in the order of `CONTROLWORDS`
+    assert {command.name: command.controlword for command in Command} == dict(zip(CONTROLWORDS, words, strict=True))
+
+
+@pytest.mark.parametrize(("state", "command"), list(itertools.product(State, Command)))
+def test_each_command_in_each_state(state, command):
+    assert TRANSITIONS.get((state, command)) is COMMANDED.get((state, command))
+
+
+def test_what_a_drive_does_by_itself():
+    """Transitions 1 and 14; 0 and 13 have no state of their own to come from."""
+    assert AUTOMATIC == {
+        State.NOT_READY_TO_SWITCH_ON: State.SWITCH_ON_DISABLED,
+        State.FAULT_REACTION_ACTIVE: State.FAULT,
+    }
+
+
+@pytest.mark.parametrize(("goal", "table"), [("OPERATION_ENABLED", UP), ("SWITCH_ON_DISABLED", DOWN)])
+@pytest.mark.parametrize("state", list(STATUSWORDS))
+def test_what_is_commanded_on_the_way_up_and_down(state, goal, table):
+    command = toward(State[state], State[goal])
+    assert ("-" if command is None else command.name) == table[state]
+
+
+def test_no_command_leads_into_a_fault():
+    for goal in (State.FAULT, State.FAULT_REACTION_ACTIVE, State.NOT_READY_TO_SWITCH_ON):
+        with pytest.raises(RobotIdimError, match=f"no command leads from switched on to {goal.words}"):
+            toward(State.SWITCHED_ON, goal)
+    assert toward(State.FAULT_REACTION_ACTIVE, State.FAULT) is None
+
+
+def test_states_in_which_a_drive_gives_torque_and_modes_of_operation():
+    """Those with the drive function enabled (CiA 402-2, table of the states' functions)."""
+    names = {"OPERATION_ENABLED", "QUICK_STOP_ACTIVE", "FAULT_REACTION_ACTIVE"}
+    assert {state.name for state in State if state not in DISABLED} == names
+    assert [(mode.name, mode.value) for mode in Mode] == [("CYCLIC_SYNCHRONOUS_POSITION", 8)]
+
+
+def test_types_and_sizes_of_the_standard_objects():
+    table = {}
+    for kind, names in TYPES.items():
+        for name in names.split():
+            index, _, sub = name.partition(":")
+            table[int(index, 16), int(sub or "0")] = kind
+    assert {key: kind for key, kind in STANDARD.items() if table.get(key) != kind} == {}
+    # Those that a session cannot do without.
+    needed = "1017 6040 6041 6060 6061 6064 606C 6074 6075 6076 6077 6078 607A"
+    assert {(int(index, 16), 0) for index in needed.split()} <= set(STANDARD)
+    assert {(0x60C2, 1), (0x60C2, 2)} <= set(STANDARD)
+    assert BITS == {"I8": 8, "I16": 16, "I32": 32, "U8": 8, "U16": 16, "U32": 32}
+
+
+@pytest.mark.parametrize(
+    ("index", "kind", "rule", "words_of"),
+    [
+        (0x6074, "I16", "per mille of rated torque", "torque demand"),
+        (0x6077, "I16", "per mille of rated torque", "torque actual"),
+        (0x6078, "I16", "per mille of rated current", "current actual"),
+        (0x30D0, "I32", "mA", "maxon EPOS4"),
+        (0x2031, "I16", "mA", "maxon EPOS2"),
+        (0x221E, "I16", "0.01 A", "Copley"),
+    ],
+)
+def test_effort_objects_of_the_standard_and_of_vendors(index, kind, rule, words_of):
+    assert EFFORT_OBJECTS[index, 0][:2] == (kind, rule)
+    assert words_of in EFFORT_OBJECTS[index, 0][2]

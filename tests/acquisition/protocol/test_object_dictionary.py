@@ -1,0 +1,232 @@
+"""Object dictionaries: a small EDS typed by hand (CiA 306), real ones, PDOs as they map them, damaged ones."""
+
+import re
+from contextlib import suppress
+
+import pytest
+from conftest import DATA, needs_data
+from hypothesis import given
+from hypothesis import strategies as st
+from made_up_buses import bus_of, bus_text, refused, robot_of
+
+from acquisition.errors import RobotIdimError
+from acquisition.protocol import load_dictionary
+from acquisition.robot import load_robot, resolve
+from acquisition.simulated import SimulatedDrives
+
+REAL = sorted(path.name for path in (DATA / "eds").glob("*")) or ["(none)"]
+DEVICE = "[DeviceInfo]\nVendorName=a\nVendorNumber=0x9A\nProductName=gold\nProductNumber=0x30924\n"
+
+
+def entry_eds(section: str, name: str, kind: str, access: str, *lines: str) -> str:
+    text = f"[{section}]\nParameterName={name}\nObjectType=7\nDataType={kind}\nAccessType={access}\n"
+    return text + "".join(f"{line}\n" for line in lines)
+
+
+EDS = (
+    entry_eds("1000", "device type", "0x0007", "ro", "DefaultValue=0x00020192")
+    + entry_eds("1008", "device name", "0x0009", "const", "DefaultValue=Gold")
+    + entry_eds("6041", "statusword", "0x0006", "ro")
+    + entry_eds("6060", "mode", "0x0002", "rww", "DefaultValue=8", "ParameterValue=10")
+    + entry_eds("6061", "display", "0x0005", "const")
+    + entry_eds("6064", "position", "0x0004", "ro")
+    + entry_eds("6074", "demand", "0x0003", "ro")
+    + entry_eds("6076", "rated torque", "0x0007", "rw", "DefaultValue=420")
+    + entry_eds("2000", "a real number", "0x0008", "rw", "DefaultValue=1")
+    + "[1018]\nParameterName=identity\nObjectType=9\nSubNumber=3\n"
+    + entry_eds("1018sub0", "count", "0x0005", "ro", "DefaultValue=2")
+    + entry_eds("1018sub1", "vendor", "0x0007", "ro")
+    + entry_eds("1018sub2", "product", "0x0007", "ro", "DefaultValue=0x777")
+    + "[1800]\nParameterName=tpdo\nObjectType=9\nSubNumber=2\n"
+    + entry_eds("1800sub0", "count", "0x0005", "ro", "DefaultValue=1")
+    + entry_eds("1800sub1", "cob", "0x0007", "rw", "DefaultValue=$NODEID+0x180")
+)
+
+
+def found(text: str, node: int = 5):
+    return load_dictionary(text.encode(), "a.eds", node)
+
+
+def test_entries_by_hand():
+    entries = found(DEVICE + EDS).entries
+    assert {key: (entry.type, entry.writable, entry.value) for key, entry in entries.items()} == {
+        (0x1000, 0): ("U32", False, 0x20192),
+        (0x1008, 0): ("", False, None),  # a string: no PDO carries it
+        (0x6041, 0): ("U16", False, None),
+        (0x6060, 0): ("I8", True, 10),  # what the DCF sets comes before the default
+        (0x6061, 0): ("U8", False, None),
+        (0x6064, 0): ("I32", False, None),
+        (0x6074, 0): ("I16", False, None),
+        (0x6076, 0): ("U32", True, 420),
+        (0x2000, 0): ("", True, None),
+        (0x1018, 0): ("U8", False, 2),
+        (0x1018, 1): ("U32", False, None),
+        (0x1018, 2): ("U32", False, 0x777),
+        (0x1800, 0): ("U8", False, 1),
+        (0x1800, 1): ("U32", True, 0x185),
+    }
+    assert found(EDS, 0x7F).entries[0x1800, 1].value == 0x1FF
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        (DEVICE + EDS, [(1, "vendor", 0x9A), (2, "product", 0x777)]),  # 1018h itself before [DeviceInfo]
+        (EDS, [(2, "product", 0x777)]),
+        (EDS.replace("0x777", "0"), []),
+        (DEVICE + EDS.replace("0x777", "0"), [(1, "vendor", 0x9A), (2, "product", 0x30924)]),
+        (DEVICE + EDS.replace("[1018", "[1019"), []),  # a drive without 1018h cannot be asked
+    ],
+)
+def test_identities(text, expected):
+    assert found(text).identity == expected
+
+
+def test_a_dictionary_of_four_mebibytes_and_no_more():
+    remark = ";" + "x" * (4 * 2**20 - len(EDS) - 1)
+    assert len(found(EDS + remark).entries) == 14
+    with pytest.raises(RobotIdimError, match=re.escape("a.eds: 4194305 bytes: expected 4194304 at most")):
+        found(EDS + remark + "x")
+
+
+@pytest.mark.parametrize(
+    ("asked", "answer"),
+    [
+        ("40 00 10 00 00 00 00 00", "43 00 10 00 92 01 02 00"),
+        ("40 60 60 00 00 00 00 00", "4F 60 60 00 0A 00 00 00"),
+        ("40 64 60 00 00 00 00 00", "43 64 60 00 00 00 00 00"),
+        ("40 76 60 00 00 00 00 00", "43 76 60 00 2C 01 00 00"),  # 300 mN m, as the description says
+        ("40 18 10 01 00 00 00 00", "43 18 10 01 9A 00 00 00"),  # out of [DeviceInfo]
+        ("40 18 10 02 00 00 00 00", "43 18 10 02 77 07 00 00"),
+        ("40 00 18 01 00 00 00 00", "43 00 18 01 85 01 00 80"),  # switched off until a master says otherwise
+        ("40 08 10 00 00 00 00 00", "80 08 10 00 00 00 02 06"),
+        ("2B 41 60 00 01 00 00 00", "80 41 60 00 02 00 01 06"),  # read only
+        ("23 76 60 00 01 00 00 00", "60 76 60 00 00 00 00 00"),
+    ],
+)
+def test_a_simulated_drive_serves_its_dictionary(asked, answer):
+    keys = (
+        'dictionary = "a.eds"\nobjects = { "6040" = "U16", "607A" = "I32" }\nreference = "6074"\nrated_torque_nm = 0.3'
+    )
+    text = bus_text(1).replace("node = 1\n", "node = 5\n").replace('reference = "6074"\nrated_torque_nm = 0.42', keys)
+    robot = robot_of(text, {"dictionary:a.eds": (DEVICE + EDS).encode()})
+    (drive,) = SimulatedDrives(robot, bus_of(robot)).nodes
+    assert drive.receive(0x605, bytes.fromhex(asked)) == [(0x585, bytes.fromhex(answer))]
+
+
+def test_an_empty_number_is_read_as_0_with_a_warning():
+    """Makers leave them empty; what says nothing of the identity is not compared with the drive."""
+    device = (
+        "[DeviceInfo]\r\nVendorName=\r\nVendorNumber=\r\nProductName=\r\nProductNumber= ; later\r\nNrOfRXPDO = \r\n"
+    )
+    dictionary = found(device + "BaudRate_1000=1\nGranularity=\n" + EDS.replace("DefaultValue=0x777", ""))
+    assert (dictionary.vendor, dictionary.product) == (0, 0)
+    assert dictionary.identity == []
+    assert dictionary.warnings == tuple(
+        f"a.eds: line {line}: {key} is empty: read as 0, which is not checked"
+        for line, key in ((3, "VendorNumber"), (5, "ProductNumber"), (6, "NrOfRXPDO"), (8, "Granularity"))
+    )
+    assert len(dictionary.entries) == len(found(DEVICE + EDS).entries)
+    assert found(DEVICE + EDS).warnings == ()
+
+
+@pytest.mark.parametrize("name", REAL)
+def test_every_real_dictionary_loads_or_is_refused_in_one_line(name):
+    path = needs_data("eds") / name
+    if name.startswith("infranor"):
+        with pytest.raises(RobotIdimError, match=r"line 2112: .ManufacturerObjects. holds '12' twice") as caught:
+            load_dictionary(path.read_bytes(), name, 1)
+        assert "\n" not in str(caught.value)
+        return
+    found = load_dictionary(path.read_bytes(), name, 5)
+    assert found.entries[0x6041, 0].type == "U16"
+    assert found.entries[0x6064, 0].type == "I32"
+    assert found.vendor in (0xFB, 0x9A, 0x26C, 0x1A3)
+    assert found.entries[0x1800, 1].type == "U32"
+
+
+def test_an_object_the_dictionary_does_not_hold():
+    data = (needs_data("eds") / "maxon_EPOS4.eds").read_bytes()
+    text = bus_text(1).replace("node = 1\n", 'node = 1\ndictionary = "a.eds"\n')
+    refused(text, "reference = '6074': a.eds does not contain it", {"dictionary:a.eds": data})
+    text = text.replace('reference = "6074"', 'reference = "2031"')  # a U32 there, and no current reference
+    nanotec = (needs_data("eds") / "nanotec_CL4-E-2-12.eds").read_bytes()
+    refused(text, "reference_rule is missing: 2031:0 (U32) is not known", {"dictionary:a.eds": nanotec})
+
+
+OBJECTS = "".join(
+    entry_eds(index, "x", kind, access)
+    for index, kind, access in (
+        ("6040", "6", "rw"),
+        ("6041", "6", "ro"),
+        ("6064", "4", "ro"),
+        ("6074", "3", "ro"),
+        ("607A", "4", "rw"),
+    )
+)
+SENT_OBJECTS = [3, 0x60410010, 0x60640020, 0x60740010]
+TAKEN_OBJECTS = [2, 0x60400010, 0x607A0020]
+
+
+def dictionary_and_text(records: dict[int, list[int]]) -> tuple[str, dict[str, bytes]]:
+    """A drive mapped as its dictionary says, and that dictionary."""
+    known = {0x1800: [1, 0x181], 0x1A00: SENT_OBJECTS, 0x1400: [1, 0x201], 0x1600: TAKEN_OBJECTS} | records
+    eds = OBJECTS
+    for index, values in known.items():
+        eds += f"[{index:04X}]\nParameterName=p\nObjectType=9\nSubNumber={len(values)}\n"
+        for sub, value in enumerate(values):
+            eds += entry_eds(f"{index:04X}sub{sub}", "s", "7" if sub else "5", "rw", f"DefaultValue=0x{value:X}")
+    text = bus_text(1).replace("node = 1\n", 'node = 1\ndictionary = "a.dcf"\nmapping = "dictionary"\n')
+    return text, {"dictionary:a.dcf": eds.encode()}
+
+
+@pytest.mark.parametrize(
+    ("records", "expected"),
+    [
+        ({0x1A00: [4, *SENT_OBJECTS[1:], 0x60410010]}, "tpdo 1 (mapping = 'dictionary'): 10 bytes: expected 8 at most"),
+        ({0x1400: [1, 0x601]}, "rpdo 1 (mapping = 'dictionary'): identifier 0x601: expected 0x181 to 0x57F"),
+        ({0x1400: [1, 0x20000201]}, "rpdo 1 (mapping = 'dictionary'): identifier 0x20000201: expected 0x181 to 0x57F"),
+        ({0x1400: [1, 0x181]}, "rpdo 1 (mapping = 'dictionary'): identifier 0x181 is that of a PDO of motor_1"),
+        ({0x1800: [1, 0]}, "no PDO from the drive carries 6064:0"),
+    ],
+)
+def test_pdos_of_a_dictionary_are_looked_at_as_those_of_the_file(records, expected):
+    text, files = dictionary_and_text(records)
+    refused(text, expected, files)
+
+
+def test_a_pdo_with_the_identifier_0_is_switched_off():
+    """Controlwords would go out as commands of network management."""
+    drive = bus_of(robot_of(*dictionary_and_text({}))).drives[0]
+    assert [pdo.can_id for pdo in drive.rpdos] == [0x201]
+    for off in (0, 0x40000000):
+        assert bus_of(robot_of(*dictionary_and_text({0x1400: [1, off]}))).drives[0].rpdos == ()
+
+
+def test_damaged_dictionaries(tmp_path):
+    for data, expected in (
+        (b"", "holds no objects"),
+        (b"\xff\xfe\x00junk", "not a readable EDS or DCF"),
+        (b"[DeviceInfo]\nVendorNumber=x\n", "not a readable EDS or DCF"),
+        (b"[1000]\nObjectType=7\n", "not a readable EDS or DCF"),
+        (b"[6041]\na=1\n[6041]\n", "line 3: [6041] is there twice: expected once"),
+    ):
+        with pytest.raises(RobotIdimError, match=re.escape(f"x.eds: {expected}")) as caught:
+            load_dictionary(data, "x.eds", 1)
+        assert "\n" not in str(caught.value)
+    (tmp_path / "robot.toml").write_text(bus_text(1).replace("node = 1\n", 'node = 1\ndictionary = "none.eds"\n'))
+    with pytest.raises(RobotIdimError, match=r"bus.drive\[0\].dictionary = 'none.eds': cannot be read: No such file"):
+        load_robot(tmp_path / "robot.toml")
+
+
+@given(st.binary(max_size=300))
+def test_any_bytes_as_a_dictionary_are_one_line_or_a_result(data):
+    with suppress(RobotIdimError):  # which is one line whatever it is made of
+        load_dictionary(b"[DeviceInfo]\n[6041]\nParameterName=x\nDataType=6\nAccessType=ro\n" + data, "x.eds", 1)
+
+
+def test_pdos_of_traffic_are_looked_at_too():
+    values = {(0x1800, 1): 0x701, (0x1A00, 0): 3} | {(0x1A00, k): SENT_OBJECTS[k] for k in (1, 2, 3)}
+    robot = robot_of(bus_text(1, drive='mapping = "traffic"'))
+    with pytest.raises(RobotIdimError, match=r"tpdo 1 \(mapping = 'traffic'\): identifier 0x701"):
+        resolve(robot, "r.toml", {1: values})

@@ -1,0 +1,259 @@
+"""The recording: what is written is read, and viewers find what they know."""
+
+import hashlib
+import json
+import os
+import struct
+
+import mcap.reader
+import numpy as np
+import pytest
+from conftest import robot_named
+from made_up_recordings import header, some_frames, some_samples, write
+from rosbags.typesys import Stores, get_typestore
+
+from acquisition.errors import RobotIdimError
+from acquisition.recording import EXTENDED, FRAME, SENT, Header, RecordingWriter, gaps, read_recording, sample_dtype
+from acquisition.robot import load_robot
+
+
+def messages_of(path, *topics: str) -> list:
+    """Schemas, channels and messages as the package mcap reads them."""
+    with path.open("rb") as file:
+        return list(mcap.reader.make_reader(file).iter_messages(topics=topics or None))
+
+
+def test_reads_what_was_written(whole, robot):
+    recording = read_recording(whole)
+    assert recording.samples.tobytes() == some_samples(240).tobytes()
+    assert recording.samples.dtype == sample_dtype(2, reference=True)
+    assert not recording.samples.flags.writeable
+    assert list(recording.frames) == ["can0"]
+    assert recording.frames["can0"].tobytes() == some_frames(240).tobytes()
+    assert [(e.stamp_ns, e.kind, e.text) for e in recording.events] == [(0, "phase", "track"), (240, "phase", "stop")]
+    assert [h.counters["kernel_drops"] for h in recording.health] == [0, 40, 80, 120, 160, 200]
+    assert recording.attachments == {"../../etc/drive.eds": b"[FileInfo]\n", **robot.files}
+    assert recording.metadata["bitrate"] == "1000000"
+    assert recording.metadata["effort_provenance"] == "made up, Rᵀ"
+    assert json.loads(recording.metadata["effort_unit"]) == ["N m", "N m"]
+    assert recording.robot.name == "SCARA"
+    assert recording.sample_rate_hz == 1000.0
+    assert not recording.cut
+
+
+def test_one_large_block_is_stored_in_small_ones(tmp_path, robot):
+    samples = some_samples(9001, reference=False)
+    with RecordingWriter(tmp_path / "a.mcap", header(robot)) as writer:
+        writer.samples(samples)
+        writer.frames("can0", some_frames(301))
+    recording = read_recording(tmp_path / "a.mcap")
+    assert recording.samples.tobytes() == samples.tobytes()
+    found = [(c.topic, len(m.data)) for _, c, m in messages_of(tmp_path / "a.mcap")]
+    row = samples.dtype.itemsize
+    assert [size // row for topic, size in found if topic == "/samples"] == [2000, 2000, 2000, 2000, 1001]
+    assert [size // 22 for topic, size in found if topic == "/can/can0/frames"] == [100, 100, 100, 1]  # of 100 ms
+
+
+def test_blocks_byte_for_byte(tmp_path, robot):
+    """What a reader without numpy finds: layouts in words, rows packed little-endian, text in JSON."""
+    samples = np.zeros(2, sample_dtype(2, reference=True))
+    samples["stamp_ns"], samples["position"] = [7, 1_000_000_008], [[0.5, -1.5], [2.5, 3.0]]
+    samples["effort"], samples["reference"] = [[10.0, -20.0], [30.0, 40.0]], [[0.25, -0.75], [4.0, 5.0]]
+    frames = np.zeros(1, FRAME)
+    frames[0] = (12, 0x185, 3, SENT | EXTENDED, [0x37, 0x12, 0xFB, 0, 0, 0, 0, 0])
+    with RecordingWriter(tmp_path / "a.mcap", header(robot)) as writer:
+        writer.samples(samples)
+        writer.frames("can0", frames)
+        writer.event(13, "phase", "track")
+        writer.health(14, {"late": 2})
+    messages = messages_of(tmp_path / "a.mcap")
+    found = {c.topic: (s.encoding, s.data.decode(), c.message_encoding, m) for s, c, m in messages if s}
+    encoding, layout, kind, message = found["/samples"]
+    row = "('stamp_ns', '<i8'), ('position', '<f8', (2,)), ('effort', '<f8', (2,)), ('reference', '<f8', (2,))"
+    assert (encoding, layout, kind, message.log_time) == ("numpy", f"[{row}]", "numpy", 7)
+    assert list(struct.iter_unpack("<q6d", message.data)) == [
+        (7, 0.5, -1.5, 10.0, -20.0, 0.25, -0.75),
+        (1_000_000_008, 2.5, 3.0, 30.0, 40.0, 4.0, 5.0),
+    ]
+    encoding, layout, kind, message = found["/can/can0/frames"]
+    row = "('time_ns', '<i8'), ('can_id', '<u4'), ('length', '|u1'), ('flags', '|u1'), ('data', '|u1', (8,))"
+    assert (encoding, layout, kind, message.log_time) == ("numpy", f"[{row}]", "numpy", 12)
+    assert struct.unpack("<qIBB8s", message.data) == (12, 0x185, 3, 3, bytes.fromhex("3712FB0000000000"))
+    assert json.loads(found["/events"][3].data) == {"kind": "phase", "text": "track"}
+    assert json.loads(found["/health"][3].data) == {"late": 2}
+    assert (found["/events"][3].log_time, found["/health"][3].log_time) == (13, 14)
+    assert found["/events"][:3:2] == ("jsonschema", "json")
+
+
+def test_what_a_recording_says_of_itself(tmp_path, robot):
+    notes = {"bitrate": "500000", "robot": "not mine to say", "schema_version": "9"}
+    with RecordingWriter(
+        tmp_path / "a.mcap",
+        Header(robot=robot, source="a test", sample_rate_hz=250.0, effort_provenance="by hand", notes=notes),
+    ):
+        pass
+    recording = read_recording(tmp_path / "a.mcap")
+    said = {key: recording.metadata[key] for key in recording.metadata if key not in ("created", "software", "crc32")}
+    assert said == {
+        "schema_version": "2",
+        "source": "a test",
+        "sample_rate_hz": "250.0",
+        "robot": "SCARA",
+        "joints": '["shoulder", "elbow"]',
+        "position_unit": '["rad", "rad"]',
+        "effort_unit": '["N m", "N m"]',
+        "effort_provenance": "by hand",
+        "effort_timing": "not known",
+        "bitrate": "500000",
+    }
+    assert recording.metadata["created"].endswith("+00:00")
+    assert "numpy " in recording.metadata["software"]
+    assert (recording.samples, recording.frames, recording.events, recording.health) == (None, {}, (), ())
+    assert recording.sha256 == hashlib.sha256((tmp_path / "a.mcap").read_bytes()).hexdigest()
+
+
+def write_rows(folder, samples) -> None:
+    with RecordingWriter(folder / "rows.mcap", header(robot_named("scara"))) as writer:
+        writer.samples(samples)
+
+
+GROWING, FINITE = "growing stamps from 0 to 2147483647999999999", "a finite number"
+
+
+@pytest.mark.parametrize(
+    ("field", "values", "row", "value", "expected"),
+    [
+        ("stamp_ns", [5, 5, 6], 2, 5, GROWING),
+        ("stamp_ns", [5, 4, 6], 2, 4, GROWING),
+        ("stamp_ns", [-1, 0, 1], 1, -1, GROWING),
+        ("stamp_ns", [0, 1, 2**31 * 10**9], 3, 2**31 * 10**9, GROWING),
+        ("position", [[0, 0], [0, 0], [0, np.nan]], 3, np.nan, FINITE),
+        ("effort", [[0, 0], [0, np.inf], [0, 0]], 2, np.inf, FINITE),
+        ("reference", [[0, -np.inf], [0, 0], [0, 0]], 1, -np.inf, FINITE),
+    ],
+)
+def test_values_that_a_recording_does_not_take(tmp_path, field, values, row, value, expected):
+    samples = some_samples(3)
+    samples[field] = values
+    with pytest.raises(RobotIdimError) as caught:
+        write_rows(tmp_path, samples)
+    error, key = caught.value, field if field == "stamp_ns" else f"{field} of joint 2"
+    assert (error.place, error.key) == (f"{tmp_path / 'rows.mcap'}: /samples: row {row}", key)
+    assert (str(error.value), error.expected) == (str(value), expected)
+
+
+def test_a_row_that_is_refused_is_counted_from_the_first_of_all_blocks_and_a_late_stamp_is_taken(tmp_path, monkeypatch):
+    monkeypatch.setattr("acquisition.recording.rows._AT_ONCE", 700)
+    samples = some_samples(2000)
+    samples["stamp_ns"][-1] = 2**31 * 10**9 - 1
+    write_rows(tmp_path, samples)
+    samples["effort"][1500, 0] = np.nan
+    with pytest.raises(RobotIdimError, match="row 1501"):
+        write_rows(tmp_path, samples)
+    samples["stamp_ns"][1400] = samples["stamp_ns"][1399]  # the first of a block
+    with pytest.raises(RobotIdimError, match="row 1401"):
+        write_rows(tmp_path, samples)
+
+
+def test_gaps_of_one_and_a_half_periods_and_more():
+    samples = np.zeros(5, sample_dtype(1, reference=False))
+    samples["stamp_ns"] = np.cumsum([0, 2_000_000, 2_999_990, 3_000_010, 8_000_000])
+    found = [(g.row, g.stamp_ns, g.missing) for g in gaps(samples, 500.0)]
+    assert found == [(2, 4_999_990, 1), (3, 8_000_000, 3)]
+    assert gaps(samples[:1], 500.0) == ()
+
+
+def test_readers_of_others_find_metadata_and_attachments(whole):
+    with whole.open("rb") as file:
+        reader = mcap.reader.make_reader(file, validate_crcs=True)
+        assert [m.name for m in reader.iter_metadata()] == ["recording"]
+        attached = {(a.name, a.log_time, a.create_time) for a in reader.iter_attachments()}
+        assert attached == {("../../etc/drive.eds", 0, 0), ("robot.toml", 0, 0)}  # no clock: the same bytes each time
+        summary = reader.get_summary()
+    topics = {channel.topic for channel in summary.channels.values()}
+    joint_states = {"/joint_states/measured", "/joint_states/reference"}
+    assert topics == {"/samples", "/can/can0/frames", "/events", "/health"} | joint_states
+
+
+@pytest.mark.parametrize(("rate_hz", "step"), [(50.0, 1), (100.0, 1), (250.0, 3), (1000.0, 10), (1024.0, 11)])
+def test_joint_states_are_cdr_at_100_hz_at_most(tmp_path, robot, rate_hz, step):
+    samples = some_samples(500, rate_hz=rate_hz)
+    with RecordingWriter(tmp_path / "a.mcap", header(robot, rate_hz)) as writer:
+        for k in range(0, 500, 7):  # decimation goes on across blocks
+            writer.samples(samples[k : k + 7])
+    store = get_typestore(Stores.ROS2_JAZZY)
+    for topic, field in (("/joint_states/measured", "position"), ("/joint_states/reference", "reference")):
+        found = messages_of(tmp_path / "a.mcap", topic)
+        shown = samples[::step]
+        assert len(found) == len(shown)
+        assert np.diff([m.log_time for _, _, m in found]).min() >= 10_000_000 - 1
+        for (schema, channel, message), row in zip(found, shown, strict=True):
+            assert (schema.name, schema.encoding) == ("sensor_msgs/msg/JointState", "ros2msg")
+            assert channel.message_encoding == "cdr"
+            state = store.deserialize_cdr(message.data, schema.name)
+            assert state.name == ["shoulder", "elbow"]
+            assert state.position.tolist() == row[field].tolist()
+            assert state.effort.tolist() == (row["effort"].tolist() if field == "position" else [])
+            assert state.header.stamp.sec * 10**9 + state.header.stamp.nanosec == row["stamp_ns"] == message.log_time
+
+
+def test_amperes_are_no_joint_state_effort(tmp_path, robot):
+    toml = robot.files["robot.toml"].replace(b'effort_unit = "N m"', b'effort_unit = "A"')
+    (tmp_path / "robot.toml").write_bytes(toml)
+    in_amperes = load_robot(tmp_path / "robot.toml")
+    write(tmp_path / "a.mcap", in_amperes, blocks=1)
+    messages = messages_of(tmp_path / "a.mcap", "/joint_states/measured")
+    store = get_typestore(Stores.ROS2_JAZZY)
+    assert messages
+    assert all(store.deserialize_cdr(m.data, "sensor_msgs/msg/JointState").effort.size == 0 for _, _, m in messages)
+    assert json.loads(read_recording(tmp_path / "a.mcap").metadata["effort_unit"]) == ["A", "A"]
+
+
+def test_writer_refuses_what_the_reader_would(tmp_path, robot):
+    with RecordingWriter(tmp_path / "a.mcap", header(robot)) as writer:
+        writer.samples(some_samples(10))
+        for bad, message in (
+            (some_samples(10), "row 1: stamp_ns = 0: expected growing"),
+            (some_samples(10, n=3, first=10), "expected sample_dtype of 2 joints"),
+            (some_samples(10, first=10, reference=False), "as in the block before"),
+        ):
+            with pytest.raises(RobotIdimError, match=message):
+                writer.samples(bad)
+        with pytest.raises(RobotIdimError, match=r"CAN channel '\.\./x': expected letters"):
+            writer.frames("../x", some_frames(1))
+        with pytest.raises(RobotIdimError, match="can0/frames: rows of"):
+            writer.frames("can0", some_samples(1))
+        with pytest.raises(RobotIdimError, match="stamp_ns = -1"):
+            writer.event(-1, "phase", "track")
+        writer.samples(some_samples(0, first=10))
+        writer.samples(some_samples(10, first=10))
+    recording = read_recording(tmp_path / "a.mcap")
+    assert len(recording.samples) == 20
+
+
+def test_the_file_ends_properly_when_a_session_fails_and_an_unknown_counter_is_nan(tmp_path, robot):
+    def session() -> None:
+        with RecordingWriter(tmp_path / "a.mcap", header(robot)) as writer:
+            writer.samples(some_samples(10))
+            writer.health(3, {"drops": float("nan"), "late": 2})
+            raise RuntimeError("a drive reports a fault")
+
+    with pytest.raises(RuntimeError):
+        session()
+    recording = read_recording(tmp_path / "a.mcap")
+    assert not recording.cut
+    assert len(recording.samples) == 10
+    (health,) = recording.health
+    assert np.isnan(health.counters["drops"])
+    assert health.counters["late"] == 2
+
+
+def test_flush_reaches_the_disk(tmp_path, robot, monkeypatch):
+    synced: list[int] = []
+    monkeypatch.setattr(os, "fsync", lambda fd: synced.append(os.fstat(fd).st_size))
+    with RecordingWriter(tmp_path / "a.mcap", header(robot)) as writer:
+        assert len(synced) == 1  # the description, before any data
+        writer.samples(some_samples(100))
+        writer.flush()
+        assert len(synced) == 2
+        assert synced[1] > synced[0] + 1000

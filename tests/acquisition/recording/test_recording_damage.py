@@ -1,0 +1,316 @@
+"""Recordings cut at any byte, damaged at any bit, or made by someone else."""
+
+import json
+import struct
+import zlib
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+import pytest
+from made_up_buses import bus_text, flat, robot_of, session
+from made_up_recordings import attempt, is_prefix, same, write
+from mcap.writer import Writer
+
+from acquisition.bus import WallClock
+from acquisition.errors import RobotIdimError
+from acquisition.importing import import_recording
+from acquisition.recording import FRAME, read_recording
+from acquisition.recording import content as mcap_content
+from acquisition.robot import Robot
+from acquisition.session import Recorder, process
+
+
+def test_a_cut_at_any_byte_leaves_a_prefix_or_one_line(whole, tmp_path):
+    data, full = whole.read_bytes(), read_recording(whole)
+    rng = np.random.default_rng(2)
+    cuts = sorted({*range(40), *range(len(data) - 40, len(data)), *rng.integers(0, len(data), 500).tolist()})
+    lengths = []
+    for length in cuts:
+        (tmp_path / "cut.mcap").write_bytes(data[:length])
+        part = attempt(tmp_path / "cut.mcap")
+        if isinstance(part, str):
+            assert not lengths, f"readable before byte {length}, but not there: {part}"
+            continue
+        assert part.cut
+        assert is_prefix(part, full)
+        assert (part.metadata, part.attachments) == (full.metadata, full.attachments)
+        lengths.append(0 if part.samples is None else len(part.samples))
+    assert lengths == sorted(lengths)  # a longer file never tells less
+    assert set(lengths) == {0, 40, 80, 120, 160, 200, 240}  # each flush counts
+
+
+def test_unwritten_disk_space_behind_a_cut_is_a_cut(whole, tmp_path):
+    data, full = whole.read_bytes(), read_recording(whole)
+    for length in range(3000, len(data) - 600, 997):
+        (tmp_path / "cut.mcap").write_bytes(data[:length] + bytes(4096))
+        part = read_recording(tmp_path / "cut.mcap")
+        assert part.cut
+        assert is_prefix(part, full)
+
+
+def spoilt(path: Path, data: bytearray, place: int, bit: int) -> Path:
+    """A file of the data with one bit changed."""
+    data[place] ^= bit
+    path.write_bytes(data)
+    data[place] ^= bit
+    return path
+
+
+def test_a_flipped_bit_is_an_error_or_changes_nothing(whole, tmp_path):
+    data, full = bytearray(whole.read_bytes()), read_recording(whole)
+    rng = np.random.default_rng(3)
+    refused = 0
+    places = [*range(60), *range(len(data) - 60, len(data)), *rng.integers(0, len(data), 1000).tolist()]
+    for place in places:
+        bit = 1 << int(rng.integers(8))
+        found = attempt(spoilt(tmp_path / "bad.mcap", data, place, bit))
+        refused += isinstance(found, str)
+        assert isinstance(found, str) or same(found, full), f"byte {place} bit {bit}"
+    assert refused > len(places) / 2
+
+
+def test_a_flipped_bit_in_a_cut_file_is_found_in_all_it_tells(whole, tmp_path):
+    data = bytearray(whole.read_bytes()[: -whole.stat().st_size // 3])
+    full = read_recording(whole)
+    start = data.index(b"robot.toml")
+    for place in (data.index(b"1000.0"), data.index(b"made up"), data.index(b"shoulder"), start, start + 500):
+        with pytest.raises(RobotIdimError, match=r"crc32|CRC"):
+            read_recording(spoilt(tmp_path / "bad.mcap", data, place, 1))
+    chunks = data.index(b"zstd")
+    for place in range(chunks + 20, len(data), 251):
+        found = attempt(spoilt(tmp_path / "bad.mcap", data, place, 16))
+        assert isinstance(found, str) or is_prefix(found, full), f"byte {place}"
+
+
+@pytest.mark.parametrize("with_frames", [True, False])
+def test_recovers_a_cut_file(robot, tmp_path, with_frames):
+    cut, out = tmp_path / "cut.mcap", tmp_path / "out.mcap"
+    write(cut, robot, with_frames=with_frames)
+    data = cut.read_bytes()
+    cut.write_bytes(data[: len(data) * 2 // 3])
+    import_recording(cut, out)
+    recovered, before = read_recording(out), read_recording(cut)
+    assert not recovered.cut
+    assert len(before.samples) > 0
+    assert recovered.metadata["recovered_from"] == before.sha256
+    if with_frames:  # without SYNC: they do not decode
+        *events, reason, copied = recovered.events
+        assert reason.text.startswith("no samples: ")
+        assert copied.text.endswith("samples before the cut are copied")
+        recovered = replace(recovered, events=tuple(events))
+    kept = {k: v for k, v in recovered.metadata.items() if k not in ("recovered_from", "crc32")}
+    assert same(replace(recovered, metadata={**kept, "crc32": before.metadata["crc32"]}), before)
+
+
+def test_what_unpacks_to_too_much_is_refused(tmp_path, robot, whole, monkeypatch):
+    with (tmp_path / "bomb.mcap").open("wb") as file:
+        writer = described(file, robot)
+        channel = writer.register_channel("/samples", "numpy", writer.register_schema("x", "numpy", LAYOUT.encode()))
+        writer.add_message(channel, 0, bytes(70 * 2**20), 0)
+        writer.finish()
+    assert (tmp_path / "bomb.mcap").stat().st_size < 20_000
+    with pytest.raises(RobotIdimError, match=r"a chunk of 7.* bytes: expected 67108864"):
+        read_recording(tmp_path / "bomb.mcap")
+    monkeypatch.setattr(mcap_content, "_MAX_TOTAL_BYTES", 10_000)
+    with pytest.raises(RobotIdimError, match="more than 10000 bytes unpacked"):
+        read_recording(whole)
+
+
+def record(
+    path: Path, metadata: dict[str, str], attachments: dict[str, bytes], messages: list[tuple[str, str, bytes]]
+) -> None:
+    """An MCAP file of our own making, that need not be a recording."""
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        if metadata:
+            add_metadata(writer, metadata)
+        for name, content in attachments.items():
+            writer.add_attachment(0, 0, name, "", content)
+        for topic, layout, content in messages:
+            schema = writer.register_schema("x", "numpy", layout.encode())
+            writer.add_message(writer.register_channel(topic, "numpy", schema), 5, content, 5)
+        writer.finish()
+
+
+def add_metadata(writer: Writer, metadata: dict[str, str]) -> None:
+    crc = f"{zlib.crc32(json.dumps(sorted(metadata.items())).encode()):08x}"
+    writer.add_metadata("recording", {"crc32": crc, **metadata})
+
+
+def described(file: IO[bytes], robot: Robot) -> Writer:
+    """The beginning of a recording that is still to get its data, in one chunk."""
+    writer = Writer(file, chunk_size=2**30)
+    writer.start()
+    add_metadata(writer, GOOD)
+    writer.add_attachment(0, 0, "robot.toml", "", robot.files["robot.toml"])
+    return writer
+
+
+LAYOUT = "[('stamp_ns', '<i8'), ('position', '<f8', (2,)), ('effort', '<f8', (2,))]"
+FRAMES_LAYOUT = "[('time_ns', '<i8'), ('can_id', '<u4'), ('length', '|u1'), ('flags', '|u1'), ('data', '|u1', (8,))]"
+GOOD = {"schema_version": "1", "sample_rate_hz": "1000.0", "effort_unit": '["N m", "N m"]'}
+ROW = struct.pack("<q4d", 0, 0.0, 0.0, 0.0, 0.0)
+NOT_FINITE = struct.pack("<q4d", 0, 0.0, float("nan"), 0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("metadata", "messages", "message"),
+    [
+        ({}, [], "holds no metadata record 'recording': expected a recording"),
+        ({**GOOD, "schema_version": "3"}, [], "schema_version = 3: expected 2 at most; a newer robot-idim wrote"),
+        ({**GOOD, "schema_version": "99"}, [("/x", "", b"")], "schema_version = 99: expected 2 at most"),
+        ({**GOOD, "schema_version": "one"}, [], "schema_version = 'one': expected a whole number"),
+        ({**GOOD, "schema_version": "²"}, [], "schema_version = '²': expected a whole number"),
+        ({**GOOD, "crc32": "00000000"}, [], "crc32 = '00000000': expected"),
+        ({**GOOD, "sample_rate_hz": "nan"}, [], "sample_rate_hz = 'nan': expected a positive number"),
+        ({**GOOD, "sample_rate_hz": "fast"}, [], "sample_rate_hz = 'fast': expected a positive number"),
+        ({**GOOD, "effort_unit": '["A", "A"]'}, [], r'effort_unit = \["A", "A"\]: expected \["N m", "N m"\]'),
+        (GOOD, [("/samples", "[('a', '<f8')]", b"12345678")], "/samples: layout .*: expected"),
+        (GOOD, [("/samples", "__import__('os').abort()", b"")], "/samples: layout .*: expected"),
+        (GOOD, [("/samples", LAYOUT, ROW[:-1])], "39 bytes: expected blocks of whole rows of 40 bytes"),
+        (GOOD, [("/samples", LAYOUT, ROW[:-1]), ("/samples", LAYOUT, b"1")], "expected blocks of whole rows"),
+        (GOOD, [("/samples", LAYOUT, ROW + ROW)], "row 2: stamp_ns = 0: expected growing stamps"),
+        (GOOD, [("/samples", LAYOUT, b"\xff" * 8 + ROW[8:])], "row 1: stamp_ns = -1: expected growing stamps"),
+        (GOOD, [("/samples", LAYOUT, b"\xff" * 7 + b"\x7f" + ROW[8:])], "row 1: stamp_ns = 9223372036854775807"),
+        (GOOD, [("/samples", LAYOUT, NOT_FINITE)], "row 1: position of joint 2 = nan: expected a finite number"),
+        (GOOD, [("/samples", LAYOUT, ROW), ("/samples", "[]", ROW)], "/samples changes its layout"),
+        (GOOD, [("/can/a/frames", LAYOUT, ROW)], "/can/a/frames: layout .*: expected"),
+        (GOOD, [("/can/a/frames", FRAMES_LAYOUT, bytes(12) + b"\x09" + bytes(9))], "row 1: length = 9, .* expected 8"),
+        (GOOD, [("/can/a/frames", FRAMES_LAYOUT, bytes(7) + b"\xff" + bytes(14))], "time_ns = -72057594037927936"),
+        (GOOD, [("/events", "", b'{"kind": 1}')], "/events: Expected `str`, got `int`"),
+        (GOOD, [("/events", "", b"[" * 5000)], "/events: "),
+        (GOOD, [("/health", "", b'{"drops": "many"}')], "/health: Expected `float | null`"),
+    ],
+)
+def test_files_that_are_no_recording_are_refused_in_one_line(tmp_path, robot, metadata, messages, message):
+    path = tmp_path / "odd.mcap"
+    record(path, metadata, dict(robot.files), messages)
+    with pytest.raises(RobotIdimError, match=message.replace("| null", r"\| null")) as caught:
+        read_recording(path)
+    assert str(caught.value).startswith(str(path))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda writer: writer.add_metadata("recording", GOOD), "damaged at byte .* a second metadata record 'recording'"),
+        (lambda writer: writer.add_attachment(0, 0, "robot.toml", "", b""), r"a second attachment 'robot\.toml'"),
+        (lambda writer: writer.add_message(7, 0, b"", 0), "a message on channel 7, which is not described"),
+        (lambda writer: writer.add_message(writer.register_channel("/x", "", 0), 0, b"", 0), None),
+    ],
+)  # fmt: skip
+def test_what_stands_twice_or_belongs_to_nothing_is_damage_and_an_empty_channel_is_none(
+    tmp_path, robot, change, message
+):
+    with (tmp_path / "a.mcap").open("wb") as file:
+        writer = described(file, robot)
+        writer.register_channel("/samples", "numpy", writer.register_schema("x", "numpy", LAYOUT.encode()))
+        change(writer)
+        writer.finish()
+    if message is None:
+        recording = read_recording(tmp_path / "a.mcap")
+        assert (recording.samples, recording.frames) == (None, {})
+        return
+    with pytest.raises(RobotIdimError, match=message):
+        read_recording(tmp_path / "a.mcap")
+
+
+@pytest.mark.parametrize("content", [b"", b"time,q1\n0,1\n", b"\x89MCAP0\r", b"\x89HDF\r\n\x1a\n" * 50])
+def test_what_is_not_mcap_is_refused(tmp_path, content):
+    (tmp_path / "a.mcap").write_bytes(content)
+    with pytest.raises(RobotIdimError, match="is not an MCAP file"):
+        read_recording(tmp_path / "a.mcap")
+
+
+def test_no_file_a_folder_or_no_description(tmp_path, robot):
+    path = tmp_path / "a.mcap"
+    for toml, where, message in (
+        (None, tmp_path / "none.mcap", r"none\.mcap: cannot be read: No such file"),
+        (None, tmp_path, "cannot be read: Is a directory"),
+        (None, path, r"holds no robot.toml: expected the robot's description"),
+        (b"name = 1", path, r"a\.mcap: robot.toml: name = 1: expected `str`"),
+    ):
+        record(path, GOOD, {} if toml is None else {"robot.toml": toml}, [])
+        with pytest.raises(RobotIdimError, match=message):
+            read_recording(where)
+    # The file that all of these and those above differ from is read.
+    record(path, GOOD, dict(robot.files), [("/samples", LAYOUT, ROW), ("/elsewhere", "", b"x")])
+    assert read_recording(path).samples.tobytes() == ROW
+
+
+class Connection:
+    """The session's end of the recorder's pipe: it has these messages, and hears nothing."""
+
+    def __init__(self, messages: list[Any]) -> None:
+        self._messages = messages
+
+    def poll(self, timeout_s: float) -> bool:
+        return bool(self._messages)
+
+    def recv(self) -> Any:
+        return self._messages.pop(0)
+
+    def send(self, message: object) -> None:
+        pass
+
+
+def test_rows_are_whole_where_the_clock_is_set_forward(tmp_path, monkeypatch):
+    """By half an hour before the first frame and an hour later; the recorder goes on with the session's clock."""
+    before_ns, further_ns = 1_800_000_000_000, 3_600_000_000_000
+    true, now, wall = flat(session(syncs=60)), [0], [before_ns]
+    monkeypatch.setattr(process, "WallClock", partial(WallClock, lambda: now[0] + wall[0], lambda: now[0]))
+    messages: list[Any] = [("clock", 0)]
+
+    class Receiver:
+        error, sock, stopped = None, None, False
+        run = staticmethod(lambda: None)
+        blocks = iter(np.split(true, [50, 100]))
+
+        def take(self) -> Any:
+            block = next(self.blocks, true[:0]).copy()
+            if len(block):
+                now[0] = int(block["time_ns"][-1])
+            if len(block) > 0 and now[0] >= true["time_ns"][70]:
+                wall[0] = before_ns + further_ns
+                block["time_ns"][block["time_ns"] >= true["time_ns"][70]] += further_ns
+            elif not len(block) and not self.stopped:
+                messages.append(("stop", now[0]))
+            block["time_ns"] += before_ns
+            return block
+
+    monkeypatch.setattr(process, "kernel_drops", lambda sock: 0)
+    recorder = Recorder(tmp_path / "a.mcap", robot_of(bus_text()), source="x", place="robot.toml")
+    done = process._record(Connection(messages), recorder, Receiver(), np.array([0x80]), None)  # type: ignore[arg-type]
+    assert (done.samples, done.warnings) == (60, ())
+    recording = read_recording(tmp_path / "a.mcap")
+    assert recording.samples["stamp_ns"].tolist() == true["time_ns"][true["can_id"] == 0x80].tolist()
+    for event, by in zip(recording.events, ("1.8e+03", "3.6e+03"), strict=True):
+        assert event.text == f"the clock was set forward by {by} s: times go on as if it had not been"
+        assert true["time_ns"][0] < event.stamp_ns <= true["time_ns"][-1]
+
+
+def test_drops_of_the_recorders_own_socket_stand_in_the_recording(tmp_path, monkeypatch):
+    now, messages, dropping = [0], [], object()
+
+    class Receiver:
+        error, sock, stopped = None, dropping, False
+        run = staticmethod(lambda: None)
+
+        def take(self) -> Any:
+            now[0] += 600_000_000  # a status each time
+            if now[0] > 1_500_000_000:
+                messages.append(("stop", now[0]))
+            return np.zeros(0, FRAME)
+
+    monkeypatch.setattr(process, "WallClock", partial(WallClock, lambda: now[0], lambda: now[0]))
+    monkeypatch.setattr(process, "kernel_drops", lambda sock: 7 if sock is dropping else 0)
+    recorder = Recorder(tmp_path / "a.mcap", robot_of(bus_text()), source="x", place="robot.toml")
+    process._record(Connection(messages), recorder, Receiver(), np.zeros(0, np.int64), None)  # type: ignore[arg-type]
+    health = read_recording(tmp_path / "a.mcap").health
+    assert len(health) > 1
+    assert {h.counters["kernel_drops"] for h in health} == {7}

@@ -1,0 +1,224 @@
+"""`[bus]` and its PDOs: resolved, or refused in one line that says what to change."""
+
+import re
+
+import numpy as np
+import pytest
+from made_up_buses import bus_of, bus_text, refused, robot_of
+
+from acquisition.errors import RobotIdimError
+from acquisition.protocol import ObjectEntry
+from acquisition.robot import parse_homed, refuse_load, refuse_out_of_range, resolve
+
+
+def test_what_a_description_may_leave_out_and_its_pdos_are_one_each_way():
+    drive = bus_of(robot_of(bus_text())).drives[1]
+    assert [(p.can_id, str([str(e) for e in p.entries]), p.length) for p in (*drive.tpdos, *drive.rpdos)] == [
+        (0x182, "['6041:0', '6064:0', '6074:0']", 8),
+        (0x202, "['6040:0', '607A:0']", 6),
+    ]
+    assert drive.effort.scale == pytest.approx(0.42e-3)
+    assert drive.rated == {0x6076: 420}
+    assert "torque demand" in drive.effort.provenance
+    assert "6074:0" in drive.effort.provenance
+    actual = bus_of(robot_of(bus_text().replace("reference =", "actual ="))).drives[0]
+    assert "the actual value instead of the reference" in actual.effort.provenance
+    bus = bus_of(robot_of(bus_text(1)))
+    file, drive = bus.file, bus.file.drive[0]
+    assert (drive.status, drive.control, drive.position, drive.target) == ("6041", "6040", "6064", "607A")
+    assert (drive.sign, drive.effort_sign, drive.zero_counts, drive.mapping) == (1, None, 0, "table")
+    assert (drive.rated_current_unit, drive.rated_torque_unit) == ("mA", "mN m")
+    assert (file.bitrate, file.sync_producer, file.sync_can_id, file.heartbeat_s) == (1_000_000, "recorder", 0x80, 0.1)
+    assert file.loopback  # frames stay on this machine
+    assert bus.period_ns == 2_000_000
+
+
+def test_a_rate_of_six_axes():
+    assert bus_of(robot_of(bus_text(6))).load == pytest.approx(0.7775)
+    bus = bus_of(robot_of(bus_text(6, period_s=0.001)))  # for a listener, who sends none of it
+    expected = "bus.sync_period_s = 0.001: 156% of 1000000 bit/s: expected 95% at most: 0.0016 s"
+    with pytest.raises(RobotIdimError, match=re.escape(expected)):
+        refuse_load(bus, "robot.toml")
+    refuse_load(bus_of(robot_of(bus_text(6))), "robot.toml")
+
+
+CHANGES = [
+    (("node = 2", "node = 1"), "bus.drive[1].node = 1: expected a node id not used before"),
+    (("node = 2", "node = 128"), "bus.drive[1].node = 128: expected `int` <= 127"),
+    (("node = 1", "node = 0"), "bus.drive[0].node = 0: expected `int` >= 1"),
+    (("sync_period_s = 0.002", "sync_period_s = 0.00009"), "bus.sync_period_s = 9e-05: expected 0.0001 to 1"),
+    (("sync_period_s = 0.002", "sync_period_s = 1.001"), "bus.sync_period_s = 1.001: expected 0.0001 to 1"),
+    (("sync_period_s = 0.002", "sync_period_s = 0.002\nbitrate = 123"), "bus.bitrate = 123: expected one of 10000"),
+    (("sync_period_s = 0.002", "sync_period_s = 0.002\nmaster_node = 2"), "bus.master_node = 2: expected a node id that no"),
+    (("sync_period_s = 0.002", "sync_period_s = 0.002\nother_nodes = [5, 1]"), "bus.other_nodes = 1: expected node ids that n"),
+    (("sync_period_s = 0.002", "sync_period_s = 0.002\nother_nodes = [127]"), "bus.other_nodes = 127: expected node ids that"),
+    (('channel = "test"', f'channel = "{"x" * 65}"'), "expected `str` of length <= 64"),
+    (('channel = "test"', 'channel = "test"\nheartbeat_s = 0.009'), "bus.heartbeat_s = 0.009: expected `float` >= 0.01"),
+    (('reference = "6074"', 'reference = "6074"\nreference_rule = "A"'), "reference_rule = 'A': expected one of per mille"),
+    (('reference = "6074"', 'reference = "6074"\nreference_rule = "mA"'), "'mA': gives A: expected N m as motor"),
+    (('reference = "6074"', 'reference = "2222"'), "reference = '2222': its type is not known"),
+    (('reference = "6074"', 'reference = "2222"\nobjects = { 2222 = "I16" }'), "reference_rule is missing: 2222:0 (I16)"),
+    (('reference = "6074"', 'reference = "2222"\nobjects = { 2222 = "F32" }'), "objects[2222] = 'F32': expected one of I8"),
+    (('reference = "6074"', ""), "reference is missing: expected the object of the current or torque reference"),
+    (("rated_torque_nm = 0.42", ""), "rated_torque_nm is missing: expected the rated value"),
+    (("= 0.42", "= 1e308"), "drive[0].rated_torque_nm = 1e+308: expected 0.001 to 4.295e+06: an U32 in mN m"),
+    (("= 0.42", "= 1e-4"), "drive[0].rated_torque_nm = 0.0001: expected 0.001 to "),
+    (("= 0.42", "= 1\nrated_force_n = 1e9"), "drive[0].rated_force_n = 1000000000.0: expected 0.001 to "),
+    (("= 0.42", "= 1\nrated_current_a = 1e9"), "drive[0].rated_current_a = 1000000000.0: expected 0.001 to "),
+    (("counts_per_turn = 65536", ""), "counts_per_turn is missing: expected counts_per_turn or counts_per_m"),
+    # The identifiers of other services.
+    *((("[bus]", f"[bus]\nsync_can_id = {i}"), f"bus.sync_can_id = {i}: expected 0x80, or 0x680 to 0x6DF")
+      for i in ("0x1", "0x81", "0x181", "0x57F", "0x601", "0x701", "0x7FF")),
+    (("= 65536", "= 1e13"), "drive[0].counts_per_turn = 10000000000000.0: expected `float` <= 1000000000000.0"),
+]  # fmt: skip
+OF_DRIVE = [
+    ('dictionary = "../x.eds"', "dictionary = '../x.eds': expected the name of a file in"),
+    ('dictionary = "a.eds"', "bus.drive[0].dictionary = 'a.eds': is missing next to the description"),
+    ('mapping = "dictionary"', "expected a dictionary (EDS or DCF)"),
+    ('tpdo = [{ objects = ["6041", "6064", "606C"] }]', "2 + 4 + 4 = 10 bytes: expected 8"),
+    ('tpdo = [{ objects = ["6041", "6064"] }]', "no PDO from the drive carries 6074:0"),
+    ('tpdo = [{ objects = ["6041", "6064"] }, { objects = ["6074"], number = 1, can_id = 0x281 }]', "is used twice"),
+    ('rpdo = [{ objects = ["6040"], can_id = 0x80 }]', "0x080: expected 0x181 to 0x57F"),
+    ('rpdo = [{ objects = ["6040"], can_id = 0x601 }]', "rpdo 1 (mapping = 'table'): identifier 0x601: expected 0x181"),
+    ('rpdo = [{ objects = ["6040"], can_id = 0x701 }]', "identifier 0x701: expected 0x181 to 0x57F"),
+    ('rpdo = [{ objects = ["6040"], can_id = 0x182 }]', "0x182 is that of a PDO of motor_1: expected one of its own"),
+    ('rpdo = [{ objects = ["6040"], can_id = 0x800 }]', "expected `int` <= 2047"),
+    ('rpdo = [{ objects = ["6040"], number = 5 }]', "can_id is missing"),
+    ('rpdo = [{ objects = ["6040"], number = 513, can_id = 0x300 }]', "expected `int` <= 512"),
+    ("sign = 0", "bus.drive[0].sign = 0: expected one of"),
+    ("zero_counts = 2147483648", "zero_counts = 2147483648: expected `int` <= 2147483647"),
+    ('rated_torque_unit = "Nm"', "rated_torque_unit = 'Nm': expected one of mA, mN m, uN m"),
+    ('rated_current_unit = "A"', "rated_current_unit = 'A': expected one of mA, mN m"),
+    ("counts_per_m = 5", "expected counts_per_turn or counts_per_m, one of the two"),
+    ('position = "06064"', "bus.drive[0].position = '06064': expected `str` matching"),
+    ('objects = { "6064" = "I16" }', "bus.drive[0].position = '6064': is I16: expected I32"),
+    ('objects = { "607A" = "U32" }', "bus.drive[0].target = '607A': is U32: expected I32"),
+    ('extra = ["2081:1"]', "extra[0] = '2081:1': its type is not known"),
+    ('extra = ["606C"]\ntpdo = [{ objects = ["6041", "6064", "6074"] }]', "no PDO from the drive carries 606C:0"),
+    ("extra = [{ scale = 0.1 }]", "bus.drive[0].extra[0] = '': expected an object, such as 606C or 2081:1"),
+    *((f'homed = "{name}"', "homed") for name in ("6041.32", "604", "6041.", "6041.8.1")),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("change", "expected"), CHANGES)
+def test_refused_in_one_line(change, expected):
+    assert change[0] in bus_text()
+    refused(bus_text().replace(*change, 1), expected)
+
+
+def test_one_drive_for_each_motor_and_a_bus_for_them():
+    text = bus_text(2)
+    refused(text[: text.rindex("[[bus.drive]]")], "bus.drive = '1 tables': expected one per motor: 2")
+    with pytest.raises(RobotIdimError, match=r"r.toml: bus is missing: expected its drives: remove `#: `"):
+        resolve(robot_of(text[: text.index("[bus]")]), "r.toml")
+
+
+@pytest.mark.parametrize(("lines", "expected"), OF_DRIVE)
+def test_keys_of_a_drive_refused_in_one_line(lines, expected):
+    refused(bus_text(drive=lines), expected)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        ("0.002", "0.0001"),
+        ("0.002", "1.0"),
+        ("node = 1\n", "node = 126\n"),
+        ("node = 1\n", 'node = 1\nrpdo = [{ objects = ["6040"], number = 512, can_id = 0x300 }]\n'),
+        ("node = 1\n", "node = 1\nzero_counts = -2147483648\n"),
+        ('channel = "test"', f'channel = "{"x" * 64}"'),
+        ('channel = "test"', 'channel = "test"\nheartbeat_s = 0.01'),
+        ('channel = "test"', 'channel = "test"\nmaster_node = 2'),
+        ("[bus]", "[bus]\nsync_can_id = 0x6DF"),
+        # Rates of CiA 301, and 100 kbit/s, which it had before.
+        *(("[bus]", f"[bus]\nbitrate = {rate}000") for rate in (10, 20, 50, 100, 125, 250, 500, 800, 1000)),
+    ],
+)
+def test_ends_of_ranges(change):
+    assert change[0] in bus_text(1)
+    found = robot_of(bus_text(1).replace(*change)).bus
+    key, _, value = change[1].rpartition("\n")[2].partition(" = ")
+    assert key not in ("bitrate", "sync_can_id") or getattr(found, key) == int(value, 0)
+
+
+def test_targets_beyond_what_the_object_holds():
+    robot = robot_of(bus_text(2).replace("node = 2\n", "node = 2\nsign = -1\n"))
+    bus = bus_of(robot)
+    most = (2**31 - 1) / 65536 / 50 * 2 * np.pi  # of joint 1, at a ratio of 50
+    path = np.zeros((5, 2))
+    path[3] = most * (1 - 1e-12), most * (1 - 1e-12)
+    refuse_out_of_range(path, robot, bus, "x")
+    for column, value, told in (
+        (0, most * 1.001, "node 1 (motor_1) = 2149631"),
+        (1, most * 1.001, "node 2 (motor_2) = -2149631"),
+        (0, np.nan, "node 1 (motor_1) = nan counts"),
+        (1, 1e308, "node 2 (motor_2) = -inf counts"),
+    ):
+        path[3] = 0.0
+        path[3, column] = value
+        with pytest.raises(RobotIdimError, match=re.escape(f"x: at 0.006 s: target of {told}")) as caught:
+            refuse_out_of_range(path, robot, bus, "x")
+        assert str(caught.value).endswith("counts: expected -2147483648 to 2147483647")
+
+
+@pytest.mark.parametrize(
+    ("kind", "unit", "counts", "expected"),
+    [
+        ("revolute", '"A"', "counts_per_turn", None),
+        ("revolute", '"A"', "counts_per_m", "moves no prismatic joint: expected counts_per_turn"),
+        ("prismatic", '"A"', "counts_per_turn", None),  # a spindle
+        ("prismatic", '"A"', "counts_per_m", None),
+        ("prismatic", '"N"', "counts_per_m", None),
+        ("prismatic", '"N"', "counts_per_turn", "gives a force: expected counts_per_m"),
+        ("prismatic", '"N m"', "counts_per_m", "gives a torque: expected counts_per_turn"),
+    ],
+)
+def test_counts_per_turn_of_motors_that_turn(kind, unit, counts, expected):
+    rule = {'"A"': "mA", '"N"': "mN", '"N m"': "mN m"}[unit]
+    text = bus_text(1, drive=f'reference_rule = "{rule}"').replace('effort_unit = "N m"', f"effort_unit = {unit}")
+    text = text.replace("counts_per_turn", counts).replace('"revolute"', f'"{kind}"')
+    text = "\n".join(line for line in text.split("\n") if kind == "revolute" or "_deg" not in line or "dh" in line)
+    if expected is None:
+        assert bus_of(robot_of(text)).drives[0].name == "motor_1"
+    else:
+        refused(text, expected)
+
+
+@pytest.mark.parametrize(
+    ("name", "key"), [("6064", (0x6064, 0)), ("60c2:2", (0x60C2, 2)), ("1018:10", (0x1018, 10)), ("2031:255", (0x2031, 255))]
+)  # fmt: skip
+def test_names_of_objects(name, key):
+    """The index is hexadecimal, the sub-index decimal."""
+    assert parse_homed(name) == (*key, None)
+
+
+def entries(pdo) -> list[str]:
+    return [str(entry) for entry in pdo.entries]
+
+
+def test_what_does_not_fit_one_pdo_goes_into_two():
+    """Statusword, position and a reference of 32 bits are 10 bytes."""
+    text = bus_text(1).replace('reference = "6074"', 'reference = "30D0"\nobjects = { "30D0" = "I32" }')
+    drive = bus_of(robot_of(text.replace('"N m"', '"A"').replace("node = 1\n", "node = 9\n"))).drives[0]
+    assert [(pdo.number, pdo.can_id, pdo.length, entries(pdo)) for pdo in drive.tpdos] == [
+        (1, 0x189, 6, ["6041:0", "6064:0"]),
+        (2, 0x289, 4, ["30D0:0"]),
+    ]
+    assert drive.carrier(ObjectEntry(index=0x30D0, sub=0, type="I32"), "tpdo") is drive.tpdos[1]
+    assert drive.carrier(drive.target, "rpdo") is drive.rpdos[0]
+    assert drive.carrier(drive.target, "tpdo") is None
+    # PDOs of a description with numbers and identifiers.
+    line = 'tpdo = [{ objects = ["6064", "6074"], number = 3 }, { objects = ["6041"], can_id = 0x6A0, number = 7 }]\n'
+    drive = bus_of(robot_of(bus_text(1, drive=line))).drives[0]
+    assert [(pdo.number, pdo.can_id, entries(pdo)) for pdo in drive.tpdos] == [
+        (3, 0x381, ["6064:0", "6074:0"]),
+        (7, 0x6A0, ["6041:0"]),
+    ]
+
+
+def test_where_efforts_come_from_drive_by_drive():
+    bus = bus_of(robot_of(bus_text(3).replace("node = 2\n", "node = 2\nsign = -1\n")))
+    told = "object 6074:0 (torque demand, the reference of the current loop (CiA 402)), raw I16 in per mille of rated torque"
+    assert bus.provenance == (
+        f"motor_1, motor_3: {told} x 0.42 (rated_torque_nm), sign +1; motor_2: {told} x 0.42 (rated_torque_nm), sign -1"
+    )

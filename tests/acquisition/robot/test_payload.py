@@ -1,0 +1,331 @@
+"""The payload: its text, `[payload]` of robot.toml, and its parameters in the frame of the last link."""
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+from conftest import REPLAY, robot_named
+from made_up_bags import bag, message
+from made_up_buses import bus_text, robot_of, session
+from made_up_recordings import header, some_samples
+from urdfs import ARM, joint, urdf
+
+from acquisition.commands import main
+from acquisition.errors import RobotIdimError
+from acquisition.importing import import_recording
+from acquisition.options import RecordOptions
+from acquisition.recording import RecordingWriter, read_recording
+from acquisition.robot import Payload, Robot, load_robot, parse_payload, robot_from_files
+from acquisition.session import UserInterface, record
+from acquisition.session.logs import ProcessLog, Role
+from identification.model import InverseModel, add_payload, payload_parameters
+from identification.simulation import described_robot
+
+TX40 = (REPLAY / "tx40" / "robot.toml").read_text()
+MOUNT = {"mount": joint("mount", "fixed", "beam", "tool", origin="0.05 0.1 0.3")}
+
+
+def arm(table: str = "", **parts: str) -> Robot:
+    """The URDF of three joints with a tool fixed to the last link, and a sensor fixed to the link before."""
+    kinds = ("revolute", "revolute", "prismatic")
+    joints = "".join(f'[[joint]]\nname = "{name}"\ntype = "{kind}"\n' for name, kind in zip(ARM, kinds, strict=True))
+    motors = "".join(f'[[motor]]\nname = "m_{name}"\neffort_unit = "N m"\n' for name in ARM)
+    text = f'name = "arm"\nurdf = "r.urdf"\n{joints}{motors}[controller]\nbandwidth_hz = 5\n{table}'
+    return robot_from_files({"robot.toml": text.encode(), "robot.urdf": urdf(**(MOUNT | parts)).encode()}, "arm.toml")
+
+
+@pytest.mark.parametrize(
+    ("text", "payload", "words"),
+    [
+        ("2.805", Payload(2.805), "2.805 kg, centre of mass not stated"),
+        ("2.805@0.03,0.15,-0.16", Payload(2.805, (0.03, 0.15, -0.16)), "2.805 kg at 0.03, 0.15, -0.16 ± 0.005 m in"),
+        (" 1e-3 @ 0, 0 ,5", Payload(0.001, (0.0, 0.0, 5.0)), "0.001 kg at 0, 0, 5 ± 0.005 m in"),
+        ("2@0,0,0.1+-1e-3", Payload(2.0, (0.0, 0.0, 0.1), center_half_width_m=0.001), "2 kg at 0, 0, 0.1 ± 0.001 m in"),
+        (f"{1 / 3!r}@{0.1 + 0.2!r},0,0", Payload(1 / 3, (0.1 + 0.2, 0.0, 0.0)), None),
+    ],
+)
+def test_a_payload_is_read_and_written(text, payload, words):
+    found = parse_payload(text, robot_named("tx40"))
+    assert found == payload
+    assert parse_payload(found.text, robot_named("tx40")) == payload
+    assert words is None or str(found) == words + " the frame of the last joint" * words.endswith("in")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "", "x", "0", "-1", "nan", "inf", "2@", "2@1", "2@1,2", "2@0,0,0,0", "2@0,0,x", "2@0,0,nan", "2@0,inf,0", "@0,0,0",
+        "2@0,0,5.001", "2@0,-5.1,0", "1e7", "2@0@0", "2 kg", "2,805", "unknown",
+        "2@0,0,0.1+-", "2@0,0,0.1+-x", "2@0,0,0.1+--1", "2@0,0,0.1+-nan", "2+-0.1",
+    ],
+)  # fmt: skip
+def test_no_payload(text):
+    with pytest.raises(RobotIdimError) as refused:
+        parse_payload(text, robot_named("tx40"), "--payload")
+    assert (refused.value.key, refused.value.value) == ("--payload", text)
+    assert refused.value.expected.startswith("KG or KG@X,Y,Z")
+
+
+def test_the_table_says_how_the_numbers_are_meant():
+    robot = arm('[payload]\nframe = "tool"\nmass_half_width_kg = 0.01\ncenter_half_width_m = 0.002\n')
+    assert parse_payload("2@0,0,0.1", robot) == Payload(2.0, (0.0, 0.0, 0.1), "tool", 0.01, 0.002)
+    assert parse_payload("2@0,0,0.1+-0.003", robot).center_half_width_m == 0.003
+    assert str(parse_payload("2@0,0,0.1", robot)) == "2 ± 0.01 kg at 0, 0, 0.1 ± 0.002 m in tool"
+
+
+def refusal(call, *arguments, **named) -> tuple[str, str, object]:
+    with pytest.raises((RobotIdimError, RobotIdimError)) as caught:
+        call(*arguments, **named)
+    assert "\n" not in str(caught.value)
+    return caught.value.place, caught.value.key, caught.value.value
+
+
+@pytest.mark.parametrize(
+    ("table", "key", "value"),
+    [
+        ('frame = "tool0"', "payload.frame", "tool0"),
+        ("mass_half_width_kg = -1", "payload.mass_half_width_kg", -1),
+        ("center_half_width_m = -1", "payload.center_half_width_m", -1),
+        ("mass = 2", "payload", None),
+    ],
+)
+def test_a_table_that_means_nothing_is_refused(table, key, value):
+    """A frame that the URDF does not name too."""
+    files = {"robot.toml": f"{TX40}\n[payload]\n{table}\n".encode()}
+    assert refusal(robot_from_files, files, "robot.toml") == ("robot.toml", key, value)
+    if value == "tool0":
+        assert refusal(arm, f"[payload]\n{table}\n") == ("arm.toml", key, value)
+
+
+def test_payloads_that_have_no_parameters_or_no_unit_to_be_carried_in():
+    assert refusal(payload_parameters, InverseModel(arm()), Payload(None))[1] == "payload"
+    motors = tuple(msgspec.structs.replace(m, effort_unit="A") for m in arm().motors)
+    in_amperes = replace(arm(), motors=motors, parameters={"M1": 1.0})
+    assert refusal(described_robot, in_amperes, Payload(1.0))[:2] == ("robot arm", "payload")
+    robot = replace(arm(), parameters={"M1": 1.0, "XX1": 1.0, "YY1": 1.0, "ZZ1": 1.0, "M2": 1.0, "M3": 1.0})
+    assert refusal(described_robot, robot, Payload(1.0, frame="sensor"))[1:] == ("payload.frame", "sensor")
+
+
+def test_parameters_of_a_ball_by_hand():
+    """2 kg at (0.1, 0, 0.3) m of the last joint: J = 2/5 m r² E + m (c·c E − c cᵀ) about the origin of its frame."""
+    J = 0.4 * 2 * 0.1**2
+    expected = [J + 2 * 0.09, 0.0, -2 * 0.03, J + 2 * 0.1, 0.0, J + 2 * 0.01, 0.2, 0.0, 0.6, 2.0]
+    for robot in (robot_named("tx40"), arm()):
+        found = payload_parameters(InverseModel(robot), Payload(2.0, (0.1, 0.0, 0.3)))
+        np.testing.assert_allclose(found, expected, atol=1e-15)
+
+
+def test_the_frame_of_a_fixed_link_gives_the_parameters_of_its_place():
+    """pinocchio merges a tool with this mass and inertia into the last link: the payload in its frame adds the same."""
+    J = 0.4 * 2 * 0.1**2
+    ball = f'<inertia ixx="{J}" ixy="0" ixz="0" iyy="{J}" iyz="0" izz="{J}"/>'
+    body = f'<link name="tool"><inertial><origin xyz="0.02 -0.1 0.3"/><mass value="2"/>{ball}</inertial></link>'
+    robots = [arm(tool='<link name="tool"/>'), arm(tool=body)]
+    empty, full = (InverseModel(robot).link_parameters()[-1] for robot in robots)
+    found = payload_parameters(InverseModel(robots[0]), Payload(2.0, (0.02, -0.1, 0.3), "tool"))
+    np.testing.assert_allclose(found, full - empty, atol=1e-12)
+    at_origin = payload_parameters(InverseModel(robots[0]), Payload(2.0, frame="tool"))
+    np.testing.assert_allclose(at_origin[6:], 2 * np.array([0.05, 0.1, 0.3, 1.0]), atol=1e-12)
+
+
+@pytest.mark.parametrize("frame", ["sensor", "arm", "base", "mount", "nothing"])
+def test_a_frame_that_the_last_joint_does_not_carry_is_refused(frame):
+    with pytest.raises(RobotIdimError) as refused:
+        payload_parameters(InverseModel(arm()), Payload(2.0, frame=frame))
+    error = refused.value
+    assert (error.place, error.key, error.value) == ("robot arm", "payload.frame", frame)
+    assert error.expected == "a link that slide carries: beam, tool, left, right"
+
+
+def test_the_torque_of_a_payload_is_that_of_a_mass_on_the_last_link():
+    """At rest it is what gravity does on it: m g · dp/dq, with p by small differences."""
+    model, payload = InverseModel(robot_named("tx40")), Payload(2.0, (0.03, 0.15, -0.16))
+    q, zero, step = np.array([[0.3, -0.5, 0.8, 0.4, -0.7, 1.1]]), np.zeros((1, 6)), 1e-6
+    chi = np.ones(model.p)
+    torque = (model.regressor(q, zero, zero) @ (add_payload(model, chi, payload) - chi))[0]
+
+    def height(q):
+        origins, rotations = model.placements(q)
+        return origins[:, -1, 2] + rotations[:, -1, 2] @ np.array(payload.center_of_mass_m)
+
+    slope = [(height(q + step * e) - height(q - step * e))[0] / (2 * step) for e in np.eye(6)]
+    np.testing.assert_allclose(torque, 2 * 9.81 * np.array(slope), atol=1e-7)
+
+
+HEAVY = Payload(2.805, (0.03, 0.15, -0.16), None, 0.01)
+
+
+def recorded(path: Path, payload: Payload | None, /, **metadata: str) -> Path:
+    """A recording of the SCARA."""
+    with RecordingWriter(path, replace(header(robot_named("scara")), payload=payload, notes=metadata)) as writer:
+        writer.samples(some_samples(100))
+    return path
+
+
+@pytest.mark.parametrize("payload", [None, HEAVY, Payload(2.0), Payload(None, (0.1, 0.0, 0.0), "tool0")])
+def test_a_recording_has_its_payload(tmp_path, payload):
+    recording = read_recording(recorded(tmp_path / "a.mcap", payload))
+    assert recording.payload == payload
+    assert ("payload" in recording.metadata) == (payload is not None)
+
+
+def test_later_versions_may_say_more_of_a_payload(tmp_path):
+    """What this version does not know stays in copies."""
+    text = '{"mass_kg": 2, "inertia_kg_m2": [1, 2, 3], "center_of_mass_m": [0, 0, 1]}'
+    path = recorded(tmp_path / "a.mcap", None, payload=text)
+    assert read_recording(path).payload == Payload(2.0, (0.0, 0.0, 1.0))
+    path.write_bytes(path.read_bytes()[:-300])
+    assert main(["import", str(path), "-o", str(tmp_path / "b.mcap")]) == 0
+    assert read_recording(tmp_path / "b.mcap").metadata["payload"] == text
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        *("", "2.805", "{}", '{"mass_kg": -1}', '{"mass_kg": 0}', '{"mass_kg": "2"}', '{"mass_kg": 1e999}'),
+        '{"mass_kg": 2, "center_of_mass_m": [1, 2]}',
+        '{"mass_kg": 2, "mass_half_width_kg": -1}',
+        '{"mass_kg": 2, "x": ' + "[" * 9999,
+    ],
+)
+def test_a_recording_with_a_payload_that_is_none_is_refused(tmp_path, text):
+    path = recorded(tmp_path / "a.mcap", None, payload=text)
+    assert refusal(read_recording, path) == (str(path), "payload", text)
+
+
+def test_what_is_written_again_keeps_the_payload(tmp_path, capsys):
+    """A cut recording that is recovered, and one that is decoded with another description."""
+    path = recorded(tmp_path / "a.mcap", HEAVY)
+    cut, whole = tmp_path / "cut.mcap", tmp_path / "whole.mcap"
+    cut.write_bytes(path.read_bytes()[:-300])
+    assert main(["import", str(cut), "-o", str(whole)]) == 0
+    assert read_recording(whole).payload == HEAVY
+    robot = robot_of(bus_text(2))
+    dry, again = tmp_path / "dry.mcap", tmp_path / "again.mcap"
+    record(robot, "robot.toml", dry, RecordOptions(dry_run=True, duration_s=0.2, payload="2@0,0,0.1"), UserInterface())
+    import_recording(dry, again, robot_of(bus_text(2, ratio=60.0)), "robot.toml")
+    assert read_recording(again).payload == read_recording(dry).payload == Payload(2.0, (0.0, 0.0, 0.1))
+
+
+def test_info_shows_the_payload(tmp_path, capsys):
+    def info(path, *options):
+        assert main(["info", str(path), *options]) == 0
+        return capsys.readouterr().out
+
+    loaded, empty = recorded(tmp_path / "a.mcap", HEAVY), recorded(tmp_path / "b.mcap", None)
+    words = "2.805 ± 0.01 kg at 0.03, 0.15, -0.16 ± 0.005 m in the frame of elbow"
+    assert re.search(rf"^ *payload +{re.escape(words)}$", info(loaded), re.MULTILINE)
+    assert "payload" not in info(empty)
+    found = json.loads(info(loaded, "--json"))
+    assert found["payload"] == {
+        "mass_kg": 2.805,
+        "center_of_mass_m": [0.03, 0.15, -0.16],
+        "frame": None,
+        "mass_half_width_kg": 0.01,
+        "center_half_width_m": 0.005,
+    }
+    assert found["payload_text"] == words
+    assert json.loads(info(empty, "--json"))["payload"] is None
+
+
+@pytest.mark.parametrize("kind", ["table", "log", "bag"])
+def test_imports_take_a_payload(tmp_path, kind, capsys):
+    toml, out = tmp_path / "robot.toml", tmp_path / "out.mcap"
+    options = ["--robot", str(toml), "-o", str(out), "--payload"]
+    toml.write_text((REPLAY / "scara" / "robot.toml").read_text())
+    if kind == "table":
+        map_text = '[position]\ncolumns = [1, 2]\nunit = "rad"\n[effort]\ncolumns = [3, 4]\nunit = "N m"\n'
+        (tmp_path / "map.toml").write_text(f"sample_rate_hz = 1000\n{map_text}")
+        np.savetxt(tmp_path / "a.csv", np.random.default_rng(0).normal(size=(300, 4)) * 1e-3, delimiter=",")
+        command = ["import", str(tmp_path / "a.csv"), "--map", str(tmp_path / "map.toml"), *options]
+    elif kind == "log":
+        toml.write_text(bus_text(2))
+        log = tmp_path / "a.log"
+        rows = [row for rows in session(2, 60) for row in rows]
+        log.write_text(
+            "".join(f"({t * 1e-9:.6f}) can0 {i:03X}#{d.tobytes()[:k].hex().upper()}\n" for t, i, k, _, d in rows)
+        )
+        command = ["import", str(log), *options]
+    else:
+        states = bag(tmp_path / "bag", map(message, range(60)))
+        command = ["import", str(states), "--topic", "/joint_states", "--effort-unit", "N m", *options]
+    capsys.readouterr()
+    assert main([*command, "2@x"]) == 1
+    assert capsys.readouterr().err.startswith("robot-acquire: --payload = '2@x': expected KG or KG@X,Y,Z")
+    assert not out.exists()
+    assert main([*command, "2.5@0,0,0.1"]) == 0, capsys.readouterr().err
+    assert read_recording(out).payload == Payload(2.5, (0.0, 0.0, 0.1))
+
+
+@pytest.mark.parametrize("command", ["record", "check"])
+def test_commands_refuse_what_is_no_payload_before_anything_else_and_check_shows_one(tmp_path, command, capsys):
+    toml, out = tmp_path / "robot.toml", tmp_path / "a.mcap"
+    toml.write_text(bus_text(2))
+    options = ["-o", str(out), "--duration", "0.1"] if command == "record" else []
+    assert main([command, str(toml), "--payload", "2@0,0", *options]) == 1
+    assert capsys.readouterr().err.startswith("robot-acquire: --payload = '2@0,0': expected KG or KG@X,Y,Z")
+    assert not out.exists()
+    if command == "check":
+        assert main([command, str(toml), "--payload", "2@0,0,0.1"]) == 1  # no drive answers
+        assert "ok  payload" in (printed := capsys.readouterr().out)
+        assert "2 kg at 0, 0, 0.1 ± 0.005 m in the frame of joint_2" in printed
+
+
+@pytest.mark.parametrize("passive", [False, True])
+def test_a_real_session_has_the_payload_too(tmp_path, passive):
+    """Its recorder is another process."""
+    robot = robot_of(bus_text(1, interface="udp_multicast", channel="239.74.163.9"))
+    payload = Payload(2.0, (0.0, 0.0, 0.1))
+    log = ProcessLog(tmp_path / "a.mcap", robot, "robot.toml", Role.LISTENER if passive else Role.FED, 0, payload)
+    try:
+        log.finish(10**9)
+    finally:
+        log.close()
+    assert read_recording(tmp_path / "a.mcap").payload == payload
+
+
+def pendulum(folder: Path, table: str = "") -> Path:
+    """One joint that turns about z, level, without friction, with gravity along -y; at rest it holds 3 N m cos q."""
+    text = bus_text(1, ratio=50.0).replace("[controller]", "gravity_m_s2 = [0.0, -9.81, 0.0]\n[controller]")
+    (folder / "robot.toml").write_text(f"{text}\n[parameters]\nZZ1 = 2.0\nMX1 = {3 / 9.81}\n{table}")
+    np.savetxt(
+        folder / "ref.csv", np.arange(300)[:, None] * [0.002, 0.0], delimiter=",", header="time_s,joint_1", comments=""
+    )
+    return folder / "robot.toml"
+
+
+@pytest.mark.parametrize(
+    ("payload", "torque_nm"),
+    [(None, 3.0), ("1.5", 3.0), ("1.5@0.4,0.3,-0.2", 3.0 + 1.5 * 9.81 * 0.4), ("0.5@-1,0,0", 3.0 - 0.5 * 9.81)],
+)
+def test_record_says_the_payload_and_a_dry_run_carries_it(tmp_path, capsys, payload, torque_nm):
+    command = ["record", str(pendulum(tmp_path)), "--track", str(tmp_path / "ref.csv"), "--dry-run"]
+    out = tmp_path / "a.mcap"
+    assert main([*command, "-o", str(out), *([] if payload is None else ["--payload", payload])]) == 0
+    said = capsys.readouterr().err
+    recording = read_recording(out)
+    if payload is None:
+        assert (said, recording.payload) == ("", None)
+    else:
+        assert said.startswith(f"payload {recording.payload.describe('joint_1')}: no limit of robot.toml counts it")
+    stop_ns = next(e.stamp_ns for e in recording.events if e.text == "stop")
+    still = recording.samples[recording.samples["stamp_ns"] < stop_ns][-50:]
+    assert np.abs(still["position"]).max() < 0.02
+    np.testing.assert_allclose(still["effort"].mean(), torque_nm, atol=0.1)
+
+
+def test_the_drives_of_a_dry_run_have_the_gains_of_the_unloaded_robot(tmp_path):
+    """Real drives are not tuned again for a payload; its inertia, about its centre of mass too, is that of a ball."""
+    robot = load_robot(pendulum(tmp_path))
+    (plant, loops), (loaded, same) = described_robot(robot), described_robot(robot, Payload(1.5, (0.4, 0.3, -0.2)))
+    np.testing.assert_array_equal(same.velocity, loops.velocity)
+    torque, free = np.array([20.0]), np.zeros(1, bool)
+    for each in (plant, loaded):
+        each.step(torque, free, 1e-3)
+    accelerations = np.array([each.state()[1][0] / 1e-3 for each in (plant, loaded)])
+    inertia = 2.0 + 1.5 * 0.25 + 0.4 * 1.5 * 0.1**2
+    np.testing.assert_allclose(accelerations, [17 / 2, (17 - 1.5 * 9.81 * 0.4) / inertia], rtol=2e-3)

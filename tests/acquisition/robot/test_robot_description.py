@@ -1,0 +1,286 @@
+"""robot.toml into a robot: what it means, and one line for each mistake. Files that are whole or not there."""
+
+import math
+import os
+import pickle
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import REPLAY, robot_named
+from descriptions import COUPLED, ONE_JOINT
+
+from acquisition.errors import RobotIdimError, one_line
+from acquisition.files import atomic_write, refuse_clash
+from acquisition.robot import load_robot, robot_from_files
+
+DH = "dh = { alpha_deg = 0, d_m = 0, theta_deg = 0, r_m = 0 }"
+GAIN = 'drive_gain = 0.2\ndrive_gain_unit = "N m/A"'
+
+
+def refused(text: str, files: dict[str, bytes] | None = None) -> RobotIdimError:
+    with pytest.raises(RobotIdimError) as caught:
+        robot_from_files({"robot.toml": text.encode(), **(files or {})}, "here")
+    assert str(caught.value).startswith("here: ")
+    assert "\n" not in str(caught.value)
+    assert caught.value.place == "here"
+    return caught.value
+
+
+def refusal(text: str, files: dict[str, bytes] | None = None) -> str:
+    return str(refused(text, files))
+
+
+@pytest.mark.parametrize(
+    "path", sorted(REPLAY.glob("*/robot*.toml")), ids=lambda path: f"{path.parent.name}-{path.stem}"
+)
+def test_the_descriptions_in_replay_data_are_valid(path):
+    robot = load_robot(path)
+    assert robot.n == len(robot.motors) == len(robot.R)
+    assert robot.files["robot.toml"] == path.read_bytes()
+    again = robot_from_files(robot.files, "a recording")
+    assert again.joints == robot.joints
+    assert np.array_equal(again.R, robot.R)
+
+
+def test_wrist_motors_of_the_tx40_are_coupled():
+    """q = inv(R) q_motor and tau = Rᵀ tau_motor, so tau_5 also gets 32 tau_motor_6 (data sheet of the record)."""
+    robot = robot_named("tx40")
+    q_motor = np.zeros((1, 6))
+    q_motor[0, 4] = 45.0
+    assert robot.joint_position(q_motor)[0].tolist() == pytest.approx([0, 0, 0, 0, 1, -1])
+    tau_motor = np.array([[0, 0, 0, 1.0, 1.0, 2.0]])
+    assert robot.joint_effort(tau_motor)[0].tolist() == pytest.approx([0, 0, 0, -48, 45 + 2 * 32, 2 * 32])
+    assert robot.effort_units == ("N m",) * 6
+
+
+def test_a_coupled_robot_by_hand():
+    """Motor 1 turns by 10 q1 + 4 q2, motor 2 by -3 q1 + 20 q2; joint 1 gets 10 tau_m1 - 3 tau_m2, joint 2 the rest."""
+    robot = robot_from_files({"robot.toml": COUPLED.encode()}, "here")
+    q = np.array([[np.pi / 2 + 1.0, -np.pi / 4 + 2.0], [np.pi / 2, -np.pi / 4 - 0.5]])
+    q_motor = np.array([[18.0, 37.0], [-2.0, -10.0]])
+    assert robot.motor_position(q) == pytest.approx(q_motor)
+    assert robot.joint_position(q_motor) == pytest.approx(q)
+    # 2 A and 8 A are 1 N m and 2 N m at the motors.
+    assert robot.joint_effort(np.array([[2.0, 8.0], [-2.0, 0.0]])) == pytest.approx(np.array([[4, 44], [-10, -4]]))
+    assert robot.motor_effort(np.array([[4.0, 44.0], [-10.0, -4.0]])) == pytest.approx(np.array([[2, 8], [-2, 0]]))
+    # Speeds (1, 2) rad/s at the joints are (18, 37) at the motors: 1·4 + 2·44 = 18·1 + 37·2 = 92 W.
+    assert np.array([1.0, 2.0]) @ robot.joint_effort(np.array([[2.0, 8.0]]))[0] == pytest.approx(92)
+    assert robot.gain.tolist() == [0.5, 0.25]
+    assert not robot.R.flags.writeable
+    assert robot.gravity.tolist() == [0, 9.81, 0]
+    assert robot.effort_units == ("N m", "N m")
+
+
+@pytest.mark.parametrize(
+    ("quantity", "per", "value", "si"),
+    [
+        ("zero", "", 90.0, np.pi / 2),
+        ("position", "", [-180.0, 45.0], (-np.pi, np.pi / 4)),
+        ("speed", "_s", 180.0, np.pi),
+        ("acceleration", "_s2", 720.0, 4 * np.pi),
+        ("following_error", "", 1.8, np.pi / 100),
+    ],
+)
+def test_limits_in_si(quantity, per, value, si):
+    """Degrees become radians at a joint that turns; metres stay metres at one that slides; the other unit is refused."""
+
+    def text(kind: str, unit: str) -> str:
+        return ONE_JOINT.replace(DH, f"{DH}\n{quantity}_{unit}{per} = {value}").replace("revolute", kind)
+
+    (turning,) = robot_from_files({"robot.toml": text("revolute", "deg").encode()}, "x").joints
+    assert (turning.si(quantity), turning.position_unit) == (pytest.approx(si), "rad")
+    (sliding,) = robot_from_files({"robot.toml": text("prismatic", "m").encode()}, "x").joints
+    given = tuple(value) if isinstance(value, list) else value
+    assert (sliding.si(quantity), sliding.position_unit) == (given, "m")
+    (plain,) = robot_from_files({"robot.toml": ONE_JOINT.encode()}, "x").joints
+    assert plain.si(quantity) is None
+    assert f"joint[0].{quantity}_m{per} = " in refusal(text("revolute", "m"))
+    assert f"joint[0].{quantity}_deg{per} = " in refusal(text("prismatic", "deg"))
+
+
+@pytest.mark.parametrize(
+    ("kind", "motor", "gain", "recorded", "unit"),
+    [
+        ("revolute", 'drive_gain = 0.2\ndrive_gain_unit = "N m/V"', 0.2, "V", "N m"),
+        ("prismatic", 'drive_gain = 35.15\ndrive_gain_unit = "N/V"', 35.15, "V", "N"),
+        ("prismatic", 'drive_gain = 2.0\ndrive_gain_unit = "N m/A"', 2.0, "A", "N"),
+        ("revolute", 'effort_unit = "N m"', 1.0, "N m", "N m"),
+        ("prismatic", 'effort_unit = "N"', 1.0, "N", "N"),
+        ("prismatic", 'effort_unit = "N m"', 1.0, "N m", "N"),
+        ("revolute", 'effort_unit = "A"', None, "A", "A"),
+        ("revolute", 'effort_unit = "V"', None, "V", "V"),
+    ],
+)
+def test_gains_and_units_of_motors(kind, motor, gain, recorded, unit):
+    text = ONE_JOINT.replace(GAIN, motor).replace("revolute", kind)
+    robot = robot_from_files({"robot.toml": text.encode()}, "here")
+    assert (robot.motors[0].gain, robot.motors[0].recorded_unit) == (gain, recorded)
+    assert (robot.effort_units, robot.gain_known) == ((unit,), gain is not None)
+    assert robot.joint_effort(np.array([[1.0]])) == pytest.approx(np.array([[50 * (gain or 1.0)]]))
+    assert robot.motor_effort(np.array([[50.0]])) == pytest.approx(np.array([[1 / (gain or 1.0)]]))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "key", "value", "expected"),
+    [
+        ('name = "one"', 'name = "a\\u001b[31m"', "name", "a\x1b[31m", "`str` matching regex"),
+        ("ratio = 50", 'ratio = "50"', "motor[0].ratio", "50", "`float | null`, got `str`"),
+        ("ratio = 50", "ratio = inf", "motor[0].ratio", math.inf, "a finite number"),
+        ("ratio = 50", "ratio = 0", "motor[0].ratio", 0.0, "a non-zero ratio"),
+        ('type = "revolute"', 'type = "spherical"', "joint[0].type", "spherical", "one of 'prismatic', 'revolute'"),
+        ('"N m/A"', '"Nm/A"', "motor[0].drive_gain_unit", "Nm/A", "one of 'N m/%', 'N m/A', 'N m/V', 'N/%', 'N/A', 'N/V'"),
+        (GAIN, 'effort_unit = "Nm"', "motor[0].effort_unit", "Nm", "one of '%', 'A', 'N', 'N m', 'V'"),
+        (GAIN, "", "motor[0].effort_unit", None, "effort_unit (A, V, N m, N or %) where no drive gain is given"),
+        (GAIN, "drive_gain = 0.2", "motor[0].drive_gain", 0.2, "drive_gain and drive_gain_unit together"),
+        (GAIN, GAIN.replace("0.2", "-0.2"), "motor[0].drive_gain", -0.2, "a positive number"),
+        (GAIN, GAIN + '\neffort_unit = "V"', "motor[0].effort_unit", "V", "'A', as drive_gain_unit says"),
+        (DH, "", "joint[0].dh", None, "a dh row for every joint, or else a urdf"),
+        (DH, DH + "\nposition_deg = [90, -90]", "joint[0].position_deg", (90.0, -90.0), "[lowest, highest]"),
+        (DH, DH + "\nposition_m = [0, 1]", "joint[0].position_m", (0.0, 1.0), "a key in deg for a revolute"),
+        (DH, DH + "\nspeed_deg_s = -1", "joint[0].speed_deg_s", -1, "`float` > 0.0"),
+        ("[controller]", "[[motor]]\nname = 'two'\neffort_unit = 'A'\n[controller]", "motor", "2 tables", "one per joint: 1"),
+        ("bandwidth_hz = 20", "bandwidth_hz = 0", "controller.bandwidth_hz", 0, "`float` > 0.0"),
+        ("bandwidth_hz = 20", "bandwidth_hz = 20\nposition_gain = [1, 2]", "controller.position_gain", [1.0, 2.0], "1 numbers"),
+        ("bandwidth_hz = 20", "bandwidth_hz = 20\nvelocity_gain = [0]", "controller.velocity_gain", [0.0], "positive numbers"),
+        ("bandwidth_hz = 20", "bandwidth_hz = 20\nintegral_gain = [-1]", "controller.integral_gain", [-1.0], "positive"),
+        ('name = "one"', 'name = "one"\nmotor_matrix = [[0]]', "motor[0].ratio", 50.0, "a non-zero ratio, or motor_matrix"),
+        ("[[joint]]", "[joint]", "joint", None, "`array`, got `object`"),
+        ("[[10, 4], [-3, 20]]", "[[10, 4], [5, 2]]", "motor_matrix", ((10.0, 4.0), (5.0, 2.0)), "an invertible matrix"),
+        ("[[10, 4], [-3, 20]]", "[[0, 4], [-3, 20]]", "motor_matrix[0]", [0.0, 4.0], "motor 1 to turn joint 1"),
+        ("[[10, 4], [-3, 20]]", "[[10, 4], [-3, 0]]", "motor_matrix[1]", [-3.0, 0.0], "motor 2 to turn joint 2"),
+        ("[[10, 4], [-3, 20]]", "[[10, 4]]", "motor_matrix", [2], "2 rows of 2 numbers"),
+        ('name = "second"', 'name = "first"', "joint[1].name", "first", "a name not used before"),
+        ('name = "m2"', 'name = "m1"', "motor[1].name", "m1", "a name not used before"),
+        ('drive_gain = 0.25\ndrive_gain_unit = "N m/A"', 'effort_unit = "A"', "motor.drive_gain", None, "a drive gain for all"),
+        ("zero_deg = 90", "position_deg = [90, 90]", "joint[0].position_deg", (90.0, 90.0), "[lowest, highest]"),
+    ],
+)  # fmt: skip
+def test_each_mistake_is_reported_with_key_value_and_expectation(old, new, key, value, expected):
+    text = next(one for one in (ONE_JOINT, COUPLED) if one.count(old) == 1)
+    error = refused(text.replace(old, new))
+    assert (error.key, error.value) == (key, value)
+    assert error.expected.startswith(expected)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('name = "one"', "", "top level: Object missing required field `name`"),
+        ('name = "one"', 'name = "one"\nmass_kg = 3', "top level: Object contains unknown field `mass_kg`"),
+        ('name = "one"', 'name = "one"\n"a\\nb" = 3', "top level: Object contains unknown field `a b`"),
+        ("ratio = 50", f"ratio = {'9' * 1500}", f"motor[0].ratio = {'9' * 77}: Number out of range"),
+        ("ratio = 50", "ratio = 50\nratio = 50", "not valid TOML: Cannot overwrite a value"),
+        ("[[joint]]", f"a = {'[' * 1900}", "not valid TOML: "),
+        ("[[joint]]", f"a{'.a' * 2000} = 1", "a line of 4005: expected 262144 and"),
+        ("[[joint]]", "#\n" * 262144, "bytes, a line of "),
+        ('name = "one"', 'name = "one"\nurdf = "x.urdf"', "joint[0].dh = DH("),
+    ],
+)  # fmt: skip
+def test_each_mistake_is_told_in_one_line(old, new, message):
+    assert ONE_JOINT.count(old) == 1
+    assert message in str(refused(ONE_JOINT.replace(old, new)))
+
+
+def test_no_description_and_bytes_that_are_no_text():
+    with pytest.raises(RobotIdimError, match="here: not valid TOML: 'utf-8' codec"):
+        robot_from_files({"robot.toml": b"name = '\xff'"}, "here")
+    with pytest.raises(RobotIdimError, match=r"here: holds no robot\.toml"):
+        robot_from_files({}, "here")
+
+
+def test_the_urdf_comes_along_or_is_missed(tmp_path):
+    text = ONE_JOINT.replace(DH, "").replace('name = "one"', 'name = "one"\nurdf = "arm.urdf"')
+    (tmp_path / "robot.toml").write_text(text)
+    with pytest.raises(RobotIdimError, match=r"urdf = 'arm\.urdf': cannot be read: No such file"):
+        load_robot(tmp_path / "robot.toml")
+    assert "urdf = 'arm.urdf': the URDF is missing next to the description" in refusal(text)
+    (tmp_path / "arm.urdf").write_text("<robot/>")
+    robot = load_robot(tmp_path / "robot.toml")
+    assert robot.urdf == "<robot/>"
+    assert robot_from_files(robot.files, "a recording").urdf == "<robot/>"
+    (tmp_path / "robot.toml").write_text(text.replace("arm.urdf", "arm\\u0000.urdf"))
+    with pytest.raises(RobotIdimError, match="cannot be read: embedded null byte"):
+        load_robot(tmp_path / "robot.toml")
+    with pytest.raises(RobotIdimError, match=r"none\.toml: cannot be read: No such file"):
+        load_robot(tmp_path / "none.toml")
+
+
+def test_errors_carry_their_data_and_make_one_printable_line_of_it():
+    error = RobotIdimError("does nothing", place="a.toml", key="b.c", value=[1, 2], expected="d")
+    assert str(error) == "a.toml: b.c = [1, 2]: does nothing: expected d"
+    assert (error.place, error.key, error.value, error.expected) == ("a.toml", "b.c", [1, 2], "d")
+    assert str(RobotIdimError(place="a.toml", key="b", value=None, expected="c")) == "a.toml: b is missing: expected c"
+    assert str(RobotIdimError("x rows", place="a.toml", key="b")) == "a.toml: b: x rows"
+    bare = pickle.loads(pickle.dumps(error))  # as one process hands it to another
+    assert (str(bare), bare.key, bare.value) == (str(error), "b.c", [1, 2])
+    assert str(RobotIdimError("a\nb\r\n\x1b[2Jc\udcff µ")) == "a b �[2Jc� µ"
+    assert one_line("  two  words ") == "two words"
+
+
+def test_a_whole_file_replaces_the_old_one_only_when_complete_and_on_the_disk(tmp_path, monkeypatch):
+    """A power cut after the renaming must not leave a file without content."""
+    synced: list[str] = []
+    monkeypatch.setattr(os, "fsync", lambda _: synced.append((tmp_path / "out").read_text()))
+    path = tmp_path / "out"
+    path.write_text("old")
+    with pytest.raises(UnicodeEncodeError), atomic_write(path) as partial:
+        partial.write_text("half, then \udcff", encoding="utf-8")
+    assert [p.name for p in tmp_path.iterdir()] == ["out"]
+    assert path.read_text() == "old"
+    with atomic_write(path) as partial:
+        partial.write_text("new")
+        assert path.read_text() == "old"
+    assert [p.name for p in tmp_path.iterdir()] == ["out"]
+    assert (path.read_text(), synced) == ("new", ["old"])
+
+
+def test_places_where_no_file_can_stand(tmp_path):
+    (tmp_path / "file").write_text("")
+    os.mkfifo(tmp_path / "pipe")  # stands for any device, which a mistake here would replace
+    for path, message in (
+        (tmp_path, "expected a file, found a folder or a device"),
+        (tmp_path / "pipe", "expected a file, found a folder or a device"),
+        (Path(), "expected the name of a file"),
+        (tmp_path / "none" / "out", "No such file or directory"),
+        (tmp_path / "file" / "out", "Not a directory"),
+        (tmp_path / ("x" * 300), "File name too long"),
+    ):
+        with pytest.raises(RobotIdimError, match=message), atomic_write(path) as partial:
+            partial.write_text("new")
+    assert {p.name for p in tmp_path.iterdir()} == {"file", "pipe"}
+    assert (tmp_path / "pipe").is_fifo()
+
+
+def test_an_input_is_not_replaced_under_any_of_its_names(tmp_path):
+    (tmp_path / "in").write_text("")
+    (tmp_path / "link").symlink_to(tmp_path / "in")
+    (tmp_path / "hard link").hardlink_to(tmp_path / "in")
+    for out in (tmp_path / "in", tmp_path / "link", tmp_path / "." / "in", tmp_path / "hard link"):
+        with pytest.raises(RobotIdimError, match="is an input too"):
+            refuse_clash([tmp_path / "missing", tmp_path / "in", None], out)
+    refuse_clash([tmp_path / "in"], None, tmp_path / "out", tmp_path / "other")
+    with pytest.raises(RobotIdimError, match="out: named twice"):
+        refuse_clash([tmp_path / "in"], tmp_path / "out", None, tmp_path / "." / "out")
+
+
+@pytest.mark.parametrize(
+    ("key", "told"),
+    [
+        ("sample_rate_hz = 1000.0", "controller.sample_rate_hz = 1000.0: does nothing: expected controller.structure"),
+        ("position_gain = [1.0, 1.0]", "controller.position_gain = [1.0, 1.0]: does nothing"),
+        ('velocity_estimate = "exact"', "controller.velocity_estimate = 'exact': does nothing"),
+        ('structure = "pd"\nintegral_gain = [1.0, 1.0]', "expected none, structure = 'pd' has no integral"),
+    ],
+)
+def test_controller_keys_that_would_do_nothing_are_refused(tmp_path, key, told):
+    """In a description; a recording that was made with one still opens."""
+    text = (REPLAY / "scara" / "robot.toml").read_text()
+    before, after = text.split("[controller]")
+    rest = after[after.index("\n[") :]
+    path = tmp_path / "robot.toml"
+    path.write_text(f"{before}[controller]\nbandwidth_hz = 5.0\n{key}\n{rest}")
+    with pytest.raises(RobotIdimError) as caught:
+        load_robot(path)
+    assert told in str(caught.value)
+    assert robot_from_files({"robot.toml": path.read_bytes()}, "log.mcap").n == 2

@@ -1,0 +1,87 @@
+"""Extra objects: their PDOs, and their raw integers in the recorded frames; older recordings; SYNC periods refused."""
+
+import numpy as np
+import pytest
+from dry_sessions import dry_session, swing
+from made_up_buses import bus_of, bus_text, flat, robot_of, session
+
+from acquisition.errors import RobotIdimError
+from acquisition.importing import export_csv, import_recording
+from acquisition.recording import Header, RecordingWriter, read_recording, sample_dtype, writer
+from acquisition.recording.rows import Traffic
+from acquisition.robot import load_robot
+from acquisition.session import Recorder, Task
+from identification.data import load_signals
+
+EXTRA = 'extra = ["606C", "6077", "2081:1", "2082"]\nobjects = { "2081:1" = "I16", "2082" = "U8" }\n'
+
+
+def test_simulated_drives_send_their_velocity_and_the_frames_hold_it(tmp_path):
+    robot = robot_of(bus_text(2, drive='extra = ["606C"]'))
+    dry_session(tmp_path / "a.mcap", Task(reference=swing(2, seconds=0.6, amplitude=0.05)), robot=robot)
+    recording = read_recording(tmp_path / "a.mcap")
+    (frames,) = recording.frames.values()
+    traffic, samples = Traffic(frames), recording.samples
+    assert samples.dtype == sample_dtype(2, reference=True)
+    for i, drive in enumerate(bus_of(robot).drives):
+        (entry,) = drive.extras
+        pdo = drive.carrier(entry, "tpdo")
+        rows = traffic.rows_of(pdo.can_id)
+        counts_s = traffic.integers(rows, pdo, entry)
+        at = np.searchsorted(frames["time_ns"][rows], samples["stamp_ns"]).clip(max=len(rows) - 1)
+        motor = robot.motor_position(samples["position"])[:, i]
+        expected = np.gradient(motor, 0.002) * drive.position_codec.sign * drive.position_codec.counts_per_unit
+        assert np.ptp(expected) > 1e4
+        assert np.abs(counts_s[at] - expected)[5:-5].max() < 0.03 * np.ptp(expected)
+
+
+TABLE = '{ object = "2081:1", name = "temperature", scale = 0.1, unit = "degC" }'
+
+
+def test_recordings_of_earlier_versions_with_columns_of_them_still_open(tmp_path, monkeypatch):
+    """The columns are skipped; a new description with scales of them is refused."""
+    text = bus_text(2, drive=EXTRA.replace('"2081:1",', f"{TABLE},"))
+    (drive, _), robot = bus_of(robot_of(text)).drives, robot_of(text)
+    assert [[str(e) for e in pdo.entries] for pdo in drive.tpdos[1:]] == [["606C:0", "6077:0", "2081:1"], ["2082:0"]]
+    old = np.dtype([*sample_dtype(2, reference=True).descr, ("extra", "<f8", (8,))])
+    rows = np.zeros(300, old)
+    rows["stamp_ns"] = 10**18 + 2_000_000 * np.arange(300)
+    for name in ("position", "reference", "effort", "extra"):
+        rows[name] = np.random.default_rng(1).normal(size=rows[name].shape)
+    header = Header(robot=robot, source="x", sample_rate_hz=500.0, effort_provenance="")
+    with monkeypatch.context() as patched, RecordingWriter(tmp_path / "old.mcap", header) as out:
+        patched.setattr(writer, "sample_layouts", lambda robot: [old])
+        out.samples(rows)
+    assert b"('extra', '<f8', (8,))" in (tmp_path / "old.mcap").read_bytes()
+    (tmp_path / "cut.mcap").write_bytes((tmp_path / "old.mcap").read_bytes()[:-40])
+    import_recording(tmp_path / "cut.mcap", tmp_path / "new.mcap")
+    for name in ("old.mcap", "new.mcap"):
+        samples = read_recording(tmp_path / name).samples
+        assert samples.dtype.names == ("stamp_ns", "position", "effort", "reference")
+        for field in samples.dtype.names:
+            np.testing.assert_array_equal(samples[field], rows[field])
+        assert export_csv(tmp_path / name, tmp_path / f"{name}.csv") == 300
+        np.testing.assert_array_equal(load_signals(tmp_path / name).q, rows["position"])
+    assert (tmp_path / "new.mcap.csv").read_bytes() == (tmp_path / "old.mcap.csv").read_bytes()
+    (tmp_path / "robot.toml").write_text(text)
+    expected = r"robot.toml: bus.drive\[0\].extra\[2\] = a table: expected '2081:1' alone: frames hold its raw integer"
+    with pytest.raises(RobotIdimError, match=expected):
+        load_robot(tmp_path / "robot.toml")
+
+
+def test_a_wrong_period_loses_no_frame_and_the_corrected_description_decodes_it(tmp_path):
+    robot, frames = robot_of(bus_text(2)), flat(session(period_ns=5_400_000))
+    recorder = Recorder(tmp_path / "a.mcap", robot, source="a test", place="robot.toml")
+    recorder.add(frames)
+    done = recorder.finish(2_000_000_000)
+    assert (done.samples, done.frames) == (0, len(frames))
+    assert "SYNC came every 5.4 ms; bus.sync_period_s = 0.002 in robot.toml: expected 0.0054;" in done.no_samples
+    recording = read_recording(tmp_path / "a.mcap")
+    assert recording.samples is None
+    (kept,) = recording.frames.values()
+    assert kept.tobytes() == frames.tobytes()
+    with pytest.raises(RobotIdimError, match="SYNC came every"):
+        import_recording(tmp_path / "a.mcap", tmp_path / "b.mcap", None, "robot.toml")
+    assert not (tmp_path / "b.mcap").exists()
+    corrected = robot_of(bus_text(2, period_s=0.0054))
+    assert import_recording(tmp_path / "a.mcap", tmp_path / "b.mcap", corrected, "robot.toml").samples == 50

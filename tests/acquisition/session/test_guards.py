@@ -1,0 +1,306 @@
+"""Each guard provoked in motion on both sides of its limit, and every fault in every phase."""
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+import pytest
+from dry_sessions import Through, dry_session, say, swing
+from faulty_drives import Fault, FaultyDrives
+from made_up_buses import bus_text, robot_of
+
+import acquisition.session.running as record_module
+import acquisition.session.session as session_module
+from acquisition.commands import main
+from acquisition.protocol import State, error_words, status_words
+from acquisition.recording import overview
+from acquisition.session import Outcome, Stop, Task
+from identification.data import load_signals
+from identification.errors import RobotIdimError
+
+REST = Task(reference=np.zeros((151, 2)))  # 0.3 s
+PERIOD_S = 0.002
+LIMIT = np.radians(200)  # rad/s
+BEGIN_S = 0.45  # after the brakes opened: in the track phase
+
+
+class Scripted:
+    """Joint 1 goes where it likes once the brakes are open, whatever its drive does: `where(t)` rad after BEGIN_S."""
+
+    def __init__(self, where: Callable[[float], float]) -> None:
+        self.where, self.t = where, 0.0
+
+    def state(self):
+        q = self.where(self.t - BEGIN_S) if self.t > BEGIN_S else 0.0
+        return np.array([q, 0.0]), np.zeros(2)
+
+    def prescribed_effort(self):
+        return np.zeros(2)
+
+    def step(self, effort, held, duration_s):
+        self.t += 0.0 if held.any() else duration_s
+
+
+def there_and_back(height: float, speed: float) -> Callable[[float], float]:
+    """Up to a height at a speed, and at the same speed back to 0."""
+    top_s = abs(height / speed)
+    return lambda t: height * (1 - abs(t - top_s) / top_s) if t < 2 * top_s else 0.0
+
+
+def with_limits(position: str = "[-150, 150]", following: float = 90.0) -> str:
+    """Limits of joint 1 in degrees."""
+    text = bus_text(2).replace("position_deg = [-150, 150]", f"position_deg = {position}", 1)
+    return text.replace("following_error_deg = 5", f"following_error_deg = {following}", 1)
+
+
+FAST, LOW, HIGH, OFF = 1.2 * LIMIT, np.radians(-10), np.radians(20), np.radians(1.0)
+
+
+def one_after_the_other(first, then, at_s: float) -> Callable[[float], float]:
+    return lambda t: first(t) if t < at_s else then(t - at_s)
+
+
+@pytest.mark.parametrize(
+    ("limits", "inside", "beyond", "key", "low", "high", "expected"),
+    [
+        # Speed in both directions, both ends of the range, following errors of both signs.
+        ({}, there_and_back(0.1, 0.99 * FAST),
+         [lambda t: min(t * 1.01 * FAST, 0.1), lambda t: max(-t * 1.01 * FAST, -0.1)], "speed", 4.2305, 4.2315,
+         "rad/s: expected 3.491 at most"),
+        ({"position": "[-10, 20]"},
+         one_after_the_other(there_and_back(0.999 * HIGH, 3.0), there_and_back(0.999 * LOW, 3.0), 0.24),
+         [there_and_back(1.05 * LOW, 3.0)], "position", 1.05 * LOW, LOW, "rad: expected -0.1745 to 0.3491"),
+        ({"position": "[-10, 20]"}, there_and_back(0.999 * HIGH, 3.0), [there_and_back(1.05 * HIGH, 3.0)], "position",
+         HIGH, 1.05 * HIGH, "rad: expected -0.1745 to 0.3491"),
+        ({"following": 1.0},
+         one_after_the_other(there_and_back(0.99 * OFF, 1.0), there_and_back(-0.99 * OFF, 1.0), 0.04),
+         [there_and_back(1.15 * OFF, 1.0), there_and_back(-1.15 * OFF, 1.0)], "following error", OFF, 0.02,
+         "rad: expected 0.01745 at most"),
+    ],
+)  # fmt: skip
+def test_a_joint_beyond_a_limit_stops_and_one_just_inside_does_not(
+    tmp_path, limits, inside, beyond, key, low, high, expected
+):
+    for k, where in enumerate([inside, *beyond]):
+        robot = robot_of(with_limits(**limits))
+        session = dry_session(tmp_path / f"{k}.mcap", REST, robot=robot, plant=Scripted(where))
+        assert not session.outcome.unconfirmed
+        assert session.outcome.fault is (k > 0)
+        if k == 0:
+            assert session.outcome.reason == "finished"
+            continue
+        found = re.fullmatch(rf"joint_1: {key} = (\S+) {re.escape(expected)}", session.outcome.reason)
+        assert low < float(found[1]) < high
+
+
+class Obedient:
+    """Joints that are at each SYNC where their drives were sent before the SYNC before."""
+
+    def __init__(self) -> None:
+        self.q, self.drives = np.zeros(2), None
+
+    def state(self):
+        return self.q.copy(), np.zeros(2)
+
+    def prescribed_effort(self):
+        return np.zeros(2)
+
+    def step(self, effort, held, duration_s):
+        if not held.any():
+            self.q = np.array([n.values[0x607A, 0] * 2 * np.pi / (50 * 65536) for n in self.drives.nodes])
+
+
+def test_a_following_error_is_that_of_the_target_which_the_drive_has_had_a_period_for(tmp_path):
+    plant = Obedient()
+
+    class Here(FaultyDrives):
+        def __init__(self, *arguments, **named):
+            super().__init__(*arguments, **named)
+            plant.drives = self
+
+    # 0.216° from SYNC to SYNC, in which a drive that follows at once has no error.
+    task = Task(reference=swing(2, seconds=1.0, amplitude=0.3))
+    robot = robot_of(with_limits(following=0.15))
+    session = dry_session(tmp_path / "a.mcap", task, robot=robot, plant=plant, simulated=Here)
+    assert session.outcome.reason == "finished"
+
+
+def test_an_approach_out_of_the_limits_is_refused_before_anything_moves(tmp_path, monkeypatch):
+    there = np.linspace([0.0, 0.0], [3.0, 0.0], 2000)  # 172° of 150
+    monkeypatch.setattr(session_module, "approach", lambda *_: there)
+    session = dry_session(tmp_path / "a.mcap", REST)
+    assert session.outcome.error.place.startswith("the approach to the reference's start")
+    assert session.events("phase")[-1] == "enable"
+    assert np.abs(session.recording.samples["position"]).max() < 0.01  # the sag when the brakes open
+
+
+@pytest.mark.parametrize("bit", [0x0200, 0x1000])
+def test_a_drive_that_says_it_does_not_obey(tmp_path, bit):
+    words = {
+        0x0200: "does not take commands from the bus (statusword bit 9, remote, is 0)",
+        0x1000: "(statusword bit 12 is 0)",
+    }
+
+    def with_clear(sync: int, count: int) -> str:
+        fault = Fault(kind="clear", node=2, sync=sync, count=count, bits=bit)
+        session = dry_session(tmp_path / f"{sync}_{count}.mcap", REST, faults=[fault])
+        return session.outcome.reason
+
+    assert with_clear(60, 2) == "finished"
+    reason = with_clear(60, 3)
+    assert reason.startswith("node 2 (motor_2): does not")
+    assert reason.endswith(f"{words[bit]} for 3 SYNC")
+    assert with_clear(1, 10_000) == "finished"  # a drive that never sets it does not know it
+
+
+def test_what_a_drive_warns_of_is_written_down_once(tmp_path, monkeypatch):
+    say(monkeypatch, lambda node, word: word | (node == 2) << 11)
+    session = dry_session(tmp_path / "a.mcap", REST)
+    assert session.outcome.reason == "finished"
+    assert session.events("mark") == ["node 2 (motor_2): internal limit active"]
+
+
+def test_the_bits_of_a_statusword_in_words():
+    """Bits by CiA 402-2, 6041h."""
+    words = {
+        0x0237: "operation enabled",
+        0x0237 | 1 << 7: "operation enabled, warning",
+        0x0237 | 1 << 11: "operation enabled, internal limit active",
+        0x0237 | 1 << 13: "operation enabled, following error",
+        0x0037: "operation enabled, not remote: the controlword is ignored",
+        0x0227: "operation enabled, no voltage on the power stage",
+        0x0218: "fault",
+        0x0216: "statusword 0x0216, no state of CiA 402",
+    }
+    assert {word: status_words(word) for word in words} == words
+
+
+def test_error_codes_by_name():
+    """CiA 301, table of emergency error codes; CiA 402-2."""
+    assert error_words(0x2310) == "0x2310 (continuous over current)"
+    assert error_words(0x8611) == "0x8611 (following error)"
+    assert error_words(0x8130) == "0x8130 (lost heartbeat or life guard)"
+    assert error_words(0x4299) == "0x4299 (device temperature)"
+    assert error_words(0xFF01) == "0xFF01 (device specific)"
+    assert error_words(0x0000) == "0x0000"
+
+
+@dataclass(kw_only=True)
+class Counting(Through):
+    """Counts the SYNCs that the session sends; after `at_sync` of them it does not run for `for_s` of simulated time."""
+
+    syncs: int = 0
+    at_sync: int = 0
+    for_s: float = 0.0
+
+    def send(self, can_id, data):
+        self.syncs += can_id == 0x80
+        super().send(can_id, data)
+
+    def receive(self, until_ns):
+        frame = super().receive(until_ns)
+        if self.at_sync == self.syncs > 0 and frame is None:  # the next SYNC is due now
+            self.at_sync, self.link._time_ns = 0, until_ns + round(self.for_s * 1e9)
+        return frame
+
+
+@pytest.mark.parametrize(
+    ("extra", "for_s", "fault"),
+    [
+        ("", 0.018, False),
+        ("", 0.022, True),
+        ("", 2.0, True),
+        ("late_sync_s = 0.005", 0.0035, False),
+        ("late_sync_s = 0.005", 0.0065, True),
+    ],
+)
+def test_a_late_sync_in_motion(tmp_path, extra, for_s, fault):
+    robot = robot_of(bus_text(2, extra=extra))
+    stalling = partial(Counting, at_sync=170, for_s=for_s)
+    session = dry_session(tmp_path / "a.mcap", REST, robot=robot, through=stalling)
+    assert session.outcome.fault is fault
+    assert not session.outcome.unconfirmed
+    frames = session.recording.frames["test"]
+    steps_s = np.diff(frames["time_ns"][frames["can_id"] == 0x80]) * 1e-9
+    assert for_s - 0.003 < steps_s.max() < for_s + 0.006  # the gap stands in the recording
+    assert steps_s.min() >= 0.001  # and no burst of SYNCs makes up for it
+    if fault:
+        assert session.outcome.reason.startswith("SYNC ")
+        assert "late in motion: expected 0.0" in session.outcome.reason
+    if for_s == 2.0:
+        assert session.outcome.reason.startswith("SYNC 2 s late in motion: expected 0.02 s at most")
+        (gap,) = overview(session.recording)["gaps"]
+        assert gap.missing == pytest.approx(2.0 / 0.002, abs=5)
+        with pytest.raises(RobotIdimError, match=r"samples: .*gap\(s\).*expected 2.000 ms throughout"):
+            load_signals(tmp_path / "a.mcap")
+
+
+def test_ctrl_c_again_is_a_quick_stop(tmp_path):
+    stop = Stop()
+
+    @dataclass(kw_only=True)
+    class Impatient(Counting):
+        def receive(self, until_ns):
+            if self.syncs > 170:
+                stop.reason = "stopped by SIGINT"
+            if self.syncs > 190:
+                stop.at_once = True
+            return super().receive(until_ns)
+
+    session = dry_session(tmp_path / "a.mcap", Task(reference=np.zeros((1001, 2))), through=Impatient, stop=stop)
+    assert session.outcome.fault
+    assert session.outcome.reason == "stopped by SIGINT, then again: quick stop"
+    assert not session.outcome.unconfirmed
+
+
+PHASES = ("enable", "approach", "track", "stop", "disable")
+SHORT = Task(reference=np.zeros((51, 2)))  # 0.1 s
+
+
+@pytest.fixture(scope="module")
+def sync_of(tmp_path_factory) -> dict[str, int]:
+    """A SYNC early in each phase, counted from 1."""
+    session = dry_session(tmp_path_factory.mktemp("phases") / "a.mcap", SHORT)
+    frames = session.recording.frames["test"]
+    syncs = frames["time_ns"][frames["can_id"] == 0x80]
+    return {phase: int(np.sum(syncs < session.phases[phase])) + 2 for phase in PHASES}
+
+
+@pytest.mark.parametrize("phase", PHASES)
+@pytest.mark.parametrize("kind", ["emergency", "silent", "reset", "deaf"])
+def test_every_fault_in_every_phase_ends_disabled(tmp_path, sync_of, phase, kind):
+    fault = Fault(kind=kind, node=1, sync=sync_of[phase], count=10_000 if kind == "deaf" else 1)
+    session = dry_session(tmp_path / "a.mcap", SHORT, faults=[fault])
+    assert session.events("phase")[-1] == phase
+    outcome = session.outcome
+    assert outcome.fault
+    assert session.events("fault") == [outcome.reason]
+    assert outcome.unconfirmed == ((1,) if kind == "silent" else ())
+    assert [isinstance(item, Outcome) for item in session.announced] == [True]
+    assert session.announced[0].alarm == ("NOT DISABLED: nodes 1: EMERGENCY STOP" if kind == "silent" else "")
+    if kind == "emergency":
+        report = "node 1 (motor_1): error register 1001 = 0x01, last error 1003:1 = 0x2310 (continuous over current)"
+        assert outcome.reports[0].startswith(report)
+        assert session.events("mark") == list(outcome.reports)
+    assert session.drives.states[1] is not State.OPERATION_ENABLED
+
+
+@pytest.mark.parametrize("kind", ["silent", "emergency"])
+def test_the_terminal_tells_first_what_may_still_be_enabled_then_the_reason(tmp_path, monkeypatch, capsys, kind):
+    faults = [Fault(kind=kind, node=1, sync=130)]
+    monkeypatch.setattr(record_module, "SimulatedDrives", partial(FaultyDrives, faults=faults))
+    robot, table = tmp_path / "robot.toml", tmp_path / "ref.csv"
+    robot.write_text(bus_text(2))
+    table.write_text("time_s,joint_1,joint_2\n0,0,0\n0.3,0,0\n")
+    status = main(["record", str(robot), "-o", str(tmp_path / "a.mcap"), "--track", str(table), "--dry-run"])
+    lines = capsys.readouterr().err.splitlines()
+    assert status == 1
+    if kind == "silent":
+        assert lines.pop(0) == "NOT DISABLED: nodes 1: EMERGENCY STOP"
+    reason = {"silent": "3 SYNC not answered", "emergency": "emergency 0x2310 (continuous over current)"}[kind]
+    assert len(lines) == 1
+    assert lines[0].startswith(f"robot-acquire: {tmp_path / 'a.mcap'}: ended by a fault: node 1 (motor_1): {reason}")
+    if kind == "emergency":
+        assert "; node 1 (motor_1): error register 1001 = 0x01, last error 1003:1 = 0x2310" in lines[0]

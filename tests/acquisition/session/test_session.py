@@ -1,0 +1,326 @@
+"""Sessions on simulated drives: what they record, and that whatever goes wrong every drive ends disabled."""
+
+import pkgutil
+import re
+import shutil
+from collections import namedtuple
+from dataclasses import dataclass, field
+from functools import partial
+
+import numpy as np
+import pytest
+from dry_sessions import At, Beats, DrySession, SyncOfAnother, Through, connected, dry_session, swing
+from faulty_drives import Fault, FaultyDrives
+from made_up_buses import bus_of, bus_text, robot_of
+
+from acquisition.bus import Frame
+from acquisition.errors import RobotIdimError
+from acquisition.protocol import State
+from acquisition.recording import ERROR, SENT
+from acquisition.session import Stop, Task
+
+LISTENED_NS = 1_500_000_000  # simulated time begins at 1 s; half a second of listening
+TRACK, SHORT = Task(reference=swing(2)), Task(reference=swing(2, seconds=0.4, amplitude=0.02))
+
+
+def tracked(session: DrySession) -> np.ndarray:
+    """The samples of the track phase."""
+    samples, at = session.recording.samples, session.phases
+    return samples[(samples["stamp_ns"] >= at["track"]) & (samples["stamp_ns"] < at["stop"])]
+
+
+def test_a_reference_is_tracked_and_recorded(tmp_path):
+    session = dry_session(tmp_path / "a.mcap", TRACK)
+    assert (session.outcome.reason, session.outcome.fault, session.outcome.alarm) == ("finished", False, "")
+    assert session.drives.states == [State.SWITCH_ON_DISABLED] * 2
+    assert session.events("phase") == ["configure", "enable", "approach", "track", "stop", "disable"]
+    assert session.events("end") == ["finished"]
+    assert session.events("disabled") == ["every drive confirmed"]
+    assert session.recorded.warnings == ()
+    samples, at = tracked(session), session.phases
+    assert samples["reference"] == pytest.approx(swing(2), abs=2e-6)
+    assert np.abs(samples["position"] - samples["reference"]).max() < 0.01
+    assert (np.diff(session.recording.samples["stamp_ns"]) == 2_000_000).all()
+    frames = session.frames
+    assert 0.4 < np.mean(frames["flags"] & SENT != 0) < 0.6
+    nmt = frames[frames["can_id"] == 0]  # to our drives only
+    assert nmt["length"].tolist() == [2] * len(nmt)
+    assert nmt["data"][:, :2].tolist() == [[128, 1], [128, 2], [1, 1], [1, 2], [128, 1], [128, 2]]
+    plans = session.events("plan")
+    assert [text.split()[0] for text in plans] == ["approach", "track"]
+    assert float(plans[1].split()[1]) == pytest.approx((at["stop"] - at["track"]) * 1e-9, abs=0.01)
+
+
+def test_runs_repeat_bit_for_bit(tmp_path):
+    a, b = (dry_session(tmp_path / name, TRACK).recording for name in ("a.mcap", "b.mcap"))
+    assert a.frames["test"].tobytes() == b.frames["test"].tobytes()
+    assert a.samples.tobytes() == b.samples.tobytes()
+    assert a.events == b.events
+
+
+def test_nothing_moves_without_a_reference(tmp_path):
+    session = dry_session(tmp_path / "a.mcap", Task(duration_s=0.5))
+    assert session.events("phase") == ["configure", "record"]
+    assert not (session.frames["can_id"] == 0x77F).any()  # a master's heartbeat
+    assert np.ptp(session.recording.samples["position"]) == 0
+    sent = session.sent
+    assert not np.isin(sent["can_id"], [0x201, 0x202]).any()
+    sdo = sent[(sent["can_id"] > 0x600) & (sent["can_id"] < 0x680)]
+    assert not ((sdo["data"][:, 1] == 0x40) & (sdo["data"][:, 2] == 0x60) & (sdo["data"][:, 0] != 0x40)).any()
+    assert len(session.recording.samples) == pytest.approx(250, abs=3)
+
+
+@pytest.mark.parametrize(
+    ("fault", "reason"),
+    [
+        (Fault(kind="emergency", node=2, sync=300), r"node 2 \(motor_2\): emergency 0x2310"),
+        (Fault(kind="silent", node=1, sync=300), r"node 1 \(motor_1\): 3 SYNC not answered"),
+        (Fault(kind="reset", node=2, sync=300), r"node 2 \(motor_2\): has restarted"),
+        (Fault(kind="short", node=1, sync=300, count=3), "node 1 .*: 3 SYNC not answered"),
+        (Fault(kind="missing", node=1, sync=300, count=3), "node 1 .*: 3 SYNC not answered"),
+        (Fault(kind="stuck", node=2, sync=300), "joint_2: following error .* rad: expected 0.08727 at most"),
+    ],
+)
+def test_a_fault_stops_all_joints_and_disables_every_drive(tmp_path, fault, reason):
+    session = dry_session(tmp_path / "a.mcap", TRACK, faults=[fault])
+    assert session.outcome.fault
+    assert re.search(reason, session.outcome.reason)
+    assert session.events("fault") == [session.outcome.reason]
+    silent = fault.kind == "silent"
+    assert bool(session.outcome.unconfirmed) is silent
+    assert session.events("not disabled" if silent else "disabled")
+    assert session.recording.cut is False
+    assert session.recorded.samples > 0
+
+
+@pytest.mark.parametrize(
+    ("kind", "count"), [("late", 1), ("missing", 1), ("missing", 2), ("duplicate", 1), ("short", 1)]
+)
+def test_a_bad_pdo_or_two_are_counted_and_the_session_goes_on(tmp_path, kind, count):
+    session = dry_session(tmp_path / "a.mcap", TRACK, faults=[Fault(kind=kind, node=1, sync=200, count=count)])
+    assert session.outcome.reason == "finished"
+    assert any(f"{count} {kind}" in warning for warning in session.recorded.warnings)
+    assert session.recording.health[-1].counters[kind] == count
+    gaps = int((np.diff(session.recording.samples["stamp_ns"]) != 2_000_000).sum())
+    assert gaps == (0 if kind == "late" else 1)  # the rows about it, whose order nothing proves
+
+
+@dataclass(kw_only=True)
+class DeadBus(Through):
+    """Nothing can be sent any more from some frame on."""
+
+    ends: int
+    count: int = 0
+
+    def send(self, can_id, data):
+        self.count += 1
+        if 1000 <= self.count < self.ends:
+            raise RobotIdimError("bus: frame cannot be sent: transmit buffer full")
+        super().send(can_id, data)
+
+
+@pytest.mark.parametrize("ends", [10**9, 1003])
+def test_a_bus_that_takes_no_frames(tmp_path, ends):
+    session = dry_session(tmp_path / "a.mcap", TRACK, through=partial(DeadBus, ends=ends))
+    assert "transmit buffer full" in session.outcome.reason
+    # Where no command gets through any more, drives go into fault by themselves: SYNC has ended.
+    assert (not session.outcome.unconfirmed) is (ends == 1003)
+    assert session.events("fault") == [session.outcome.reason]
+
+
+NOT_OPERATIONAL = {"data": b"\x7f"}
+ERROR_FRAME = {"can_id": 0x28, "flags": ERROR, "data": b"\0\0\0\x19"}
+NO_ACKNOWLEDGEMENT = "in acknowledgement; no acknowledgement: no other node receives, or the cable is open"
+
+
+@pytest.mark.parametrize(
+    ("node", "which", "other", "reason"),
+    [
+        (2, range(1, 3), NOT_OPERATIONAL, "finished"),  # from before START
+        (2, range(1, 10**9), NOT_OPERATIONAL, "node 2 (motor_2): not operational 3 heartbeats after START (NMT state 127)"),
+        (1, range(4, 5), NOT_OPERATIONAL, "node 1 (motor_1): left operational (NMT state 127)"),
+        (1, range(2, 3), None, "finished"),  # 0.2 s without one
+        (1, range(2, 5), None, "node 1 (motor_1): heartbeat lost for 0.30 s"),
+        (1, range(4, 5), ERROR_FRAME, f"bus: error frame: protocol: {NO_ACKNOWLEDGEMENT}"),
+    ],
+)  # fmt: skip
+def test_heartbeats_that_are_others_or_are_lost(tmp_path, node, which, other, reason):
+    session = dry_session(tmp_path / "a.mcap", TRACK, through=partial(Beats, node=node, which=which, other=other))
+    assert (session.outcome.reason, session.outcome.fault) == (reason, reason != "finished")
+
+
+@dataclass(kw_only=True)
+class Jittery(Through):
+    """SYNC comes up to a millisecond late."""
+
+    rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
+
+    def receive(self, until_ns):
+        return super().receive(until_ns + int(self.rng.integers(0, 1_000_000)))
+
+
+def test_sync_jitter_is_measured_and_the_session_goes_on(tmp_path):
+    session = dry_session(tmp_path / "a.mcap", TRACK, through=Jittery)
+    assert session.outcome.reason == "finished"
+    assert 1e-4 < session.recording.health[-1].counters["sync_jitter_sd_s"] < 1e-3
+    stamps = session.recording.samples["stamp_ns"]
+    syncs = session.sent[session.sent["can_id"] == 0x80]
+    assert np.isin(stamps, syncs["time_ns"]).all()  # a sample has its SYNC's own time
+    assert np.diff(stamps).std() > 1e5
+
+
+def test_a_disk_nearly_full_ends_the_session_in_order(tmp_path, monkeypatch):
+    usage = namedtuple("usage", "total used free")
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage(1, 1, 0))
+    session = dry_session(tmp_path / "a.mcap", TRACK)
+    assert (session.outcome.reason, session.outcome.fault) == ("disk nearly full", False)
+    assert session.recorded.samples > 0
+
+
+def test_a_recorder_that_cannot_write_stops_motion(tmp_path, monkeypatch):
+    from acquisition.recording import RecordingWriter
+
+    real, count = RecordingWriter.frames, [0]
+
+    def frames(self, channel, block):
+        count[0] += 1
+        if count[0] == 8:
+            raise RobotIdimError("a.mcap: cannot be written: No space left on device")
+        real(self, channel, block)
+
+    monkeypatch.setattr(RecordingWriter, "frames", frames)
+    session = dry_session(tmp_path / "a.mcap", TRACK)
+    assert "No space left" in session.outcome.reason
+
+
+@pytest.mark.parametrize("at", [0.028, 0.05, 0.3, 0.6])
+def test_a_stop_asked_for_is_slow_and_in_order(tmp_path, at):
+    """At any time: while enabling, in the approach, while tracking."""
+    stop = Stop()
+    interrupt = partial(At, at_ns=LISTENED_NS + at * 1e9, act=lambda: setattr(stop, "reason", "stopped by SIGINT"))
+    session = dry_session(tmp_path / "a.mcap", TRACK, through=interrupt, stop=stop)
+    assert (session.outcome.reason, session.outcome.fault) == ("stopped by SIGINT", False)
+    assert session.drives.states == [State.SWITCH_ON_DISABLED] * 2
+    q = session.recording.samples["position"]
+    assert np.abs(np.diff(q, 2, axis=0)).max() / 0.002**2 < 70  # rad/s²: the stated limit
+    assert np.ptp(q[-20:]) < 1e-3
+
+
+@pytest.mark.parametrize("method", ["_enable", "_follow", "_hold", "_disable", "_positions"])
+@pytest.mark.parametrize("error", [RuntimeError("boom"), KeyboardInterrupt(), SystemExit(3)])
+def test_an_exception_in_any_phase(tmp_path, monkeypatch, method, error):
+    place = f"acquisition.session.session._Session.{method}"
+    real = pkgutil.resolve_name(place)
+
+    def broken(self, *arguments):
+        for k, order in enumerate(real(self, *arguments)):
+            if k == 3:
+                raise error
+            yield order
+
+    if method == "_positions":  # it gives no orders
+
+        def broken(self, *arguments):
+            raise error
+
+    monkeypatch.setattr(place, broken)
+    session = dry_session(tmp_path / "a.mcap", SHORT)
+    assert session.raised is error
+    assert session.events("fault")[0].startswith(type(error).__name__)
+    assert session.events("disabled") == ["every drive confirmed"]
+
+
+@pytest.mark.parametrize(
+    ("change", "task", "expected"),
+    [
+        (("= 0.42", "= 0.5"), Task(duration_s=1.0), "rated value (6076:0) = 420: expected 500 as robot.toml says"),
+        (("node = 2", "node = 9"), Task(duration_s=1.0), "node 9: object 6041:0: no answer in 0.3 s"),
+        (("node = 2", "node = 9"), TRACK, "node 9: object 6041:0: no answer in 0.3 s"),
+        (("node = 1", 'tpdo = [{ objects = ["6064", "6074"] }]\nnode = 1'), TRACK, "node 1: no PDO from it carries 6041:0:"),
+        (("node = 1", 'rpdo = [{ objects = ["6040"] }]\nnode = 1'), TRACK, "no PDO to the drive carries 607A:0"),
+        (("node = 1", 'rpdo = [{ objects = ["6040", "607A"] }, { objects = ["6071"] }]\nnode = 1'), TRACK,
+         "carries 6071:0: expected only 6040:0, 6060:0"),
+    ],
+)  # fmt: skip
+def test_a_description_that_disagrees_with_the_drive_or_the_task_is_refused_before_start(
+    tmp_path, change, task, expected
+):
+    drives, other = bus_of(robot_of(bus_text(2))), robot_of(bus_text(2).replace(*change))
+    session = dry_session(tmp_path / "a.mcap", task, robot=other, drives=drives)
+    assert expected in session.outcome.reason
+    if "no answer" in expected:  # nobody confirms for a drive that is away
+        assert session.events("disabled") + session.events("not disabled") == []
+    assert not any(node.operational for node in session.drives.nodes)
+
+
+@pytest.mark.parametrize(
+    ("reference", "zero_counts", "expected"),
+    [
+        (swing(2, amplitude=2.0), 0, "position of joint_1 = 2.618 rad: expected -2.618 to 2.618"),
+        (swing(2, seconds=0.2), 0, "speed of joint_1 = "),
+        (swing(2)[100:], 0, "acceleration of joint_1"),  # it does not begin at rest
+        (swing(2)[:-100], 0, "acceleration of joint_1"),
+        (swing(2), 2147480000, "counts: expected -2147483648 to 2147483647"),
+    ],
+)
+def test_a_reference_that_leaves_a_limit_is_refused_before_start(tmp_path, reference, zero_counts, expected):
+    robot = robot_of(bus_text(2, drive=f"zero_counts = {zero_counts}"))
+    session = dry_session(tmp_path / "a.mcap", Task(reference=reference, place="ref.csv"), robot=robot)
+    assert "ref.csv: at " in session.outcome.reason
+    assert expected in session.outcome.reason
+    assert len(session.sent) == 0
+    assert session.events("disabled") + session.events("not disabled") == []  # nothing is said of drives not addressed
+
+
+def test_sync_of_another_producer_is_followed(tmp_path):
+    robot = robot_of(bus_text(2, extra='sync_producer = "other"'))
+    session = dry_session(tmp_path / "a.mcap", TRACK, robot=robot, through=SyncOfAnother)
+    assert session.outcome.reason == "finished"
+    reference = tracked(session)["reference"]
+    assert reference[5:-5] == pytest.approx(swing(2)[5:-5], abs=0.01)
+
+
+def test_a_sync_that_ends_stops_motion(tmp_path):
+    robot = robot_of(bus_text(2, extra='sync_producer = "other"'))
+    task = Task(reference=swing(2, seconds=4.0))
+    session = dry_session(tmp_path / "a.mcap", task, robot=robot, through=SyncOfAnother)
+    assert "no SYNC in 10 periods" in session.outcome.reason  # in motion: 20 ms
+    assert not session.outcome.unconfirmed
+
+
+@pytest.mark.parametrize(("reads", "fault"), [(3, False), (10_000, True)])
+def test_the_mode_is_awaited(tmp_path, reads, fault):
+    """A drive displays a mode (6061h) only some time after it was asked for (6060h), or never."""
+    asked: list[bytes] = []
+
+    class Late(FaultyDrives):
+        def receive(self, now_ns, can_id, data):
+            sent = super().receive(now_ns, can_id, data)
+            if (can_id, data[:4]) == (0x602, bytes.fromhex("40616000")):
+                asked.append(data)
+                return sent if len(asked) > reads else [(0x582, answer[:4] + bytes(4)) for _, answer in sent]
+            return sent
+
+    session = dry_session(tmp_path / "a.mcap", TRACK, simulated=Late)
+    assert session.outcome.fault == fault
+    if fault:
+        error = session.outcome.error
+        assert (error.place, error.key, error.value) == ("node 2", "mode of operation (6061:0)", 0)
+        assert session.events("phase") == ["configure"]
+    else:
+        assert len(asked) == reads + 1
+
+
+def test_a_statusword_from_before_start_counts_for_nothing():
+    _, master = connected()
+    master.dispatch(Frame(0, 0x181, bytes.fromhex("3702e8030000") + bytes(2)))
+    assert (master.nodes[0].state, master.nodes[0].counts) == (State.OPERATION_ENABLED, 1000)
+    master.start()
+    assert (master.nodes[0].state, master.nodes[0].counts) == (None, None)
+
+
+def test_a_mode_in_the_pdo_stays_the_mode(tmp_path):
+    robot = robot_of(bus_text(2, drive='rpdo = [{ objects = ["6040", "6060", "607A"] }]'))
+    session = dry_session(tmp_path / "a.mcap", TRACK, robot=robot)
+    assert session.outcome.reason == "finished"
+    assert np.ptp(session.recording.samples["position"]) > 0.5

@@ -1,0 +1,280 @@
+"""The recorder's process stops the drives of a session that dies or hangs; `disable` stops those of anybody."""
+
+import itertools
+import multiprocessing
+import signal
+import struct
+import time
+from contextlib import closing
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+from busy_machine import SYNC_S, slow_bus_text, stalls, tried_again
+from dry_sessions import DrySession, SlowAnswers, Through, connected, dry_session
+from faulty_drives import Fault
+from made_up_buses import bus_of, bus_text, robot_of
+from session_processes import (
+    PATIENCE_S,
+    acquire,
+    bus_at,
+    checked,
+    drives,
+    folder,
+    frames_of,
+    output_of,
+    port,
+    texts,
+    tracking,
+    wait_for,
+)
+from third_party_drives import npm, third_party_drive
+
+import acquisition.session.process as process_module
+from acquisition.bus import Master, open_link
+from acquisition.commands import main
+from acquisition.errors import RobotIdimError
+from acquisition.protocol import State, state_of
+from acquisition.recording import Recording
+from acquisition.session import InlineLog, Task
+from acquisition.session.process import Watchdog, WatchdogPipe, silence_s
+
+__all__ = ["folder", "npm", "port"]  # fixtures
+LONGEST_S = 0.3 + 2 * SYNC_S  # from the last SYNC of the session to the quick stop of every drive
+
+
+def states(recording: Recording, number: int) -> list[tuple[int, State]]:
+    """Time and state of every PDO of a drive."""
+    frames = frames_of(recording)
+    own = frames[frames["can_id"] == 0x180 + number]
+    words = own["data"][:, :2].copy().view("<u2")[:, 0]
+    return [(int(t), state_of(int(word))) for t, word in zip(own["time_ns"], words, strict=True)]
+
+
+def stopped_s(recording: Recording, number: int, since_ns: int) -> float:
+    """From `since_ns` to the first PDO of a drive that is not enabled any more."""
+    then = [t for t, state in states(recording, number) if t > since_ns and state is not State.OPERATION_ENABLED]
+    return (then[0] - since_ns) * 1e-9
+
+
+def last_target_ns(recording: Recording) -> int:
+    """When the session commanded drives for the last time, before the first quick stop."""
+    frames = frames_of(recording)
+    targets = frames[(frames["can_id"] == 0x201) & (frames["data"][:, 0] == 0x0F)]
+    return int(targets["time_ns"][-1])
+
+
+def disabled_by_the_recorder(recording: Recording) -> bool:
+    """ShowStatus, and the drives' own last words on the disk too."""
+    confirmed = "every drive confirmed to the recorder's process" in texts(recording, "disabled")
+    return confirmed and all(states(recording, k)[-1][1] is State.SWITCH_ON_DISABLED for k in (1, 2))
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+@tried_again
+def test_drives_without_supervision_of_their_own_are_stopped(folder, number):
+    out = folder / "log.mcap"
+    with drives(folder, "--unsupervised"), stalls() as worst:
+        with tracking(folder, out, "--unsupervised-drives") as session:
+            session.send_signal(number)
+            try:
+                recording = wait_for(out, disabled_by_the_recorder)
+            finally:
+                session.send_signal(signal.SIGCONT)
+            last_ns = last_target_ns(recording)
+            for node_id in (1, 2):
+                assert stopped_s(recording, node_id, last_ns) < LONGEST_S + 2 * worst[0]
+            _, errors = session.communicate(timeout=PATIENCE_S)
+            assert session.returncode != 0
+            if number is signal.SIGSTOP:
+                assert "fault" in errors
+                assert "another" not in errors  # the second stop's frames are ours
+        recording = wait_for(out, lambda r: not r.cut)
+        assert last_target_ns(recording) == last_ns  # who wakes up enables nothing
+        assert {state for t, state in states(recording, 1) if t > last_ns + 10**9} <= {State.SWITCH_ON_DISABLED}
+        assert "1, 2  switch on disabled" in checked(folder)
+    silent = (
+        "the session's process is gone" if number is signal.SIGKILL else "no sign of life from the session for 0.3 s"
+    )
+    assert f"{silent}: the recorder's process stopped the drives" in texts(recording, "fault")
+    assert len(recording.samples) > 0
+
+
+def test_drives_left_enabled_are_disabled_by_command(folder):
+    with drives(folder, "--unsupervised"):
+        robot = robot_of((folder / "robot.toml").read_text())
+        with closing(open_link(bus_at(folder), passive=False)) as link:
+            master = Master(link, bus_of(robot))
+            master.configure()
+            master.start()
+            for node_id in (1, 2):
+                for word in (6, 7, 15):
+                    master.write(node_id, 0x6040, 0, word, 2)
+            master.sync()
+            master.wait(link.now_ns() + 1_000_000_000, for_answers=True)
+            assert [master.state(drive) for drive in master.bus.drives] == [State.OPERATION_ENABLED] * 2
+            output = output_of(acquire(folder, "disable", str(folder / "robot.toml")))
+            assert output == "disabled: nodes 1, 2; all in pre-operational\n"
+            master.wait(link.now_ns() + 200_000_000)  # answers to the command's own questions
+            assert [master.state(drive) for drive in master.bus.drives] == [State.SWITCH_ON_DISABLED] * 2
+            link.send(0x201, struct.pack("<Hi", 6, 0))  # a PDO commands nothing any more
+            master.sync()
+            master.wait(link.now_ns() + 100_000_000)
+            assert master.state(master.bus.drives[0]) is State.SWITCH_ON_DISABLED
+
+
+def test_disable_says_first_who_did_not_confirm(folder, capsys):
+    assert main(["disable", str(folder / "robot.toml")]) == 1
+    assert capsys.readouterr() == ("", "NOT DISABLED: nodes 1, 2: EMERGENCY STOP\n")
+    (folder / "away.toml").write_text((folder / "robot.toml").read_text().replace("udp_multicast", "socketcan"))
+    assert main(["disable", str(folder / "away.toml")]) == 1
+    first, second = capsys.readouterr().err.splitlines()
+    assert first == "NOT DISABLED: nodes 1, 2: EMERGENCY STOP"
+    assert "cannot be opened" in second
+
+
+def test_a_watchdog_acts_only_when_armed_and_not_ended_and_says_so_before(monkeypatch):
+    bus = bus_of(robot_of(bus_text(2, channel="nobody_here")))
+    for signs, acts in (("e", False), ("a", True), ("aae", False), ("aea", False)):
+        here, there = multiprocessing.Pipe()
+        watchdog, life = Watchdog(here, bus), WatchdogPipe(there)
+        for sign in signs:
+            life.alive() if sign == "a" else life.ended()
+        if not acts:
+            life.alive()  # what is disarmed stays so
+        life.close()
+        watchdog._thread.join(20)
+        assert not watchdog.waiting
+        assert (watchdog.reason is not None) == acts
+        kinds = [kind for _, kind, _ in watchdog.events]
+        assert kinds == (["fault", "not disabled"] if acts else [])
+    # The session knows of the second stop before its first frame.
+    here, there = multiprocessing.Pipe()
+    life, said = WatchdogPipe(there), []
+    monkeypatch.setattr(process_module, "stop_drives", lambda _: said.append(life.stopped()) or [])
+    watchdog = Watchdog(here, bus)
+    assert life.stopped() == ""
+    life.alive()
+    watchdog._thread.join(20)
+    assert said == ["no sign of life from the session for 0.3 s: the recorder's process stopped the drives"]
+    life.close()
+
+
+class Beating(InlineLog):
+    """Notes when the session shows that it runs, and when it disarms, in simulated time."""
+
+    signs: ClassVar[list[tuple[int, str]]] = []
+    link: ClassVar[Any] = None
+
+    def poll(self, stamp_ns):
+        self.alive()
+        return super().poll(stamp_ns)
+
+    def alive(self):
+        self.signs.append((self.link.now_ns(), "alive"))
+
+    def ended(self):
+        self.signs.append((self.link.now_ns(), "ended"))
+
+
+@dataclass(kw_only=True)
+class Clocked(Through):
+    def __post_init__(self):
+        Beating.link = self.link
+        Beating.signs.clear()
+
+
+def beating_session(path, faults=()) -> DrySession:
+    """Six drives with slow answers."""
+    robot, task = robot_of(bus_text(6)), Task(reference=np.zeros((51, 6)))
+    how = {"through": Clocked, "simulated": SlowAnswers, "log_of": Beating}
+    return dry_session(path, task, robot=robot, faults=faults, **how)
+
+
+def test_six_slow_drives_end_without_a_word_of_the_second_stop(tmp_path):
+    session = beating_session(tmp_path / "a.mcap")
+    assert session.outcome.reason == "finished"
+    times = [t for t, _ in Beating.signs]
+    kinds = [kind for _, kind in Beating.signs]
+    first = kinds.index("ended")
+    assert max(b - a for a, b in itertools.pairwise(times[: first + 1])) < 0.3e9
+    (disabled_ns,) = [e.stamp_ns for e in session.recording.events if e.kind == "disabled"]
+    assert times[first] <= disabled_ns
+    frames = session.recording.frames["test"]
+    restored = frames[(frames["can_id"] > 0x600) & (frames["data"][:, 1] == 0x16) & (frames["time_ns"] >= times[first])]
+    assert len(restored) == 6  # the consumer heartbeats: all that comes after, and none of it counts
+    assert not np.isin(frames["can_id"], np.arange(0x81, 0x87)).any()
+
+
+def test_an_answer_that_does_not_come_is_awaited_with_signs_of_life():
+    (run, master), times = connected(), list[int]()
+    run.drives.silent.add(0)
+    began_ns = run.now_ns()
+    master.while_awaiting = lambda: times.append(run.now_ns() - began_ns)
+    with pytest.raises(RobotIdimError, match=r"no answer in 0.3 s"):
+        master.read(1, 0x6041)
+    assert silence_s(master.bus.file) == 0.3  # longer than a few periods
+    assert silence_s(bus_of(robot_of(bus_text(2, period_s=0.2))).file) == pytest.approx(0.6)
+    assert times == [k * 50_000_000 for k in range(6)]
+    assert run.now_ns() - began_ns == 300_000_000
+
+
+@pytest.mark.parametrize("kind", ["silent", "emergency"])
+def test_a_fault_of_slow_drives_is_no_death_either(tmp_path, kind):
+    """Where a drive does not confirm, the session shows that it runs while it awaits answers; the others raise no 8130h."""
+    session = beating_session(tmp_path / "a.mcap", [Fault(kind=kind, node=3, sync=150)])
+    assert session.outcome.fault
+    assert session.outcome.unconfirmed == ((3,) if kind == "silent" else ())
+    times = [t for t, sign in Beating.signs if sign == "alive"]
+    assert ("ended" in [sign for _, sign in Beating.signs]) == (kind == "emergency")
+    frames = session.recording.frames["test"]
+    last_ns = frames["time_ns"][frames["can_id"] == 0].max() if kind == "silent" else times[-1]
+    assert max(b - a for a, b in itertools.pairwise([*times, last_ns])) < 0.1e9
+    emergencies = frames[(frames["can_id"] > 0x80) & (frames["can_id"] < 0x87)]
+    assert emergencies["can_id"].tolist() == ([] if kind == "silent" else [0x83])
+    assert len(session.outcome.reports) == (kind == "emergency")
+
+
+def test_signs_never_wait_for_a_recorder_that_hangs():
+    here, there = multiprocessing.Pipe()
+    life = WatchdogPipe(there)
+    began = time.monotonic()
+    for _ in range(300_000):
+        life.alive()
+    assert time.monotonic() - began < 30.0
+    here.close()
+    life.alive()
+    life.close()
+
+
+def test_a_third_party_drive_is_stopped(folder, npm):
+    """It knows no quick stop and goes on moving, so voltage goes off; it says so itself."""
+    rpdo = 'rpdo = [{ objects = ["6040", "6060"] }]'
+    text = slow_bus_text(1, channel=bus_at(folder).channel, drive=rpdo)
+    bus = bus_of(robot_of(text.replace("node = 1\n", "node = 7\n")))
+    with third_party_drive(folder, npm), closing(open_link(bus.file, passive=False)) as link:
+        master = Master(link, bus)
+        master.nmt(1, 7)
+        for word in (6, 7, 15):
+            link.send(0x207, struct.pack("<Hb", word, 8))
+            master.sync()
+            master.wait(link.now_ns() + 100_000_000, for_answers=True)
+        master.sync()
+        master.wait(link.now_ns() + 500_000_000, for_answers=True)
+        assert master.nodes[0].state is State.OPERATION_ENABLED
+        here, there = multiprocessing.Pipe()
+        watchdog, life = Watchdog(here, bus), WatchdogPipe(there)
+        life.alive()
+        life.close()  # as when the session is killed
+        words = []
+        until_ns = link.now_ns() + 20 * 10**9
+        while watchdog.waiting and link.now_ns() < until_ns:
+            frame = link.receive(link.now_ns() + 50_000_000)
+            if frame is not None:
+                master.dispatch(frame)
+                words += [frame.data[:2]] if frame.can_id == 0x207 else []
+        assert words[0] == b"\x02\x00"
+        assert b"\x00\x00" in words
+        assert [kind for _, kind, _ in watchdog.events] == ["fault", "disabled"]
+        assert master.state(bus.drives[0]) is State.SWITCH_ON_DISABLED

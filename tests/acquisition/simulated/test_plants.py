@@ -1,0 +1,122 @@
+"""What simulated drives move, against closed forms."""
+
+import numpy as np
+import pytest
+from made_up_buses import bus_text, robot_of
+
+from acquisition.errors import RobotIdimError
+from acquisition.recording import sample_dtype
+from acquisition.simulated import TablePlant, middle_of_range
+from acquisition.simulated.mechanism import JointwisePlant, typical_inertia, typical_plant
+
+FREE, HELD = np.zeros(1, bool), np.ones(1, bool)
+DEG = np.pi / 180
+
+
+def joint(*, inertia=1.0, viscous=0.0, coulomb=0.0, load=0.0, slides=False, position=0.0) -> JointwisePlant:
+    a, b, c, d = (np.array([x]) for x in (inertia, viscous, coulomb, load))
+    return JointwisePlant(a, b, c, d, slides=np.array([slides]), position=np.array([position]))
+
+
+def after(plant: JointwisePlant, effort: float, seconds: float, held: np.ndarray = FREE, steps: int = 1000):
+    for _ in range(steps):
+        plant.step(np.array([effort]), held, seconds / steps)
+    q, dq = plant.state()
+    return float(q[0]), float(dq[0])
+
+
+QUARTER = -np.pi / 2  # where a load hangs straight down
+
+
+@pytest.mark.parametrize(
+    ("parts", "effort", "seconds", "q", "dq", "within"),
+    [
+        # 4 N m on 2 kg m²: after 1 s 2 rad/s and 1 rad, from where it began.
+        ({"inertia": 2.0, "position": 0.5}, 4.0, 1.0, 1.5, 2.0, 2e-3),
+        ({"inertia": 2.0, "position": 0.5}, -4.0, 1.0, -0.5, -2.0, 2e-3),
+        # Viscous friction: speed tends to effort / viscous with the time constant inertia / viscous.
+        ({"inertia": 2.0, "viscous": 4.0}, 6.0, 0.5, 0.75 * np.exp(-1), 1.5 * (1 - np.exp(-1)), 1e-3),
+        # Coulomb friction takes its share of either sign.
+        *(({"coulomb": 1.0}, side * 3.0, 1.0, side * 1.0, side * 2.0, 2e-3) for side in (1, -1)),
+        *(({"coulomb": 1.0}, side * 0.999, 1.0, 0.0, 0.0, 0.0) for side in (1, -1)),
+        # load cos q: held, nothing to hold at 90°, free, and where it slides the same everywhere.
+        ({"load": 5.0}, 5.0, 1.0, 0.0, 0.0, 1e-12),
+        ({"load": 5.0, "position": np.pi / 2}, 0.0, 0.1, np.pi / 2, 0.0, 1e-12),
+        ({"load": 5.0}, 0.0, 0.01, -2.5e-4, -0.05, 5e-5),
+        ({"load": 5.0, "slides": True, "position": 2.0}, 5.0, 1.0, 2.0, 0.0, 1e-12),
+        # Small swings about -90° have the period 2 pi sqrt(inertia / load).
+        ({"inertia": 2.0, "load": 5.0, "position": QUARTER + 0.01}, 0.0, 2 * np.pi * np.sqrt(0.4), QUARTER + 0.01, 0.0, 2e-4),
+    ],
+)  # fmt: skip
+def test_a_joint_moves_as_its_closed_form(parts, effort, seconds, q, dq, within):
+    assert after(joint(**parts), effort, seconds) == pytest.approx((q, dq), abs=within)
+
+
+def test_friction_stops_a_joint_and_does_not_turn_it_round():
+    plant = joint(coulomb=2.0)
+    assert after(plant, 1.9, 1.0, steps=100)[1] == 0.0
+    assert after(plant, 3.0, 1.0, steps=100)[1] == pytest.approx(1.0)
+    assert 0 <= after(plant, 0.0, 0.49, steps=49)[1] < 0.05
+    assert after(plant, 0.0, 0.05, steps=5)[1] == 0.0
+
+
+def test_a_brake_holds():
+    plant = joint(load=5.0)
+    after(plant, 20.0, 0.1)
+    q, _ = plant.state()
+    assert after(plant, 20.0, 0.1, HELD) == (q[0], 0.0)
+
+
+def test_a_typical_plant_by_hand():
+    """0.42 N m at a ratio of 50 are 21 N m rated; 4000 deg/s² and 200 deg/s are the limits."""
+    robot = robot_of(bus_text(2).replace("[-150, 150]", "[-150, 60]", 1))
+    rated = np.array([0.42, 0.42])
+    inertia = typical_inertia(robot, rated)
+    assert inertia == pytest.approx([10.5 / (4000 * DEG)] * 2)
+    assert middle_of_range(robot) == pytest.approx([-45 * DEG, 0.0])
+    plant = typical_plant(robot, rated, load_share=0.0)
+    assert plant.state()[0] == pytest.approx([-45 * DEG, 0.0])
+    plant.step(np.array([0.05 * 21 + 1.0, 0.05 * 21]), np.zeros(2, bool), 1e-6)
+    assert plant.state()[1] == pytest.approx([1e-6 / inertia[0], 0.0])  # Coulomb friction is a twentieth of 21 N m
+    for _ in range(500):
+        plant.step(np.array([0.1 * 21, -0.1 * 21]), np.zeros(2, bool), 0.02)
+    assert plant.state()[1] == pytest.approx([200 * DEG, -200 * DEG])  # another twentieth is viscous at 200 deg/s
+    loaded = typical_plant(robot, rated)
+    assert loaded.prescribed_effort() is None
+    loaded.step(np.array([0.3 * 21 * np.cos(-45 * DEG), 0.3 * 21]), np.zeros(2, bool), 1e-3)
+    assert loaded.state()[1].tolist() == [0.0, 0.0]
+    loaded.step(np.zeros(2), np.zeros(2, bool), 1e-3)
+    assert loaded.state()[1][1] == pytest.approx(-(0.3 - 0.05) * 21e-3 / inertia[1])
+
+
+def test_a_typical_plant_of_a_robot_that_states_no_limits():
+    text = bus_text(1)
+    for line in ("position_deg = [-150, 150]", "speed_deg_s = 200", "acceleration_deg_s2 = 4000"):
+        text = text.replace(line, "")
+    robot = robot_of(text)
+    assert typical_inertia(robot, np.array([0.42])) == pytest.approx([10.5 / 10])
+    assert middle_of_range(robot).tolist() == [0.0]
+    plant = typical_plant(robot, np.array([0.42]), load_share=0.0)
+    for _ in range(200):
+        plant.step(np.array([0.1 * 21]), FREE, 0.5)
+    assert plant.state()[1] == pytest.approx([1.0])  # rad/s, where a twentieth of 21 N m is viscous
+
+
+def test_a_table_goes_by_its_rate():
+    """Rows every 10 ms; time is rounded to the nearest row; the last row stays."""
+    samples = np.zeros(4, sample_dtype(1, reference=False))
+    samples["position"][:, 0], samples["effort"][:, 0] = [1.0, 3.0, 4.0, 4.5], [10.0, 20.0, 30.0, 40.0]
+    plant = TablePlant(samples, 100.0)
+    with pytest.raises(RobotIdimError, match="holds no samples"):
+        TablePlant(samples[:0], 100.0)
+    seen = []
+    for _ in range(10):
+        (q, dq), effort = plant.state(), plant.prescribed_effort()
+        seen.append((q[0], round(float(dq[0]), 9), effort[0]))
+        plant.step(np.array([99.0]), HELD, 0.004)
+    rows = [(1.0, 200.0, 10.0), (3.0, 100.0, 20.0), (4.0, 50.0, 30.0), (4.5, 0.0, 40.0)]
+    assert seen == [rows[k] for k in (0, 0, 1, 1, 2, 2, 2, 3, 3, 3)]
+    plant.state()[0][0] = 7.0
+    plant.prescribed_effort()[0] = 7.0
+    assert samples["position"][3, 0] == 4.5  # the table is not handed out
+    assert samples["effort"][3, 0] == 40.0

@@ -1,0 +1,114 @@
+"""Simulated drives as their master sees them: real dictionaries, mapping by SDO, loops, quantisation."""
+
+import dataclasses
+import re
+
+import numpy as np
+import pytest
+from conftest import needs_data
+from dry_sessions import connected, dry_session, findings, swing
+from made_up_buses import bus_of, bus_text, robot_of
+
+from acquisition.protocol import State
+from acquisition.session import Task
+from acquisition.simulated import SimulatedDrives
+
+VENDORS = {  # keys of the drive, and where its effort comes from
+    "elmo_Gold.dcf": (
+        'reference = "6074"\nreference_rule = "per mille of rated torque"\nrated_torque_nm = 0.42',
+        "6074:0 (torque demand",
+    ),
+    "nanotec_CL4-E-2-12.eds": ('reference = "6074"\nrated_torque_nm = 0.42', "6074:0 (torque demand"),
+    "maxon_EPOS4.eds": ('reference = "30D0"', "30D0:0 (current demand value (maxon EPOS4)), raw I32 in mA"),
+    "maxon_EPOS2_347717.eds": ('reference = "2031"', "2031:0 (current demand value (maxon EPOS2)), raw I16 in mA"),
+    "ros2_canopen_cia402_slave_fake.eds": (
+        'actual = "6077"\nrated_torque_nm = 0.42',
+        "6077:0 (torque actual value (CiA 402)), the actual value instead of",
+    ),
+}
+
+
+def robot_with(name: str, *, n: int = 2):
+    data = (needs_data("eds") / name).read_bytes()
+    keys, _ = VENDORS[name]
+    text = bus_text(n).replace('reference = "6074"\nrated_torque_nm = 0.42', f'dictionary = "{name}"\n{keys}')
+    if "rated_torque" not in keys:
+        text = text.replace('effort_unit = "N m"', 'drive_gain = 0.05\ndrive_gain_unit = "N m/A"')
+    return robot_of(text, {f"dictionary:{name}": data})
+
+
+@pytest.mark.parametrize("name", VENDORS)
+def test_each_vendors_dictionary_is_served_configured_and_tracked(tmp_path, name):
+    robot = robot_with(name)
+    bus = bus_of(robot)
+    task = Task(reference=swing(2, seconds=0.6, amplitude=0.1))
+    session = dry_session(tmp_path / "a.mcap", task, robot=robot, bus=bus)
+    assert session.outcome.reason == "finished", session.outcome.reason
+    assert session.drives.states == [State.SWITCH_ON_DISABLED] * 2
+    assert VENDORS[name][1] in bus.drives[0].effort.provenance
+    assert bus.drives[0].dictionary is not None
+    entry = bus.drives[0].effort.entry
+    pdo = bus.drives[0].carrier(entry, "tpdo")
+    frames = session.recording.frames["test"]
+    data = frames[frames["can_id"] == pdo.can_id]["data"]
+    at = pdo.offset(entry.index, entry.sub)
+    raw = data[:, at : at + entry.bits // 8].copy().view(f"<i{entry.bits // 8}")[:, 0]
+    assert np.ptp(raw) > 10  # the vendor's own reference object carries the effort
+    scale = abs(bus.drives[0].effort.scale) * float(robot.gain[0]) * 50
+    assert np.ptp(session.recording.samples["effort"][:, 0]) == pytest.approx(np.ptp(raw) * scale, rel=1e-6)
+    assert "dictionary:" + name in session.recording.attachments
+    assert f"{entry}" in session.recording.metadata["effort_provenance"]
+
+
+def test_doubts_about_a_dictionary_reach_check_and_recording(tmp_path):
+    """Two drives of one file: one warning in the recording, a finding of each drive that does not stand against a session."""
+    name = "maxon_EPOS4.eds"
+    robot = robot_with(name)
+    label = f"dictionary:{name}"
+    emptied, count = re.subn(rb"(?m)^(ProductNumber=)\S+", rb"\1", robot.files[label])
+    assert count == 1
+    robot = dataclasses.replace(robot, files={**robot.files, label: emptied})
+    line = robot.files[label][: robot.files[label].index(b"ProductNumber=")].count(b"\n") + 1
+    warning = f"{name}: line {line}: ProductNumber is empty: read as 0, which is not checked"
+    session = dry_session(tmp_path / "a.mcap", Task(duration_s=0.2), robot=robot)
+    assert session.recorded.warnings == (warning,)
+    assert session.events("warning") == [warning]
+    run, master = connected(robot)
+    found = [(f.subject, f.node, f.ok) for f in findings(run, master.bus) if f.found == warning]
+    assert found == [("dictionary", 1, True), ("dictionary", 2, True)]
+
+
+def test_another_drive_than_the_dictionary_says_is_told():
+    run, master = connected(robot_with("elmo_Gold.dcf", n=1))
+    assert master.differences() == []
+    run.drives.nodes[0].values[0x1018, 1] = 0x123
+    assert master.differences() == ["node 1: vendor (1018:1) = 0x123: expected 0x9A as its dictionary says"]
+
+
+def test_a_drive_states_its_units_limits_and_modes():
+    """Literal values: 65536 counts per turn, ratio 50, 200 deg/s and +-150 deg at the joint; the second counts backwards."""
+    before, after = bus_text(2).rsplit("65536", 1)
+    _, master = connected(robot_of(f"{before}6553.6\nsign = -1\nzero_counts = 100{after}"))
+
+    def stated(node: int, *keys: tuple[int, int]) -> list[int]:
+        return [master.read(node, *key) for key in keys]
+
+    limit = round(150 / 360 * 50 * 65536)
+    units = [(index, sub) for index in (0x608F, 0x6091, 0x6092) for sub in (1, 2)]
+    assert stated(1, *units) == [65536, 1, 1, 1, 65536, 1]
+    assert stated(1, (0x607D, 1), (0x607D, 2)) == [2**32 - limit, limit]
+    assert stated(1, (0x6502, 0), (0x607F, 0), (0x6080, 0)) == [0x80, round(200 / 360 * 50 * 65536), 1667]
+    assert stated(2, *units) == [32768, 5, 1, 1, 32768, 5]
+    assert stated(2, (0x607D, 1), (0x607D, 2)) == [2**32 + 100 - 136533, 136633]
+    master.nmt(129, 1)  # reset node
+    assert stated(1, (0x608F, 1), (0x1018, 0)) == [65536, 4]
+
+
+def test_a_boot_up_counts_as_the_first_heartbeat():
+    """CiA 301: a drive whose dictionary asks for heartbeats sends the first one a heartbeat time after its boot-up."""
+    made, _ = connected(robot_of(bus_text(1)), SimulatedDrives)
+    made.drives.set_heartbeats(100)
+    assert made.drives.boot() == [(0x701, b"\0")]
+    assert made.drives.advance(1_000_000_000) == []
+    assert made.drives.advance(1_099_000_000) == []
+    assert made.drives.advance(1_100_000_000) == [(0x701, b"\x7f")]

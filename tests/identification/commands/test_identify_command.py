@@ -1,0 +1,214 @@
+"""`robot-identify` as a user meets it: tables, files, and one line for every mistake."""
+
+import json
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_runs import refused, run
+from conftest import REPLAY, robot_named
+
+from acquisition.recording import Header, RecordingWriter, read_recording, sample_dtype
+from acquisition.robot import Robot, robot_from_files
+from identification.commands import main
+
+SESSION = REPLAY / "scara" / "session.mcap"
+
+
+def test_fit_prints_a_table_and_writes_json(capsys, tmp_path):
+    files = "--json", tmp_path / "fit.json", "--report", tmp_path / "fit.md"
+    status, out, err = run(capsys, "fit", SESSION, *files)
+    assert (status, err) == (0, "")
+    assert out.startswith("SCARA: IV (reference recorded), converged, trust; 0.")
+    assert (tmp_path / "fit.md").read_text().startswith(f"# {out.splitlines()[0]}")
+    assert "fit.txt: ending = '.txt'" in refused(capsys, "fit", SESSION, "--report", tmp_path / "fit.txt")
+    assert "the 8 that move the torque most, of 8 determined" in out
+    fit = json.loads((tmp_path / "fit.json").read_text())
+    assert [p["name"] for p in fit["parameters"]] == ["ZZ1R", "Fv1", "Fc1", "ZZ2", "MX2", "MY2", "Fv2", "Fc2"]
+    assert fit["parameters"][0]["expression"] == "ZZ1 + 0.25 M2"
+    assert fit["parameters"][0]["unit"] == "kg m²"
+    assert {"method", "status", "relative_error_percent", "condition_number", "rows", "provenance"} <= set(fit)
+    assert (fit["sample_rate_hz"], fit["cutoff_hz"], fit["decimation"]) == (1000.0, 25.0, 40)
+    assert [j["name"] for j in fit["joints"]] == ["shoulder", "elbow"]
+    assert {"relative_error_percent", "moving_relative_error_percent", "standing_relative_error_percent"} <= set(
+        fit["joints"][0]
+    )
+    assert len(fit["provenance"]["sha256"]) == 64
+    assert f"{fit['parameters'][0]['value']:.8f}"[:5] in out
+
+
+@pytest.mark.parametrize("name", ["scara", "tx40", "emps"])
+def test_the_same_description_beside_a_recording_prints_the_same_bytes(name, capsys):
+    session, robot = REPLAY / name / "session.mcap", REPLAY / name / "robot.toml"
+    assert run(capsys, "fit", session) == run(capsys, "fit", session, "--robot", robot)
+
+
+def test_a_verdict_that_is_asked_for_is_in_the_exit_status(capsys, tmp_path):
+    status, _, err = run(capsys, "fit", SESSION, "--require", "trust")
+    assert (status, err) == (0, "")
+    options = "--method", "wls", "--require", "trust", "--json", tmp_path / "a.json"
+    status, out, err = run(capsys, "fit", SESSION, *options)
+    assert (status, err.count("\n")) == (3, 1)
+    assert err.startswith("robot-identify: not to be trusted: ")
+    assert "caution: lag" in out
+    assert json.loads((tmp_path / "a.json").read_text())["verdict"] == "caution"
+    assert run(capsys, "fit", SESSION, "--method", "wls")[0] == 0
+
+
+def test_options_and_keys_change_the_fit(capsys, tmp_path):
+    robot = tmp_path / "robot.toml"
+    text = (REPLAY / "scara" / "robot.toml").read_text()
+    robot.write_text(text + '\n[identification]\nspan = "all"\ndecimation = 20\n')
+    for name, options in {
+        "none.json": ["--cutoff-hz", "none", "--method", "ols", "--robot", robot],
+        "essential.json": ["--essential"],
+    }.items():
+        assert run(capsys, "fit", SESSION, *options, "--json", tmp_path / name)[0] == 0
+    none, essential = (json.loads((tmp_path / n).read_text()) for n in ("none.json", "essential.json"))
+    assert (none["cutoff_hz"], none["decimation"], none["method"], none["span"]) == (None, 20, "ols", "all samples")
+    assert [p["name"] for p in essential["parameters"]] == essential["essential"]["names"]
+
+
+def test_validate_applies_a_fit_to_another_recording(capsys, tmp_path):
+    fit, other, errors = tmp_path / "fit.json", tmp_path / "other.mcap", tmp_path / "errors.json"
+    assert run(capsys, "fit", SESSION, "--json", fit)[0] == 0
+    assert run(capsys, "simulate", REPLAY / "scara" / "robot.toml", "-o", other, "--seed", 77)[0] == 0
+    assert run(capsys, "validate", fit, other, "--json", errors)[0] == 0
+    assert json.loads(errors.read_text())["relative_error_percent"] < 2.0
+    spoilt = json.loads(fit.read_text())
+    spoilt["parameters"][0]["value"] *= 1.5
+    fit.write_text(json.dumps(spoilt))
+    assert run(capsys, "validate", fit, other, "--json", errors)[0] == 0
+    assert json.loads(errors.read_text())["relative_error_percent"] > 20.0
+
+
+def test_base_prints_expressions(capsys, tmp_path):
+    status, out, _ = run(capsys, "base", REPLAY / "tx40" / "robot.toml", "--json", tmp_path / "base.json")
+    assert status == 0
+    assert "TX40: 60 base parameters" in out
+    assert "ZZ2 + Ia2 + 0.050625 (M3 + M4 + M5 + M6)" in out
+    assert len(json.loads((tmp_path / "base.json").read_text())["parameters"]) == 60
+
+
+def test_simulation_is_repeatable(capsys, tmp_path):
+    options = ["--duration-s", 2, "--effort-noise-percent", 1]
+    asymmetric = REPLAY / "emps" / "robot_published_asymmetric.toml"
+    assert "no [parameters] to simulate with" in refused(capsys, "simulate", asymmetric, "-o", tmp_path / "c.mcap")
+    for name in ("a.mcap", "b.mcap"):
+        assert run(capsys, "simulate", REPLAY / "scara" / "robot.toml", "-o", tmp_path / name, *options)[0] == 0
+    a, b = (read_recording(tmp_path / name).samples for name in ("a.mcap", "b.mcap"))
+    assert a.tobytes() == b.tobytes()
+
+
+def test_a_recording_is_replaced_only_where_that_is_asked_for(capsys, tmp_path):
+    log, scara = tmp_path / "session.mcap", REPLAY / "scara" / "robot.toml"
+    log.write_bytes(b"old")
+    simulate = ["simulate", scara, "--duration-s", 1, "-o", log]
+    told = refused(capsys, *simulate)
+    assert told.startswith(f"robot-identify: {log}: already exists")
+    assert told.rstrip().endswith("-o, or --overwrite")
+    told = refused(capsys, "demo", "--out", tmp_path)
+    assert str(log) in told
+    assert told.rstrip().endswith("--out, or --overwrite")
+    assert "--overwrite" not in refused(capsys, "fit", SESSION, "--json", log)
+    assert log.read_bytes() == b"old"
+    assert run(capsys, *simulate, "--overwrite")[0] == 0
+    assert log.stat().st_size > 1000
+
+
+def write_samples(path: Path, robot: Robot, samples: np.ndarray) -> None:
+    header = Header(robot=robot, source="test", sample_rate_hz=1000.0, effort_provenance="made for a test")
+    with RecordingWriter(path, header) as writer:
+        writer.samples(samples)
+
+
+def test_bad_recordings_are_refused_in_one_line(capsys, tmp_path):
+    path, out, whole = tmp_path / "log.mcap", tmp_path / "fit.json", SESSION.read_bytes()
+    assert "cannot be read: No such file" in refused(capsys, "fit", path, "--json", out)
+    middle = len(whole) // 2
+    flipped = whole[:middle] + bytes([whole[middle] ^ 1]) + whole[middle + 1 :]
+    for content, message in (
+        (b"time,q\n0,1\n", "is not an MCAP file"),
+        (whole[:middle], f"{path}: is cut"),
+        (flipped, "damaged"),
+    ):
+        path.write_bytes(content)
+        assert message in refused(capsys, "fit", path, "--json", out)
+    assert not out.exists()
+
+
+def test_gaps_short_recordings_and_stillness_are_named(capsys, tmp_path):
+    robot, samples, path = robot_named("scara"), np.array(read_recording(SESSION).samples[:4000]), tmp_path / "log.mcap"
+    still, half = samples.copy(), samples.copy()
+    still["position"], half["position"][:, 1] = samples["position"][0], samples["position"][0, 1]
+    for rows, message in (
+        (np.delete(samples, np.s_[1500:1510]), "samples: 1 gap(s), the first after 1.4990 s: a step of 11.000 ms"),
+        (samples[3000:3300], "expected at least 1200, 30 decimated rows"),
+        (samples[:1], "expected a trajectory"),
+        (still, "no joint moves"),
+        (half, "not excited = Fv2, Fc2"),
+    ):
+        write_samples(path, robot, rows)
+        assert message in refused(capsys, "fit", path)
+
+
+def test_unknown_gains_give_volts_and_a_warning(capsys, tmp_path):
+    text = (REPLAY / "emps" / "robot.toml").read_text()
+    text = text.replace("drive_gain = 35.15065188\n", "").replace('drive_gain_unit = "N/V"', 'effort_unit = "V"')
+    robot = robot_from_files({"robot.toml": text.replace("span = ", "#").encode()}, "emps.toml")
+    t = np.arange(6000) / 1000
+    samples = np.zeros(6000, sample_dtype(1, reference=False))
+    samples["stamp_ns"] = np.arange(6000) * 1_000_000
+    w = 2 * np.pi * 0.5
+    samples["position"][:, 0], dq, ddq = 0.1 * np.sin(w * t), 0.1 * w * np.cos(w * t), -0.1 * w**2 * np.sin(w * t)
+    samples["effort"][:, 0] = 2.7 * ddq + 5.8 * dq + 0.6 * np.sign(dq)
+    write_samples(tmp_path / "volts.mcap", robot, samples)
+    status, out, _ = run(capsys, "fit", tmp_path / "volts.mcap", "--json", tmp_path / "fit.json")
+    assert status == 0
+    assert "drive gains are not known: torques and parameters are in V, not in N m" in out
+    first, viscous, dry = json.loads((tmp_path / "fit.json").read_text())["parameters"][:3]
+    assert [(p["name"], p["unit"]) for p in (first, viscous, dry)] == [("M1", "V s²/m"), ("Fv1", "V s/m"), ("Fc1", "V")]
+    assert first["value"] == pytest.approx(2.7, rel=0.01)
+
+
+def test_outputs_are_whole_or_not_there(capsys, tmp_path):
+    copy = tmp_path / "log.mcap"
+    shutil.copy(SESSION, copy)
+    assert "no folder" in refused(capsys, "fit", copy, "--json", tmp_path / "none" / "fit.json")
+    assert "expected a file, found a folder" in refused(capsys, "fit", copy, "--json", tmp_path)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["log.mcap"]
+
+
+ONE = {"name": "MX2", "value": 1, "sigma": 1, "unit": "kg m"}
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"format": 1}, "not a fit"),
+        ({"format": 9, "parameters": []}, "format = 9: expected 1"),
+        ({"parameters": []}, "expected those of the recording's robot"),
+        ({"parameters": [ONE | {"name": "ZZ9"}]}, "parameters = 'ZZ9': expected those of the recording's robot"),
+        ({"parameters": [ONE | {"unit": "A"}]}, "MX2.unit = 'A': expected kg m, as the recording's robot has it"),
+        (
+            {"parameters": [ONE | {"low": 1.5, "high": 0.5}]},
+            "expected finite values, sigmas of at least 0, low not above high",
+        ),
+    ],
+)
+def test_fits_that_do_not_belong_are_refused(capsys, tmp_path, changes, message):
+    path = tmp_path / "fit.json"
+    path.write_text(json.dumps({"format": 1, "method": "wls", "status": "solved"} | changes))
+    assert message in refused(capsys, "validate", path, SESSION)
+    path.write_text("{")
+    assert "not a fit" in refused(capsys, "validate", path, SESSION)
+
+
+@pytest.mark.parametrize("options", [["--cutoff-hz", "-3"], ["--cutoff-hz", "x"], ["--method", "best"]])
+def test_options_out_of_range_are_refused_before_anything_is_read(capsys, options):
+    with pytest.raises(SystemExit) as stopped:
+        main(["fit", "log.mcap", *options])
+    assert stopped.value.code == 2
+    assert re.search("expected a number above 0, or none|invalid choice", capsys.readouterr().err)

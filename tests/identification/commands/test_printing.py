@@ -1,0 +1,95 @@
+"""What the terminal shows: every digit at any width, names as they are, and what the words under a table say."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+from conftest import REPLAY, ROOT
+from fits_of_records import signals_of
+
+from identification.commands import main
+from identification.methods import fit_document, identify
+from identification.regression import Overrides
+from identification.report import Document, Section, Table, columns, print_whole
+from identification.study import Noise, Study, study_document
+
+SESSION = REPLAY / "scara" / "session.mcap"
+
+
+@pytest.fixture
+def narrow(monkeypatch):
+    monkeypatch.setenv("COLUMNS", "40")
+    monkeypatch.setenv("FORCE_COLOR", "1")  # rich then takes the captured output for a terminal
+    monkeypatch.setenv("LINES", "50")
+
+
+def test_a_narrow_terminal_loses_no_digit_of_a_fit(narrow, capsys, tmp_path):
+    out = tmp_path / "fit.json"
+    assert main(["fit", str(SESSION), "--method", "iv", "--all", "--json", str(out)]) == 0
+    told = re.sub(r"\x1b\[[0-9;]*m", "", capsys.readouterr().out)
+    assert "…" not in told
+    for p in json.loads(out.read_text())["parameters"]:
+        # not a folded line that begins with the name
+        (row,) = re.findall(rf"(?m)^{p['name']} +-?[0-9.]+ +[0-9.]+ .*", told)
+        value, half = (float(x) for x in row.split()[1:3])
+        assert value == pytest.approx(p["value"], abs=0.01 * p["sigma"])
+        assert half == pytest.approx((p["high"] - p["low"]) / 2, rel=0.01)
+    assert max(len(line) for line in told.splitlines()) < 90
+
+
+def test_the_readme_shows_the_real_record_as_it_is_printed(emps, capsys):
+    """Its tables are without their frames there."""
+    print_whole(fit_document(signals_of(emps), identify(signals_of(emps), Overrides())), short=True)
+    printed = [re.findall(r"[^\s│┃]+", line) for line in capsys.readouterr().out.splitlines()]
+    section = (ROOT / "identification" / "README.md").read_text().split("\n## The report of a fit\n")[1]
+    shown = [line.split() for line in section.split("\n- ")[0].splitlines() if line.startswith("    ")]
+    assert shown[0][0] == "EMPS:"
+    assert len(shown) >= 10
+    for *line, last in shown:
+        if last == "...":
+            assert line in [whole[: len(line)] for whole in printed]
+        else:
+            assert [*line, last] in printed
+
+
+def document(table: Table) -> Document:
+    return Document(title="a report", sections=(Section(title="a table", table=table),))
+
+
+def test_long_texts_are_folded_and_numbers_are_not(narrow, capsys):
+    headings = columns("name", "expression", numbers=("a/long/folder/and/a/file.json",))
+    print_whole(document(Table(columns=headings, rows=(("M1", "one and " * 12, "-123456.789012345678"),))))
+    told = capsys.readouterr().out
+    assert "-123456.789012345678" in told
+    assert told.count("one") == 12
+    assert "a/long/folder/and/a/" in told
+    assert "…" not in told
+
+
+@pytest.mark.parametrize("name", ["run[bold].mcap", "run[/b].mcap", "run:smile:.mcap"])
+def test_names_are_printed_as_they_are(name, capsys, tmp_path):
+    path = tmp_path / name
+    path.parent.mkdir(exist_ok=True)
+    assert main(["simulate", str(REPLAY / "scara" / "robot.toml"), "-o", str(path), "--duration-s", "3"]) == 0
+    assert f"{path}: simulated" in capsys.readouterr().out
+    assert main(["validate", str(REPLAY / "scara" / "fit.json"), str(path)]) == 0
+    out = capsys.readouterr().out
+    assert f"{path.name}: 1000 Hz" in out
+    assert "evaluated on: " in out, "nothing is fitted"
+    assert "fitted: " not in out
+    section = Section(title=name, table=Table(columns=columns(name), rows=((name,),)), lines=(name,), warnings=(name,))
+    print_whole(Document(title=f"{name}: fit", sections=(section,)))
+    assert capsys.readouterr().out.count(name) == 6
+
+
+def test_a_pipe_gets_whole_lines(capsys):
+    print_whole("word " * 100)
+    assert capsys.readouterr().out.count("\n") == 1
+
+
+def test_a_study_says_what_was_simulated():
+    study = Study(runs=7, noise=Noise(position=1e-6, effort_percent=2.0, lag_samples=3), duration_s=4.0)
+    settings, _ = study_document("scara", study, [], np.zeros(8)).sections[0].lines
+    for part in ("7 runs of 4 s at 1000 Hz", "position 1e-06, effort_percent 2, lag_samples 3"):
+        assert part in settings

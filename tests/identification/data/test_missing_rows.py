@@ -1,0 +1,102 @@
+"""Rows that are missing or repeated, by the steps of the positions: told with their share, and never where none is."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import REPLAY, robot_named
+from hunt import fit_by_default, fit_by_least_squares
+from hunt_kinds import KINDS, sound
+from independent_simulator import with_lost_rows
+
+from identification.data import load_signals, position_steps, signals_from_arrays
+
+SHARES = (0.2, 1.0, 2.0)  # percent
+
+
+def shares(q):
+    found = position_steps(q)
+    return 100 * np.array([found.lost, found.repeated, found.held]) / max(found.moving, 1)
+
+
+def drawn(rows, percent):
+    """Rows (N,) bool, so many of each hundred, none of them beside another."""
+    at = np.random.default_rng(3).choice(np.arange(5, rows - 5, 2), round(0.01 * percent * rows), replace=False)
+    return np.isin(np.arange(rows), at)
+
+
+def short(name, seed):
+    return replace(sound(name, np.random.default_rng(seed)), duration_s=4.0)
+
+
+@pytest.fixture(scope="module")
+def q():
+    return {name: sound(name, np.random.default_rng(1)).recording(1).q for name in ("emps", "scara")}
+
+
+@pytest.mark.parametrize("percent", SHARES)
+@pytest.mark.parametrize("name", ["emps", "scara"])
+def test_the_share_is_told_to_a_tenth_of_a_percent(q, name, percent):
+    q = q[name]
+    chosen = drawn(len(q), percent)
+    before = np.where(chosen, np.arange(len(q)) - 1, np.arange(len(q)))
+    of_lost, of_repeated, of_held = (shares(x) for x in (q[~chosen], np.repeat(q, 1 + chosen, axis=0), q[before]))
+    assert of_lost == pytest.approx([percent, 0, 0], abs=0.1 + 0.05 * percent)
+    assert of_repeated == pytest.approx([0, percent, 0], abs=0.1 + 0.05 * percent)
+    assert of_held[2] == pytest.approx(percent, abs=0.1 + 0.15 * percent)
+    assert of_held[:2].max() < 0.3 * of_held[2]
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("name", ["emps", "scara"])
+def test_nothing_is_found_where_nothing_is_lost(name, seed):
+    signals = short(name, seed).recording(100 + seed)
+    assert shares(signals.q).max() == 0
+    assert position_steps(signals.q).moving > 0.5 * len(signals.q)
+
+
+@pytest.mark.parametrize("what", ["12 bit over the range", "slow motion", "Stribeck 50 %", "saturated at 50-90 %"])
+@pytest.mark.parametrize("step", [None, 1e-5])
+def test_nothing_is_found_in_coarse_or_slow_motion(what, step):
+    """Counts of 10 µm beside those of the kind."""
+    rng = np.random.default_rng(3)
+    setup = KINDS[what].change(replace(sound("emps", rng), duration_s=4.0), rng)
+    setup = setup if step is None else setup.in_cell(encoder_step=step, encoder_noise=0.0)
+    assert shares(setup.recording(7).q).max() == 0
+
+
+def test_abrupt_stops_are_no_missing_rows():
+    """Of two steps at a stop one is twice the median of its neighbours, and the other none of it."""
+    speed = np.repeat([1.0, 0.0, -1.0, 0.0] * 50, 40) * 1e-3
+    q = np.cumsum(speed)[:, None] + 1e-6 * np.random.default_rng(0).standard_normal((len(speed), 1))
+    assert shares(q).max() == 0
+
+
+@pytest.mark.parametrize("name", ["emps", "scara", "tx40"])
+def test_nothing_is_found_in_shipped_sessions_at_any_rate(name):
+    q = load_signals(REPLAY / name / "session.mcap").q
+    assert max(shares(q[::every]).max() for every in (1, 2, 5, 10)) == 0
+
+
+def line_of(fit):
+    return next((line for line in fit.trust.lines if line.test == "rows"), None)
+
+
+def test_the_real_axis_has_all_its_rows_and_the_real_arm_a_slow_encoder(emps, tx40):
+    axis, arm = load_signals(emps), load_signals(tx40)
+    assert line_of(fit_by_least_squares(axis)) is None
+    note = line_of(fit_by_least_squares(arm))
+    assert (note.level, note.value) == ("ok", None)
+    assert "encoder of joint joint_3" in note.text
+    assert max(shares(axis.q[::50]).max(), shares(arm.q[2::5]).max()) == 0  # coarse and abrupt motion at a low rate
+
+
+def test_the_verdict_of_arrays_and_recordings_with_lost_rows_is_caution():
+    signals = short("scara", 1).recording(1)
+    lossy = with_lost_rows(signals, drawn(len(signals.q), 1.0))
+    arrays = signals_from_arrays(lossy.q, lossy.effort, lossy.sample_rate_hz, robot_named("scara"), lossy.q_ref)
+    for fit in (fit_by_default(lossy), fit_by_least_squares(arrays)):
+        line = line_of(fit)
+        assert line.level == "caution"
+        assert line.value == pytest.approx(1.0, abs=0.1)
+        assert fit.trust.verdict != "trust"

@@ -1,0 +1,661 @@
+"""References that tell most of the parameters: gradients against differences, limits between samples, the command."""
+
+import json
+import math
+import re
+from dataclasses import replace
+from types import SimpleNamespace
+
+import msgspec
+import numpy as np
+import pytest
+from conftest import REPLAY, robot_named
+from friction_models import USUAL, upright, whole_arm
+from gain_cases import CASES, CENTRE, pair_of
+from loops import modelled
+from pictured_fits import Written
+from urdfs import TURN_AND_SLIDE, TURN_AND_SLIDE_TOML
+
+from acquisition.errors import RobotIdimError
+from acquisition.robot import Payload, check_limits, fourier_reference, load_robot, robot_from_files, table_reference
+from identification.commands import main
+from identification.data import Recordings, load_signals
+from identification.design import ExcitationSettings, excitation_document, excite, prior_information, search
+from identification.design.information import Information, earlier_information, torque_noise
+from identification.design.limits import Series, limits_of, motion_of
+from identification.methods import identify
+from identification.model import (
+    InverseModel,
+    add_payload,
+    base_parameters,
+    described_parameters,
+    direct_model,
+    obstacles_of,
+    regressor_gradient,
+    torque_of_links,
+    torque_without_sliding,
+)
+from identification.regression import Overrides, load_friction, make_problem, rows_of_recording
+from identification.study import Noise, closed_loop, write_signals
+from identification.view import draw_excitation, write_rrd
+from identification.view.charts import interval_charts
+from identification.view.colors import GREY, ORANGE
+
+
+def limited(robot):
+    """With a saturation of each motor, far above what motions need."""
+    drives = robot.bus.drive
+    most = [32.767 * drive.rated_torque_nm for drive in drives]
+    motors = (msgspec.structs.replace(motor, saturation=x) for motor, x in zip(robot.motors, most, strict=True))
+    return replace(robot, motors=tuple(motors))
+
+
+SCARA, TX40 = limited(robot_named("scara")), limited(robot_named("tx40"))
+SERIES, SHORT = Series(period_s=4.0, harmonics=4), ExcitationSettings(period_s=2.0, harmonics=2)
+K = 2 * SERIES.harmonics - 1  # free coefficients of a joint
+
+
+@pytest.fixture(autouse=True, scope="module")
+def one_search():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(search, "STARTS", 1)
+        yield
+
+
+def with_text(name, old, new, count=-1):
+    text = (REPLAY / name / "robot.toml").read_text()
+    assert old in text
+    return limited(robot_from_files({"robot.toml": text.replace(old, new, count).encode()}, "here"))
+
+
+def asymmetric():
+    """The TX40 with friction that differs by direction at its first three joints."""
+    text = (REPLAY / "tx40" / "robot.toml").read_text()
+    text = text.replace("following_error_deg = 15", 'following_error_deg = 15\nfriction = "asymmetric"', 3)
+    text = re.sub(r"^(F[vc])([123]) = (.*)$", r"\1p\2 = \3\n\1n\2 = 1\3", text, flags=re.MULTILINE)
+    return limited(robot_from_files({"robot.toml": text.encode()}, "here"))
+
+
+def loaded_scara(terms=(*USUAL, "load")):
+    return upright([list(terms)] * 2, "mu1 = 0.3\nmu2 = 0.3\n")
+
+
+def without_parameters(robot):
+    text = robot.files["robot.toml"].decode().partition("[parameters]")[0]
+    return robot_from_files({"robot.toml": text.encode()}, "here")
+
+
+ASYMMETRIC, LOADED = asymmetric(), (limited(loaded_scara()), limited(whole_arm()))
+
+
+def information_of(robot, model, base):
+    noise, earlier = np.random.default_rng(3).uniform(0.5, 2.0, robot.n), np.zeros((base.b, base.b))
+    creep = 0.05 * np.array([joint.si("speed") for joint in robot.joints])
+    return Information(model=model, base=base, noise=noise, rows=300.0, earlier=earlier, creep=creep)
+
+
+def random_x(robot, series=SERIES, seed=0, share=0.6):
+    found = fourier_reference(robot, period_s=series.period_s, seed=seed, harmonics=series.harmonics, share=share)
+    return series.coefficients(found)
+
+
+def test_a_series_begins_and_ends_at_rest_and_is_what_its_basis_says():
+    x = np.random.default_rng(0).standard_normal((3, K))
+    reference = SERIES.reference(x)
+    q, dq, ddq = reference.at(np.array([0.0, SERIES.period_s]))
+    assert np.abs(dq).max() < 1e-12 * np.abs(x).max() * 100
+    assert np.abs(ddq).max() < 1e-10
+    assert q[0] == pytest.approx(x[:, 0])
+    assert SERIES.coefficients(reference) == pytest.approx(x)
+    at = reference.at(np.arange(50) * SERIES.period_s / 50)
+    for given, expected in zip(motion_of(x, SERIES.basis(50)), at, strict=True):
+        assert given == pytest.approx(expected)
+    assert np.linalg.matrix_rank(np.concatenate(SERIES.basis(50)[:1])) == K  # nothing is left out twice
+
+
+@pytest.mark.parametrize("robot", [SCARA, TX40, ASYMMETRIC], ids=["scara", "tx40", "asymmetric"])
+def test_the_gradient_is_that_of_differences(robot):
+    """Central differences in random directions, and along single coefficients, to 1e-6 of the largest component."""
+    model, base, _ = modelled(robot)
+    information, basis, x = information_of(robot, model, base), SERIES.basis(40), random_x(robot)
+    plain = np.exp(np.random.default_rng(1).uniform(-1, 1, base.b))
+
+    def value(y):
+        return information.criterion(motion_of(y, basis), plain)[0]
+
+    gradients = information.criterion(motion_of(x, basis), plain)[1]
+    gradient = sum(g.T @ A for g, A in zip(gradients, basis, strict=True))
+    rng, h = np.random.default_rng(2), 1e-5
+    directions = [*rng.standard_normal((6, *x.shape)) / math.sqrt(x.size)]
+    for j in range(robot.n):
+        directions.append(np.zeros(x.shape))
+        directions[-1][j, rng.integers(K)] = 1.0
+    for d in directions:
+        far, near = ((value(x + k * h * d) - value(x - k * h * d)) / (2 * k * h) for k in (2, 1))
+        by_differences = (4 * near - far) / 3  # Richardson
+        assert (gradient * d).sum() == pytest.approx(by_differences, abs=1e-6 * np.abs(gradient).max())
+
+
+def test_a_gradient_of_the_regressor_needs_no_physical_parameters():
+    """G of any sign and size, one with no mass at all: the sum of G W is linear in G, and its gradient by the motion."""
+    model, base, _ = modelled(TX40)
+    rng = np.random.default_rng(5)
+    motion = tuple(rng.standard_normal((3, 8, 6)))
+    G = rng.standard_normal((8, 6, base.b)) * 10.0 ** rng.uniform(-3, 3, base.b)
+    G[:, 2] = 0.0
+    gradients = regressor_gradient(model, base, motion, G)
+
+    def value(*motion):
+        return float((model.regressor(*motion)[..., base.columns] * G).sum())
+
+    for i in range(3):
+        d, h = rng.standard_normal((8, 6)), 1e-4
+        ends = [[x + k * h * d if m == i else x for m, x in enumerate(motion)] for k in (-2, -1, 1, 2)]
+        low, below, above, high = (value(*end) for end in ends)
+        slope = (8 * (above - below) - (high - low)) / (12 * h)
+        assert (gradients[i] * d).sum() == pytest.approx(slope, abs=1e-7 * np.abs(gradients[i]).max())
+
+
+@pytest.mark.parametrize(
+    "robot", [TX40, ASYMMETRIC, *LOADED], ids=["tx40", "asymmetric", "loaded scara", "loaded tx40"]
+)
+def test_the_jacobian_of_the_limits_is_that_of_differences(robot):
+    *_, direct = modelled(robot)
+    limits, basis, x = limits_of(robot, (direct,), 0.8, "here"), SERIES.basis(40), random_x(robot, share=0.3)
+    n, L = robot.n, len(limits.names)
+    slopes = limits.shares_and_slopes(motion_of(x, basis))[1]
+    J = limits.jacobian(slopes, basis, np.tile(np.arange(40)[:, None], (1, L)))
+    assert J.shape == (40 * L, x.size)
+    rng, h = np.random.default_rng(4), 1e-5
+    for _ in range(4):
+        d = rng.standard_normal(x.shape)
+        ends = np.array([limits.shares(motion_of(x + k * h * d, basis)) for k in (-2, -1, 1, 2)])
+        slope = (8 * (ends[2] - ends[1]) - (ends[3] - ends[0])) / (12 * h)
+        same = ends[0] * ends[-1] > 0  # where an effort changes its side, so does what load friction adds
+        for columns in (slice(0, 3 * n), slice(3 * n, None)):  # motion; efforts, whose shares are smaller by far
+            off, own = np.abs((J @ d.ravel()).reshape(40, L) - slope)[:, columns], same[:, columns]
+            assert own.mean() > 0.9
+            assert off[own].max() < 1e-6 * np.abs(J.reshape(40, L, -1)[:, columns]).max()
+
+
+def test_torque_without_coulomb_friction_is_that_of_the_direct_model():
+    *_, direct = modelled(ASYMMETRIC)
+    motion = tuple(np.random.default_rng(0).standard_normal((3, 30, 6)))
+    u = motion[1] @ direct.directions.T
+    coulomb = (direct.up * (u > 0) - direct.down * (u < 0)) @ direct.directions
+    smooth = torque_without_sliding(direct, motion, torque_of_links(direct, motion))[0]
+    assert smooth + coulomb == pytest.approx(direct.torque(*motion), abs=1e-10)
+
+
+def test_efforts_count_friction_at_its_full_size():
+    robot = with_text("tx40", "following_error_deg = 15", "following_error_deg = 15\neffort_nm = 60", 1)
+    *_, direct = modelled(robot)
+    limits = limits_of(robot, (direct,), 0.5, "here")
+    assert limits.coulomb[0] == pytest.approx(6.9822)
+    assert limits.allowed[0] == pytest.approx(30 - 6.9822)
+    # Motor 5 gives (tau5 - tau6) / 45: the friction of joint 5, of joint 6 and, at both, of motor 6.
+    assert limits.effort.names[-1] == "motor motor_5"
+    motion = motion_of(random_x(robot), SERIES.basis(200))
+    tau = direct.torque(*motion)
+    shares = np.abs(tau @ limits.effort.directions.T / limits.effort.limits).max(axis=0)
+    assert (limits.share_of_whole(motion)[18:] >= shares * (1 - 1e-9)).all()
+    assert limits.share_of_whole(motion)[18] <= (np.abs(tau[:, 0]).max() + 2 * 6.9822) / 60
+
+
+def test_information_is_that_of_least_squares():
+    """sigma against the covariance of an explicit weighted regression."""
+    model, base, _ = modelled(SCARA)
+    information = information_of(SCARA, model, base)
+    motion = motion_of(random_x(SCARA), SERIES.basis(60))
+    W = model.regressor(*motion)[..., base.columns]
+    rows = (W / information.noise[:, None]).reshape(-1, base.b) * math.sqrt(300 / 60)
+    covariance = np.linalg.inv(rows.T @ rows)
+    assert information.sigma(motion) == pytest.approx(np.sqrt(np.diag(covariance)), rel=1e-9)
+    more = replace(information, earlier=3 * rows.T @ rows)
+    assert more.sigma(motion) == pytest.approx(0.5 * np.sqrt(np.diag(covariance)), rel=1e-9)
+
+
+@pytest.fixture(scope="module")
+def tx40_excitation():
+    robot = with_text("tx40", "following_error_deg = 15\n", "following_error_deg = 15\neffort_nm = 60\n", 1)
+    settings = ExcitationSettings(period_s=5.0, harmonics=5, periods=1)
+    said = []
+    return robot, excite(robot, settings, prior_information(robot), "here", said.append), said
+
+
+def test_the_reference_tells_more_than_the_plain_one_in_all_parameters(tx40_excitation):
+    _, found, said = tx40_excitation
+    smaller = found.plain / found.sigma
+    assert np.median(smaller) > 1.7
+    assert smaller.min() > 0.9
+    assert len(said) > 10
+    assert said[-1].startswith("search 1 of 1: deviations 0.")
+
+
+def test_the_reference_keeps_its_limits_between_the_samples_of_the_search(tx40_excitation):
+    robot, found, _ = tx40_excitation
+    q, dq, ddq = motion = found.reference.at(np.linspace(0, 5, 5001))
+    for j, joint in enumerate(robot.joints):
+        low, high = joint.si("position")
+        assert np.abs(q[:, j] - (low + high) / 2).max() <= 0.8 * (high - low) / 2
+        assert np.abs(dq[:, j]).max() <= 0.8 * joint.si("speed")
+        assert np.abs(ddq[:, j]).max() <= 0.8 * joint.si("acceleration")
+    *_, direct = modelled(robot)
+    torque = np.abs(direct.torque(*motion))[:, 0].max()
+    assert 0.5 * 60 < torque <= 0.8 * 60
+    assert (found.used > 0.797).sum() >= 9  # most limits of position and speed, and one effort, are used to the full
+    names = dict(zip(found.limits.names, found.used, strict=True))
+    assert names["effort of joint joint_1"] >= torque / 60 - 1e-3
+
+
+def test_the_same_seed_gives_the_same_reference():
+    one, two, other = (excite(SCARA, replace(SHORT, seed=seed), prior_information(SCARA), "here") for seed in (4, 4, 5))
+    assert np.array_equal(one.table()[1], two.table()[1])
+    assert not np.array_equal(one.table()[1], other.table()[1])
+
+
+def test_what_leaves_the_limits_is_drawn_to_what_keeps_them_even_if_its_rest_does_not():
+    """The position at the ends is a hair beyond its limit: drawn to rest there nothing would be left of the motion."""
+    limits = limits_of(SCARA, (), 0.8, "here")
+    start = random_x(SCARA, share=0.4)
+    x = 2.5 * start
+    x[0, 0] = limits.middle[0] + limits.maximum[0, 0] * (1 + 1e-9)
+    rest, most = search.shrink(x, SERIES.basis(400), limits)
+    assert most > 1
+    assert not rest[:, 1:].any()
+    found, most = search.shrink(x, SERIES.basis(400), limits, start, 0.99)
+    assert 0.98 < most <= 0.99
+    assert limits.largest(motion_of(found, SERIES.basis(400)))[0] == most
+    share = (found - start)[x != start] / (x - start)[x != start]
+    assert share == pytest.approx(share.mean())
+    assert share.mean() > 0.05
+
+
+def test_a_search_that_makes_no_parameter_worse_goes_before_one_of_less_criterion(monkeypatch):
+    sigmas = iter(np.array([[0.3, 1.2], [0.9, 0.9], [0.8, 0.95], [0.9, 1.0]]))
+    starts = [random_x(SCARA, seed=seed, share=0.4) for seed in range(4)]
+    monkeypatch.setattr(search, "STARTS", 4)
+    monkeypatch.setattr(search, "_random_start", lambda problem, seed: starts[seed - 4])
+    monkeypatch.setattr(search, "best_series", lambda problem, start, say: start)
+    information = SimpleNamespace(sigma=lambda motion: next(sigmas))
+    limits = limits_of(SCARA, (), 0.8, "here")
+    problem = search.SearchProblem(series=SERIES, information=information, limits=limits, plain=np.ones(2))
+    x, sigma = search.best_of_searches(problem, 1, "here", lambda text: None)
+    assert x is starts[2]
+    assert sigma.tolist() == [0.8, 0.95]
+
+
+def test_searches_that_all_leave_a_limit_end_in_one_line(monkeypatch):
+    monkeypatch.setattr(search, "best_series", lambda problem, start, say: 2 * start)
+    told = r"no reference keeps the limits: \w+ of joint \w+ is exceeded by .* another seed or"
+    with pytest.raises(RobotIdimError, match=told):
+        excite(SCARA, ExcitationSettings(period_s=2.0, harmonics=3), prior_information(SCARA), "here")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "harmonics", "says"),
+    [
+        ("bandwidth_hz = 5.0", "bandwidth_hz = 1.0", 8, "harmonics 3 or fewer, or period_s 24"),
+        ("bandwidth_hz = 5.0", "bandwidth_hz = 0.1", 10, "expected period_s 300 or longer"),
+        ("speed_deg_s = 180\n", "", 10, "joint[0].speed_deg_s: joint shoulder states none"),
+        ("acceleration_deg_s2 = 1500\n", "", 10, "joint[0].acceleration_deg_s2: joint shoulder states none"),
+        ("[-120, 120]", "[-120, 120]\neffort_nm = 0.9", 10, "joint shoulder: Coulomb friction of 0.82 N m"),
+        ("counts_per_turn = 262144", "counts_per_turn = 1e11", 2, "(motor_1) = "),
+    ],
+)
+def test_what_cannot_be_is_refused_in_one_line(old, new, harmonics, says):
+    robot = with_text("scara", old, new, 1)
+    with pytest.raises((RobotIdimError, RobotIdimError)) as caught:
+        excite(robot, ExcitationSettings(harmonics=harmonics), prior_information(robot), "here")
+    assert says in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_gravity_that_a_joint_cannot_hold_is_refused():
+    robot = with_text("tx40", "acceleration_deg_s2 = 2500", "acceleration_deg_s2 = 2500\neffort_nm = 24")
+    robot = replace(robot, gravity=np.array([9.81, 0.0, 0.0]))
+    with pytest.raises(RobotIdimError, match=r"joint_2 needs [0-9.]+ N m to leave rest .* effort limit of 24"):
+        excite(robot, ExcitationSettings(), prior_information(robot), "here")
+
+
+NOT_CHECKED = "torque not checked: no parameters, neither a fit nor [parameters]"
+NOT_LIMITED = "torque of joint shoulder, elbow is not limited: no effort_nm or effort_n, no saturation of its motor"
+LEFT_OUT = "load friction (mu1, mu2) is not in the criterion, but in the effort limits"
+
+
+@pytest.mark.parametrize(
+    ("robot", "warnings"),
+    [
+        (SCARA, ()),
+        (robot_named("scara"), (NOT_LIMITED,)),  # the range of the object that reports an effort is no limit
+        (without_parameters(SCARA), (NOT_CHECKED,)),
+        (LOADED[0], (LEFT_OUT,)),
+        (without_parameters(LOADED[0]), (NOT_CHECKED, LEFT_OUT)),
+    ],
+)
+def test_what_is_not_checked_or_not_in_the_criterion_is_told(robot, warnings):
+    found = excite(robot, SHORT, prior_information(robot), "here")
+    assert found.warnings == warnings
+    assert len(found.limits.effort.limits) == (2 if set(warnings) <= {LEFT_OUT} else 0)
+    assert not {"mu1", "mu2"} & set(found.base.names)
+    if NOT_CHECKED in warnings:
+        assert (found.beta, found.noise.tolist()) == (None, [1.0, 1.0])
+    else:
+        model, base, _ = modelled(robot)
+        values = dict(zip(base.names, described_parameters(model, base), strict=True))
+        assert found.beta.tolist() == [values[name] for name in found.base.names]
+
+
+def test_noise_is_stated_or_that_of_a_fit_or_a_share_of_the_torque(tmp_path):
+    model, base, direct = modelled(SCARA)
+    motions = [motion_of(random_x(SCARA), SERIES.basis(100))]
+    rms = np.sqrt((direct.torque(*motions[0]) ** 2).mean(axis=0))
+    knowledge = prior_information(SCARA)
+    assert torque_noise(SCARA, direct, knowledge, motions)[0] == pytest.approx(0.02 * rms)
+    assert torque_noise(SCARA, direct, prior_information(SCARA, noise=(0.3,)), motions)[0].tolist() == [0.3, 0.3]
+    with pytest.raises(RobotIdimError, match=r"noise.*expected one number, or one for each of 2 joints"):
+        prior_information(SCARA, noise=(1.0, 2.0, 3.0))
+    beta = described_parameters(model, base)
+    values = zip(base.names, beta, base.units, strict=True)
+    parameters = [{"name": n, "value": v, "unit": u, "sigma": 0.1} for n, v, u in values]
+    joints = [{"moving_relative_error_percent": 5.0, "autocorrelation": 0.6}] * 2
+    (tmp_path / "fit.json").write_text(json.dumps({"parameters": parameters, "joints": joints, "method": "iv"}))
+    known = prior_information(SCARA, fit=tmp_path / "fit.json")
+    assert (known.warnings, known.beta_from) == ((), "fit.json")
+    assert known.beta == pytest.approx(beta)
+    assert torque_noise(SCARA, direct, known, motions)[0] == pytest.approx(0.05 * 2 * rms)  # sqrt(1.6 / 0.4) = 2
+
+
+@pytest.fixture(scope="module")
+def earlier(tmp_path_factory):
+    """Simulated recordings of the SCARA, as it is and with load friction."""
+    folder = tmp_path_factory.mktemp("earlier")
+    for name, robot in (("plain", SCARA), ("loaded", loaded_scara(("viscous", "coulomb", "load")))):
+        q_ref = fourier_reference(robot, period_s=3.0, seed=1).at(np.arange(3001) / 1000)[0]
+        write_signals(folder / name, closed_loop(robot, q_ref, 1000.0, noise=Noise(), seed=1), source="simulated")
+    return folder
+
+
+@pytest.mark.parametrize("name", ["plain", "loaded"])
+def test_earlier_recordings_add_what_their_least_squares_know_of_all_but_load_friction(name, earlier):
+    signals = load_signals(earlier / name)
+    knowledge = prior_information(signals.robot, after=[earlier / name] * 2)
+    _, every, _ = modelled(signals.robot)
+    noise, base = np.array([0.2, 0.01]), every.without([n for n in every.names if n.startswith("mu")])
+    assert len(base.names) == len(every.names) - 2 * (name == "loaded")
+    M = earlier_information(base, noise, knowledge.recordings[:1])
+    assert earlier_information(base, noise, knowledge.recordings) == pytest.approx(2 * M)
+    system = rows_of_recording(replace(make_problem(signals, Overrides()), base=base)).system
+    rows = system.W[system.used > 0] / noise[system.joint_of_row[system.used > 0], None]
+    assert pytest.approx(rows.T @ rows) == M
+    with pytest.raises(RobotIdimError, match=r"robot = .SCARA.: expected a recording of the described robot"):
+        earlier_information(base_parameters(InverseModel(TX40)), np.ones(6), knowledge.recordings)
+
+
+def test_the_command_writes_a_reference_that_can_be_tracked(earlier, tmp_path, capsys):
+    out, rrd = tmp_path / "ref.csv", tmp_path / "ref.rrd"
+    toml = REPLAY / "scara" / "robot.toml"
+    options = ["--period=3", "--harmonics=3", "--periods=2", f"--after={earlier / 'plain'}", f"--rrd={rrd}"]
+    assert main(["excite", str(toml), "-o", str(out), *options]) == 0
+    printed = capsys.readouterr().out
+    assert "SCARA: reference of 2 x 3 s, 3 harmonics up to 1 Hz, seed 1" in printed
+    assert "times smaller than with the plain reference (median)" in printed
+    assert "20 random ones with 3 harmonics and the same share of all limits" in " ".join(printed.split())
+    robot = load_robot(toml)
+    path = table_reference(out, robot, robot.bus.sync_period_s)  # as `record --track` reads it
+    check_limits(path, robot, robot.bus.sync_period_s, str(out))
+    assert len(path) == 6001
+    assert path[0] == pytest.approx(path[-1], abs=1e-9)
+    assert path[0] == pytest.approx(path[3000], abs=1e-6)
+    assert rrd.stat().st_size > 10_000
+    assert main(["excite", str(toml), "-o", str(toml)]) == 1
+    assert main(["excite", str(toml), "-o", str(out), "--harmonics", "30"]) == 1
+    assert "above a third of the bandwidth of 5 Hz" in capsys.readouterr().err
+
+
+def capsules(text, base_m=0.1, names="ab"):
+    """A planar arm of links of 1 m that can hit its own base."""
+    toml = f"""
+name = "arm"
+gravity_m_s2 = [0, 0, 0]
+base_capsule = {{ radius_m = {base_m}, from_m = [0, 0, 0], to_m = [0, 0, 0.5] }}
+"""
+    for name, d_m in zip(names, (0, *(1,) * (len(names) - 1)), strict=True):
+        toml += f"""
+[[joint]]
+name = "{name}"
+type = "revolute"
+dh = {{ alpha_deg = 0, d_m = {d_m}, theta_deg = 0, r_m = 0 }}
+position_deg = [-175, 175]
+speed_deg_s = 180
+acceleration_deg_s2 = 900
+capsule = {{ radius_m = 0.1, from_m = [0.2, 0, 0], to_m = [1, 0, 0] }}
+[[motor]]
+name = "m{name}"
+effort_unit = "N m"
+"""
+    return robot_from_files({"robot.toml": f"{text}{toml}[controller]\nbandwidth_hz = 10\n".encode()}, "here")
+
+
+def obstacles_in(robot, find=lambda name: None, poses=((0.0, 0.0),)):
+    return obstacles_of(InverseModel(robot), find, np.array(poses), 0.02)
+
+
+def test_distances_are_those_of_geometry():
+    obstacles = obstacles_in(capsules("ground_m = -0.3"))
+    assert obstacles.names == ("ground and link of a", "ground and link of b", "base and link of b")
+    assert obstacles.near == ()
+    apart = obstacles.distances(np.array([[0.3, 0.0], [0.3, np.pi - 1e-3]]))
+    assert apart[:, :2] == pytest.approx(0.3 - 0.1)
+    # Folded back, link b ends at the axis of joint a: its axis runs within 1 mm of that of the base.
+    assert apart[1, 2] == pytest.approx(-0.2, abs=2e-3)
+    assert obstacles.nearest(np.array([[0.3, 0.0], [0.3, np.pi - 1e-3]])) == (apart[1, 2], "base and link of b")
+
+
+def test_pairs_that_are_adjacent_or_always_near_are_left_out():
+    """Stretched out: the base reaches into link b, links are 0.2 m or more apart."""
+    robot = capsules("ground_m = -0.3", 1.15, "abcde")
+    obstacles = obstacles_in(robot, poses=np.zeros((3, 5)))
+    apart = ["base and c", "base and d", "base and e", "a and c", "a and d", "a and e", "b and d", "b and e", "c and e"]
+    checked = [name.replace("link of ", "") for name in obstacles.names]
+    assert checked == [f"ground and {name}" for name in "abcde"] + apart
+    assert obstacles.near == ("base and link of b",)
+    along = zip(apart, (2.2, 3.2, 4.2, 1.2, 2.2, 3.2, 1.2, 2.2, 1.2), strict=True)
+    expected = [x - (1.15 if "base" in name else 0.1) - 0.1 for name, x in along]
+    assert obstacles.distances(np.zeros((1, 5)))[0] == pytest.approx([0.2] * 5 + expected)
+
+
+def bent(q, base_m):
+    """Distance of link b to the base of `capsules`, link b folded back towards it."""
+    s = np.linspace(0.2, 1.0, 801)
+    return np.sqrt(1 + s**2 + 2 * s * np.cos(q[:, 1:])).min(axis=1) - 0.1 - base_m
+
+
+def unchecked(monkeypatch, robot, settings):
+    """Positions along the reference that is found without a check of distances."""
+    with monkeypatch.context() as patched:
+        patched.setattr(search, "MARGIN_M", -np.inf)
+        return excite(robot, settings, prior_information(robot), "here").reference.at(np.linspace(0, 4, 3001))[0]
+
+
+@pytest.mark.parametrize(("base_m", "seed", "stays"), [(0.95, 3, True), (1.03, 2, False), (1.03, 3, False)])
+def test_links_keep_their_distance_between_the_samples_of_the_search(monkeypatch, base_m, seed, stays):
+    """Where the reference keeps it without a check it stays; one that goes through the base is moved."""
+    robot, settings = capsules("", base_m), ExcitationSettings(period_s=4.0, harmonics=4, seed=seed)
+    found = excite(robot, settings, prior_information(robot), "here")
+    q = found.reference.at(np.linspace(0, 4, 3001))[0]
+    apart = bent(q, base_m).min()
+    assert 0.0199 < apart < 0.06  # it goes near, and no nearer
+    free = bent(unchecked(monkeypatch, robot, settings), base_m).min()
+    assert apart == free if stays else free < 0
+    assert found.nearest == (pytest.approx(apart, abs=1e-3), "base and link of b")
+    told = f"nearest: base and link of b, {found.nearest[0]:.3f} m apart"
+    assert excitation_document(found).sections[1].lines == (told,)
+    assert found.used.max() <= 0.8 + 1e-6
+
+
+def test_a_robot_whose_links_are_near_each_other_at_rest_is_refused():
+    """Too near over the half of its range that may be used for rest; farther apart at the ends."""
+    text = capsules("", 0.95).files["robot.toml"].decode()
+    folded = text.replace("d_m = 1, theta_deg = 0", "d_m = 1, theta_deg = 180")
+    robot = robot_from_files({"robot.toml": folded.encode()}, "here")
+    with pytest.raises(RobotIdimError, match=r"keeps the limits: base and link of b are -\d.\d+ m apart at rest"):
+        excite(robot, ExcitationSettings(period_s=4.0, harmonics=4), prior_information(robot), "here")
+
+
+def test_shapes_that_touch_in_the_middle_and_meshes_that_are_not_found_are_named(tmp_path):
+    assert obstacles_in(capsules("ground_m = -0.05")).near == ("ground and link of a", "ground and link of b")
+    shape = '<collision><origin xyz="0 0 0.5"/><geometry>{}</geometry></collision>'
+    sphere, mesh = shape.format('<sphere radius="0.1"/>'), shape.format('<mesh filename="package://none/a.stl"/>')
+
+    def arm(solid):
+        urdf = TURN_AND_SLIDE.format(effort="80").replace('<link name="base"/>', f'<link name="base">{sphere}</link>')
+        urdf = urdf.replace('<link name="slide"/>', f'<link name="slide">{solid}</link>')
+        urdf = urdf.replace('<child link="slide"/>', '<child link="slide"/><origin xyz="3 0 0"/>')
+        files = {"robot.toml": TURN_AND_SLIDE_TOML.format(elbow="", rail="").encode(), "robot.urdf": urdf.encode()}
+        return robot_from_files(files, "here")
+
+    obstacles = obstacles_in(arm(sphere))
+    assert obstacles.names == ("base and slide",)
+    assert obstacles.distances(np.array([[0.0, 0.5]]))[0] == pytest.approx([3.5 - 0.2])
+    assert obstacles_in(arm(mesh)).missing == ("package://none/a.stl",)
+    (tmp_path / "a.stl").write_text("no mesh")
+    with pytest.raises(RobotIdimError, match=r"URDF: a collision shape cannot be read: .*a\.stl") as caught:
+        obstacles_in(arm(mesh), lambda name: tmp_path / "a.stl")
+    assert str(caught.value).count("\n") == 0
+    # Two plates as a V that opens towards the base: its hull is nearer than its edges.
+    corners = [(x, y, z) for x, y in ((-0.3, 1), (0.3, 0), (-0.3, -1)) for z in (-0.1, 0.1)]
+    faces = [(1, 2, 3), (2, 4, 3), (3, 4, 5), (4, 6, 5)]
+    lines = [f"v {x} {y} {z}" for x, y, z in corners] + [f"f {a} {b} {c}" for a, b, c in faces]
+    (tmp_path / "a.obj").write_text("\n".join(lines) + "\n")
+    meshed = obstacles_in(arm(mesh), lambda name: tmp_path / "a.obj")
+    assert (meshed.missing, meshed.names) == ((), ("base and slide",))
+    assert meshed.distances(np.array([[0.0, 0.5]])) == pytest.approx(3.5 - 0.3 - 0.1, abs=1e-4)
+
+
+def test_the_page_shows_the_reference_between_its_limits(tx40_excitation, tmp_path):
+    robot, found, _ = tx40_excitation
+    write_rrd(tmp_path / "a.rrd", draw_excitation(found, excitation_document(found)))
+    file = Written(tmp_path / "a.rrd")
+    *_, direct = modelled(robot)
+    for j, joint in enumerate(robot.joints):
+        for quantity, key in (("q", "position"), ("dq", "speed"), ("torque", None)):
+            t_ns, values = file.curves[f"/{quantity}/{joint.name}/reference"]
+            motion = found.reference.at(1e-9 * t_ns)
+            expected = direct.torque(*motion) if key is None else motion[("position", "speed").index(key)]
+            assert values == pytest.approx(expected[:, j], rel=1e-6, abs=1e-6)
+            low, high = (file.curves.get(f"/{quantity}/{joint.name}/{end}") for end in ("low", "high"))
+            if key == "speed":
+                assert high[1].tolist() == [joint.si("speed")] * 2
+            elif key == "position":
+                assert (low[1][0], high[1][0]) == joint.si("position")
+            elif j == 0:
+                assert [low[1][0], high[1][0]] == pytest.approx([-60.0, 60.0])
+        turns = np.array(file.moving[f"/robot/reference/joints/{j + 1}"]["Transform3D:quaternion"])[:, 0]
+        t_s = np.array([t.total_seconds() for t in file.moving[f"/robot/reference/joints/{j + 1}"]["time"]])
+        turned = np.abs(np.diff(found.reference.at(t_s)[0][:, j]))
+        share = np.abs((turns[1:] * turns[:-1]).sum(axis=1)).clip(max=1.0)
+        assert 2 * np.arccos(share) == pytest.approx(turned, abs=2e-3)
+    marks = [mark for chart in interval_charts(found) for mark in chart.columns[0].marks]
+    halves = [[mark.value for mark in marks if mark.color == color] for color in (ORANGE, GREY)]
+    assert halves == [pytest.approx(found.half), pytest.approx(found.plain_half)]
+
+
+def test_the_report_has_the_intervals_and_the_limits_in_use(tx40_excitation):
+    _, found, _ = tx40_excitation
+    expected, limits = excitation_document(replace(found, warnings=("a warning",))).sections
+    first = expected.table.rows[0]
+    assert first[0] == "ZZ1R"
+    halves = [1.96 * found.sigma[0], 1.96 * found.plain[0], found.plain[0] / found.sigma[0]]
+    assert [cell.exact for cell in first[2:5]] == pytest.approx(halves, rel=1e-4)
+    assert limits.warnings[-1] == "a warning"
+    assert [row[0] for row in limits.table.rows] == [*(f"joint_{j}" for j in range(1, 7)), "motor motor_5"]
+    assert limits.table.rows[0][4].exact == pytest.approx(80.0, abs=0.5)
+
+
+PAYLOAD = Payload(2.0, (0.03, 0.02, 0.08))
+
+
+def loaded(robot, payload=PAYLOAD):
+    """The direct model with the payload."""
+    model, base, _ = modelled(robot)
+    chi = base.standard_parameters(described_parameters(model, base))
+    return direct_model(model, add_payload(model, chi, payload))
+
+
+@pytest.mark.parametrize("robot", [SCARA, TX40], ids=["scara", "tx40"])
+def test_limits_with_a_payload_are_those_of_both_robots(robot):
+    *_, direct = modelled(robot)
+    both, basis, x = limits_of(robot, (direct, loaded(robot)), 0.8, "here"), SERIES.basis(20), random_x(robot)
+    free, heavy = (limits_of(robot, (m,), 0.8, "here") for m in (direct, loaded(robot)))
+    n, motion = 3 * robot.n, motion_of(x, basis)
+    for name in ("shares", "share_of_whole"):
+        found, alone, other = (getattr(limits, name)(motion) for limits in (both, free, heavy))
+        assert found == pytest.approx(np.concatenate([alone, other[..., n:]], axis=-1))
+        assert np.abs(other - alone).max() > 1e-3
+    slopes = [limits.shares_and_slopes(motion)[1] for limits in (both, free, heavy)]
+    assert slopes[0] == pytest.approx(np.concatenate(slopes[1:], axis=2))
+    assert len(both.names) == both.shares(motion).shape[1]
+
+
+def test_a_reference_for_a_payload_keeps_the_efforts_with_and_without_it():
+    robot = with_text("scara", "following_error_deg = 15\n", "following_error_deg = 15\neffort_nm = 40\n", 1)
+    settings, knowledge = ExcitationSettings(period_s=4.0, harmonics=4), prior_information(robot, payload=PAYLOAD)
+    found = excite(robot, settings, knowledge, "here")
+    motion = found.reference.at(np.linspace(0, 4, 2001))
+    *_, direct = modelled(robot)
+    without, carrying = (np.abs(model.torque(*motion))[:, 0].max() for model in (direct, loaded(robot)))
+    assert without < carrying
+    assert 0.9 * 32 < carrying <= 0.8 * 40
+    expected, limits = excitation_document(found).sections
+    told = "drive gains by a run without and a run with 2 kg at 0.03, 0.02, 0.08 ± 0.005 m"
+    assert expected.lines[-1].startswith(told)
+    assert [row[0] for row in limits.table.rows][-2:] == ["shoulder with the payload", "elbow with the payload"]
+
+
+def test_the_half_widths_of_gains_are_those_of_a_fit():
+    case = next(c for c in CASES if c.robot == "scara")
+    pair = pair_of(case, 1)
+    fit = identify(Recordings(sources=(pair.free, pair.loaded)), Overrides(gains=("all",)))
+    model, base = fit.problem.model, fit.base
+    arm = direct_model(model, base.standard_parameters(fit.beta))
+    carried = direct_model(model, add_payload(model, base.standard_parameters(fit.beta), Payload(2.0, CENTRE["scara"])))
+    q = pair.free.q_ref
+    motion = q, np.gradient(q, 1e-3, axis=0), np.gradient(np.gradient(q, 1e-3, axis=0), 1e-3, axis=0)
+    noise, rows = np.std(fit.tau - fit.tau_predicted, axis=0), len(fit.tau) / 2
+    information = replace(information_of(pair.free.robot, model, base), noise=noise, rows=rows, creep=np.zeros(2))
+    # as the fit, without centre of mass
+    found = 1.96 * information.gain_deviations(motion, (arm, carried), Payload(2.0))
+    # the fit leaves out slow rows, counts correlation, and has friction of each run
+    ratio = fit.gains.half / fit.gains.values / found
+    assert ((ratio > 1.0) & (ratio < 1.4)).all()
+    known = information.gain_deviations(motion, (arm, carried), Payload(2.0, CENTRE["scara"]))
+    assert (known < found / 1.96).all()
+
+
+def test_a_payload_without_torques_is_refused(tmp_path, capsys):
+    (tmp_path / "robot.toml").write_bytes(without_parameters(robot_named("scara")).files["robot.toml"])
+    command = ["excite", str(tmp_path / "robot.toml"), "-o", str(tmp_path / "ref.csv"), "--payload"]
+    assert main([*command, "2@0,0,0.1"]) == 1
+    assert "--payload = '2.0@0.0,0.0,0.1'" in (err := capsys.readouterr().err)
+    assert "without parameters and drive gains" in err
+    assert main([*command, "two"]) == 1
+    assert "KG@X,Y,Z" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("robot", LOADED, ids=["scara", "tx40"])
+def test_efforts_count_load_friction_against_the_motion(robot):
+    model, base, direct = modelled(robot)
+    limits, basis, x = limits_of(robot, (direct,), 0.8, "here"), SERIES.basis(40), random_x(robot, share=0.3)
+    motion = motion_of(x, basis)
+    n = robot.n
+    of_links = torque_of_links(direct, motion)
+    smooth = torque_without_sliding(direct, motion, of_links)[0]
+    mu = described_parameters(model, base)[list(load_friction(model, base).places)]
+    scaled = limits.effort.directions / limits.allowed[:, None]
+    expected = np.abs(smooth @ scaled.T) + (mu * np.abs(of_links[0])) @ np.abs(scaled).T
+    used, _ = limits.shares_and_slopes(motion)
+    assert np.abs(used[:, 3 * n :]) == pytest.approx(expected)
+    assert limits.shares(motion) == pytest.approx(used)
+    true = np.abs(direct.torque(*motion) @ limits.effort.directions.T / limits.effort.limits).max(axis=0)
+    assert (limits.share_of_whole(motion)[3 * n :] >= true * (1 - 1e-9)).all()

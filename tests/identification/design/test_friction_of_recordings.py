@@ -1,0 +1,249 @@
+"""The choice of friction terms by several recordings: held out one by one, against least squares by hand; their page."""
+
+import dataclasses
+import json
+from functools import cache
+
+import msgspec
+import numpy as np
+import pytest
+from conftest import REPLAY
+from friction_models import LOAD, ROOT, WITHOUT_LAG, recorded, upright
+from scipy import stats
+
+from identification import view
+from identification.commands import main
+from identification.data import Recordings
+from identification.design import select_friction, with_terms
+from identification.design.selection import Trial, smallest_near_best
+from identification.errors import RobotIdimError
+from identification.methods import identify_ls
+from identification.regression import make_problem, rows_of_recording, torque_of_recording, weights_at
+from identification.study import write_signals
+from identification.view import charts
+
+USUAL = ["viscous", "coulomb"]
+MORE = "Fr1 = 0.8\nmu1 = 0.3\nmu2 = 0.3\n"
+
+
+def with_own(robot, *own: str):
+    return dataclasses.replace(robot, identification=msgspec.structs.replace(robot.identification, own=own))
+
+
+@cache
+def several(own: tuple[str, ...] = ()):
+    """Three recordings, one shorter, of a robot with root friction at the shoulder and load friction at both joints."""
+    usual = [*USUAL, "offset"] if own else USUAL
+    robot = with_own(upright([[*usual, "root", "load"], [*usual, "load"]], MORE), *own)
+    found = []
+    for seed, duration_s in ((1, 6.0), (2, 4.0), (3, 6.0)):
+        signals = recorded(robot, seed, duration_s=duration_s)
+        if own:
+            signals = dataclasses.replace(signals, effort=signals.effort + seed * np.array([3.0, 0.5]))
+        found.append(dataclasses.replace(signals, recording=f"r{seed}.mcap", sha256=f"{seed:064x}"))
+    return tuple(found)
+
+
+@cache
+def chosen(own: tuple[str, ...] = ()):
+    return select_friction(Recordings(sources=several(own)), WITHOUT_LAG)
+
+
+def weighted_regressor(problem) -> np.ndarray:
+    """W (n, rows, b) with every column computed at the recording's rate."""
+    s = problem.settings
+    m = problem.motion.between(s.start, s.stop, s.cutoff_hz)
+    whole = problem.model.regressor(m.q, m.dq, m.ddq)[..., problem.base.columns]
+    return s.decimator.filtered(weights_at(problem, m.t_s)[:, None] * whole.transpose(1, 2, 0)).transpose(0, 2, 1)
+
+
+@pytest.mark.parametrize(("count", "own"), [(1, ()), (3, ()), (3, ("Off",))])
+def test_parts_are_held_out_one_by_one(count, own):
+    """By hand: weighted rows of the other parts, recordings or fifths, error of moving rows; own offsets fitted to it."""
+    recordings = Recordings(sources=several(own)[:count])
+    choice = chosen(own) if count > 1 else select_friction(recordings, WITHOUT_LAG)
+    assert choice.recommended.terms == (ROOT | LOAD, LOAD)
+    w = identify_ls(recordings, choice.overrides).estimate.weights[:, None]
+    problems = [make_problem(signals, choice.overrides) for signals in recordings.sources]
+    plain = [rows_of_recording(problem) for problem in problems]
+    tau, speed, fast = (np.concatenate([getattr(one, name) for one in plain]).T for name in ("tau", "speed", "counts"))
+    W = np.concatenate([weighted_regressor(problem) for problem in problems], axis=1)
+    Y = np.concatenate([one.system.Y.reshape(len(w), -1, 1) for one in plain], axis=1)
+    if count > 1:
+        assert choice.held_out == ("r1.mcap", "r2.mcap", "r3.mcap")
+        part = np.repeat(range(count), [len(one.tau) for one in plain])
+    else:
+        edges = np.round(np.arange(1, 5) * len(tau.T) / 5)
+        part = np.searchsorted(edges, np.arange(len(tau.T)), side="right")
+    moving = np.abs(speed) > 0.02 * np.abs(speed).max(axis=1, keepdims=True)
+    off, fitted = np.array([name.startswith("Off") for name in plain[0].system.names]), []
+    for k in range(part.max() + 1):
+        A = np.concatenate([W[..., ~off], *(W[..., off] * (part == i)[:, None] for i in range(part.max() + 1))], axis=2)
+        of_others, of_part = fast & (part != k), fast & (part == k)
+        beta = np.zeros(len(off))
+        beta[~off] = np.linalg.lstsq((A * w[..., None])[of_others], (Y[..., 0] * w)[of_others])[0][: (~off).sum()]
+        if off.any():
+            rho = Y[..., 0] - W @ beta
+            beta[off] = np.linalg.lstsq((W[..., off] * w[..., None])[of_part], (rho * w)[of_part])[0]
+        rho = Y[..., 0] - W @ beta
+        assert choice.usual.scores[k] == pytest.approx((((rho * w)[of_part]) ** 2).sum(), rel=1e-6)
+        fitted.append(beta)
+    of_each = [(problem, fitted if count == 1 else fitted[k : k + 1]) for k, problem in enumerate(problems)]
+    predicted = np.concatenate([torque_of_recording(problem, *betas)[1] for problem, betas in of_each]).T
+    for k in range(part.max() + 1):
+        shown = moving & (part == k)
+        error = 100 * np.linalg.norm((tau - predicted)[shown]) / np.linalg.norm(tau[shown])
+        assert choice.usual.held_out_percents[k] == pytest.approx(error, rel=1e-6)
+
+
+def test_terms_whose_interval_holds_0_go_joint_by_joint():
+    """Root and load friction at all joints predict best; in a fit of these the root of the elbow is not seen."""
+    both = next(trial for trial in chosen().trials if trial.terms == (ROOT | LOAD,) * 2)
+    assert both.significant_terms == chosen().recommended.terms
+    sources = (dataclasses.replace(one, robot=with_terms(one.robot, both.terms)) for one in several())
+    fit = identify_ls(Recordings(sources=tuple(sources)), WITHOUT_LAG)
+    t = dict(zip(fit.estimate.names, fit.estimate.beta / fit.intervals.sigma, strict=True))
+    limit = stats.t.isf(0.02 / 2 / 6, fit.intervals.freedom)  # three terms at two joints are tried
+    assert abs(t["Fr2"]) < limit < min(t["Fr1"], t["mu1"], t["mu2"])
+
+
+def test_of_sets_within_one_standard_error_of_the_best_the_smallest_is_taken():
+    def trial(count, *scores):
+        terms = tuple(frozenset({"root"} if k < count else ()) for k in range(3))
+        errors = {"fitted_error_percent": 1.0, "held_out_percents": np.ones(4)}
+        return Trial(terms=terms, significant_terms=terms, scores=np.array(scores, dtype=float), **errors)
+
+    best, near, far = trial(3, 9, 11, 10, 10), trial(2, 11, 10, 12, 9), trial(1, 12, 14, 12, 13)
+    # The paired differences have the means 0.5 and 2.75 and the standard errors 0.87 and 0.25.
+    assert smallest_near_best([far, near, best]) is near
+    assert smallest_near_best([far, best]) is best
+
+
+def test_the_choice_does_not_depend_on_the_order_of_the_recordings():
+    again = select_friction(Recordings(sources=several()[::-1]), WITHOUT_LAG)
+    assert [trial.terms for trial in again.trials] == [trial.terms for trial in chosen().trials]
+    assert [trial.score for trial in again.trials] == [trial.score for trial in chosen().trials]
+
+
+def test_a_recording_that_the_others_cannot_predict_is_named():
+    """The elbow moves in one of three recordings: the others say nothing of it. Of two no part is left."""
+    still = []
+    for signals in several()[:2]:
+        q = signals.q.copy()
+        q[:, 1] = 0.3
+        still.append(dataclasses.replace(signals, q=q))
+    choice = select_friction(Recordings(sources=(*still, several()[2])), WITHOUT_LAG)
+    assert choice.held_out == ("r1.mcap", "r2.mcap")
+    (line,) = [line for line in choice.left_out if "predicted" in line]
+    assert line.startswith("r3.mcap cannot be predicted by the others: ")
+    assert "Fc2" in line
+    with pytest.raises(RobotIdimError) as refused:
+        select_friction(Recordings(sources=(still[0], several()[2])), WITHOUT_LAG)
+    assert (refused.value.key, refused.value.value) == ("parts held out", 1)
+    assert "r3.mcap cannot be predicted by the others" in str(refused.value)
+
+
+@pytest.mark.parametrize("names", [["r1.mcap"], ["r3.mcap", "r2.mcap", "r1.mcap"]])
+def test_the_command_prints_stores_and_writes_the_terms(names, tmp_path, capsys):
+    for signals in several():
+        write_signals(tmp_path / signals.recording, signals, source="test")
+    text = "gravity_m_s2 = [0, -9.81, 0] # it hangs\n" + (REPLAY / "scara" / "robot.toml").read_text()
+    toml, result = tmp_path / "robot.toml", tmp_path / "out.json"
+    stated = ["viscous = true", "coulomb = true # both"]
+    toml.write_text(text.replace("rotor_inertia", "\n".join([*stated, "rotor_inertia"]), 1))
+    options = ["--robot", str(toml), "--torque-lag-s", "none", "--json", str(result), "--write"]
+    assert main(["friction", *(str(tmp_path / name) for name in names), *options]) == 0
+    stored, several_names = json.loads(result.read_text()), names if len(names) > 1 else []
+    terms = {"shoulder": [*USUAL, "root", "load"], "elbow": [*USUAL, "load"]}
+    assert (stored["recommended"], stored["recording"]) == (terms, names[0])
+    assert [one["recording"] for one in stored.get("recordings", [])] == several_names
+    assert sorted(stored["held_out"]) == (sorted(several_names) or [f"fifth {k}" for k in range(1, 6)])
+    for one in stored["sets"]:
+        assert len(one["held_out_percents"]) == len(stored["held_out"])
+        assert one["held_out_error_percent"] == pytest.approx(np.mean(one["held_out_percents"]))
+        assert 0.1 < one["fitted_error_percent"] < one["held_out_error_percent"]
+    assert stored["sets"][0]["held_out_error_percent"] < 1
+    out, comments = capsys.readouterr().out, [f"# {line}" for line in stated]
+    expected = text.replace("rotor_inertia", "\n".join([*comments, "rotor_inertia"]), 1)
+    for joint, own in terms.items():
+        line = f"friction = {json.dumps(own)}"
+        assert f"{line} # {joint}\n" in out
+        expected = expected.replace(f'name = "{joint}"\n', f'name = "{joint}"\n{line}\n')
+    assert toml.read_text() == expected
+    sets = {cells[1].strip(): cells[-2].strip() for line in out.splitlines() if len(cells := line.split("│")) == 8}
+    assert {"root; load", "load", "asymmetric; root"} <= set(sets)  # no names where all joints have the term
+    assert (sets["root: shoulder; load"], sets["none"]) == ("recommended", "usual")
+    held = ", ".join(several_names) or "fifths of the recording"
+    assert f"held out: {held}, each predicted by the fit of the others" in " ".join(out.split())
+
+
+@pytest.mark.parametrize(("terms", "own"), [(["root"], ("Fv",)), (["root", "load"], ())])
+def test_the_page_has_each_joint_over_all_recordings(terms, own, monkeypatch):
+    """Rows of all recordings; curves and intervals of the shared parameters, at three loads; of own parameters the mean."""
+    monkeypatch.setattr(charts, "MAX_DOTS", 10**9)  # each row
+    values = "Fr1 = 0.8\nmu1 = 0.3\n" if len(terms) > 1 else "Fr1 = 0.8\n"
+    robot = with_own(upright([[*USUAL, *terms], USUAL], values), *own)
+    sources = tuple(dataclasses.replace(one, robot=robot) for one in several())
+    fit = identify_ls(Recordings(sources=sources), WITHOUT_LAG)
+
+    def columns(v, load, labels):
+        """(k, b) friction of the shoulder per unit of the parameters; of their own the mean over recordings."""
+        g = np.zeros((len(v), len(fit.estimate.names)))
+        shapes = {"Fv1": v, "Fc1": np.sign(v), "Fr1": np.sqrt(np.abs(v)) * np.sign(v), "mu1": load * np.sign(v)}
+        for i, (name, _, label) in enumerate(x.partition("@") for x in fit.estimate.names):
+            if name in shapes and label in ("", *labels):
+                g[:, i] = shapes[name] / (len(labels) if label else 1)
+        return g
+
+    def rows_of(fit, labels):
+        """Points (2, k) of the rows of the shoulder, whose curves and intervals are those of the parameters."""
+        shoulder, _ = charts.friction_charts(fit)
+        assert len(shoulder.curves) == 6 * (3 if "load" in terms else 1)
+        for curve, *edges in zip(*[iter(shoulder.curves)] * 3, strict=True):
+            v, torque = curve.line
+            g = columns(v, float(curve.name.split()[1]) if "load" in terms else 0.0, labels)
+            half = fit.intervals.reach * np.sqrt(np.sum(g @ fit.intervals.covariance * g, axis=1))
+            np.testing.assert_allclose(torque, g @ fit.estimate.beta, rtol=0.01)  # the load is rounded
+            for edge, side in zip(edges, (-1, 1), strict=True):
+                assert (edge.name, edge.dashed) == ("95 % interval", True)
+                np.testing.assert_allclose(edge.line[1] - torque, side * half, rtol=0.02)
+        return np.concatenate([points for points, _ in shoulder.dots]).T
+
+    whole, each = rows_of(fit, ["r1", "r2", "r3"]), []
+    for fitted, label in zip(fit.recordings, ("r1", "r2", "r3"), strict=True):
+        dots = rows_of(fit.on(fitted), [label])
+        v, rho = (x[fitted.rows, 0] for x in (fit.speed, fit.tau - fit.tau_predicted))
+        rows = np.abs(v) > 0.02 * np.abs(v).max()
+        if own:
+            expected = np.stack([v, columns(v, 0.0, [label]) @ fit.estimate.beta + rho])[:, rows]
+            np.testing.assert_allclose(dots, expected, rtol=1e-9, atol=1e-9)
+        each.append(dots[:, np.abs(dots[0]) > 0.02 * np.abs(whole[0]).max()])  # of the peak that all have
+    assert len(whole[0]) > 100
+    found, expected = (x[:, np.lexsort(x)] for x in (whole, np.concatenate(each, axis=1)))  # in any order of loads
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_the_page_of_the_command_has_the_friction_of_both_fits(tmp_path, count, monkeypatch):
+    files, drawn = [], []
+    for signals in several()[:count]:
+        files.append(str(tmp_path / signals.recording))
+        write_signals(tmp_path / signals.recording, signals, source="test")
+    monkeypatch.setattr(view, "write_html", lambda path, picture: drawn.append(picture))
+    monkeypatch.setattr(charts, "MAX_DOTS", 100)
+    assert main(["friction", *files, "--torque-lag-s", "none", "--report", str(tmp_path / "a.html")]) == 0
+    ((page,),) = (picture.pages for picture in drawn)
+    given = select_friction(Recordings(sources=several()[:count]), WITHOUT_LAG).overrides
+    assert list(page.groups) == ["shoulder", "elbow"]
+    for k, (name, terms) in enumerate({"usual": (frozenset(),) * 2, "recommended": (ROOT | LOAD, LOAD)}.items()):
+        signals = (dataclasses.replace(one, robot=with_terms(one.robot, terms)) for one in several()[:count])
+        fit = identify_ls(Recordings(sources=tuple(signals)), given)
+        each = zip(page.groups.values(), charts.friction_charts(fit, name), fit.speed.T, strict=True)
+        for group, wanted, v in each:
+            chart, v = group[k], v[np.abs(v) > 0.02 * np.abs(v).max()]
+            assert (chart.title, chart.path) == (wanted.title, wanted.path)
+            assert chart.title.startswith(f"friction {chart.path[1]}, {name} [")
+            for curve, other in zip(chart.curves, wanted.curves, strict=True):
+                np.testing.assert_allclose(curve.line, other.line, rtol=1e-6)
+            points = np.concatenate([points for points, _ in chart.dots])
+            np.testing.assert_allclose(np.sort(points[:, 0]), np.sort(v[:: len(v) // 100]))

@@ -1,0 +1,218 @@
+"""Weights, estimates, covariances and tests of small systems, from the formulas as they stand in the papers."""
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from identification.errors import RobotIdimError
+from identification.estimation import (
+    System,
+    chi_squared_quantile,
+    condensed,
+    essential_parameters,
+    f_tail,
+    instrument_tests,
+    instrumental_variables,
+    ordinary_least_squares,
+    r_factor,
+    t_quantile,
+    weighted_least_squares,
+)
+from identification.estimation.system import orthonormal
+
+
+def system(seed: int, r: int, b: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Z, W (r, b) and Y (r,) that have something, but not all, in common."""
+    rng = np.random.default_rng(seed)
+    W = rng.normal(size=(r, b))
+    Z = W + 0.5 * rng.normal(size=(r, b))
+    return Z, W, W @ np.arange(1.0, b + 1) + rng.normal(size=r)
+
+
+def test_instruments_of_two_joints_worked_out_on_paper():
+    """One row of joint 1 (weight 2), two of joint 2 (weight 1): (Z'D²W) beta = Z'D²Y, and C = s² (Z'D²W)⁻¹ Z'D²Z (W'D²Z)⁻¹.
+
+    Z'D²W = [[8 + 3, 4], [0 + 1, 2]] = [[11, 4], [1, 2]]; Z'D²Y = [44 + 9, 7] with Y = (11, 2, 7): determinant 18.
+    """
+    Z = np.array([[1.0, 0.0], [0.0, 1.0], [3.0, 0.0], [0.0, 0.0]])
+    W = np.array([[2.0, 1.0], [1.0, 2.0], [1.0, 0.0], [5.0, 5.0]])
+    Y = np.array([11.0, 7.0, 3.0, 9.0])
+    used = np.array([1.0, 1.0, 1.0, 0.0])  # the last row does not count
+    problem = System.whole(W, Y, np.array([0, 1, 1, 1]), ("a", "b")).with_rows(used)
+    fit = instrumental_variables(problem, Z, np.array([2.0, 1.0]))
+    beta = [Fraction(53 * 2 - 4 * 7, 18), Fraction(11 * 7 - 53, 18)]
+    np.testing.assert_allclose(fit.beta, [float(x) for x in beta], rtol=1e-12)
+    rho = [2 * (11 - 2 * beta[0] - beta[1]), 7 - beta[0] - 2 * beta[1], 3 - beta[0]]
+    norm2 = sum(x * x for x in rho)
+    assert fit.residual_norm == pytest.approx(float(norm2) ** 0.5)
+    s2, inverse, ZZ = norm2 / 2, np.array([[2, -4], [-1, 11]]) / 18, np.diag([4.0 + 9.0, 1.0])
+    np.testing.assert_allclose(fit.covariance, float(s2) * inverse @ ZZ @ inverse.T, rtol=1e-12)
+    assert fit.rows == 3
+
+
+def test_a_condensed_system_has_the_same_least_squares():
+    """Two joints, of which the second feels two of the parameters alone; some rows do not count."""
+    _, W, Y = system(8, 60, 4)
+    W[20:, :2] = 0.0
+    whole = System.whole(W, Y, np.repeat([0, 1], [20, 40]), tuple("abcd")).with_rows(
+        (np.arange(60) % 3 > 0).astype(float)
+    )
+    few = condensed(whole)
+    assert few.W.shape == (5 + 3, 4)
+    np.testing.assert_array_equal(few.joint_of_row, np.repeat([0, 1], [5, 3]))
+    for solve in (ordinary_least_squares, weighted_least_squares):
+        expected, found = solve(whole), solve(few)
+        for name in ("beta", "covariance", "weights", "residual_norm", "condition_number_scaled", "rows"):
+            np.testing.assert_allclose(getattr(found, name), getattr(expected, name), rtol=1e-10, atol=1e-14)
+
+
+def test_instruments_with_weights_and_left_out_rows_are_the_formula():
+    Z, W, Y = system(1, 40, 3)
+    joints, weights = np.repeat([0, 1], 20), np.array([3.0, 0.2])
+    used = (np.arange(40) % 5 > 0).astype(float)
+    fit = instrumental_variables(System.whole(W, Y, joints, tuple("abc")).with_rows(used), Z, weights)
+    D2 = np.diag(weights[joints] ** 2 * used)
+    inverse = np.linalg.inv(Z.T @ D2 @ W)
+    np.testing.assert_allclose(fit.beta, inverse @ Z.T @ D2 @ Y, rtol=1e-10)
+    rho = Y - W @ fit.beta
+    s2 = rho @ D2 @ rho / (32 - 1)
+    np.testing.assert_allclose(fit.covariance, s2 * inverse @ Z.T @ D2 @ Z @ inverse.T, rtol=1e-9)
+    # beta - beta_true = bread Qᵀ rho is what every robust deviation is made from.
+    true = np.arange(1.0, 4.0)
+    np.testing.assert_allclose(
+        fit.bread @ fit.Q.T @ (np.sqrt(np.diag(D2)) * (Y - W @ true)), fit.beta - true, atol=1e-10
+    )
+    unweighted = np.linalg.solve(Z.T @ np.sqrt(D2) @ W, Z.T @ np.sqrt(D2) @ Y)
+    assert np.abs(unweighted - fit.beta).max() > 1e-3  # weights on Z too: it makes a difference here
+
+
+def test_weights_count_the_rows_less_the_rank_of_the_joints_own_columns():
+    """Joint 1: six rows, three columns. Joint 2: five rows, three columns of which one is twice another: rank 2."""
+    rng = np.random.default_rng(4)
+    W = np.zeros((11, 4))
+    W[:6, [0, 1, 3]] = rng.normal(size=(6, 3))
+    W[6:, 1:3] = rng.normal(size=(5, 2))
+    W[6:, 3] = 2 * W[6:, 2]
+    Y = rng.normal(size=11)
+    joints = np.repeat([0, 1], [6, 5])
+    found = weighted_least_squares(System.whole(W, Y, joints, tuple("abcd"))).weights
+    for j, (columns, freedom) in enumerate((([0, 1, 3], 3), ([1, 2], 3))):
+        A, y = W[joints == j][:, columns], Y[joints == j]
+        rho = y - A @ np.linalg.solve(A.T @ A, A.T @ y)
+        assert found[j] == pytest.approx(np.sqrt(freedom / (rho @ rho)), rel=1e-10)
+    # The weighted estimate is that of the rows divided by s_j.
+    full = W[:, :3]
+    problem = System.whole(full, Y, joints, tuple("abc"))
+    fit = weighted_least_squares(problem)
+    D = np.diag(fit.weights[joints])
+    np.testing.assert_allclose(fit.beta, np.linalg.lstsq(D @ full, D @ Y, rcond=None)[0], rtol=1e-9)
+    rho = D @ (Y - full @ fit.beta)
+    np.testing.assert_allclose(fit.covariance, rho @ rho / 10 * np.linalg.inv(full.T @ D @ D @ full), rtol=1e-9)
+
+
+def test_the_f_test_of_the_reduction_is_the_formula():
+    """F = ((RSS_reduced - RSS_full)/dropped) / (RSS_full/(r - b)); twelve rows and five columns, so that each number shows."""
+    rng = np.random.default_rng(12)
+    W = rng.normal(size=(12, 5))
+    Y = W @ np.array([50.0, 0.01, -40.0, 0.0, 60.0]) + rng.normal(size=12)
+    problem = System.whole(W, Y, np.zeros(12, dtype=int), tuple("abcde"))
+    full = ordinary_least_squares(problem)
+    reduced = essential_parameters(problem, full, correlation=0.2)
+    assert reduced.estimate.names == ("a", "c", "e")
+    rss = {}
+    for kept in ((0, 1, 2, 3, 4), (0, 2, 4)):
+        A = W[:, kept]
+        rho = Y - A @ np.linalg.lstsq(A, Y, rcond=None)[0]
+        rss[len(kept)] = rho @ rho
+    F = (rss[3] - rss[5]) / 2 / (rss[5] / 7)
+    assert pytest.approx(F) == reduced.F
+    assert reduced.p_value == pytest.approx(stats.f.sf(F, 2, 7))
+    share = 0.8 / 1.2  # of twelve rows eight are independent
+    assert reduced.F_effective == pytest.approx(share * F)
+    assert reduced.p_effective == pytest.approx(stats.f.sf(share * F, 2, 8 - 5))
+
+
+def test_the_first_stage_is_the_regression_of_a_column_on_its_instrument():
+    Z, W, _ = system(6, 30, 1)
+    w, z = W[:, :1], Z[:, :1]
+    fitted = z @ (z.T @ w) / (z.T @ z)
+    first = (fitted.T @ fitted).item() / (((w - fitted).T @ (w - fitted)).item() / 29)
+    one = instrument_tests(z / np.linalg.norm(z), w, 30)
+    assert one.first_stage_F == pytest.approx(first)
+
+
+def test_a_joint_without_torque_weighs_no_more_than_a_million_others():
+    W = np.random.default_rng(3).normal(size=(12, 2))
+    Y = np.r_[np.zeros(6), np.arange(6.0) ** 2]
+    weights = weighted_least_squares(System.whole(W, Y, np.repeat([0, 1], 6), ("a", "b"))).weights
+    assert weights[0] / weights[1] == pytest.approx(1e6)
+
+
+@pytest.mark.parametrize(("ratio", "kept"), [(30.0, ("a", "b")), (10.0, ("a",))])
+def test_the_reduction_ends_at_the_stated_ratio_of_deviations(ratio, kept):
+    """Orthonormal columns, s = 1: %sigma 5 and 66.7, a ratio of 13.3; F = 1.5² (r - 2)/(r - 1) does not keep the second."""
+    Q = np.linalg.qr(np.random.default_rng(8).normal(size=(40, 3)))[0]
+    W, Y = Q[:, :2], Q @ np.array([20.0, 1.5, np.sqrt(39.0)])
+    problem = System.whole(W, Y, np.zeros(40, dtype=int), ("a", "b"))
+    full = ordinary_least_squares(problem)
+    np.testing.assert_allclose(full.sigma_percent, [5.0, 100 / 1.5])
+    reduced = essential_parameters(problem, full, correlation=0.0, ratio=ratio)
+    assert reduced.estimate.names == kept
+    if len(kept) == 1:
+        assert pytest.approx(1.5**2 * 38 / 39) == reduced.F
+
+
+def test_a_column_of_rounding_alone_is_not_excited():
+    rng = np.random.default_rng(5)
+    W = rng.normal(size=(30, 3)) * np.array([1.0, 1e-14, 1.0])
+    with pytest.raises(RobotIdimError, match="parameters not excited = b: no torque depends on them"):
+        ordinary_least_squares(System.whole(W, rng.normal(size=30), np.zeros(30, dtype=int), tuple("abc")))
+
+
+def test_the_tail_of_f_is_that_of_scipy_stats():
+    rng = np.random.default_rng(7)
+    for F, dropped, freedom in zip(
+        rng.exponential(4.0, 300), rng.integers(1, 100, 300), rng.uniform(1, 1e6, 300), strict=True
+    ):
+        assert f_tail(F, dropped, freedom) == pytest.approx(stats.f.sf(F, dropped, freedom), rel=1e-8, abs=1e-280)
+    assert f_tail(-1e-17, 3, 20) == 1.0  # rounding of a residual that does not grow
+    assert f_tail(np.inf, 3, 20) == 0.0
+
+
+@pytest.mark.parametrize("freedom", [1, 2, 3, 16, 61, 160, 1000])
+def test_quantiles_are_those_of_the_distributions(freedom):
+    for tail in (0.2, 0.025, 1e-3):
+        assert t_quantile(1 - tail, freedom) == pytest.approx(stats.t.isf(tail, freedom), rel=1e-12)
+        assert chi_squared_quantile(tail, freedom) == pytest.approx(stats.chi2.isf(tail, freedom), rel=1e-12)
+
+
+def test_rows_of_a_first_order_process_are_worth_the_share_of_its_variance_of_the_mean():
+    """The mean of x_k = c x_(k-1) + e_k has the variance of r (1 - c)/(1 + c) independent rows, r large."""
+    rng, c, r = np.random.default_rng(12), 0.6, 400
+    W = rng.normal(size=(r, 2))
+    problem = System.whole(W, W[:, 0] + rng.normal(size=r), np.zeros(r, dtype=int), tuple("ab"))
+    full = ordinary_least_squares(problem)
+    positive, negative = (essential_parameters(problem, full, correlation=x, ratio=1.5) for x in (c, -0.5))
+    assert positive.estimate.names == ("a",)
+    covariance = c ** np.abs(np.subtract.outer(np.arange(r), np.arange(r)))
+    assert positive.F_effective / positive.F == pytest.approx(1 / (covariance.mean() * r), rel=0.01)
+    assert negative.F_effective == negative.F
+
+
+@pytest.mark.parametrize("condition", [1.0, 1e6])
+@pytest.mark.parametrize("rows", [5, 2047, 2048, 5000])
+def test_factors_of_tall_matrices(rows, condition):
+    """Blocks of rows factored on their own: RᵀR = AᵀA, and orthonormal columns that span A's, well conditioned or not."""
+    rng = np.random.default_rng(3)
+    A = rng.normal(size=(rows, 4)) @ np.linalg.qr(rng.normal(size=(4, 4)))[0] * np.geomspace(1, 1 / condition, 4)
+    A = A @ np.linalg.qr(rng.normal(size=(4, 4)))[0]
+    R, Q = r_factor(A), orthonormal(A)
+    assert R.shape == (4, 4)
+    np.testing.assert_array_equal(np.tril(R, -1), 0.0)
+    # A is scaled so that a lost digit of its small directions shows.
+    small = np.linalg.svd(A)[2][-1]
+    assert np.linalg.norm(R @ small) == pytest.approx(np.linalg.norm(A @ small), rel=1e-6)
+    np.testing.assert_allclose(Q.T @ Q, np.eye(4), atol=1e-11)
+    np.testing.assert_allclose(Q @ (Q.T @ A), A, atol=1e-11 * np.abs(A).max())

@@ -1,0 +1,425 @@
+"""A URDF as a description by init, which other commands ask for; dynamics against pinocchio's own reading."""
+
+import json
+import re
+import tomllib
+from pathlib import Path
+
+import command_runs
+import numpy as np
+import pinocchio as pin
+import pytest
+from command_runs import run
+from urdfs import ARM, BOX, LIMIT, PARTS, joint, link, urdf
+
+from acquisition.commands import main as acquire
+from acquisition.errors import RobotIdimError
+from acquisition.robot import check_limits, lines_to_fill_in, load_robot, resolve
+from acquisition.simulated import driven_plant
+from identification import read_robot
+from identification.commands import main
+from identification.export import read_chain, robot_of_chain
+from identification.model import InverseModel
+
+STATED = ["--acceleration", "8,8,2", "--following-error", "0.2,0.2,0.05", "--bandwidth-hz", "5"]
+NAMES = ["--joints", ",".join(ARM)]
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch) -> Path:
+    (tmp_path / "arm.urdf").write_text(urdf())
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def refused(capsys, *arguments):
+    return command_runs.refused(capsys, *arguments).strip().removeprefix("robot-identify: ")
+
+
+def torque_of_the_urdf(text, names, states):
+    """pinocchio's torque at the joints `names` of the URDF as it stands, all other joints at rest at zero."""
+    model = pin.buildModelFromXML(text)
+    data, tau = model.createData(), []
+    places = [model.joints[model.getJointId(name)] for name in names]
+    for state in zip(*states, strict=True):
+        whole = [pin.neutral(model), np.zeros(model.nv), np.zeros(model.nv)]
+        for k, place in enumerate(places):
+            for x, given in zip(whole, state, strict=True):
+                x[place.idx_v] = given[k]
+        tau.append(pin.rnea(model, data, *whole)[[place.idx_v for place in places]])
+    return np.array(tau)
+
+
+@pytest.mark.parametrize("names", [ARM, (*ARM, "finger"), ("turn", "slide")])
+def test_the_parameters_give_the_torque_of_the_urdf(here, capsys, names):
+    """Fixed and locked links are part of the link that carries them; the axis of the first joint is along none of the frame."""
+    assert run(capsys, "init", "arm.urdf", "--joints", ",".join(names), "-o", "robot.toml")[0] == 0
+    robot = load_robot("robot.toml")
+    dynamics = InverseModel(robot)
+    chi = np.array([robot.parameters.get(name, 0.0) for name in dynamics.names])
+    states = np.random.default_rng(3).normal(size=(3, 20, len(names)))
+    tau = torque_of_the_urdf(urdf(), names, states)
+    tau[:, 0] += 0.6 * states[1, :, 0] + 0.25 * np.sign(states[1, :, 0])  # damping and friction of the first joint
+    assert np.abs(tau).max() > 5
+    np.testing.assert_allclose(dynamics.regressor(*states) @ chi, tau, atol=1e-11)
+
+
+def test_init_writes_what_the_urdf_says_and_marks_the_rest(here, capsys):
+    status, out, err = run(capsys, "init", "arm.urdf", "-o", "robot.toml")
+    text = (here / "robot.toml").read_text()
+    assert (status, err) == (0, "")
+    assert out.splitlines()[:6] == [
+        "robot.toml: 3 joints of arm.urdf",
+        "joint 1: turn, revolute",
+        "joint 2: lift, revolute",
+        "joint 3: slide, prismatic",
+        "locked at zero: finger: prismatic",
+        "locked at zero: thumb: prismatic, mimics finger",
+    ]
+    assert "#     thumb: prismatic, mimics finger\n" in text
+    for links in ("column", "arm, sensor", "beam, tool, left, right"):  # that move with one joint
+        assert f"\n# {links}\n" in text
+    robot = load_robot("robot.toml")
+    assert robot.name == "made up"
+    turn, slide = robot.joints[0], robot.joints[2]
+    assert turn.si("position") == pytest.approx((-2, 1.5), rel=1e-9)
+    assert (turn.si("speed"), turn.effort_nm) == pytest.approx((3, 40), rel=1e-9)
+    assert (slide.si("position"), slide.si("speed"), slide.effort_n) == ((0.1, 0.4), 0.5, 90)
+    assert (robot.parameters["Fv1"], robot.parameters["Fc1"]) == (0.6, 0.25)
+    assert robot.parameters["M3"] == pytest.approx(0.7 + 0.3 + 0.1 + 0.1)  # beam, tool, finger, thumb
+    assert (turn.acceleration_deg_s2, turn.following_error_deg, robot.controller.bandwidth_hz) == (None, None, None)
+    marked = [line for line in text.splitlines()[1:] if "FILL IN" in line]
+    assert all(line.startswith("#") for line in marked)
+    for key in ("acceleration_deg_s2", "acceleration_m_s2", "following_error_deg", "bandwidth_hz", "drives"):
+        assert any(key in line for line in marked), key
+    assert out.splitlines()[-1] == f"to be filled in: {len(marked)} lines with FILL IN"
+
+
+BUS = """[bus]
+interface = "virtual"
+channel = "made_up"
+sync_period_s = 0.002 # FILL IN: the period
+""" + "".join(f"""
+[[bus.drive]] # FILL IN: which joint?
+node = {node}
+reference = "6074"
+rated_torque_nm = 4.2
+counts_per_turn = {1000 * node} # FILL IN: turn the motor once
+""" for node in (7, 3))  # fmt: skip
+
+
+def test_the_bus_of_a_scan_stands_in_the_place_of_the_example_drives(here, capsys):
+    (here / "bus.toml").write_text(BUS)
+    out = ["init", "arm.urdf", "--joints", "turn,lift", "--bus", "bus.toml", "-o", "robot.toml"]
+    status, printed, _ = run(capsys, *out)
+    text, robot = (here / "robot.toml").read_text(), load_robot("robot.toml")
+    assert status == 0
+    assert [(d.node, d.counts_per_turn) for d in resolve(robot, "robot.toml").file.drive] == [(7, 7000), (3, 3000)]
+    assert "#: [bus]" not in text
+    marked = [number for number, line in enumerate(text.splitlines(), 1) if "FILL IN" in line]
+    assert lines_to_fill_in(robot) == marked[-5:]
+    assert len(marked) > 10
+    assert f"to be filled in: {len(marked) - 1} lines" in printed  # the first line says what the mark means
+
+
+def test_a_bus_with_other_drives_than_joints_is_refused(here, capsys):
+    (here / "bus.toml").write_text(BUS)
+    said = refused(capsys, "init", "arm.urdf", "--bus", "bus.toml", "-o", "robot.toml")
+    assert said == "bus.toml: drives = 2: expected 3 [[bus.drive]], one for each joint of the URDF"
+    assert "is an input too" in refused(capsys, "init", "arm.urdf", "--bus", "bus.toml", "-o", "bus.toml")
+    assert not (here / "robot.toml").exists()
+
+
+def test_without_an_output_the_file_is_printed(here, capsys):
+    status, out, _ = run(capsys, "init", "arm.urdf", *NAMES)
+    assert (status, tomllib.loads(out)["urdf"]) == (0, "arm.urdf")
+    assert "#     finger: prismatic\n" in out
+    assert sorted(path.name for path in here.iterdir()) == ["arm.urdf"]
+
+
+def test_an_existing_file_is_not_replaced_and_the_urdf_is_found_from_it(here, capsys):
+    (here / "robot.toml").write_text("mine")
+    said = refused(capsys, "init", "arm.urdf", "-o", "robot.toml")
+    assert said == "robot.toml: already exists: expected a new name, or --overwrite"
+    assert (here / "robot.toml").read_text() == "mine"
+    assert "is an input too" in refused(capsys, "init", "arm.urdf", "-o", "arm.urdf")
+    (here / "cell").mkdir()
+    assert run(capsys, "init", "arm.urdf", "-o", "cell/robot.toml")[0] == 0
+    assert load_robot("cell/robot.toml").n == 3
+
+
+def test_the_example_of_the_drives_is_one(here, capsys):
+    """Without the mark of its lines: a description whose simulated drives can be resolved and moved."""
+    assert run(capsys, "init", "arm.urdf", *NAMES, *STATED, "-o", "robot.toml")[0] == 0
+    (here / "cell.toml").write_text((here / "robot.toml").read_text().replace("\n#: ", "\n"))
+    robot = load_robot("cell.toml")
+    assert robot.parameters["Fv1"] == 0.6  # stated by the URDF; others are made up, for all joints
+    assert {f"{name}{j}" for name in ("Ia", "Fv", "Fc") for j in (1, 2, 3)} <= robot.parameters.keys()
+    assert "Ia1" not in load_robot("robot.toml").parameters
+    bus = resolve(robot, "cell.toml")
+    assert [drive.node for drive in bus.drives] == [1, 2, 3]
+    assert driven_plant(robot, bus).warning is None
+    middle = np.array([np.mean(j.si("position")) for j in robot.joints])
+    check_limits(np.tile(middle, (3, 1)), robot, 0.002, "nowhere")
+
+
+def test_base_names_the_joints_of_the_urdf(here, capsys):
+    run(capsys, "init", "arm.urdf", *NAMES, "-o", "robot.toml")
+    status, printed, _ = run(capsys, "base", "robot.toml", "--json", "base.json")
+    assert status == 0
+    assert json.loads((here / "base.json").read_text())["joint_names"] == list(ARM)
+    assert re.search(r"3\W+slide\W+prismatic", printed)
+
+
+@pytest.mark.parametrize(
+    "command", ["base", "excite -o a.csv", "simulate -o a.mcap", "study", "fit log.mcap --robot", "check"]
+)
+def test_other_commands_ask_for_the_description_of_a_urdf(here, capsys, command):
+    name, *options = command.split()
+    program = acquire if name == "check" else main
+    assert program([name, *options, "arm.urdf"] if name == "fit" else [name, "arm.urdf", *options]) == 1
+    said = capsys.readouterr().err
+    expected = "expected a robot.toml; `robot-identify init arm.urdf -o robot.toml` makes one"
+    assert said.endswith(f": arm.urdf: is a URDF: {expected}\n")
+    assert said.count("\n") == 1
+
+
+def test_a_joint_without_limits_has_them_by_options_or_is_named(here, capsys):
+    """No range of 1 rad: a continuous joint, one without <limit>, one whose limits are equal."""
+    for turn in ("continuous", "revolute"):
+        (here / "arm.urdf").write_text(urdf(turn=joint("turn", turn, "base", "column")))
+        assert run(capsys, "init", "arm.urdf", *NAMES, *STATED, "-o", f"{turn}.toml")[0] == 0
+        text = (here / f"{turn}.toml").read_text()
+        assert "# position_deg = [LOWEST, HIGHEST] # FILL IN" in text
+        assert "# speed_deg_s = ... # FILL IN" in text
+        assert run(capsys, "base", f"{turn}.toml")[0] == 0
+        error = refused(capsys, "study", f"{turn}.toml", "--runs", "1")
+        assert "joint turn: joint[0].position_deg is missing: expected [lowest, highest]" in error
+        of_range = [*NAMES, *STATED, "--range", "3,3,0.3", "--speed", "2,2,0.2", "-o", f"{turn}_moves.toml"]
+        assert run(capsys, "init", "arm.urdf", *of_range)[0] == 0
+        limits = load_robot(f"{turn}_moves.toml").joints[0]
+        assert (limits.si("position"), limits.si("speed")) == (pytest.approx((-3, 3)), pytest.approx(2))
+    equal = LIMIT.replace("-2", "0").replace("1.5", "0")
+    for kind, limit in (("continuous", LIMIT), ("revolute", equal)):  # it turns on and on
+        (here / "arm.urdf").write_text(urdf(turn=joint("turn", kind, "base", "column", limit)))
+        assert "# position_deg = [LOWEST, HIGHEST] # FILL IN" in run(capsys, "init", "arm.urdf", *NAMES)[1]
+
+
+def test_options_and_limits_of_the_urdf_hold_together(here):
+    """The narrower range, the smaller speed; one value holds for all joints of one kind, one bandwidth for the robot."""
+    stated = {"--range": (1.0, 3.0, 0.3), "--speed": (2.0, 5.0, 0.2), "--acceleration": (8.0, 9.0, 2.0)}
+    stated["--bandwidth-hz"] = (6.0, 5.0, 7.0)
+    robot = robot_of_chain(read_chain(Path("arm.urdf"), ARM).with_options(stated))
+    assert [j.si("position") for j in robot.joints] == [pytest.approx(x) for x in ((-1, 1), (-2, 1.5), (0.1, 0.3))]
+    assert [j.si("speed") for j in robot.joints] == pytest.approx([2, 3, 0.2])
+    assert [j.si("acceleration") for j in robot.joints] == pytest.approx([8, 9, 2])
+    assert robot.bandwidth_hz == 5.0
+    pair = read_chain(Path("arm.urdf"), ("turn", "lift"))
+    assert [j.acceleration for j in pair.with_options({"--acceleration": (4.0,)}).joints] == [4.0, 4.0]
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ("--acceleration 1,2", "arm.urdf: --acceleration = 2 values: expected one, or 3 for turn, lift, slide"),
+        ("--speed 1", "arm.urdf: --speed = 1.0: expected 3 values: some joints are in rad, others in m"),
+        ("--range 1,1,0.1", "arm.urdf: joint 'slide': --range = 0.1: expected a range that overlaps the URDF's"),
+        ("--joints turn,elbow", "arm.urdf: --joints = 'elbow': expected one of turn, lift, slide, finger, each once"),
+        ("--joints turn,thumb", "arm.urdf: --joints = 'thumb': expected one of turn, lift"),
+        ("--joints turn,turn", "arm.urdf: --joints = 'turn': expected one of turn, lift"),
+        ("--joints lift,turn", "order of joints = lift, turn: expected turn, lift"),
+    ],
+)
+def test_options_that_do_not_fit_the_robot(here, capsys, given, message):
+    assert message in refused(capsys, "init", "arm.urdf", *NAMES, *given.split())
+
+
+def test_values_of_a_urdf_are_refused_with_a_description(here, capsys):
+    run(capsys, "init", "arm.urdf", *NAMES, "-o", "robot.toml")
+    with pytest.raises(RobotIdimError, match=r"^robot\.toml: bandwidth_hz has no effect: expected a URDF"):
+        read_robot("robot.toml", bandwidth_hz=5.0)
+    error = refused(capsys, "study", "robot.toml")
+    assert error.startswith("robot made up: controller.bandwidth_hz is missing: expected the bandwidth")
+
+
+@pytest.mark.parametrize("values", ["0", "-1", "a", "1,,2", "inf"])
+def test_values_that_are_none_are_wrong_usage(here, capsys, values):
+    with pytest.raises(SystemExit) as end:
+        main(["init", "arm.urdf", f"--acceleration={values}"])
+    assert end.value.code == 2
+
+
+def test_a_study_and_a_simulation_of_the_description_of_a_urdf(here, capsys):
+    assert run(capsys, "init", "arm.urdf", *NAMES, *STATED, "-o", "robot.toml")[0] == 0
+    short = ["--duration-s", "4", "--rate-hz", "200"]
+    assert run(capsys, "simulate", "robot.toml", *short, "-o", "log.mcap")[0] == 0
+    assert run(capsys, "fit", "log.mcap", "--json", "fit.json")[0] in (0, 3)
+    fit = {p["name"]: p["value"] for p in json.loads((here / "fit.json").read_text())["parameters"]}
+    assert fit["Fv1"] == pytest.approx(0.6, rel=0.02)
+    assert run(capsys, "study", "robot.toml", *short, "--runs", "1", "--json", "study.json")[0] == 0
+    study = json.loads((here / "study.json").read_text())
+    assert dict(zip(study["parameters"], study["true"], strict=True))["Fv1"] == 0.6
+    assert study["runs"][0]["ls"]["error"] < 0.5
+
+
+def massless(name):
+    return f'<link name="{name}"/>\n'
+
+
+def turn(rest=LIMIT, kind="revolute", parent="base", name="turn", axis="0 0 1"):
+    """The URDF with another first joint."""
+    return urdf(turn=joint(name, kind, parent, "column", rest, axis))
+
+
+RING = link("x") + link("y") + joint("xy", "fixed", "x", "y") + joint("yx", "fixed", "y", "x")
+STIFF = f'<robot name="r">{PARTS["base"]}{PARTS["beam"]}{joint("j", "fixed", "base", "beam")}</robot>'
+UNKNOWN = urdf(turn='<joint name="turn" type="fixed"><child link="column"/></joint>')
+XACRO = '<xacro:macro xmlns:xacro="http://www.ros.org/wiki/xacro"/>'
+FLOATING = urdf(mid=joint("swing", "floating", "column", "arm"), lift="")
+PLANAR = urdf(lift=joint("lift", "planar", "column", "arm"))
+TWO_CHAINS = urdf(extra=link("mast") + joint("sway", "revolute", "arm", "mast"))
+BETWEEN = "between the base and joint 'slide': type = "
+AGAIN = "joint 'again': child = 'tool': expected one parent joint per link; 'mount' is another"
+EMPTY = "joint 'lift': mass of link 'arm' and those fixed to it = 0.0: expected more than 0: an <inertial>"
+BAD = (
+    ("<robot", "is not XML: "),
+    ('name = "x"', "is not XML: "),
+    ("<sdf/>", "its root = <sdf>: expected <robot>"),
+    ('<robot name="x"/>', "has no link: expected links"),
+    (urdf(base=XACRO), "has xacro elements: expected a URDF: xacro FILE > robot.urdf"),
+    (urdf(extra=link("island")), "2 root links: base, island: expected one base link"),
+    (
+        urdf(extra=joint("back", "fixed", "tool", "base")),
+        "no root link: its joints form a loop: expected one base link",
+    ),
+    (urdf(extra=RING), "links x, y are in a loop of joints: expected a tree"),
+    (urdf(extra=joint("again", "fixed", "base", "tool")), AGAIN),
+    (turn(parent="floor"), "joint 'turn': parent = 'floor': expected one of the links base, column"),
+    (UNKNOWN, "joint 'turn': parent is missing: expected one of the links"),
+    (urdf(extra=link("base")), "link 9: name = 'base': expected a name not used before"),
+    (urdf(extra="<link/>"), "link 9: name is missing: expected a name"),
+    (turn(kind="ball"), "type = 'ball': expected one of revolute, continuous, prismatic, fixed, floating, planar"),
+    (FLOATING, f"joint 'swing', {BETWEEN}'floating': expected fixed, revolute"),
+    (PLANAR, f"joint 'lift', {BETWEEN}'planar': expected fixed, revolute"),
+    (STIFF, "no joint moves: expected joints of the types revolute, continuous, prismatic"),
+    (TWO_CHAINS, "2 chains of 3 joints each, which end at slide, sway: expected --joints"),
+    (turn('<limit lower="1" upper="-1"/>'), "joint 'turn': limit lower = 1.0: expected less than upper = -1"),
+    (turn('<limit lower="low" upper="-1"/>'), "joint 'turn': limit lower = 'low': expected a finite number"),
+    (turn('<limit velocity="-1"/>'), "joint 'turn': limit velocity = -1.0: expected a number from 0"),
+    (turn('<dynamics damping="-0.1"/>'), "joint 'turn': dynamics damping = -0.1: expected a number from 0"),
+    (turn(axis="0 0 0"), "joint 'turn': axis = '0 0 0': expected a direction"),
+    (turn(name="a/b"), "name of a joint = 'a/b': expected 1 to 64 letters"),
+    (urdf(arm=massless("arm")), EMPTY),
+    (urdf(arm=link("arm", mass=-1)), "link 'arm': mass = -1.0: expected a number from 0"),
+    (urdf(right=link("right", mass=-1)), "link 'right': mass = -1.0: expected a number from 0"),  # it is locked
+    (urdf(arm=link("arm", inertia=BOX.replace("0.03", "-0.03"))), "link 'arm': principal moments = -0.03"),
+    (urdf(arm=link("arm", inertia=BOX.replace("0.001", "0.1"))), "link 'arm': principal moments = -0.07"),
+    (urdf(arm=link("arm", inertia="")), "link 'arm': inertia ixx is missing: expected a finite number"),
+)
+
+
+@pytest.mark.parametrize(("text", "message"), BAD, ids=[message for _, message in BAD])
+def test_a_bad_urdf_ends_in_one_line(here, capsys, text, message):
+    (here / "arm.urdf").write_text(text)
+    said = refused(capsys, "init", "arm.urdf", "-o", "robot.toml")
+    assert said.startswith(("arm.urdf: ", "robot made up: URDF: "))
+    assert message in said
+    assert not (here / "robot.toml").exists()
+
+
+def test_a_file_that_is_not_there_and_one_of_bytes(here, capsys):
+    assert refused(capsys, "init", "none.urdf") == "none.urdf: cannot be read: No such file or directory"
+    (here / "arm.urdf").write_bytes(bytes(range(256)))
+    assert "arm.urdf: is not XML" in refused(capsys, "init", "arm.urdf")
+
+
+def test_a_link_without_mass_is_part_of_one_that_has_some(here, capsys):
+    """A joint may move a link without mass if another is fixed to it: they are one body."""
+    (here / "arm.urdf").write_text(urdf(arm=massless("arm"), sensor=link("sensor", mass=0.4)))
+    assert run(capsys, "init", "arm.urdf", "-o", "robot.toml")[0] == 0
+    assert load_robot("robot.toml").parameters["M2"] == pytest.approx(0.4)
+
+
+def test_impossible_moments_are_noted_and_used(here, capsys):
+    flat = '<inertia ixx="0.02" ixy="0" ixz="0" iyy="0.03" iyz="0" izz="0.06"/>'
+    (here / "arm.urdf").write_text(urdf(arm=link("arm", inertia=flat)))
+    status, out, _ = run(capsys, "init", "arm.urdf", "-o", "robot.toml")
+    note = "note: link arm: principal moments 0.02, 0.03, 0.06 kg m²: impossible, one exceeds the sum of the others"
+    assert (status, note in out, f"# {note}" in (here / "robot.toml").read_text()) == (0, True, True)
+
+
+def test_a_joint_that_is_locked_is_not_asked_for_limits_or_an_axis(here, capsys):
+    off = joint("flap", "floating", "base", "x") + joint("crank", "planar", "x", "y") + link("x") + link("y")
+    (here / "arm.urdf").write_text(urdf(off=off, finger=joint("finger", "revolute", "tool", "left", axis="0 0 0")))
+    status, out, _ = run(capsys, "init", "arm.urdf", *NAMES)
+    assert status == 0
+    for name in ("flap: floating", "crank: planar", "finger: revolute"):
+        assert f"#     {name}\n" in out
+
+
+def test_errors_carry_their_data(here):
+    with pytest.raises(RobotIdimError) as error:
+        read_chain(Path("arm.urdf"), ("turn", "elbow"))
+    assert (error.value.place, error.value.key, error.value.value) == ("arm.urdf", "--joints", "elbow")
+    robot = robot_of_chain(read_chain(Path("arm.urdf"), ARM))
+    with pytest.raises(RobotIdimError) as unstated:
+        _ = robot.bandwidth_hz
+    assert (unstated.value.place, unstated.value.key) == ("robot made up", "controller.bandwidth_hz")
+
+
+@pytest.mark.parametrize(
+    ("given", "motors", "to_fill_in"),
+    [
+        ("A --ratio=-101,50,8 --drive-gain 0.1,0.2,3", [("N m/A", -101, 0.1), ("N m/A", 50, 0.2), ("N/A", 8, 3)], ()),
+        ("A --drive-gain 0.1,0.2,3", [{"effort_unit": "A"}] * 3, ("ratio", "drive_gain")),
+        ("A --ratio 9,9,8", [{"ratio": r, "effort_unit": "A"} for r in (9, 9, 8)], ("drive_gain",)),
+        ("% --ratio 9,9,8 --drive-gain 1,1,2", [("N m/%", 9, 1), ("N m/%", 9, 1), ("N/%", 8, 2)], ()),
+        ("%", [{"effort_unit": "%"}] * 3, ("ratio", "drive_gain")),
+        ("N_m --ratio 9,9,8", [{"ratio": r, "effort_unit": u} for r, u in ((9, "N m"), (9, "N m"), (8, "N"))], ()),
+        ("N_m", [{"effort_unit": u} for u in ("N m", "N m", "N")], ("ratio",)),
+        ("N_m --torque-sensor", [{"effort_unit": u} for u in ("N m", "N m", "N")], ()),
+    ],
+)  # fmt: skip
+def test_the_motors_of_a_unit_have_numbers_by_options_only(here, capsys, given, motors, to_fill_in):
+    """A gain without its ratio has no effect: it would scale all values by the ratio."""
+    command = ["init", "arm.urdf", "--effort", *(word.replace("_", " ") for word in given.split())]
+    assert run(capsys, *command, "-o", "robot.toml")[0] == 0
+    text = (here / "robot.toml").read_text()
+    keys = "drive_gain_unit", "ratio", "drive_gain"
+    expected = [x if isinstance(x, dict) else dict(zip(keys, x, strict=True)) for x in motors]
+    found = tomllib.loads(text)["motor"]
+    assert [{k: v for k, v in motor.items() if k != "name"} for motor in found] == expected
+    marked = {line[2:].split(" = ")[0] for line in text.splitlines() if "FILL IN" in line} & {"ratio", "drive_gain"}
+    assert marked == set(to_fill_in)
+    robot = load_robot("robot.toml")
+    assert [joint.rotor_inertia for joint in robot.joints] == ["torque-sensor" not in given] * 3
+    assert ("#: Ia1" in text) == ("torque-sensor" not in given)
+
+
+def test_options_of_motors_that_do_not_go_together(here, capsys):
+    for given, key in (
+        (["--ratio", "9"], "--ratio"),
+        (["--effort", "N m", "--drive-gain", "1"], "--drive-gain"),
+        (["--effort", "A", "--torque-sensor"], "--torque-sensor"),
+        (["--effort", "N m", "--torque-sensor", "--ratio", "9"], "--ratio"),
+    ):
+        assert refused(capsys, "init", "arm.urdf", *given).startswith(f"{key} = ")
+    wrong = refused(capsys, "init", "arm.urdf", "--effort", "A", "--ratio", "1,2")
+    assert "--ratio = 2 values: expected one, or 3 for turn, lift, slide" in wrong
+
+
+def test_a_description_is_replaced_if_that_is_asked_for(here, capsys):
+    assert run(capsys, "init", "arm.urdf", "-o", "robot.toml")[0] == 0
+    options = ["--effort", "N m", "--torque-sensor", "--overwrite", "-o", "robot.toml"]
+    status, out, _ = run(capsys, "init", "arm.urdf", *options)
+    assert (status, load_robot("robot.toml").joints[0].rotor_inertia) == (0, False)
+    assert "rotor_inertia = false: torque sensors do not measure rotors; a motor's torque includes its rotor" in out
+
+
+def test_fingers_are_named_and_left_out_unless_there_is_nothing_else(here, capsys):
+    """Two fingers that mimic nothing would be two chains of one length."""
+    (here / "arm.urdf").write_text(urdf(thumb=joint("right_finger", "prismatic", "tool", "right")))
+    out = run(capsys, "init", "arm.urdf", "-o", "robot.toml")[1]
+    assert "locked at zero: finger: prismatic\nlocked at zero: right_finger: prismatic\n" in out
+    (here / "hand.urdf").write_text(f'<robot name="h">{PARTS["tool"]}{PARTS["left"]}{PARTS["finger"]}</robot>')
+    assert "1 joints of hand.urdf" in run(capsys, "init", "hand.urdf", "-o", "hand.toml")[1]

@@ -1,0 +1,104 @@
+"""Two recordings of an arm with optional columns, load friction, own offsets and gains to be found, and their fits."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from friction_models import described, model_of
+from gain_cases import CENTRE, robot_of, with_motors
+from gain_cases import with_gains as described_with
+
+from acquisition.robot import Payload, Robot
+from identification.data import RecordingFile, Recordings, Signals, Work
+from identification.methods import Fit, identify
+from identification.regression import Overrides
+from identification.regression.problem import row_blocks
+from identification.study import Noise, closed_loop, random_reference, write_signals
+
+RATE_HZ = 500.0
+TRUE = np.array([2.0, 0.7])  # N m/A
+WRONG = np.array([2.0, 0.9])  # as described where gains are identified
+COLUMNS = ("velocity", "known_torque", "feedforward", "reference", "payload")
+CONCERNS = ("load", "own", "gains")
+CARRIED = Payload(1.0, CENTRE["scara"])
+KNOWN = np.array([1.0, 0.05])  # N m, known torques
+LONG_S = 10.0  # two blocks of rows
+STATED = {"decimation": 5, "ramp_rows": 0.5, "torque_lag_s": 0.0}  # else long ones take theirs from their beginnings
+
+
+@cache
+def arm(concerns: frozenset[str]) -> Robot:
+    """The SCARA with its efforts in A, with load friction and own offsets if asked for; its law is not described."""
+    optional = {"own": "offset", "load": "load"}
+    terms = ["viscous", "coulomb", *(term for concern, term in optional.items() if concern in concerns)]
+    more = ("mu1 = 0.3\nmu2 = 0.3\n" if "load" in concerns else "") + ("Off1 = 0.3\n" if "own" in concerns else "")
+    text = described("scara", [terms, terms], more).files["robot.toml"].decode()
+    law = ("structure", "sample_rate_hz", "position_gain", "velocity_gain", "velocity_estimate")
+    text = "\n".join(line for line in text.splitlines() if not line.startswith(law))
+    text = text[: text.index("[bus]")] + text[text.index("[parameters]") :]
+    own = '[identification]\nown = ["Off"]\n' if "own" in concerns else ""
+    return robot_of(with_motors(f"{text}\n{own}", "N m/A", TRUE))
+
+
+@cache
+def simulated(concerns: frozenset[str], seed: int, payload: Payload | None, duration_s: float = 4.0) -> Signals:
+    robot = arm(concerns)
+    q = random_reference(robot, duration_s=duration_s, sample_rate_hz=RATE_HZ, seed=seed)
+    return closed_loop(
+        robot, q, RATE_HZ, noise=Noise(encoder_step=1e-6, effort_percent=2.0), seed=seed, payload=payload
+    )
+
+
+def recorded(concerns: frozenset[str], columns: frozenset[str], seed: int, duration_s: float = 4.0) -> Signals:
+    """A recording with these columns; the second one carries the payload."""
+    signals = simulated(concerns, seed, CARRIED if "payload" in columns and seed == 2 else None, duration_s)
+    t_s = signals.t_s[:, None]
+    given = {}
+    if "velocity" in columns:
+        given["velocity"] = np.gradient(signals.q, signals.t_s, axis=0)
+    if "known_torque" in columns:  # a part of what the robot needs is from elsewhere
+        given["known_torque"] = KNOWN * np.sin(7 * t_s)
+        given["effort"] = signals.effort - given["known_torque"]
+    if "feedforward" in columns:
+        given["feedforward"] = 0.02 * KNOWN * np.sin(5 * t_s)
+    reference = signals.q_ref if "reference" in columns else None
+    signals = replace(signals, q_ref=reference, recording=f"r{seed}.mcap", **given)
+    return described_with(signals, WRONG, None) if "gains" in concerns else signals
+
+
+def written(folder: Path, concerns: frozenset[str], columns: frozenset[str], duration_s: float = 4.0) -> list[Path]:
+    paths = [folder / f"r{seed}.mcap" for seed in (1, 2)]
+    for seed, path in enumerate(paths, 1):
+        write_signals(path, recorded(concerns, columns, seed, duration_s), source="test")
+    return paths
+
+
+def fitted(paths: list[Path], concerns: frozenset[str], work: Work, **settings: float) -> Fit:
+    overrides = Overrides(gains=("motor_2",) if "gains" in concerns else None, **settings)
+    return identify(Recordings(sources=tuple(map(RecordingFile.at, paths)), work=work), overrides)
+
+
+def as_long(fit: Callable[[], Fit]) -> Fit:
+    """`fit` where rows are QR factors of spans, come block by block, and no more than a beginning of the recordings is held."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("identification.regression.equations._MAX_NUMBERS", 100)
+        patch.setattr("identification.regression.problem._SERIES_BLOCK", 20_000)
+        patch.setattr("identification.methods.equations.SPAN_S", 5.0)
+        found = fit()
+        assert all(len(row_blocks(one.problem)) > 1 for one in found.recordings)
+    return found
+
+
+def bits(fit: Fit) -> list[bytes]:
+    arrays = fit.estimate.beta, fit.intervals.covariance, fit.tau_predicted
+    return [x.tobytes() for x in arrays] + [repr(fit.trust.lines).encode()]
+
+
+def off(fit: Fit) -> np.ndarray:
+    """Distances from the truth in half-widths."""
+    truth = dict(zip(fit.base.names, model_of(fit.problem.signals.robot)[2], strict=True))
+    true = np.array([truth[name.partition("@")[0]] for name in fit.estimate.names])
+    return np.abs(fit.estimate.beta - true) / fit.intervals.half

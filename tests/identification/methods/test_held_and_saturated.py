@@ -1,0 +1,115 @@
+"""Instrumental variables where a joint is held, where a drive is saturated, and where the reference is of another recording."""
+
+import dataclasses
+from functools import cache
+
+import msgspec
+import numpy as np
+import pytest
+from conftest import REPLAY, robot_named
+from independent_robots import plant
+from independent_simulator import Imperfections, Reference, Runs, described_controller, references, simulate
+
+from acquisition.robot import Joint, Robot
+from identification.data import Signals
+from identification.errors import RobotIdimError
+from identification.methods import Iteration, identify_iv
+from identification.model import InverseModel, base_parameters, described_parameters
+from identification.regression import Overrides, largest_of_type
+
+CELL = Imperfections(encoder_noise=2e-5, encoder_step=1e-5, torque_noise_percent=1.0)
+
+
+@cache
+def recorded(seed: int = 6, held: int | None = None, saturation: tuple[float, float] | None = None) -> Runs:
+    """10 s of the SCARA, friction close to dry: one joint held by its reference, or drives with these limits in N m."""
+    body = plant(REPLAY / "scara" / "robot.toml", smooth=0.0005)
+    reference = references(body, range(seed, seed + 1), duration_s=10.0, rate_hz=1000.0)
+    if held is not None:
+        path = [x.copy() for x in (reference.q, reference.dq, reference.ddq)]
+        path[0][..., held] = path[0][:, :1, held]
+        path[1][..., held] = path[2][..., held] = 0.0
+        reference = Reference(q=path[0], dq=path[1], ddq=path[2])
+    controller = described_controller(body)
+    if saturation is not None:
+        controller = dataclasses.replace(controller, saturation=np.array(saturation))
+    return simulate(body, controller, reference, CELL)
+
+
+def scara(saturation: tuple[float, float] | None = None) -> Robot:
+    robot = robot_named("scara")
+    limits = zip(robot.motors, saturation or (None, None), strict=True)
+    motors = [msgspec.structs.replace(motor, saturation=limit) for motor, limit in limits]
+    return dataclasses.replace(robot, motors=tuple(motors))
+
+
+def refusal(signals: Signals) -> str:
+    with pytest.raises(RobotIdimError) as refused:
+        identify_iv(signals, Overrides(), Iteration())
+    assert "\n" not in str(refused.value)
+    return str(refused.value)
+
+
+@pytest.mark.parametrize("held", [0, 1])
+def test_a_held_joint_does_not_keep_the_others_from_being_fitted(held):
+    """The heavy shoulder hardly moves: its friction, which is not dry at 1 mrad/s, is not looked at. The elbow is pushed."""
+    signals = recorded(held=held).signals(robot_named("scara"), 0)
+    fit = identify_iv(dataclasses.replace(signals, effort_timing="command"), Overrides(), Iteration())
+    assert fit.status == "converged"
+    idm = InverseModel(signals.robot)
+    off = np.abs(fit.beta - described_parameters(idm, base_parameters(idm))) / fit.intervals.half
+    moved = [not (held == 0 and name in ("Fv1", "Fc1")) for name in fit.estimate.names]
+    assert off[moved].max() < 1.5
+    errors = [joint.position_error_percent for joint in fit.iv.direct]
+    assert errors[held] is None
+    assert errors[1 - held] < 1.0
+    # The shoulder creeps, where friction is no longer dry: nobody is to take its values for those of motion.
+    cautions = [line.text for line in fit.trust.lines if line.test == "motion" and line.level == "caution"]
+    assert [text.split(":")[0] for text in cautions] == (["joint shoulder does not move"] if held == 0 else [])
+
+
+def test_a_reference_that_saturation_made_the_robot_leave_is_no_foreign_one():
+    limits = (38.0, 100.0)
+    signals = recorded(saturation=limits).signals(scara(limits), 0)
+    fit = identify_iv(signals, Overrides(), Iteration())
+    share = 100 * (np.abs(signals.effort[:, 0]) > 0.995 * limits[0]).mean()
+    assert fit.iv.saturated_percent == pytest.approx(share, abs=5)  # those between first and last motion count
+    assert f"motor_1 (38 N m) in {fit.iv.saturated_percent:.1f} % of the samples" in " ".join(fit.warnings)
+    # A limit that is not stated is found, but the simulated drives would not have it.
+    unknown = refusal(dataclasses.replace(signals, robot=scara()))
+    assert "drive of motor_1 saturates at 38" in unknown
+    assert "expected saturation of the motor" in unknown
+
+
+def test_a_foreign_reference_is_refused():
+    """Of another motion, of exchanged joints, of one joint in other units."""
+    limits = (1000.0, 1000.0)  # never reached: saturation is no excuse
+    signals = recorded().signals(scara(limits), 0)
+    r = signals.q_ref
+    for foreign in (r[::-1], r[:, ::-1], r * [1.0, np.pi / 180], r * [1.0, 180 / np.pi]):
+        other = dataclasses.replace(signals, q_ref=np.array(foreign))
+        assert "expected the reference of this recording" in refusal(other)
+
+
+def test_a_foreign_reference_is_refused_though_a_joint_is_held():
+    signals = recorded(held=1).signals(robot_named("scara"), 0)
+    other = dataclasses.replace(signals, q_ref=np.array(signals.q_ref[::-1]))
+    assert "reference of joint shoulder" in refusal(other)
+    nothing = dataclasses.replace(recorded().signals(robot_named("scara"), 0), q_ref=signals.q_ref)
+    assert "reference of joint elbow" in refusal(nothing)  # whose reference stands, and which moves
+
+
+def test_a_foreign_reference_of_a_joint_that_moves_little_is_refused():
+    """It goes by its own travel, a tenth of the shoulder's."""
+    signals = recorded().signals(robot_named("scara"), 0)
+    q, q_ref = (x * [1.0, 0.1] for x in (signals.q, signals.q_ref))
+    q_ref[:, 1] = q_ref[::-1, 1]
+    assert "reference of joint elbow" in refusal(dataclasses.replace(signals, q=q, q_ref=q_ref))
+
+
+def test_travel_is_compared_among_joints_of_a_type():
+    first = robot_named("scara").joints[0]
+    slide = Joint(name="slide", type="prismatic")
+    joints = [first, slide, first, slide]
+    np.testing.assert_array_equal(largest_of_type(np.array([1.0, 0.2, 0.0, 0.3]), joints), [1.0, 0.3, 1.0, 0.3])
+    np.testing.assert_array_equal(largest_of_type(np.array([1.0, 0.0, 2.0, 0.0]), joints), [2.0, 2.0, 2.0, 2.0])

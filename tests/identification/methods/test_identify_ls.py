@@ -1,0 +1,203 @@
+"""Least squares on simulated robots whose parameters are known, and its statistics."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from conftest import REPLAY, described_chi, robot_named
+from fits_of_records import ls_of
+
+import identification.regression.equations as regression_module
+from acquisition.robot import fourier_reference
+from identification.data import Signals, signals_from_arrays
+from identification.errors import RobotIdimError
+from identification.estimation import System, essential_parameters, ordinary_least_squares, weighted_least_squares
+from identification.methods import identify_ls
+from identification.model import BaseParameters, InverseModel, base_parameters, described_parameters
+from identification.regression import (
+    Motion,
+    Overrides,
+    decimation_rule,
+    make_problem,
+    make_settings,
+    rows_of_recording,
+)
+
+
+def exact_motion(model: InverseModel, *, duration_s: float, sample_rate_hz: float, seed: int) -> Motion:
+    """Motion along a random exciting reference, with the torques of the inverse dynamic model; no controller, no noise."""
+    t_s = np.arange(round(duration_s * sample_rate_hz) + 1) / sample_rate_hz
+    q, dq, ddq = fourier_reference(model.robot, period_s=duration_s, seed=seed).at(t_s)
+    tau = model.regressor(q, dq, ddq) @ described_chi(model)
+    return Motion(t_s=t_s, q=q, dq=dq, ddq=ddq, tau=tau)
+
+
+def system_of(motion: Motion, model: InverseModel, base: BaseParameters) -> System:
+    """W and Y of every sample of a motion, rows joint by joint."""
+    W = model.regressor(motion.q, motion.dq, motion.ddq)[:, :, base.columns].transpose(1, 0, 2).reshape(-1, base.b)
+    n = model.robot.n
+    return System.whole(W, motion.tau.T.reshape(-1), np.repeat(np.arange(n), len(motion.t_s)), base.names)
+
+
+@pytest.mark.parametrize(("name", "count"), [("scara", 8), ("tx40", 60)])
+@pytest.mark.parametrize("solve", [ordinary_least_squares, weighted_least_squares])
+def test_exact_motion_gives_back_the_true_parameters(name, count, solve):
+    dynamics = InverseModel(robot_named(name))
+    base = base_parameters(dynamics)
+    motion = exact_motion(dynamics, duration_s=20.0, sample_rate_hz=200.0, seed=4)
+    estimate = solve(system_of(motion, dynamics, base))
+    true = described_parameters(dynamics, base)
+    assert len(true) == count
+    # Relative to the parameter, or to its size in the torque's own digits where it is zero.
+    scale = np.maximum(np.abs(true), 1e-3 * np.abs(true).max())
+    assert (np.abs(estimate.beta - true) / scale).max() < 1e-8
+    assert estimate.residual_norm < 1e-8 * np.linalg.norm(motion.tau * estimate.weights)
+
+
+def test_the_shipped_recording_gives_the_truth_it_was_made_from():
+    fit = ls_of(REPLAY / "scara" / "session.mcap")
+    true = described_parameters(InverseModel(robot_named("scara")), fit.base)
+    assert (np.abs(fit.beta - true) < 1.75 * fit.intervals.half).all()
+    assert fit.errors[-1].moving_relative_error_percent < 1.0
+
+
+def test_estimate_is_that_of_the_normal_equations():
+    rng = np.random.default_rng(7)
+    W = rng.normal(size=(600, 4))
+    Y = W @ [1.0, -2.0, 0.5, 3.0] + rng.normal(size=600)
+    estimate = ordinary_least_squares(System.whole(W, Y, np.repeat([0, 1], 300), tuple("abcd")))
+    beta = np.linalg.solve(W.T @ W, W.T @ Y)
+    rho = Y - W @ beta
+    np.testing.assert_allclose(estimate.beta, beta, rtol=1e-12)
+    np.testing.assert_allclose(estimate.covariance, rho @ rho / 599 * np.linalg.inv(W.T @ W), rtol=1e-10)
+    assert estimate.condition_number == pytest.approx(np.linalg.cond(W))
+
+
+def test_essential_parameters_leave_out_what_is_zero_and_keep_what_matters():
+    rng = np.random.default_rng(9)
+    W = rng.normal(size=(900, 6))
+    Y = W @ np.array([5.0, 0.0, -3.0, 0.0, 0.02, 4.0]) + 0.1 * rng.normal(size=900)
+    problem = System.whole(W, Y, np.zeros(900, dtype=int), tuple("abcdef"))
+    full = ordinary_least_squares(problem)
+    # e is small but, at six deviations, more than noise: the F test keeps it though its %sigma is large.
+    kept, unconfirmed = (essential_parameters(problem, full, correlation=x) for x in (0.0, 0.95))
+    assert (kept.estimate.names, unconfirmed.estimate.names) == (("a", "c", "e", "f"), ("a", "c", "f"))
+    assert kept.p_value > 0.01
+
+
+def test_a_joint_that_does_not_move_is_named():
+    dynamics = InverseModel(robot_named("scara"))
+    base = base_parameters(dynamics)
+    motion = exact_motion(dynamics, duration_s=5.0, sample_rate_hz=200.0, seed=1)
+    parts = {name: getattr(motion, name) * [1.0, 0.0] for name in ("q", "dq", "ddq", "tau")}
+    observed = system_of(Motion(t_s=motion.t_s, **parts), dynamics, base)
+    with pytest.raises(RobotIdimError, match="not excited = Fv2, Fc2"):
+        ordinary_least_squares(observed)
+
+
+def test_parameters_that_cannot_be_told_apart_are_named():
+    rng = np.random.default_rng(2)
+    W = rng.normal(size=(200, 4))
+    W[:, 2] = 2 * W[:, 0]
+    problem = System.whole(W, rng.normal(size=200), np.zeros(200, dtype=int), ("ZZ1R", "Ia1", "Fv1", "Fc1"))
+    with pytest.raises(RobotIdimError, match=r"rank 3 for 4 parameters; not distinguishable: ZZ1R, Fv1$"):
+        ordinary_least_squares(problem)
+
+
+def synthetic_signals(name: str = "scara", seconds: float = 30.0) -> Signals:
+    robot = robot_named(name)
+    motion = exact_motion(InverseModel(robot), duration_s=seconds, sample_rate_hz=500.0, seed=3)
+    noise = 0.02 * np.random.default_rng(1).normal(size=motion.tau.shape)
+    signals = signals_from_arrays(motion.q.copy(), motion.tau + noise, 500.0, robot)
+    return dataclasses.replace(signals, recording="made.mcap")
+
+
+def test_blocks_give_what_one_pass_gives(monkeypatch):
+    signals = synthetic_signals()
+    problem = make_problem(signals, Overrides(decimation=5))
+    whole = rows_of_recording(problem)
+    monkeypatch.setattr("identification.regression.problem._SERIES_BLOCK", 1)
+    assert len(list(regression_module.motion_blocks(problem))) > 3
+    parts = rows_of_recording(problem)
+    for part, full in ((parts.system.W, whole.system.W), (parts.system.Y, whole.system.Y)):
+        np.testing.assert_allclose(part, full, atol=1e-9 * np.abs(full).max())
+    np.testing.assert_allclose(parts.speed, whole.speed, atol=1e-9 * np.abs(whole.speed).max())
+
+
+def test_reduced_rows_give_the_same_fit(monkeypatch):
+    signals, finely = synthetic_signals(), Overrides(decimation=5)
+    whole = identify_ls(signals, finely)
+    monkeypatch.setattr("identification.regression.problem._SERIES_BLOCK", 1)
+    monkeypatch.setattr(regression_module, "_MAX_NUMBERS", 1000)
+    reduced = identify_ls(signals, finely)
+    np.testing.assert_allclose(reduced.beta, whole.beta, rtol=1e-7)
+    np.testing.assert_allclose(reduced.estimate.sigma, whole.estimate.sigma, rtol=1e-7)
+    assert reduced.estimate.rows == pytest.approx(whole.estimate.rows, rel=1e-9)
+    for a, b in zip(reduced.errors, whole.errors, strict=True):
+        assert a.relative_error_percent == pytest.approx(b.relative_error_percent, rel=1e-7)
+
+
+def test_signals_that_are_not_finite_are_refused():
+    signals = synthetic_signals(seconds=5.0)
+    broken = signals.effort.copy()
+    broken[70, 1] = np.inf
+    with pytest.raises(RobotIdimError, match=r"made.mcap: effort\[70\] = \[2.*, inf\]: expected finite"):
+        dataclasses.replace(signals, effort=broken)
+
+
+def test_torque_and_position_are_not_shifted_against_each_other():
+    """Moving the torque by a few samples either way must make the fit worse: it is aligned as it comes."""
+    signals = synthetic_signals()
+    errors = {}
+    for shift in (-20, -3, 0, 3, 20):
+        moved = dataclasses.replace(signals, effort=np.roll(signals.effort, shift, axis=0))
+        errors[shift] = identify_ls(moved, Overrides()).errors[-1].relative_error_percent
+    assert min(errors, key=errors.get) == 0
+    assert errors[20] > 3 * errors[0]
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "bandwidth_hz", "n_d"), [(1000, 20, 10), (5000, 10, 100), (1000, 10, 20), (100, 40, 1), (3400, 20, 33)]
+)
+def test_decimation_follows_the_rule(rate_hz, bandwidth_hz, n_d):
+    assert decimation_rule(rate_hz, bandwidth_hz) == n_d
+
+
+def test_a_cutoff_below_five_bandwidths_warns_and_options_override():
+    signals = synthetic_signals()
+    assert make_settings(signals, Overrides()).cutoff_hz == 25.0
+    assert make_settings(signals, Overrides()).warnings == ()
+    plan = make_settings(signals, Overrides(cutoff_hz=10.0, decimation=7))
+    assert (plan.cutoff_hz, plan.decimation) == (10.0, 7)
+    assert "below 5 times the bandwidth of 5 Hz" in plan.warnings[0]
+    assert make_settings(signals, Overrides(cutoff_hz=0)).cutoff_hz is None
+    (told,) = make_settings(signals, Overrides(decimation=30)).warnings
+    assert "keeps 6.66667 Hz, less than twice the bandwidth of 5 Hz" in told
+    with pytest.raises(RobotIdimError, match="cut-off = 300 Hz: expected below 250 Hz"):
+        make_settings(signals, Overrides(cutoff_hz=300.0))
+    with pytest.raises(RobotIdimError, match="expected at least 60000, 30 decimated rows"):
+        make_settings(signals, Overrides(decimation=2000))
+
+
+def test_the_default_span_is_that_of_motion_and_a_tracking_phase_goes_before_it():
+    signals = synthetic_signals()
+    still = np.repeat(signals.q[:1], 2000, axis=0)
+    padded = dataclasses.replace(
+        signals,
+        t_s=np.arange(len(signals.q) + 4000) / 500.0,
+        q=np.concatenate([still, signals.q, np.repeat(signals.q[-1:], 2000, axis=0)]),
+        effort=np.concatenate([still, signals.effort, still]),
+    )
+    plan = make_settings(padded, Overrides())
+    assert plan.start == pytest.approx(2000, abs=200)
+    assert plan.stop == pytest.approx(2000 + len(signals.q), abs=200)
+    # A joint that stands has noise only, all the time: it does not tell when motion begins.
+    noise = 1e-5 * np.random.default_rng(2).normal(size=len(padded.q))
+    one_stands = dataclasses.replace(padded, q=np.stack([padded.q[:, 0], 0.3 + noise], axis=1))
+    stands = make_settings(one_stands, Overrides())
+    assert plan.start <= stands.start < plan.start + 500 < stands.stop <= plan.stop
+    assert "joint elbow does not move" in stands.warnings
+    everything = make_settings(padded, Overrides(span="all"))
+    assert (everything.start, everything.stop) == (100, len(padded.q) - 100)
+    tracked = make_settings(dataclasses.replace(padded, track=(3000, 9000)), Overrides())
+    assert (tracked.start, tracked.stop, tracked.span) == (3000, 9000, "the recording's tracking phase")

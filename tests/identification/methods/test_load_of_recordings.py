@@ -1,0 +1,316 @@
+"""Load friction of several recordings: by hand, cut, long, on any workers, left out, told by the trust block."""
+
+import dataclasses
+import json
+from functools import cache
+
+import msgspec
+import numpy as np
+import pytest
+from fits_of_records import signals_of
+from friction_models import axis, described, model_of, moved, simulated, two_speeds
+from stacked_recordings import system_of
+
+import identification.methods.settled as settled
+from identification.commands import main
+from identification.data import Recordings
+from identification.design import with_terms
+from identification.methods import Iteration, identify, identify_iv, identify_ls, least_squares
+from identification.regression import (
+    Overrides,
+    friction_states,
+    make_problem,
+    row_blocks,
+    row_states,
+    rows_of_recording,
+    torque_of_recording,
+    weights_at,
+)
+from identification.study import Noise, closed_loop, random_reference, write_signals
+
+TERMS = [["viscous", "coulomb", "root", "load"], ["viscous", "coulomb", "load"]]
+CELL = Noise(encoder_step=1e-6, effort_percent=2.0)
+DENSE = Overrides(decimation=4, cutoff_hz=40.0)  # more rows, so that blocks are several
+VALUES = "Fr1 = 0.6\nmu1 = 0.3\nmu2 = 0.3\n"
+
+
+@cache
+def scara(own: str = ""):
+    """The SCARA with load friction of both joints, and 3 recordings of it; offsets are shared or of each."""
+    offsets = "Off1 = 0.3\n" if own else ""
+    terms = [[*more[:2], "offset", *more[2:]] if own else more for more in TERMS]
+    robot = described("scara", terms, VALUES + offsets)
+    # The simulated mean has no lag; stated, sums by hand need not look for one.
+    robot = dataclasses.replace(robot, identification=msgspec.structs.replace(robot.identification, torque_lag_s=0.0))
+    if own:
+        robot = dataclasses.replace(robot, identification=msgspec.structs.replace(robot.identification, own=(own,)))
+    return robot, simulated(robot, 3, 4, 5)
+
+
+def fitted(given, method: str):
+    return identify(given, Overrides(), method=method)
+
+
+@cache
+def fit_of(method: str, own: str = ""):
+    return fitted(scara(own)[1], method)
+
+
+def off(fit, values) -> np.ndarray:
+    """Distances of estimates from values of base parameters, in half-widths of the interval."""
+    names = [name.partition("@")[0] for name in fit.estimate.names]
+    expected = np.array([values[fit.base.names.index(name)] for name in names])
+    return np.abs(fit.estimate.beta - expected) / fit.intervals.half
+
+
+@cache
+def series_of(problem):
+    """The whole regressor (N, n, b) before decimation, and the motion."""
+    s = problem.settings
+    m = problem.motion.between(s.start, s.stop, s.cutoff_hz)
+    return problem.model.regressor(m.q, m.dq, m.ddq)[:, :, problem.base.columns], m
+
+
+def about(problem, beta):
+    """W (n, rows, b) and Y (n, rows) of a recording about beta, by the formulas."""
+    s, base, (series, m) = problem.settings, problem.base, series_of(problem)
+    w = weights_at(problem, m.t_s)
+    W = np.stack([s.decimator.filtered(w[j] * series[:, j].T).T for j in range(series.shape[1])])
+    Y = s.decimator.filtered(w * m.tau.T)
+    for j in range(len(W)):
+        mu = base.names.index(f"mu{j + 1}")
+        rigid, sign = series[:, j, base.links] @ beta[base.links], np.sign(m.dq[:, j])
+        moved = beta[mu] * s.decimator.kept(np.sign(rigid) * sign)[:, None] * W[j][:, base.links]
+        Y[j] = Y[j] + moved @ beta[base.links]
+        W[j][:, base.links] += moved
+        W[j][:, mu] = s.decimator.filtered((w[j] * np.abs(rigid) * sign)[None])[0]
+    return W, Y
+
+
+def weighted_least_squares(W, Y, joint, count):
+    """Estimate and deviations: rows over the residual of each joint's own least squares; `count` (2,) rows by their weights."""
+    s = np.ones(2)
+    for j in range(2):
+        own, rows = W[joint == j], Y[joint == j]
+        own = own[:, own.any(axis=0)]
+        own = own / np.linalg.norm(own, axis=0)
+        b, _, rank, _ = np.linalg.lstsq(own, rows, rcond=1e-9)
+        s[j] = np.sqrt(np.sum((rows - own @ b) ** 2) / (count[j] - rank))
+    A, b = W / s[joint][:, None], Y / s[joint]
+    beta = np.linalg.lstsq(A, b)[0]
+    variance = np.sum((b - A @ beta) ** 2) / (len(b) - A.shape[1])
+    return beta, np.sqrt(variance * np.diag(np.linalg.inv(A.T @ A)))
+
+
+def test_least_squares_of_recordings_is_that_of_their_rows_stacked():
+    """Pass by pass by hand, from the fit without load friction on, until no parameter moves by 1e-3 of its deviation."""
+    _, given = scara()
+    ramps = Overrides(ramp_rows=fit_of("wls").settings.ramp_rows)
+    problems = [make_problem(signals, ramps) for signals in given.sources]
+    share = [rows_of_recording(problem).share.T for problem in problems]  # (n, rows)
+    fast, count = [one > 0 for one in share], np.sum([(one**2).sum(axis=1) for one in share], axis=0)
+    joint = np.concatenate([np.nonzero(rows)[0] for rows in fast])
+
+    def rows(beta):
+        each = [about(problem, beta) for problem in problems]
+        return (np.concatenate([x[i][used] for x, used in zip(each, fast, strict=True)]) for i in range(2))
+
+    names = problems[0].base.names
+    linear = np.array([not name.startswith("mu") for name in names])
+    W, Y = rows(np.zeros(len(names)))
+    beta, passes, moved = np.zeros(len(names)), 0, np.inf
+    beta[linear], _ = weighted_least_squares(W[:, linear], Y, joint, count)
+    while moved > 1e-3:
+        W, Y = rows(beta)
+        after, sigma = weighted_least_squares(W, Y, joint, count)
+        beta, moved, passes = after, np.abs((after - beta) / sigma).max(), passes + 1
+    assert passes > 1
+    assert off(fit_of("wls"), beta).max() < 1e-6  # the fit goes one step further
+
+
+@pytest.mark.parametrize("own", ["", "Off"])
+@pytest.mark.parametrize("method", ["wls", "iv"])
+def test_the_truth_is_inside_and_no_test_warns(method, own):
+    fit = fit_of(method, own)
+    robot, _ = scara(own)
+    assert fit.status == ("converged" if method == "iv" else "solved")
+    assert {"mu1", "mu2"} < set(fit.estimate.names)
+    assert ("Off1@r3" in fit.estimate.names) == bool(own)
+    found = off(fit, model_of(robot)[2])
+    assert (found < 1).sum() >= len(found) - 2
+    assert found.max() < 2.5
+    assert fit.intervals.half[fit.estimate.names.index("mu1")] < 0.05
+    levels = {line.test: line.level for line in fit.trust.lines}
+    assert set(levels.values()) <= {"ok", "cannot tell", "not made"}, levels
+    assert levels["physical"] == levels["held-out blocks"] == "ok"
+
+
+def halves(signals) -> Recordings:
+    """A recording as two."""
+    N = len(signals.q)
+    parts = []
+    for name, part in (("a.mcap", slice(0, N // 2)), ("b.mcap", slice(N // 2, N))):
+        arrays = {key: x[part] for key in ("q", "q_ref", "effort") if (x := getattr(signals, key)) is not None}
+        t_s = signals.t_s[part] - signals.t_s[part][0]
+        named = {"recording": name, "sha256": name.encode().hex()}
+        parts.append(dataclasses.replace(signals, t_s=t_s, track=None, **named, **arrays))
+    return Recordings(sources=tuple(parts))
+
+
+@cache
+def long_record():
+    """16 s of the SCARA."""
+    robot, _ = scara()
+    q_ref = random_reference(robot, duration_s=16.0, sample_rate_hz=1000.0, seed=3)
+    return closed_loop(robot, q_ref, 1000.0, noise=CELL, seed=3)
+
+
+def test_a_recording_cut_in_two_gives_nearly_the_uncut_fit():
+    """Rows at the cut are lost, and each part is filtered by itself."""
+    whole, found = identify_ls(long_record(), Overrides()), identify_ls(halves(long_record()), Overrides())
+    assert (np.abs(found.estimate.beta - whole.estimate.beta) / whole.intervals.half).max() < 0.15
+    errors = [fit.errors[-1].moving_relative_error_percent for fit in (found, whole)]
+    assert errors[0] == pytest.approx(errors[1], rel=0.02)
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("load")
+    paths = [folder / signals.recording for signals in scara()[1].sources]
+    for path, signals in zip(paths, scara()[1].sources, strict=True):
+        write_signals(path, signals, source="test")
+    return paths
+
+
+@pytest.mark.parametrize("blocks", [False, True])
+def test_long_recordings_give_the_same(monkeypatch, blocks):
+    """In blocks, or as QR factors: fit, trust block, errors held out."""
+    given = halves(long_record())
+    wanted = identify_ls(given, DENSE)
+    if blocks:
+        monkeypatch.setattr("identification.regression.problem._SERIES_BLOCK", 10_000)
+        assert len(row_blocks(make_problem(given.sources[0], DENSE))) > 2
+    else:
+        monkeypatch.setattr("identification.regression.equations._MAX_NUMBERS", 500)
+    found, tolerance = identify_ls(given, DENSE), 1e-6 if blocks else 1e-9
+    assert bool(len(found.problem.signals.q)) == blocks
+    assert (np.abs(found.estimate.beta - wanted.estimate.beta) / wanted.intervals.half).max() < tolerance
+    for one, other in zip(found.recordings, wanted.recordings, strict=True):
+        assert one.held_out.error_percent == pytest.approx(other.held_out.error_percent, rel=1e-6 if blocks else 1e-9)
+        assert one.errors[-1].relative_error_percent == pytest.approx(other.errors[-1].relative_error_percent, rel=1e-4)
+    assert found.trust.line("physical").level == "ok"
+
+
+def test_the_whole_may_leave_out_what_the_beginning_of_a_long_recording_has(monkeypatch):
+    """The passes of the whole start from the values of its own terms."""
+    made = settled.leave_out_load
+
+    def without_mu2(equations, x, solve):
+        if not equations.reduced:
+            return made(equations, x, solve)
+        return equations.without({"mu2": "left out"}), x[[name != "mu2" for name in equations.names]]
+
+    monkeypatch.setattr("identification.regression.equations._MAX_NUMBERS", 100)
+    monkeypatch.setattr(settled, "leave_out_load", without_mu2)
+    fit = identify_iv(scara()[1].sources[0], Overrides(), Iteration())
+    assert "mu1" in fit.estimate.names
+    assert "mu2" not in fit.estimate.names
+    assert abs(fit.estimate.values_of(("ZZ1R",))[0] - 3.45) < 0.02
+
+
+@pytest.mark.parametrize("blocks", [False, True])
+def test_states_of_rows_are_those_of_the_regressor(monkeypatch, blocks):
+    """Speeds of the rows, and the torque of the links as columns times parameters."""
+    if blocks:
+        monkeypatch.setattr("identification.regression.problem._SERIES_BLOCK", 10_000)
+    problem, beta = make_problem(halves(long_record()).sources[0], DENSE), fit_of("wls").beta
+    states, base = row_states(problem), problem.base
+    np.testing.assert_array_equal(states.dq, rows_of_recording(problem).speed[states.rows])
+    series, _ = series_of(problem)
+    rigid = problem.settings.decimator.kept(series[:, :, base.links] @ beta[base.links])
+    assert len(states.rows) > 100
+    speeds, loads = friction_states(problem, beta, states)
+    for j, dq in enumerate(states.dq.T):  # joints that share no motor are looked at one by one, where they move
+        alone = speeds[:, j] != 0
+        rows = np.isin(dq, speeds[alone, j])
+        assert rows.sum() > 0.8 * len(dq)
+        np.testing.assert_array_equal(speeds[alone, j], dq[rows])
+        np.testing.assert_allclose(loads[alone], np.abs(rigid[states.rows][rows]), rtol=1e-6, atol=1e-6)
+
+
+def test_held_out_is_predicted_by_the_fit_of_the_others():
+    """Its load friction is linearised about the fit of all: nearly the error of a fit that knows the others alone."""
+    sources = scara()[1].sources
+    fit = identify_ls(scara()[1], Overrides())
+    for k, one in enumerate(fit.recordings):
+        others = identify_ls(Recordings(sources=(*sources[:k], *sources[k + 1 :])), Overrides())
+        problem = make_problem(sources[k], Overrides(ramp_rows=fit.settings.ramp_rows))
+        tau, predicted, _ = torque_of_recording(problem, others.beta)
+        fast = rows_of_recording(problem).counts
+        error = 100 * np.linalg.norm((tau - predicted)[fast]) / np.linalg.norm(tau[fast])
+        assert one.held_out.error_percent == pytest.approx(error, rel=0.02)
+        own = 100 * np.linalg.norm((tau - torque_of_recording(problem, fit.beta)[1])[fast]) / np.linalg.norm(tau[fast])
+        assert one.held_out.trained_percent == pytest.approx(own, rel=1e-3)
+
+
+@pytest.mark.parametrize(("a_m_s2", "others"), [(0.1, (0.1, 0.2)), (4.0, (0.05, 0.15))])
+def test_terms_that_recordings_cannot_tell_are_left_out_of_all(a_m_s2, others):
+    """A weight at two speeds that hardly accelerates: root and load friction say no more than the usual terms."""
+    robot = axis(["viscous", "coulomb", "root", "load"], vertical=True, Fv=100.0, Fc=20.0, Fr=30.0, mu=0.2)
+    problems = [two_speeds(robot, a_m_s2, speeds)[0] for speeds in ((0.1, 0.2), others)]
+    whole = system_of(*problems)
+    settled, full = least_squares(whole)
+    told = settled.left_out
+    assert set(told.values()) <= set(settled.problem.settings.warnings)
+    if a_m_s2 < 1:
+        assert list(told) == ["Fr1", "mu1"]
+        assert told["Fr1"].startswith("root friction of joint axis left out")
+        assert told["mu1"].startswith("load friction of joint axis left out")
+        assert not {"Fr1", "mu1"} & set(full.names)
+    else:
+        assert not told
+        np.testing.assert_allclose(full.beta, model_of(robot)[2], rtol=1e-7)
+
+
+def test_load_friction_that_would_drive_is_told_in_the_rows_where_the_load_is():
+    """Coulomb friction of 20 N against 0.3 of the weight: in the recording of a fast motion, whose load is the largest."""
+    robot = axis(["viscous", "coulomb", "load"], vertical=True, Fv=10.0, Fc=20.0, mu=-0.3)
+    fit = identify_ls(moved(robot, 2, 3), Overrides(torque_lag_s="none", edges="smooth"))
+    line = fit.trust.line("physical")
+    assert line.level == "do not use"
+    assert "friction would drive joint axis at " in line.text
+    resists, load = float(line.text.split("/s: ")[1].split(" ")[0]), 0.3 * 95.0 * 9.81
+    assert resists < -0.5 * load + 20.0  # with the links' torque there; 20 N and more without
+
+
+def test_consistent_parameters_and_validation_take_the_same_terms(files, tmp_path):
+    fit, out = tmp_path / "fit.json", tmp_path / "validation.json"
+    assert main(["fit", *map(str, files[:2]), "--workers", "1", "--consistent", "--json", str(fit)]) == 0
+    stored = json.loads(fit.read_text())
+    consistent, error = stored["consistent"], stored["relative_error_percent"]
+    assert {"mu1", "mu2"} < {one["name"] for one in stored["standard_parameters"]}
+    assert consistent["relative_error_percent"] == pytest.approx(error, rel=0.05)
+    assert main(["validate", str(fit), *map(str, files), "--json", str(out)]) == 0
+    each = json.loads(out.read_text())["recordings"]
+    assert max(one["relative_error_percent"] for one in each) < 1.2 * error
+
+
+# --- the real record
+
+
+def test_the_real_tx40_record_cut_in_two(tx40):
+    """The recommended terms: joint 3 is fitted as well as in one piece, and its load friction is the same."""
+    terms = [frozenset({"root"})] * 4 + [frozenset(), frozenset({"root"})]
+    terms[2] |= {"load"}
+    signals = signals_of(tx40)
+    signals = dataclasses.replace(signals, robot=with_terms(signals.robot, tuple(terms)))
+    whole, found = fitted(signals, "wls"), fitted(halves(signals), "wls")
+    mu = found.estimate.names.index("mu3")
+    assert found.estimate.names == whole.estimate.names
+    assert found.estimate.beta[mu] == pytest.approx(whole.estimate.beta[mu], abs=0.3 * whole.intervals.half[mu])
+    assert found.intervals.half[mu] == pytest.approx(whole.intervals.half[mu], rel=0.2)
+    for joint, most in ((2, 3.2), (-1, 3.7)):
+        errors = [fit.errors[joint].moving_relative_error_percent for fit in (found, whole)]
+        assert errors[0] == pytest.approx(errors[1], rel=0.05)
+        assert errors[0] < most
+    assert found.trust.line("physical").level == "ok"

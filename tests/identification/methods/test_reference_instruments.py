@@ -1,0 +1,163 @@
+"""Instruments along the motion that the recorded reference predicts, where no simulated robot confirms others.
+
+Here no simulated robot is ever confirmed: a tracking error of 0 % is asked of it.
+"""
+
+import dataclasses
+from functools import cache
+from pathlib import Path
+
+import crossed_recordings as crossings
+import numpy as np
+import pytest
+from conftest import REPLAY
+from independent_robots import plant
+from independent_simulator import (
+    Imperfections,
+    described_controller,
+    description,
+    references,
+    simulate,
+    without_control_law,
+    without_settings,
+)
+
+from identification.data import Signals, Work
+from identification.methods import Fit, fit_document, fit_file, identify
+from identification.model import InverseModel, described_parameters
+from identification.regression import FilteredMotion, Overrides, make_problem
+from identification.simulation.predicted import predicted_motion
+
+HELD = Overrides(torque_lag_s=-0.0005)  # the command of a tick, held until the next
+
+
+@pytest.fixture
+def unconfirmed(monkeypatch):
+    monkeypatch.setattr("identification.methods.iteration.MAX_TRACKING_PERCENT", 0.0)
+
+
+@cache
+def axis_signals(seeds: range, *, law: bool = False) -> list[Signals]:
+    """The EMPS with 20 µm of noise fed back through its loop."""
+    body = plant(REPLAY / "emps" / "robot.toml")
+    cell = Imperfections(torque_noise_percent=2.0, encoder_noise=20e-6)
+    controller, robot = described_controller(body), without_settings(description(REPLAY / "emps" / "robot.toml"))
+    path = references(body, seeds, duration_s=10.0, rate_hz=controller.rate_hz)
+    runs = simulate(body, controller, path, cell, seed=seeds.start)
+    return [runs.signals(robot if law else without_control_law(robot), k) for k in range(len(seeds))]
+
+
+def off(fit: Fit, robot_toml: Path) -> np.ndarray:
+    """Distances from the truth in half-widths."""
+    true = described_parameters(InverseModel(description(robot_toml)), fit.base)
+    return np.abs(fit.beta - true) / fit.intervals.half
+
+
+def stands_alone(fit: Fit) -> bool:
+    return fit.iv.passes[fit.iv.returned - 1].stands_alone
+
+
+def test_least_squares_is_biased_by_noise_in_the_loop_and_these_are_not(unconfirmed):
+    fits = [identify(signals, HELD) for signals in axis_signals(range(4))]
+    assert {fit.status for fit in fits} == {"converged"}
+    assert all(map(stands_alone, fits))
+    true = description(REPLAY / "emps" / "robot.toml").parameters["M1"]
+    M = np.array([fit.beta[0] for fit in fits]) / true - 1
+    by_ls = np.array([fit.least_squares.full.beta[0] for fit in fits]) / true - 1
+    inside = np.mean([off(fit, REPLAY / "emps" / "robot.toml") < 1 for fit in fits])
+    print(f"M {100 * M.mean():+.2f} %, least squares {100 * by_ls.mean():+.1f} %; {100 * inside:.0f} % inside")
+    assert abs(M.mean()) < 0.01
+    assert by_ls.mean() < -0.1
+    assert inside > 0.85
+
+
+def test_the_reason_is_told_and_no_law_is_assumed(unconfirmed):
+    (signals,) = axis_signals(range(1))
+    fit = identify(signals, HELD)
+    alone = "instruments: reference"
+    assert fit.iv.reason.startswith(alone)
+    assert alone in fit_document(signals, fit).title
+    line = fit.trust.line("fixed point")
+    assert line.level == "ok"
+    assert alone in line.text
+    assert "control law" not in [one.what for one in fit.trust.assumed]
+    file = fit_file(fit)
+    assert (file.status, file.reason, file.iterations[-1].instruments) == ("converged", fit.iv.reason, "reference")
+    assert file.pass_returned == len(file.iterations)
+    assert np.isfinite(fit.data.lags[0].value_s)
+
+
+def test_a_described_law_that_is_not_followed_is_a_finding(unconfirmed):
+    (signals,) = axis_signals(range(1), law=True)
+    fit = identify(signals, HELD)
+    assert (fit.status, stands_alone(fit)) == ("not_confirmed", False)
+    assert fit.trust.line("fixed point").level == "caution"
+
+
+def test_nothing_is_predicted_without_a_recorded_reference(unconfirmed):
+    (signals,) = axis_signals(range(1))
+    signals = dataclasses.replace(signals, q_ref=None)
+    fit = identify(signals, HELD, method="iv")
+    assert (fit.status, stands_alone(fit)) == ("not_confirmed", False)
+
+
+def test_a_lag_of_the_torque_is_found_with_them(unconfirmed):
+    (signals,) = axis_signals(range(1))
+    late = dataclasses.replace(signals, effort=np.roll(signals.effort, 3, axis=0))
+    stated, found = identify(signals, HELD), identify(late, Overrides())
+    assert stands_alone(found)
+    (lag,) = found.data.lags
+    assert abs(lag.value_s - 0.0025) < lag.half_width_s < 0.0015
+    assert (np.abs(found.beta - stated.beta) < found.intervals.half).all()
+
+
+def test_white_noise_of_the_position_is_not_predicted():
+    """Under one percent of the power of its acceleration, 1 m/s² behind a low-pass of 50 Hz, is in that of the instruments."""
+    (signals,) = axis_signals(range(1))
+    noise = 1e-4 * np.random.default_rng(3).standard_normal(signals.q.shape)
+    moved = []
+    for q in (signals.q, signals.q + noise):
+        problem = make_problem(dataclasses.replace(signals, q=q), Overrides())
+        moved.append([motion.between(500, 9500, 50.0) for motion in (predicted_motion(problem), problem.motion)])
+    (predicted, measured), (again, noisy) = moved
+    assert np.std(again.ddq - predicted.ddq) < 0.1 * np.std(noisy.ddq - measured.ddq)
+    assert np.std(again.q - measured.q) < 3e-4 * np.std(measured.q)
+
+
+@pytest.mark.parametrize("most", [50_000, 700])
+def test_an_error_made_of_the_terms_is_predicted_whole(monkeypatch, most):
+    """q - r = -c(r) late, of two joints; the span does not end with the recording."""
+    monkeypatch.setattr("identification.simulation.predicted.MOST_SAMPLES", most)
+    monkeypatch.setattr("identification.simulation.predicted.DESIGN_SAMPLES", 640)
+    signals = crossings.recorded(frozenset(), frozenset({"reference"}), 1)
+    r, fs = signals.q_ref, crossings.RATE_HZ
+    dr = np.gradient(r, 1 / fs, axis=0)
+    late = [np.maximum(np.arange(len(r)) - round(d * fs), 0) for d in (0.02, 0.1)]
+    force = 0.003 * np.cos(r[late[0], 0] + r[late[0], 1])
+    friction = np.tanh(dr[late[1]] / (0.05 * np.abs(dr).max(axis=0)))
+    q = r - 0.02 * dr[late[0]] + force[:, None] - 0.001 * friction
+    problem = make_problem(dataclasses.replace(signals, q=q), Overrides(method="iv"))
+    span = slice(problem.settings.start, problem.settings.stop)
+    at = span.start, span.stop, problem.settings.cutoff_hz
+    predicted, true = predicted_motion(problem).between(*at), FilteredMotion(problem.signals).between(*at)
+    for x, y in ((predicted.q, true.q), (predicted.dq, true.dq), (predicted.ddq, true.ddq)):
+        assert (np.abs(x - y).max(axis=0) < 1e-3 * np.std(y, axis=0)).all()
+
+
+@pytest.mark.parametrize(("concerns", "long"), [("load own gains", False), ("own", True), ("load gains", True)])
+def test_they_serve_all_recordings(unconfirmed, concerns, long, tmp_path):
+    concerns = frozenset(concerns.split())
+    paths = crossings.written(tmp_path, concerns, frozenset(crossings.COLUMNS), 10.0 if long else 4.0)
+
+    def fitted(work: Work) -> Fit:
+        return crossings.fitted(paths, concerns, work, **(crossings.STATED if long else {}))
+
+    fit = crossings.as_long(lambda: fitted(Work())) if long else fitted(Work())
+    assert (fit.status, stands_alone(fit)) == ("converged", True)
+    assert (crossings.off(fit) < 1.5).all()
+    assert (fit.own is not None, fit.gains is not None) == (bool({"own", "gains"} & concerns), "gains" in concerns)
+    if long:
+        held = fitted(Work())
+        assert (np.abs(fit.estimate.beta - held.estimate.beta) < 0.1 * held.intervals.half).all()
+    else:
+        assert crossings.bits(fitted(Work(2))) == crossings.bits(fit)

@@ -1,0 +1,507 @@
+"""Several recordings in one fit: against their rows stacked by hand, in any order, on any workers, held out, refused."""
+
+import json
+from dataclasses import replace
+from functools import cache
+
+import msgspec
+import numpy as np
+import pytest
+from conftest import robot_named
+from scipy import stats
+
+import identification.regression.equations as regression_system
+from acquisition.robot import robot_from_files
+from identification.commands import main
+from identification.data import Recordings, Signals, Work, check_one_robot, signals_from_arrays
+from identification.errors import RobotIdimError
+from identification.export import model_of_fit
+from identification.methods import (
+    Iteration,
+    fit_file,
+    fitted_parameters,
+    identify,
+    identify_iv,
+    identify_ls,
+    with_consistent,
+)
+from identification.model import InverseModel, base_parameters, described_parameters
+from identification.regression import (
+    Overrides,
+    make_problem,
+    make_unknowns,
+    rows_of_recording,
+    torque_of_recording,
+)
+from identification.report import ParameterSet, differences, read_fit, write_json
+from identification.study import Noise, closed_loop, random_reference, write_signals
+
+USUAL = ("viscous", "coulomb")
+CELL = Noise(encoder_step=1e-5, effort_percent=2.0)
+
+
+@cache
+def recorded(seed: int, rate_hz: float = 1000.0) -> Signals:
+    """Five seconds of the SCARA, four with the seed 3: lengths differ."""
+    robot = robot_named("scara")
+    # The simulated mean has no lag; stated, sums by hand need not look for one.
+    robot = replace(robot, identification=msgspec.structs.replace(robot.identification, torque_lag_s=0.0))
+    if rate_hz != 1000.0:
+        law = msgspec.structs.replace(robot.controller, sample_rate_hz=rate_hz)
+        robot = replace(robot, controller=law)
+    q_ref = random_reference(robot, duration_s=4.0 if seed == 3 else 5.0, sample_rate_hz=rate_hz, seed=seed)
+    signals = closed_loop(robot, q_ref, rate_hz, noise=CELL, seed=seed)
+    return replace(signals, recording=f"r{seed}.mcap", sha256=f"{seed:064x}")
+
+
+def several(*signals: Signals, work=None) -> Recordings:
+    return Recordings(sources=signals, **({"work": work} if work else {}))
+
+
+@cache
+def fitted(method: str = "wls", seeds: tuple[int, ...] = (1, 2, 3)):
+    return identify(several(*map(recorded, seeds)), Overrides(), method=method)
+
+
+def off(fit, beta) -> float:
+    """The largest distance of estimates from others, in half-widths of the interval."""
+    return float(np.max(np.abs(fit.estimate.beta - beta) / fit.intervals.half))
+
+
+def test_least_squares_of_recordings_is_that_of_their_rows_stacked():
+    fit = fitted()
+    ramps = Overrides(ramp_rows=fit.settings.ramp_rows)
+    problems = [make_problem(recorded(k), ramps) for k in (1, 2, 3)]
+    systems = [rows_of_recording(problem).system for problem in problems]
+    W, Y, joint = (
+        np.concatenate([getattr(s, name)[s.used > 0] for s in systems]) for name in ("W", "Y", "joint_of_row")
+    )
+    s = np.ones(2)
+    for j in range(2):
+        own, rows = W[joint == j], Y[joint == j]
+        own = own[:, own.any(axis=0)]
+        b, _, rank, _ = np.linalg.lstsq(own, rows)
+        s[j] = np.sqrt(np.sum((rows - own @ b) ** 2) / (sum(one.rows[j] for one in systems) - rank))
+    beta = np.linalg.lstsq(W / s[joint][:, None], Y / s[joint])[0]
+    assert off(fit, beta) < 1e-9
+    # The errors of each are those of its own torque, without weights.
+    for one, problem in zip(fit.recordings, problems, strict=True):
+        s = problem.settings
+        motion = problem.motion.between(s.start, s.stop, s.cutoff_hz)
+        full = problem.model.regressor(motion.q, motion.dq, motion.ddq)[..., problem.base.columns] @ fit.estimate.beta
+        tau, rho = (s.decimator.filtered(x.T) for x in (motion.tau, motion.tau - full))
+        assert one.errors[-1].relative_error_percent == pytest.approx(
+            100 * np.linalg.norm(rho) / np.linalg.norm(tau), rel=1e-9
+        )
+
+
+@pytest.mark.parametrize("method", ["wls", "iv"])
+def test_a_recording_twice_halves_the_variance(method):
+    """The same samples under another name: the same estimate; variances of two recordings add up, degrees of freedom too."""
+    one = recorded(1)
+    again = replace(one, recording="again.mcap", sha256="f" * 64)
+    single, twice = (identify(given, Overrides(), method=method) for given in (one, several(one, again)))
+    assert off(single, twice.estimate.beta) < 1e-3  # the ranks in the weights count half
+    np.testing.assert_allclose(
+        twice.intervals.sigma, single.intervals.sigma / np.sqrt(2), rtol=0.12
+    )  # of twice the rows the estimate takes half the share
+    assert twice.intervals.freedom == 2 * single.intervals.freedom
+
+
+@pytest.mark.parametrize("method", ["wls", "iv"])
+def test_the_truth_is_inside_and_the_verdict_is_trust(method):
+    fit = fitted(method)
+    dynamics = InverseModel(recorded(1).robot)
+    assert off(fit, described_parameters(dynamics, base_parameters(dynamics))) < 2.0
+    if method == "iv":
+        assert (fit.status, fit.trust.verdict) == ("converged", "trust")
+        assert {line.level for line in fit.trust.lines} == {"ok"}
+
+
+@pytest.mark.parametrize("method", ["wls", "iv"])
+def test_held_out_is_predicted_by_the_fit_of_the_others(method):
+    fit = fitted(method)
+    others = identify_ls(several(recorded(1), recorded(2)), Overrides())
+    last, problem = fit.recordings[2], make_problem(recorded(3), Overrides(ramp_rows=fit.settings.ramp_rows))
+    counts = rows_of_recording(problem).counts
+    tau, predicted, _ = torque_of_recording(problem, others.estimate.beta)
+    error = 100 * np.linalg.norm((tau - predicted)[counts]) / np.linalg.norm(tau[counts])
+    # Weights and, of iv, rows and instruments are those of the fit of all.
+    assert last.held_out.error_percent == pytest.approx(error, rel=2e-3 if method == "wls" else 0.2)
+    assert last.held_out.trained_percent < last.held_out.error_percent
+    line = fit.trust.line("held-out blocks")
+    assert [figure.name for figure in line.figures] == ["r1.mcap", "r2.mcap", "r3.mcap"]
+
+
+def test_a_recording_that_the_others_do_not_predict_is_doubted():
+    other = recorded(2)
+    fit = identify_ls(several(recorded(1), replace(other, effort=1.3 * other.effort, sha256="e" * 64)), Overrides())
+    line = fit.trust.line("held-out blocks")
+    assert line.level == "caution"
+    assert line.value > 1.5 * np.mean([figure.expected for figure in line.figures])
+    assert "the fit does not generalise (2 times where joints move): record more" in line.text
+    assert "take the parameters of --consistent" in line.text
+
+
+class LastFirst(Work):
+    """Does the last task first."""
+
+    def run(self, function, tasks):
+        return iter([function(*task) for task in reversed(tasks)][::-1])
+
+
+def bits(fit) -> list[bytes]:
+    arrays = fit.estimate.beta, fit.intervals.covariance, fit.intervals.low, fit.tau_predicted
+    return [x.tobytes() for x in arrays] + [repr(fit.trust.lines).encode()]
+
+
+@pytest.mark.parametrize("method", ["wls", "iv"])
+def test_the_same_bits_in_any_order(method):
+    wanted = bits(fitted(method))
+    for order in ((3, 1, 2), (2, 3, 1)):
+        assert bits(fitted(method, order)) == wanted
+    recordings = several(*map(recorded, (1, 2, 3)), work=LastFirst())
+    assert bits(identify(recordings, Overrides(), method=method)) == wanted
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """The recordings as files."""
+    folder = tmp_path_factory.mktemp("several")
+    paths = [folder / f"r{seed}.mcap" for seed in (1, 2, 3)]
+    for seed, path in zip((1, 2, 3), paths, strict=True):
+        write_signals(path, recorded(seed), source="test", noise=CELL)
+    return paths
+
+
+def fit_files(tmp_path, name, *arguments) -> dict:
+    out = tmp_path / f"{name}.json"
+    assert main(["fit", *map(str, arguments), "--json", str(out)]) in (0, 3)
+    return json.loads(out.read_text())
+
+
+def test_the_same_bits_with_two_workers_and_with_two_of_dask(files, tmp_path):
+    """Everything but the recording that is named first."""
+    distributed = pytest.importorskip("distributed")
+
+    def fit(files, workers):
+        found = fit_files(tmp_path, "fit", *files, "--method", "iv", "--workers", workers)
+        bits = [found[key] for key in ("parameters", "covariance", "trust", "iterations", "essential")]
+        return bits, [one["recording"] for one in found["recordings"]]
+
+    serial, names = fit(files, "1")
+    assert fit(files[::-1], "2") == (serial, names[::-1])
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0") as dask:
+        assert fit(files, dask.scheduler_address) == (serial, names)
+        distributed.default_client().close()
+    assert names == ["r1.mcap", "r2.mcap", "r3.mcap"]
+
+
+def test_workers_are_imported_when_asked_for_alone(files):
+    import subprocess
+    import sys
+
+    code = (
+        "import sys\nfrom identification.commands import main\n"
+        f"main(['fit', {str(files[0])!r}, {str(files[1])!r}, '--workers', '1'])\n"
+        "sys.exit('loaded' if {'joblib', 'distributed'} & set(sys.modules) else 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+def test_reduced_rows_give_the_same(monkeypatch):
+    """Recordings too long for their rows to be held: least squares, intervals and held-out errors from QR factors."""
+    wanted = fitted()
+    monkeypatch.setattr(regression_system, "_MAX_NUMBERS", 500)
+    found = fitted.__wrapped__()
+    assert off(wanted, found.estimate.beta) < 1e-9
+    np.testing.assert_allclose(found.intervals.sigma, wanted.intervals.sigma, rtol=0.1)  # blocks count as instants
+    assert found.intervals.freedom == wanted.intervals.freedom
+    for one, other in zip(found.recordings, wanted.recordings, strict=True):
+        assert one.held_out.error_percent == pytest.approx(other.held_out.error_percent, rel=1e-9)
+        assert one.errors[-1].relative_error_percent == pytest.approx(other.errors[-1].relative_error_percent, rel=1e-9)
+    ends, halves = (tuple(x.trust.line(test) for x in (found, wanted)) for test in ("ends", "halves"))
+    assert ends[0].text == ends[1].text
+    assert halves[0].value == pytest.approx(halves[1].value, rel=0.2)
+    assert not len(found.problem.signals.q)
+
+
+def test_reduced_rows_give_the_same_by_instruments(monkeypatch):
+    """The simulated robot's speed is judged by the reference's peak there: a row or two more or less count."""
+    wanted = fitted("iv")
+    monkeypatch.setattr(regression_system, "_MAX_NUMBERS", 500)
+    monkeypatch.setattr("identification.regression.problem._SERIES_BLOCK", 60_000)
+    found = fitted.__wrapped__("iv")
+    assert (found.status, len(found.iv.passes)) == (wanted.status, 2), "it starts where the beginnings end"
+    assert found.estimate.rows == pytest.approx(wanted.estimate.rows, rel=0.01)
+    assert np.abs((found.estimate.beta - wanted.estimate.beta) / wanted.intervals.half).max() < 0.1
+    np.testing.assert_allclose(found.intervals.sigma, wanted.intervals.sigma, rtol=0.2)
+    assert found.iv.tests.strength == pytest.approx(wanted.iv.tests.strength, rel=1e-3)
+    for one, other in zip(found.recordings, wanted.recordings, strict=True):
+        assert one.held_out.error_percent == pytest.approx(other.held_out.error_percent, rel=0.02)
+        direct, rows = one.replica.direct, one.rows.stop - one.rows.start
+        assert direct[0].torque_error_percent == pytest.approx(other.replica.direct[0].torque_error_percent, rel=0.02)
+        assert len(one.replica.motion.q) == rows
+    assert {line.test: line.level for line in found.trust.lines}["lag"] == "ok", (
+        "the beginning of the first is looked at"
+    )
+
+
+def with_a_joint_held(seed: int, still: int) -> Signals:
+    """The exact model with noise, one joint held by its brake."""
+    like = recorded(seed)
+    q = np.array(like.q_ref)
+    q[:, still] = q[0, still]
+    dq = np.gradient(q, 1e-3, axis=0)
+    dynamics = InverseModel(like.robot)
+    base = base_parameters(dynamics)
+    regressor = dynamics.regressor(q, dq, np.gradient(dq, 1e-3, axis=0))[:, :, base.columns]
+    tau = regressor @ described_parameters(dynamics, base)
+    noise = np.random.default_rng(seed).normal(size=tau.shape) * 0.02 * tau.std(axis=0)
+    return replace(like, q=q, q_ref=None, effort=tau + noise, recording=f"r{seed}.mcap")
+
+
+def test_recordings_that_excite_half_the_parameters_each(tmp_path, capsys):
+    halves = with_a_joint_held(4, still=1), with_a_joint_held(5, still=0)
+    for one in halves:
+        with pytest.raises(RobotIdimError):
+            identify_ls(one, Overrides())
+        write_signals(tmp_path / one.recording, one, source="test")
+    fit = identify_ls(several(*halves), Overrides())
+    dynamics = InverseModel(halves[0].robot)
+    assert off(fit, described_parameters(dynamics, base_parameters(dynamics))) < 2.0
+    shoulder, elbow = (one.held_out for one in fit.recordings)
+    assert (shoulder.error_percent, elbow.error_percent) == (None, None)
+    assert {"ZZ1R", "Fv1", "Fc1"} <= set(shoulder.undetermined)
+    assert {"Fv2", "Fc2"} <= set(elbow.undetermined)
+    line = fit.trust.line("held-out blocks")
+    assert (line.level, line.value) == ("cannot tell", None)
+    assert "r4.mcap cannot be predicted by the others" in line.text
+    stored = fit_files(tmp_path, "halves", *(tmp_path / one.recording for one in halves), "--workers", "1")
+    assert [one["held_out_error_percent"] for one in stored["recordings"]] == [None, None]
+    assert "ZZ1R" in stored["recordings"][0]["undetermined"]
+    assert "r4.mcap cannot be predicted by the others: " in capsys.readouterr().out.replace("\n", " ")
+
+
+def test_the_lowest_rate_of_rows_and_cutoff_is_common():
+    slow, fast = recorded(6, rate_hz=500.0), recorded(1)
+    wide = replace(fast.robot, controller=msgspec.structs.replace(fast.robot.controller, bandwidth_hz=12.0))
+    fit = identify_ls(several(replace(fast, robot=wide), slow), Overrides())
+    settings = [one.problem.settings for one in fit.recordings]
+    bandwidth_hz = slow.robot.controller.bandwidth_hz
+    assert {s.cutoff_hz for s in settings} == {5 * bandwidth_hz}
+    rates = {one.problem.signals.sample_rate_hz / s.decimation for one, s in zip(fit.recordings, settings, strict=True)}
+    assert rates == {500.0 / make_problem(slow, Overrides()).settings.decimation}
+
+
+def test_validate_and_pictures_of_several(files, tmp_path, capsys):
+    pytest.importorskip("rerun")
+    fit = tmp_path / "fit.json"
+    fit_files(tmp_path, "fit", *files[:2], "--workers", "1", "--rrd", tmp_path / "f.rrd")
+    assert {path.name for path in tmp_path.glob("*.rrd")} == {"f_r1.rrd", "f_r2.rrd"}
+    out = tmp_path / "v.json"
+    assert main(["validate", str(fit), str(files[1]), str(files[2]), "--json", str(out)]) == 0
+    found = json.loads(out.read_text())
+    assert [one["recording"] for one in found["recordings"]] == ["r2.mcap", "r3.mcap"]
+    errors = [one["relative_error_percent"] for one in found["recordings"]]
+    assert min(errors) < found["relative_error_percent"] < max(errors)
+    assert main(["view", str(files[0]), str(files[1]), "-o", str(tmp_path / "x.rrd")]) == 1
+    assert "--out = " in capsys.readouterr().err
+
+
+def with_part(one: Signals, part: str, at: int, **values) -> Signals:
+    """The recording with other values of a joint or motor of its description."""
+    parts = list(getattr(one.robot, part))
+    parts[at] = msgspec.structs.replace(parts[at], **values)
+    return replace(one, robot=replace(one.robot, **{part: tuple(parts)}))
+
+
+@pytest.mark.parametrize(
+    ("part", "at", "values", "key"),
+    [
+        ("joints", 0, {"name": "hip"}, "joint hip: name"),
+        ("joints", 1, {"dh": robot_named("scara").joints[0].dh}, "joint elbow: dh"),
+        ("joints", 1, {"coulomb": False}, "joint elbow: friction"),  # described with viscous and Coulomb, by the keys
+        ("joints", 1, {"friction": ("viscous", "root", "coulomb")}, "joint elbow: friction"),
+        ("joints", 1, {"friction": "asymmetric"}, "joint elbow: friction"),
+        ("motors", 0, {"effort_unit": "N"}, "motor motor_1: effort_unit"),
+        ("robot", 0, {"gravity": np.array([0.0, 0.0, 9.81])}, "gravity_m_s2"),
+        ("recording", 0, {"sha256": f"{1:064x}"}, ""),
+    ],
+)
+def test_recordings_of_another_robot_are_refused(part, at, values, key):
+    other = recorded(2)
+    if part == "robot":
+        other = replace(other, robot=replace(other.robot, **values))
+    else:
+        other = replace(other, **values) if part == "recording" else with_part(other, part, at, **values)
+    with pytest.raises(RobotIdimError) as told:
+        identify_ls(several(recorded(1), other), Overrides())
+    assert (told.value.place, told.value.key) == ("r2.mcap", key)
+    assert part == "recording" or "as in r1.mcap" in told.value.expected
+
+
+def test_friction_terms_agree_in_any_order():
+    """A list in another order, and the keys that mean the same, are of one robot; another Stribeck speed is not."""
+    lists = (with_part(recorded(k), "joints", 1, friction=x) for k, x in ((2, USUAL), (3, USUAL[::-1])))
+    check_one_robot([recorded(1), *lists])
+    stribeck = ("viscous", "stribeck")
+    speeds = (with_part(recorded(k), "joints", 1, friction=stribeck, stribeck_speed_deg_s=10.0 * k) for k in (1, 2))
+    with pytest.raises(RobotIdimError) as told:
+        check_one_robot(list(speeds))
+    assert (told.value.key, told.value.value) == ("joint elbow: stribeck_speed_deg_s", 20.0)
+
+
+def not_stated(one):
+    stated = msgspec.structs.replace(one.robot.identification, torque_lag_s=None)
+    return replace(one, robot=replace(one.robot, identification=stated), effort_timing="unknown")
+
+
+def test_lag_columns_do_not_cross_recordings():
+    """The lag of one late recording of two is half of it: each recording's torque is moved against its own motion."""
+    late = not_stated(replace(recorded(2), effort=np.roll(recorded(2).effort, 2, axis=0)))
+    fit = identify_iv(several(not_stated(recorded(1)), late), Overrides(), Iteration())
+    assert fit.trust.line("lag").value == pytest.approx(1.0, abs=0.6)
+    assert [line.test for line in fit.data.replays] == ["control law", "control law"]
+
+
+def with_offsets(kinds: tuple[str, ...], offsets: tuple[float, ...] = (0.2, -0.1, 0.05)) -> list[Signals]:
+    """The recordings with a torque offset of the shoulder each, described with offsets, `own` as asked."""
+    found = []
+    for seed, value in zip((1, 2, 3), offsets, strict=True):
+        one = recorded(seed)
+        joints = tuple(msgspec.structs.replace(joint, offset=True) for joint in one.robot.joints)
+        own = msgspec.structs.replace(one.robot.identification, own=kinds)
+        robot = replace(one.robot, joints=joints, identification=own)
+        found.append(replace(one, robot=robot, effort=one.effort + np.array([value, 0.0])))
+    return found
+
+
+@pytest.mark.parametrize("method", ["wls", "iv"])
+def test_offsets_of_their_own(method):
+    def fit(kinds, offsets=(0.2, -0.1, 0.05)):
+        return identify(several(*with_offsets(kinds, offsets)), Overrides(), method=method)
+
+    found, shared = fit(("Off",)), fit(())
+    names = found.estimate.names
+    assert {"Off1@r1", "Off1@r2", "Off1@r3", "Off2@r1"} < set(names)
+    assert "Off1" not in names
+    for name, value in (("Off1@r1", 0.2), ("Off1@r2", -0.1), ("Off1@r3", 0.05), ("Off2@r1", 0.0)):
+        k = names.index(name)
+        assert abs(found.estimate.beta[k] - value) < 1.5 * found.intervals.half[k]
+    assert found.own.names == tuple(name for name in names if "@" in name)
+    assert found.own.p_effective < 1e-6
+    assert found.errors[-1].relative_error_percent < 0.8 * shared.errors[-1].relative_error_percent
+    # A recording's own offset is fitted to it when it is held out; a shared one is not.
+    for one, other in zip(found.recordings, shared.recordings, strict=True):
+        assert one.held_out.error_percent < 1.05 * one.held_out.trained_percent < other.held_out.error_percent
+    assert shared.own is None
+    alike = fit(("Off",), (0.1, 0.1, 0.1))
+    assert alike.own.p_effective > 0.01
+    if method == "iv":
+        assert found.status == "converged"
+        assert found.trust.verdict == "trust"
+
+
+def test_a_file_of_own_parameters_is_exported(tmp_path):
+    text = robot_named("scara").files["robot.toml"].decode().replace("[[joint]]\n", "[[joint]]\noffset = true\n")
+    robot = robot_from_files({"robot.toml": f'{text}\n[identification]\nown = ["Off"]\n'.encode()}, "robot.toml")
+    fit = identify_ls(several(*(replace(recorded(k), robot=robot) for k in (1, 2, 3))), Overrides())
+    file = tmp_path / "fit.json"
+
+    def stored(fit):
+        write_json(file, fit_file(fit))
+        return read_fit(file)
+
+    free = stored(fit)
+    assert free.covariance.names == list(fit.estimate.names)
+    assert free.left_out == []
+    assert "the nearest consistent parameters are used" in model_of_fit(free, "fit.json")[1][-1]
+    a, b = (ParameterSet.of_file(free, label) for label in ("a", "b"))
+    rows = differences(a, b)
+    assert [(row.name, row.off) for row in rows] == [(name, 0.0) for name in fit.estimate.names]
+    plain = replace(robot, identification=msgspec.structs.replace(robot.identification, own=()))
+    shared = identify_ls(several(*(replace(recorded(k), robot=plain) for k in (1, 2, 3))), Overrides())
+    beside = {row.name: row.b.name for row in differences(a, fitted_parameters(shared))}
+    assert beside == {name: name.split("@")[0] for name in fit.estimate.names}
+    made = with_consistent(fit)
+    np.testing.assert_array_equal(model_of_fit(stored(made), "fit.json")[0].chi, made.consistent_set.chi)
+
+
+def test_own_parameters_by_hand():
+    """F of the sums of squares of two systems, one with a column of the offset for each recording, one with a single one."""
+    recordings = with_offsets(("Off",))
+    fit = identify_ls(several(*recordings), Overrides())
+    given = Overrides(ramp_rows=fit.settings.ramp_rows)
+    systems = [rows_of_recording(make_problem(one, given)).system for one in recordings]
+    weights, rows, parameters, left = fit.estimate.weights, 0, 0, {}
+    for own in (True, False):
+        blocks = []
+        for k, s in enumerate(systems):
+            is_own = np.array([own and name.startswith("Off") for name in s.names])
+            apart = np.zeros((len(s.Y), 3 * is_own.sum()))
+            apart[:, k * is_own.sum() : (k + 1) * is_own.sum()] = s.W[:, is_own]
+            blocks.append((np.c_[s.W[:, ~is_own], apart, s.Y] * weights[s.joint_of_row][:, None])[s.used > 0])
+        A = np.concatenate(blocks)
+        rows, b = sum(s.rows.sum() for s in systems), A.shape[1] - 1
+        left[own] = np.sum((A[:, -1] - A[:, :-1] @ np.linalg.lstsq(A[:, :-1], A[:, -1])[0]) ** 2)
+        parameters = max(b, parameters)
+    F = (left[False] - left[True]) / 4 / (left[True] / (rows - parameters))
+    assert pytest.approx(F, rel=1e-6) == fit.own.F
+    assert fit.own.p_value == pytest.approx(stats.f.sf(F, 4, rows - parameters), rel=1e-4)
+
+
+def test_own_offsets_that_nothing_has_or_gravity_absorbs_are_refused(tmp_path):
+    robot = replace(recorded(1).robot, identification=with_offsets(("Off",))[0].robot.identification)
+    with pytest.raises(RobotIdimError, match="no joint has it") as told:
+        identify_ls(several(*(replace(recorded(k), robot=robot) for k in (1, 2))), Overrides())
+    assert (told.value.key, told.value.value) == ("identification.own", "Off")
+    # A vertical slide with a motor: M (ddq + g) + Ia ddq + Off has three columns of rank two.
+    slide = """
+name = "lift"
+gravity_m_s2 = [0, 0, -9.81]
+[[joint]]
+name = "z"
+type = "prismatic"
+offset = true
+dh = { alpha_deg = 0, d_m = 0, theta_deg = 0, r_m = 0 }
+[[motor]]
+name = "m"
+effort_unit = "N"
+[controller]
+bandwidth_hz = 5.0
+[identification]
+own = ["Off"]
+"""
+    lift = robot_from_files({"robot.toml": slide.encode()}, "lift")
+    t = np.arange(5000) / 1000
+    q = 0.1 * np.sin(2 * np.pi * t)[:, None]
+    problems = [make_problem(signals_from_arrays(q, 50 + q, 1000.0, lift), Overrides())] * 2
+    with pytest.raises(RobotIdimError, match="gravity absorbs an offset") as told:
+        make_unknowns(problems)
+    assert (told.value.place, told.value.key, told.value.value) == ("robot lift", "identification.own", "Off")
+
+
+def test_lags_are_in_samples_of_the_first_recording():
+    """Both torques 4 ms late: four samples at 1 kHz, whatever the other's rate."""
+    slow, fast = recorded(6, rate_hz=500.0), recorded(1)
+    late = [replace(one, effort=np.roll(one.effort, k, axis=0)) for one, k in ((fast, 4), (slow, 2))]
+    fit = identify_iv(several(*map(not_stated, late)), Overrides(), Iteration())
+    assert [lag.recordings for lag in fit.lags] == [("r1.mcap",), ("r6.mcap",)], "of two rates, each has its own"
+    np.testing.assert_allclose([1e3 * lag.value_s for lag in fit.lags], 4.0, atol=0.25)
+    assert fit.trust.line("lag").value == pytest.approx(4.0, abs=0.25)
+
+
+def test_the_replay_is_that_of_the_worst_recording():
+    loud = replace(recorded(2), effort=1.2 * recorded(2).effort)
+    line = identify_ls(several(recorded(1), loud, recorded(3)), Overrides()).trust.line("control law")
+    assert (line.level, line.text.partition(":")[0]) == ("caution", "r2.mcap")
+    assert line.value == pytest.approx(1.2, abs=0.02)
+
+
+def test_each_recording_is_simulated_with_its_own_parameters():
+    fit = identify_iv(several(*with_offsets(("Off",), (2.0, -2.0, 0.0))), Overrides(), Iteration())
+    for one, offset in zip(fit.recordings, (2.0, -2.0, 0.0), strict=True):
+        model = one.replica.motion.tau.mean(axis=0) - fit.tau[one.rows].mean(axis=0)
+        assert abs(model[0]) < 0.3, offset

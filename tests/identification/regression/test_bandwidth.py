@@ -1,0 +1,165 @@
+"""A position loop whose bandwidth nobody states: filters and simulated loop follow from where the motion ends."""
+
+from dataclasses import replace
+from functools import cache
+
+import msgspec
+import numpy as np
+import pinocchio as pin
+import pytest
+from conftest import REPLAY
+from urdfs import packaged_urdf
+
+from acquisition.robot import Controller
+from identification.data import Recordings, Signals, load_signals
+from identification.errors import RobotIdimError
+from identification.export import read_chain, robot_of_chain
+from identification.methods import identify, identify_ls
+from identification.model import InverseModel, base_parameters, known_parameters
+from identification.regression import Overrides, make_problem
+from identification.view import draw_recording
+
+ROTOR, VISCOUS, COULOMB = (
+    np.array(x) for x in ([0.6, 0.6, 0.4, 0.1, 0.1, 0.1, 0.1], [8, 8, 5, 1, 1, 1, 1], [10, 12, 8, 2, 2, 2, 2])
+)
+JOINTS = {"ur5_robot.urdf": (), "panda.urdf": tuple(f"panda_joint{j}" for j in range(1, 8))}
+RATE_HZ, DURATION_S, AHEAD_S = 125.0, 30.0, 0.004
+NOT_STATED = "controller.bandwidth_hz is not stated: "
+
+
+@cache
+def recorded(urdf: str, seed: int) -> Signals:
+    """An arm whose drives feed speed forward: it follows its reference a moment late; torque noise of 2 to 4 %."""
+    path = packaged_urdf(urdf)
+    robot = robot_of_chain(read_chain(path, JOINTS[urdf]))
+    names, n = [joint.name for joint in robot.joints], robot.n
+    model = pin.buildModelFromUrdf(str(path))
+    model = pin.buildReducedModel(
+        model, [k for k in range(1, model.njoints) if model.names[k] not in names], pin.neutral(model)
+    )
+    model.armature, data, rng = ROTOR[:n], model.createData(), np.random.default_rng(seed)
+    omega, phase = 2 * np.pi * rng.uniform(0.1, 1.0, (5, n)), rng.uniform(0, 6.28, (5, n))
+    size, t = 3 * rng.uniform(0.1, 0.2, (5, n)) / omega, np.arange(round(DURATION_S * RATE_HZ) + 1)[:, None] / RATE_HZ
+    middle = np.clip(-1.2, model.lowerPositionLimit, model.upperPositionLimit) * (np.arange(n) % 2)
+
+    def motion(t: np.ndarray) -> np.ndarray:
+        x = np.clip(np.minimum(t, DURATION_S - t) / 2.0, 0.0, 1.0)
+        path = sum(s * np.sin(t * w + p) for w, p, s in zip(omega, phase, size, strict=True))
+        return middle + x**3 * (10 - 15 * x + 6 * x**2) * path
+
+    h = 1e-4
+    q, before, after = (motion(t + by) for by in (0.0, -h, h))
+    v, a = (after - before) / (2 * h), (after - 2 * q + before) / h**2
+    tau = np.array([pin.rnea(model, data, *x) for x in zip(q, v, a, strict=True)])
+    tau += VISCOUS[:n] * v + COULOMB[:n] * np.tanh(v / 0.005)
+    tau += rng.uniform(0.02, 0.04, n) * tau.std(axis=0) * rng.standard_normal(tau.shape)
+    joints = tuple(msgspec.structs.replace(joint, position_deg=None, speed_deg_s=None) for joint in robot.joints)
+    return Signals(
+        t_s=t[:, 0], q=q + 50e-6 * rng.standard_normal(q.shape), q_ref=motion(t + AHEAD_S), effort=tau,
+        sample_rate_hz=RATE_HZ, robot=replace(robot, joints=joints), recording=f"{urdf} {seed}", sha256=str(seed),
+    )  # fmt: skip
+
+
+def truth(signals: Signals) -> dict[str, float]:
+    dynamics = InverseModel(signals.robot)
+    base, chi = base_parameters(dynamics), dict(zip(dynamics.names, known_parameters(dynamics), strict=True))
+    for j in range(signals.robot.n):
+        chi |= {f"Ia{j + 1}": ROTOR[j], f"Fv{j + 1}": VISCOUS[j], f"Fc{j + 1}": COULOMB[j]}
+    return dict(zip(base.names, base.K @ np.array([chi[name] for name in dynamics.names]), strict=True))
+
+
+def unstated(signals: Signals) -> Signals:
+    """Without the bandwidth, nor the control law."""
+    return replace(signals, robot=replace(signals.robot, controller=Controller()))
+
+
+@pytest.fixture
+def ur5() -> Signals:
+    return recorded("ur5_robot.urdf", 0)
+
+
+def test_an_arm_with_speed_fed_forward_is_identified_without_its_bandwidth():
+    outside = []
+    for seed in range(2):
+        signals = recorded("ur5_robot.urdf", seed)
+        fit, true = identify(signals, Overrides(), method="iv"), truth(signals)
+        values = np.array([true[name] for name in fit.estimate.names])
+        assert fit.status == "converged", fit.iv.reason
+        assert fit.trust.verdict != "do not use", fit.trust.finding
+        assert 2.5 < fit.settings.cutoff_hz < 5.0
+        assert len(values) == 52
+        outside.append(int((np.abs(fit.estimate.beta - values) > fit.intervals.half).sum()))
+    assert np.mean(outside) <= 5, outside
+    assert max(outside) <= 8, outside
+
+
+def test_the_errors_with_and_without_a_reference_are_alike():
+    signals = recorded("panda.urdf", 0)
+    one, other = (identify(replace(signals, q_ref=x), Overrides()) for x in (signals.q_ref, None))
+    assert one.settings.cutoff_hz == other.settings.cutoff_hz
+    assert one.errors[-1].moving_relative_error_percent == pytest.approx(
+        other.errors[-1].moving_relative_error_percent, rel=0.1
+    )
+
+
+@pytest.mark.parametrize("name", ["emps", "scara"])
+def test_shipped_sessions_give_nearly_the_same_without_their_bandwidth(name):
+    stated = load_signals(REPLAY / name / "session.mcap")
+    one, other = (identify_ls(x, Overrides()) for x in (stated, unstated(stated)))
+    off = np.abs(one.estimate.beta - other.estimate.values_of(one.estimate.names))
+    assert (off < one.intervals.half + other.intervals.half).all()
+
+
+def test_filters_and_loop_are_told_and_no_warning_contradicts_them(ur5):
+    problem = make_problem(ur5, Overrides())
+    cutoff_hz, loop_hz = problem.settings.cutoff_hz, problem.signals.robot.bandwidth_hz
+    assert loop_hz == pytest.approx(2 * cutoff_hz)
+    assert problem.settings.decimation == pytest.approx(0.4 * RATE_HZ / cutoff_hz, rel=0.1)
+    assert problem.settings.warnings == (
+        f"{NOT_STATED}low-pass at {cutoff_hz:.3g} Hz, a PD of {loop_hz:.3g} Hz simulated if no loop is described; "
+        f"{ur5.recording} has only noise above {cutoff_hz:.3g} Hz",
+    )
+    (page,) = draw_recording(ur5, Overrides()).document.sections[:1]
+    assert page.warnings == problem.settings.warnings
+
+
+@pytest.mark.parametrize(
+    ("given_hz", "told"), [(2.0, "low-pass at 2 Hz"), (20.0, "low-pass at 20 Hz"), (0.0, "no low-pass")]
+)
+def test_a_stated_cutoff_stays_and_moves_no_loop(ur5, given_hz, told):
+    free, given = (make_problem(ur5, Overrides(cutoff_hz=x)) for x in (None, given_hz))
+    assert (given.settings.cutoff_hz or 0.0) == given_hz
+    assert given.signals.robot.bandwidth_hz == free.signals.robot.bandwidth_hz
+    assert [text.split(", ")[0] for text in given.settings.warnings] == [NOT_STATED + told]
+
+
+def test_several_recordings_share_the_lowest_cutoff(ur5):
+    signals = [ur5, recorded("ur5_robot.urdf", 1)]
+    alone = [make_problem(one, Overrides()).settings for one in signals]
+    fit = identify_ls(Recordings(sources=tuple(signals)), Overrides())
+    both = [one.problem.settings for one in fit.recordings]
+    lowest, highest = sorted(s.cutoff_hz for s in alone)
+    assert {s.cutoff_hz for s in both} == {lowest}
+    assert lowest < highest
+    assert all(text.startswith(NOT_STATED) for s in both for text in s.warnings)
+
+
+def test_a_recording_read_again_has_the_same(ur5):
+    problem = make_problem(ur5, Overrides())
+    again = replace(problem, source=ur5).without_samples().with_samples()
+    assert again.signals.robot.bandwidth_hz == problem.signals.robot.bandwidth_hz
+    assert again.signals.motion_hz == problem.signals.motion_hz == problem.settings.cutoff_hz
+
+
+@pytest.mark.parametrize("count", [2, 20, 60])
+def test_a_short_recording_is_refused(ur5, count):
+    t_s, q, q_ref, effort = (x[:count] for x in (ur5.t_s, ur5.q, ur5.q_ref, ur5.effort))
+    with pytest.raises(RobotIdimError, match=r"periods are longer|samples left|half the rate"):
+        make_problem(replace(ur5, t_s=t_s, q=q, q_ref=q_ref, effort=effort), Overrides())
+
+
+def test_a_stated_bandwidth_stays(ur5):
+    stated = replace(ur5, robot=replace(ur5.robot, controller=Controller(bandwidth_hz=3.0)))
+    problem = make_problem(stated, Overrides())
+    assert (problem.settings.cutoff_hz, problem.signals.robot.bandwidth_hz) == (15.0, 3.0)
+    assert problem.settings.warnings == ()

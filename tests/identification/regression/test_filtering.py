@@ -1,0 +1,189 @@
+"""The filters against mathematics: gains at stated frequencies, derivatives of sines, no delay."""
+
+import numpy as np
+import pytest
+from scipy import interpolate, signal
+
+from identification.errors import RobotIdimError
+from identification.regression import Decimation, differentiate, forward_backward_3db_hz, sampled_at
+from identification.regression.filtering import decimate, decimation_passes, decimation_reach, lowpass, lowpass_reach
+from identification.regression.motion import later, motion_between
+
+FS = 1000.0
+T = np.arange(8000) / FS
+
+
+def gain_at(f_hz: float, cutoff_hz: float) -> float:
+    y = lowpass(np.sin(2 * np.pi * f_hz * T)[:, None], cutoff_hz, FS)[2000:6000, 0]
+    return float(np.sqrt(2 * np.mean(y**2)))
+
+
+def test_cutoff_is_minus_3_db_in_one_direction_and_minus_6_db_in_both():
+    assert 20 * np.log10(gain_at(40.0, 40.0)) == pytest.approx(-6.02, abs=0.01)
+    sos = signal.butter(4, 40.0, fs=FS, output="sos")
+    _, h = signal.sosfreqz(sos, worN=[40.0], fs=FS)
+    assert 20 * np.log10(np.abs(h[0])) == pytest.approx(-3.01, abs=0.01)
+
+
+@pytest.mark.parametrize("cutoff_hz", [10.0, 40.0, 200.0, 400.0])
+def test_forward_backward_3db_frequency_is_where_the_gain_is_minus_3_db(cutoff_hz):
+    f_hz = forward_backward_3db_hz(cutoff_hz, FS)
+    assert 20 * np.log10(gain_at(f_hz, cutoff_hz)) == pytest.approx(-3.01, abs=0.02)
+
+
+def test_derivatives_of_sines_for_every_joint():
+    w = 2 * np.pi * np.array([0.5, 1.0, 2.0, 3.0, 4.0, 5.0])
+    q = np.sin(np.outer(T, w))
+    motion = motion_between(q, q, cutoff_hz=200.0, sample_rate_hz=FS, start=100, stop=7900)
+    t = T[100:7900, None]
+    np.testing.assert_allclose(motion.dq, w * np.cos(t * w), atol=2e-4 * w.max())
+    np.testing.assert_allclose(motion.ddq, -(w**2) * np.sin(t * w), atol=5e-4 * w.max() ** 2)
+
+
+def test_central_differences_are_exact_for_parabolas():
+    t = np.arange(50) / FS
+    dq = differentiate((t**2)[:, None], FS)
+    np.testing.assert_allclose(dq[1:-1, 0], 2 * t[1:-1], atol=1e-12)
+
+
+def test_filters_do_not_delay():
+    pulse = np.exp(-(((T - 4.0) / 0.1) ** 2))
+    smooth = lowpass(pulse[:, None], 5.0, FS)[:, 0]
+    assert np.sum(T * smooth) / np.sum(smooth) == pytest.approx(4.0, abs=1e-6)
+    kept_t = T[(len(T) - 1) % 20 :: 20]
+    fewer = decimate(pulse, 20)
+    assert np.sum(kept_t * fewer) / np.sum(fewer) == pytest.approx(4.0, abs=1e-6)
+
+
+@pytest.mark.parametrize(("samples", "factor"), [(1000, 10), (1001, 10), (1009, 10), (1234, 7)])
+def test_decimation_keeps_the_last_sample_and_passes_constants(samples, factor):
+    ramp = np.arange(samples, dtype=float)
+    kept = decimate(ramp, factor)
+    assert len(kept) == -(-samples // factor)
+    # Odd order edges reproduce a straight line, up to the filter's ripple of 0.05 dB each way.
+    expected = ramp[(samples - 1) % factor :: factor]
+    np.testing.assert_allclose(kept, expected, rtol=0.0116, atol=0.0116 * samples)
+    assert expected[-1] == samples - 1
+    np.testing.assert_allclose(decimate(np.ones(samples), factor), 10 ** (-2 * 0.05 / 20), rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("factor", "passes"),
+    [(1, ()), (10, (10,)), (13, (13,)), (100, (10, 10)), (20, (4, 5)), (1000, (10, 10, 10)), (17, (17,))],
+)
+def test_large_decimations_go_in_passes(factor, passes):
+    found = decimation_passes(factor)
+    assert sorted(found) == sorted(passes)
+    assert np.prod(found) == factor
+
+
+def test_a_part_of_a_motion_is_the_part_of_the_whole():
+    rng = np.random.default_rng(0)
+    q = np.cumsum(rng.normal(size=(6000, 2)), axis=0)
+    tau = rng.normal(size=(6000, 2))
+    whole = motion_between(q, tau, cutoff_hz=20.0, sample_rate_hz=FS, start=0, stop=6000)
+    part = motion_between(q, tau, cutoff_hz=20.0, sample_rate_hz=FS, start=2500, stop=3100)
+    for name in ("q", "dq", "ddq", "tau"):
+        expected = getattr(whole, name)[2500:3100]
+        np.testing.assert_allclose(getattr(part, name), expected, atol=1e-9 * np.abs(expected).max())
+
+
+def test_cutoffs_beyond_half_the_rate_and_too_few_samples_are_refused():
+    with pytest.raises(RobotIdimError, match="cut-off = 600 Hz: expected between 0 and 500 Hz"):
+        lowpass(np.zeros((100, 1)), 600.0, FS)
+    with pytest.raises(RobotIdimError, match="samples to filter = 12: expected more than 12"):
+        lowpass(np.zeros((12, 1)), 20.0, FS)
+    with pytest.raises(RobotIdimError, match="samples to decimate by 10 = 24: expected more than 24"):
+        decimate(np.zeros(24), 10)
+
+
+@pytest.mark.parametrize("factor", [5, 10])
+def test_smooth_ends_keep_a_single_sample_small_in_the_end_rows(factor):
+    """An outlier in the first or the last sample: MATLAB edges hand most of it on, smooth ends average it."""
+    last = np.zeros(50 * factor)
+    last[-1] = 1.0
+    first = np.zeros(49 * factor + 1)  # the last sample is kept, so this length keeps the first one too
+    first[0] = 1.0
+    for x, row in ((last, -1), (first, 0)):
+        assert decimate(x, factor, smooth_ends=False)[row] > 0.5
+        assert abs(decimate(x, factor)[row]) < 0.35
+    line = 3.0 + 0.02 * np.arange(50 * factor)
+    ripple = 10 ** (-2 * 0.05 / 20)  # a filter of even order is at the foot of its ripple at 0 Hz, in both directions
+    found = decimate(line, factor, smooth_ends=True)
+    np.testing.assert_allclose(found, ripple * line[factor - 1 :: factor], rtol=1e-6)
+    rows = decimate(np.random.default_rng(0).standard_normal((400, 50 * factor)), factor, smooth_ends=True)
+    spread = rows.std(axis=0)
+    assert (spread[[0, -1]] < 2 * spread[10:-10].mean()).all()  # MATLAB's: 3 times and more
+
+
+@pytest.mark.parametrize(("samples", "factor"), [(7366, 2), (4001, 3), (9001, 10), (9009, 7), (6001, 13), (5003, 17)])
+def test_decimation_is_the_recursive_filter_run_forward_and_backward(samples, factor):
+    """By scipy's filters, over the ends extended here as far as their ringing reaches."""
+    x = np.random.default_rng(0).standard_normal((3, samples)).cumsum(axis=1)
+    near = 6 * factor
+    found = decimate(x, factor)
+    # The value of the line at the end sample.
+    first, last = (np.polyfit(np.arange(near), y.T, 1)[1][:, None] for y in (x[:, :near], x[:, : -near - 1 : -1]))
+    extended = np.concatenate([2 * first - x[:, :0:-1], x, 2 * last - x[:, -2::-1]], axis=1)
+    sos = signal.cheby1(8, 0.05, 0.8 / factor, output="sos")
+    expected = signal.sosfiltfilt(sos, extended, axis=-1)[:, samples - 1 : 2 * samples - 1]
+    np.testing.assert_allclose(found, expected[:, (samples - 1) % factor :: factor], atol=1e-10 * np.abs(x).max())
+
+
+@pytest.mark.parametrize("cutoff_hz", [10.0, 50.0, 400.0])
+def test_the_low_pass_is_the_recursive_filter_run_forward_and_backward(cutoff_hz):
+    x = np.random.default_rng(0).standard_normal((9000, 3)).cumsum(axis=0)
+    expected = signal.sosfiltfilt(signal.butter(4, cutoff_hz, fs=FS, output="sos"), x, axis=0, padlen=12)
+    np.testing.assert_allclose(lowpass(x, cutoff_hz, FS), expected, atol=1e-11 * np.abs(x).max())
+
+
+@pytest.mark.parametrize(("samples", "factor"), [(400, 2), (1003, 10), (2000, 13)])
+def test_decimation_with_edges_of_matlab_is_filtfilt(samples, factor):
+    x = np.random.default_rng(0).standard_normal((3, samples)).cumsum(axis=1)
+    expected = signal.sosfiltfilt(signal.cheby1(8, 0.05, 0.8 / factor, output="sos"), x, padlen=24)
+    found = decimate(x, factor, smooth_ends=False)
+    np.testing.assert_allclose(found, expected[:, (samples - 1) % factor :: factor], atol=1e-11 * np.abs(x).max())
+
+
+def test_the_reach_of_a_filter_is_that_of_its_slowest_pole():
+    for found, zpk in (
+        (lowpass_reach(50.0, FS), signal.butter(4, 50.0, fs=FS, output="zpk")),
+        (decimation_reach(10), signal.cheby1(8, 0.05, 0.08, output="zpk")),
+    ):
+        assert np.abs(zpk[1]).max() ** found <= 1e-14 < np.abs(zpk[1]).max() ** (found - 2)
+
+
+@pytest.mark.parametrize("samples", [40000, 40007])
+def test_every_tenth_sample_of_what_a_low_pass_leaves_decimates_as_all_samples_do(samples):
+    decimation, rate_hz = Decimation(factor=100), 5000.0
+    x = lowpass(np.random.default_rng(1).normal(size=(samples, 3)), 50.0, rate_hz).T
+    stride = decimation.stride_behind(50.0, rate_hz)
+    assert stride == 10
+    at, end = (samples - 1) % stride, decimation.end_samples
+    strided = decimation.filtered_strided(x[:, at::stride], x[:, : at + end + 1], x[:, -end - 1 :])
+    np.testing.assert_allclose(strided, decimation.filtered(x), atol=1e-6 * np.abs(x).max())  # the ends too
+
+
+def test_no_sample_is_skipped_where_noise_would_fold_into_the_band_that_is_kept():
+    assert Decimation(factor=100).stride_behind(None, 5000.0) == 1
+    assert Decimation(factor=100).stride_behind(400.0, 5000.0) == 1
+    assert Decimation(factor=8).stride_behind(5.0, 5000.0) == 1  # one pass
+    assert Decimation(factor=100, smooth_ends=False).stride_behind(50.0, 5000.0) == 1
+
+
+@pytest.mark.parametrize("by", [0.25, -0.7, 1.5])
+def test_samples_in_between_are_those_of_a_cubic_spline(by):
+    x, at = np.random.default_rng(2).normal(size=(300, 2)).cumsum(axis=0), np.arange(300) + by
+    spline = interpolate.CubicSpline(np.arange(300), x)
+    np.testing.assert_allclose(sampled_at(at, x)[40:-40], spline(at)[40:-40], atol=1e-12)
+    sine = np.sin(2 * np.pi * T[:, None] / 0.05)  # at the ends too: 50 samples a period
+    off = sampled_at(np.arange(len(T)) + by, sine)[:, 0] - np.sin(2 * np.pi * (T + by / FS) / 0.05)
+    assert np.abs(off)[2:-2].max() < 1e-3
+
+
+@pytest.mark.parametrize("by", [-0.5, 0.5, 2.0, -3.0])
+def test_samples_later_are_the_same_block_by_block(monkeypatch, by):
+    x = np.random.default_rng(1).normal(size=(1000, 2)).cumsum(axis=0)
+    wanted = sampled_at(np.arange(1000) + by, x)
+    monkeypatch.setattr("identification.regression.motion.BLOCK_SAMPLES", 300)
+    np.testing.assert_allclose(later(x, by), wanted, rtol=0, atol=1e-12)

@@ -1,0 +1,213 @@
+"""Samples that stand weigh nothing: the weights by their formula, what they leave out exactly, and how ramps are chosen."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from conftest import REPLAY
+
+from acquisition.robot import LowSpeed, robot_from_files
+from identification.data import RecordingFile, Recordings, Work, load_signals
+from identification.errors import RobotIdimError
+from identification.estimation import weighted_least_squares
+from identification.methods import identify, identify_ls
+from identification.model import InverseModel, described_parameters
+from identification.regression import (
+    ROWS,
+    FilteredMotion,
+    Overrides,
+    make_problem,
+    rows_of_recording,
+    sample_weights,
+    weights_at,
+)
+from identification.regression.weights import SampleWeights
+from identification.study import Noise, closed_loop, write_signals
+
+SCARA = load_signals(REPLAY / "scara" / "session.mcap")
+
+
+def scara(**changes):
+    """The shipped SCARA as a problem, with other signals."""
+    return make_problem(dataclasses.replace(SCARA, **changes), Overrides(torque_lag_s="none"))
+
+
+def by_formula(moves: np.ndarray, L: int) -> np.ndarray:
+    """Moving samples eroded by L, convolved with a Hann window of 2 L + 1 samples of sum 1, zero where it stood."""
+    window = np.sin(np.pi * np.arange(1, 2 * L + 2) / (2 * L + 2)) ** 2
+    found, N = np.zeros(len(moves)), len(moves)
+    for k in np.flatnonzero(moves):
+        near = [all(moves[max(0, i - L) : i + L + 1]) for i in np.clip(np.arange(k - L, k + L + 1), 0, N - 1)]
+        found[k] = np.dot(near, window) / window.sum()
+    return found
+
+
+def test_weights_are_those_of_the_formula_in_any_block():
+    moves = np.ones((400, 2), dtype=bool)
+    moves[150:160, 0] = moves[300:, 0] = moves[40:60, 1] = False
+    problem = scara()
+    settings = dataclasses.replace(problem.settings, start=0, stop=400, decimation=10)
+    problem = dataclasses.replace(problem, settings=settings)
+    weights = SampleWeights(problem, moves)
+    expected = np.stack([by_formula(own, 20) for own in moves.T])
+    np.testing.assert_allclose(weights.between(0, 400), expected, atol=1e-12)
+    np.testing.assert_allclose(weights.between(137, 211), expected[:, 137:211], atol=1e-12)
+    assert expected[0, 160 + 20] == pytest.approx(0.5, abs=0.03)
+    assert (expected[0, 200:260] == pytest.approx(1.0), expected[0, 150:160].max()) == (True, 0.0)
+
+
+def test_a_joint_stands_within_half_a_period_of_the_cutoff_of_a_slow_sample():
+    """A joint that follows a known speed: zero where it is below 4 % of its peak within 20 ms, at 1 kHz and 25 Hz."""
+    t = SCARA.t_s
+    q = np.stack([np.sin(2 * np.pi * t), 0.5 * np.sin(np.pi * t)], axis=1)  # far below the cut-off
+    problem = scara(q=q)
+    s = problem.settings
+    speed = np.abs(np.stack([2 * np.pi * np.cos(2 * np.pi * t), 0.5 * np.pi * np.cos(np.pi * t)], axis=1))
+    slow = speed < 0.04 * speed.max(axis=0)
+    near = np.array([slow[max(0, k - 20) : k + 21].any(axis=0) for k in range(len(t))])
+    found = ~sample_weights(problem).moves[s.start : s.stop]
+    assert 0.05 < near[s.start : s.stop].mean() < 0.2
+    assert (found != near[s.start : s.stop]).mean() < 2e-3  # samples at the threshold
+
+
+def test_coupled_joints_stand_where_a_direction_that_acts_on_them_does(monkeypatch):
+    """At equal speeds of opposite sign a motor on both joints stands."""
+    t = SCARA.t_s
+    q = np.stack([np.sin(2 * np.pi * 0.5 * t), -np.sin(2 * np.pi * 0.5 * t)], axis=1)
+    problem = scara(q=q)
+    assert sample_weights(problem).moves.mean() > 0.8
+    monkeypatch.setattr(problem.model, "coulomb_directions", np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]]))
+    problem.motion.weights.clear()
+    # The sum of both speeds is rounding alone: its peak is no speed, and what is below 4 deviations of noise stands.
+    q = q + np.c_[0 * t, 1e-3 * np.sin(2 * np.pi * 0.1 * t)]
+    problem = dataclasses.replace(problem, motion=FilteredMotion(dataclasses.replace(SCARA, q=q)))
+    both = sample_weights(problem).moves
+    assert (both[:, 0] == both[:, 1]).mean() > 0.9
+
+
+def test_torque_of_samples_that_stand_does_not_count():
+    """Any torque at samples of weight zero leaves W, Y and the estimate as they are, to rounding."""
+    problem = scara()
+    s, rng = problem.settings, np.random.default_rng(1)
+    w = sample_weights(problem).between(0, len(SCARA.q)).T
+    wild = SCARA.effort + np.where(w == 0, 100 * rng.standard_normal(w.shape), 0.0)
+    other = dataclasses.replace(problem, signals=dataclasses.replace(problem.signals, effort=wild))
+    other = dataclasses.replace(other, motion=problem.motion.with_torque_of(other.signals))
+    plain, found = rows_of_recording(problem), rows_of_recording(other)
+    assert np.abs(plain.tau - found.tau).max() > 1.0
+    np.testing.assert_allclose(found.system.Y, plain.system.Y, atol=1e-9)
+    beta = [weighted_least_squares(one.system).beta for one in (plain, found)]
+    np.testing.assert_allclose(beta[1], beta[0], rtol=1e-9)
+    assert (w[s.start : s.stop] == 0).any()
+
+
+def test_rows_and_columns_have_the_same_weights():
+    """Y = F[w tau] and W beta = F[w W beta] by hand, and the weight of a row F[w] over the filter's gain."""
+    problem = scara()
+    s, plain = problem.settings, rows_of_recording(problem)
+    motion = problem.motion.between(s.start, s.stop, s.cutoff_hz)
+    w, F = weights_at(problem, motion.t_s), s.decimator.filtered
+    np.testing.assert_allclose(plain.system.Y, F(w * motion.tau.T).reshape(-1), atol=1e-9)
+    beta = np.arange(1.0, 9.0)
+    full = problem.model.regressor(motion.q, motion.dq, motion.ddq)[..., problem.base.columns] @ beta
+    expected = F(w * full.T).reshape(-1)
+    np.testing.assert_allclose(plain.system.W @ beta, expected, atol=2e-5 * np.abs(expected).max())
+    share = F(w) / F(np.ones_like(w))
+    counts = share > 0.1
+    np.testing.assert_allclose(plain.share.T, np.where(counts, share, 0.0), atol=1e-3)
+    assert plain.system.rows == pytest.approx((np.where(counts, share, 0.0) ** 2).sum(axis=1), rel=1e-3)
+
+
+def test_a_threshold_of_zero_is_the_method_without_weights():
+    """Decimated torque and regressor as they are: the digits that are published. The number is that of the method."""
+    problem = make_problem(SCARA, Overrides(low_speed_percent=0.0, torque_lag_s="none"))
+    plain, s = rows_of_recording(problem), problem.settings
+    assert (plain.share == 1.0).all()
+    np.testing.assert_allclose(plain.system.Y, plain.tau.T.reshape(-1), atol=1e-12)
+    assert plain.system.rows.tolist() == [len(plain.tau)] * 2
+    found = weights_at(problem, np.arange(s.start, s.stop) / SCARA.sample_rate_hz)
+    np.testing.assert_array_equal(found, np.ones((2, s.stop - s.start)))
+    given = LowSpeed(ls=0.0, iv=10.0)
+    by_method = [identify(SCARA, Overrides(low_speed_percent=given), method=m).settings for m in ("wls", "iv", None)]
+    assert [one.low_speed_percent for one in by_method] == [0.0, 10.0, 10.0]
+
+
+def test_position_noise_is_added_beside_the_same_weights(monkeypatch):
+    """Both refits have the samples of the recording itself, however its noise moves the speed about the threshold."""
+    kept, plain = [], SampleWeights.__init__
+
+    def once(self, *given):
+        kept.append(self)
+        plain(self, *given)
+
+    monkeypatch.setattr(SampleWeights, "__init__", once)
+    rng = np.random.default_rng(0)
+    fit = identify_ls(dataclasses.replace(SCARA, q=SCARA.q + 1e-4 * rng.standard_normal(SCARA.q.shape)), Overrides())
+    assert fit.trust.line("position noise").level in ("ok", "caution")
+    assert len(kept) == 2  # one for each ramp that is tried
+
+
+def test_short_moves_get_short_ramps_and_a_joint_that_never_moves_long_enough_is_refused():
+    t = SCARA.t_s
+    quick = np.stack([np.sin(2 * np.pi * 0.5 * t), 0.05 * np.sin(2 * np.pi * 4 * t)], axis=1)
+    ramps = sample_weights(scara(q=quick)).ramps
+    assert ramps[0] == 2.0
+    assert ramps[1] < 2.0
+    problem = scara(q=np.stack([quick[:, 0], 0.05 * np.sin(2 * np.pi * 24.9 * t)], axis=1))
+    with pytest.raises(RobotIdimError) as caught:
+        rows_of_recording(problem)
+    assert "joint elbow never moves for longer than a period of the filters between two stops" in str(caught.value)
+
+
+def test_joints_whose_moves_are_too_short_have_no_weights_but_the_rows_in_which_they_move():
+    """The elbow of two reverses too often for any ramp: torque and regressor of its rows as they are, and it is said."""
+    t = SCARA.t_s
+    problem = scara(q=np.stack([np.sin(2 * np.pi * 0.5 * t), 0.05 * np.sin(2 * np.pi * 10 * t)], axis=1))
+    weights, plain, s = sample_weights(problem), rows_of_recording(problem), problem.settings
+    assert weights.ramps == (2.0, ROWS)
+    at = s.start + s.decimator.instants(s.stop - s.start)
+    np.testing.assert_array_equal(plain.share[:, 1], weights.moves[at, 1])
+    assert 0 < plain.share[:, 1].sum() < len(at)
+    np.testing.assert_allclose(plain.system.Y.reshape(2, -1)[1], plain.tau[:, 1], atol=1e-12)
+    assert (weights.between(s.start, s.stop)[1] == 1).all()
+
+
+def short_moves(seed: int):
+    """The SCARA, whose joints move one after the other for less than half a second, as a recording of 12 s."""
+    robot, rng = SCARA.robot, np.random.default_rng(seed)
+    rate_hz, q, now = 1000.0, [], np.zeros(2)
+    for k in range(18):
+        after, s = now.copy(), np.linspace(0, 1, 400)[:, None]
+        after[k % 2] = rng.uniform(-0.6, 0.6)
+        q += [now + (10 * s**3 - 15 * s**4 + 6 * s**5) * (after - now), np.repeat(after[None], 260, axis=0)]
+        now = after
+    text = robot.files["robot.toml"].decode().replace("bandwidth_hz = 5.0", "bandwidth_hz = 2.5")  # half of what it is
+    slow = robot_from_files({"robot.toml": text.encode()}, "robot.toml")
+    signals = closed_loop(robot, np.concatenate(q), rate_hz, noise=Noise(effort_percent=2.0), seed=seed)
+    return dataclasses.replace(signals, robot=slow, recording=f"s{seed}.mcap", sha256=f"{seed:064x}")
+
+
+def test_recordings_of_short_moves_are_fitted_and_the_same_by_two_workers(tmp_path):
+    """No ramps suit their moves: chosen for both together, and told with joint and bandwidth."""
+    for seed in (1, 2):
+        write_signals(tmp_path / f"s{seed}.mcap", short_moves(seed), source="test")
+    sources = tuple(RecordingFile(path=str(tmp_path / f"s{seed}.mcap")) for seed in (1, 2))
+    fits = [identify_ls(Recordings(sources=sources, work=Work(workers=k)), Overrides()) for k in (1, 2)]
+    np.testing.assert_array_equal(fits[0].estimate.beta, fits[1].estimate.beta)
+    assert fits[0].settings.ramp_rows == fits[1].settings.ramp_rows
+    for name in ("shoulder", "elbow"):
+        text = f"joint {name}: its moves are short for a bandwidth of 2.5 Hz: no weights, but rows in which it moves"
+        assert text in fits[0].warnings
+    true = described_parameters(InverseModel(SCARA.robot), fits[0].base)
+    assert (np.abs(fits[0].beta - true) < 2.0 * fits[0].intervals.half).all()
+
+
+@pytest.mark.parametrize("method", ["wls", "iv"])
+def test_the_ramp_that_is_chosen_has_the_smaller_half_widths(method):
+    """By the median ratio of the half-widths of whole fits with each ramp stated."""
+    chosen = identify(SCARA, Overrides(), method=method).settings.ramp_rows
+    long, short = (identify(SCARA, Overrides(ramp_rows=ramp), method=method) for ramp in (2.0, 0.5))
+    assert [fit.settings.ramp_rows for fit in (long, short)] == [2.0, 0.5]
+    ratio = np.median(long.intervals.half / short.intervals.half)
+    assert abs(ratio - 1) > 0.02
+    assert chosen == (2.0 if ratio < 1 else 0.5)

@@ -1,0 +1,127 @@
+"""What the reports of a fit and of a validation say: the verdict first, by the rows that move, then what is essential."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import REPLAY
+from fits_of_records import iv_of, ls_of, signals_of
+
+from identification.methods import Validated, fit_document, fit_file, recording_document, validation_document
+from identification.report import Section
+
+SCARA = REPLAY / "scara" / "session.mcap"
+
+
+def with_essential(fit, names):
+    reduction = replace(fit.essential, estimate=replace(fit.essential.estimate, names=names))
+    least_squares = replace(fit.least_squares, essential=reduction)
+    return replace(fit, least_squares=least_squares, warnings=("a wrong gain",))
+
+
+def test_the_verdict_comes_first_and_is_of_the_rows_that_move():
+    signals, fit = signals_of(SCARA), with_essential(iv_of(SCARA), ("ZZ1R", "ZZ2"))
+    document = fit_document(signals, fit)
+    moving = fit.errors[-1].moving_relative_error_percent
+    every = fit.errors[-1].relative_error_percent
+    assert f"{moving:.3g}" != f"{every:.3g}", "here standing rows make a difference"
+    held, names = fit.trust.line("held-out blocks").value, fit.estimate.names
+    a, b = (100 * fit.intervals.half[k] / abs(fit.beta[k]) for k in map(names.index, ("ZZ1R", "ZZ2")))
+    assert a < b
+    assert document.title == (
+        f"SCARA: IV (as requested), converged, trust; {moving:.3g} % torque error of moving rows, {held:.2g} % held out; "
+        f"2 of 8 parameters determined, half of them to ±{(a + b) / 2:.2g} %, the worst (ZZ2) to ±{b:.2g} %"
+    )
+    verdict = document.sections[0]
+    assert verdict.lines[0] == "assumed: drive gains, ratios, lengths, sample rate, rotors"
+    assert verdict.lines[1] == "status: converged"
+    assert verdict.lines[2].startswith(f"relative torque error: {moving:.3g} % of moving rows")
+    assert verdict.lines[2].endswith(f"{every:.3g} % of all rows")
+    assert verdict.lines[3].startswith("2 of 8 parameters determined (by least squares)")
+    assert verdict.warnings == ("a wrong gain",)
+
+
+@pytest.mark.parametrize("wide", [(), ("Fv1", "Fc2"), None])
+@pytest.mark.parametrize("kept", [("ZZ1R", "Fv1", "Fc2", "ZZ2"), None])
+def test_first_line_lines_table_and_json_count_the_same_parameters(kept, wide):
+    """Of the `kept` by the F test those with an interval narrower than the value; of `wide`, None for all, it is wider."""
+    fit = iv_of(SCARA)
+    names = fit.estimate.names
+    kept, wide = names if kept is None else kept, names if wide is None else wide
+    by = np.where(np.isin(names, wide), 1.5 * np.abs(fit.beta), fit.intervals.half)
+    intervals = replace(fit.intervals, low=fit.beta - by, high=fit.beta + by)
+    fit = replace(with_essential(fit, kept), intervals=intervals)
+    fit = replace(fit, least_squares=replace(fit.least_squares, essential=replace(fit.essential, F=1.0)))
+    expected = {name for name in kept if name not in wide}
+    document, file = fit_document(signals_of(SCARA), fit), fit_file(fit)
+    assert {row[0] for row in document.sections[2].table.rows if row[6] == "yes"} == expected
+    flagged = [p for p in file.parameters if p.essential]
+    assert {p.name for p in flagged} == set(file.essential.names) == expected
+    percents = {p.name: 100 * p.half / abs(p.value) for p in flagged}
+    text = f"; {len(expected)} of 8 parameters determined"
+    if percents:
+        worst = max(percents, key=percents.get)
+        median = np.median(list(percents.values()))
+        text += f", half of them to ±{median:.2g} %, the worst ({worst}) to ±{percents[worst]:.2g} %"
+    assert document.title.endswith(text)
+    line = document.sections[0].lines[3]
+    assert line.startswith(f"{len(expected)} of 8 parameters determined (by least squares)")
+    counts = [re.search(rf"(\d+) {what}", line) for what in ("of", "unclear", "without effect")]
+    assert sum(int(found[1]) for found in counts if found) == 8, line
+
+
+@pytest.mark.parametrize("everything", [False, True])
+def test_the_table_has_the_essential_parameters_or_all(everything):
+    essential = ("ZZ1R", "Fc2")
+    signals, fit = signals_of(SCARA), with_essential(ls_of(SCARA), essential)
+    document = fit_document(signals, fit)
+    document = document if everything else document.short
+    section = document.sections[2]
+    rows = {row[0]: row for row in section.table.rows}
+    assert tuple(rows) == (fit.estimate.names if everything else essential)
+    for name, row in rows.items():
+        k = fit.estimate.names.index(name)
+        half = fit.intervals.half[k]
+        assert [cell.value for cell in row[1:4]] == [fit.beta[k], half, pytest.approx(100 * half / abs(fit.beta[k]))]
+        if everything:
+            assert row[5].value == fit.estimate.sigma[k]
+            assert row[6] == ("yes" if name in essential else "")
+        else:
+            assert len(row) == 5
+    assert any(line.endswith("; 6 others: --all") for line in section.lines) == (not everything)
+    assert ("ZZ1R = ZZ1 + 0.25 M2" in document.sections[-1].lines) == everything
+
+
+def test_the_short_report_has_the_ten_largest_essential_parameters_and_what_the_tests_found():
+    fit = ls_of(SCARA)
+    finding, *others = fit.trust.lines
+    lines = (replace(finding, level="caution"), replace(others[0], level="not made"), *others[1:])
+    fit = replace(fit, trust=replace(fit.trust, lines=lines), warnings=tuple(f"warning {k}" for k in range(6)))
+    verdict, trust, parameters, errors, *rest = (s for s in fit_document(signals_of(SCARA), fit).short.sections)
+    assert verdict.warnings == fit.warnings[:4]
+    assert verdict.lines[-1] == "2 more warnings (--all)"
+    assert not any(line.startswith("status") for line in verdict.lines), "the title has it"
+    assert trust.lines[0].startswith(f"caution: {finding.test}: ")
+    assert trust.lines[1].startswith(f"{[line.level for line in lines].count('ok')} of {len(lines)} checks passed; ")
+    not_made = [line.test for line in lines if line.level == "not made"]
+    assert f"{len(not_made)} not possible: {', '.join(not_made)}" in trust.lines[1]
+    assert len(trust.lines) == 2
+    torque = dict(zip(fit.estimate.names, np.abs(fit.data.W * fit.beta).max(axis=0), strict=True))
+    essential = {name: torque[name] for name in fit.essential_names}
+    assert {row[0] for row in parameters.table.rows} == set(sorted(essential, key=lambda x: -essential[x])[:10])
+    assert errors.lines[0].startswith("torque error of moving rows by joint: shoulder ")
+    assert rest == [Section()] * len(rest), "all else needs --all"
+
+
+def test_a_validation_and_a_recording_say_what_they_are():
+    signals, fit = signals_of(SCARA), ls_of(SCARA)
+    validated = [Validated(signals, fit.settings, fit.errors, fit.tau, fit.tau_predicted)]
+    document = validation_document(validated, "fit.json", fit.errors, ("another robot",))
+    assert document.title.startswith("fit.json on session.mcap: ")
+    assert document.sections[0].warnings == ("another robot",)
+    assert [row[0] for row in document.sections[1].table.rows] == ["shoulder", "elbow", "all"]
+    recorded = recording_document(signals, None, "no joint moves")
+    assert recorded.sections[0].lines[0] == "cannot be fitted: no joint moves"
+    low, high = (recorded.sections[1].table.rows[1][k].value for k in (2, 3))
+    assert (low, high) == (signals.q[:, 1].min(), signals.q[:, 1].max())

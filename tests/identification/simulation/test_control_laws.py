@@ -1,0 +1,250 @@
+"""Each control law against its sampled loop written out by hand, with the exact matrix exponential of the plant."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import REPLAY
+from loops import free, modelled, simulate
+from scipy.linalg import expm
+
+from acquisition.robot import load_robot, robot_from_files
+from identification.errors import RobotIdimError
+from identification.model import InverseModel, described_parameters, direct_model, inertias
+from identification.simulation import Control, ControlLaw, Reference, recorded_loop, surrogate_loop
+
+MASS, VISCOUS, GAIN, RATIO, T = 20.0, 5.0, 10.0, 2.0, 1e-3
+TICKS = 400
+LAWS = {
+    "pd": (500.0, 25.0, 0.0),
+    "pd_velocity_feedforward": (500.0, 25.0, 0.0),
+    "cascade_p_p": (20.0, 25.0, 0.0),
+    "cascade_p_pi": (20.0, 25.0, 10.0),
+    "pid": (500.0, 25.0, 2000.0),
+    "computed_torque": (900.0, 50.0, 0.0),
+}
+ESTIMATES = ("exact", "backward_difference", "two_sample_mean")
+
+
+def axis(structure: str, estimate: str, saturation: float):
+    """A mass on a rail, driven through a ratio of 2 by a motor of 10 N/A."""
+    kp, kd, ki = LAWS[structure]
+    integral = f"integral_gain = [{ki}]\n" if ki else ""
+    limit = f"saturation = {saturation}\n" if np.isfinite(saturation) else ""
+    return robot_from_files(
+        {
+            "robot.toml": (
+                'name = "axis"\n[[joint]]\nname = "x"\ntype = "prismatic"\n'
+                "dh = { alpha_deg = 90, d_m = 0, theta_deg = 0, r_m = 0 }\nrotor_inertia = false\ncoulomb = false\n"
+                f'[[motor]]\nname = "m"\ndrive_gain = {GAIN}\ndrive_gain_unit = "N/A"\nratio = {RATIO}\n{limit}'
+                f'[controller]\nbandwidth_hz = 5\nstructure = "{structure}"\nsample_rate_hz = {1 / T}\n'
+                f'position_gain = [{kp}]\nvelocity_gain = [{kd}]\n{integral}velocity_estimate = "{estimate}"\n'
+                f"[parameters]\nM1 = {MASS}\nFv1 = {VISCOUS}\n"
+            ).encode()
+        },
+        "axis.toml",
+    )
+
+
+REST = (np.zeros(1), np.zeros(1))
+
+
+def by_hand(
+    structure: str,
+    estimate: str,
+    path: np.ndarray,
+    saturation: float,
+    ahead: np.ndarray | None = None,
+    force: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Position and motor effort of the sampled loop along the reference path: position, speed, acceleration (3, TICKS).
+
+    `ahead` (TICKS,) is added to the motor's effort, `force` (TICKS,) to that on the mass.
+    """
+    ahead, force = (np.zeros(path.shape[1]) if x is None else x for x in (ahead, force))
+    kp, kd, ki = LAWS[structure]
+    held = expm(T * np.array([[0, 1, 0], [0, -VISCOUS / MASS, RATIO * GAIN / MASS], [0, 0, 0]]))
+    q = v = before = earlier = integral = 0.0
+    positions, efforts = [], []
+    if structure in ("cascade_p_pi", "pid"):  # it has held the mass at rest before
+        integral = -(ahead[0] + force[0] / (RATIO * GAIN)) / (ki * kd if structure == "cascade_p_pi" else ki)
+    for (r, dr, ddr), fed, push in zip(path.T, ahead, force, strict=True):
+        dq = {"exact": v, "backward_difference": (q - before) / T, "two_sample_mean": (q - earlier) / (2 * T)}[estimate]
+        before, earlier = q, before
+        e, de, speed = RATIO * (r - q), RATIO * (dr - dq), RATIO * dq
+        kept = integral
+        if structure == "pd":
+            u = kp * e - kd * speed
+        elif structure == "pd_velocity_feedforward":
+            u = kp * e + kd * de
+        elif structure == "cascade_p_p":
+            u = kd * (kp * e - speed)
+        elif structure == "cascade_p_pi":
+            integral += T * (kp * e - speed)
+            u = kd * ((kp * e - speed) + ki * integral)
+        elif structure == "pid":
+            integral += T * e
+            u = kp * e + kd * de + ki * integral
+        else:
+            u = (MASS * (ddr + (kp * e + kd * de) / RATIO) + VISCOUS * v) / (GAIN * RATIO)
+        u += fed
+        if abs(u) > saturation:
+            u, integral = np.sign(u) * saturation, kept
+        positions.append(q)
+        efforts.append(u)
+        q, v, _ = held @ [q, v, u + push / (RATIO * GAIN)]
+    return np.array(positions), np.array(efforts)
+
+
+def path_of(kind: str) -> np.ndarray:
+    """A step of 10 mm, or a sine with its derivatives; the first instant is at rest at zero in both."""
+    t, w = T * np.arange(TICKS), 2 * np.pi * 3
+    if kind == "step":
+        return np.stack([np.where(t > 0, 0.01, 0.0), 0 * t, 0 * t])
+    return 0.01 * np.stack([1 - np.cos(w * t), w * np.sin(w * t), w**2 * np.cos(w * t)])
+
+
+@pytest.mark.parametrize(("kind", "saturation"), [("step", np.inf), ("step", 3.0), ("sine", np.inf), ("sine", 1e6)])
+@pytest.mark.parametrize("estimate", ESTIMATES)
+@pytest.mark.parametrize("structure", LAWS)
+def test_each_law_is_the_sampled_loop(structure, estimate, kind, saturation):
+    robot = axis(structure, estimate, saturation)
+    (*_, model), path = modelled(robot), path_of(kind)
+    done = simulate(model, recorded_loop(robot), Reference(*path[..., None]), start=REST, substeps=4)
+    q, effort = by_hand(structure, estimate, path, saturation)
+    assert (np.abs(effort) > 0.999 * saturation).any() == (saturation == 3.0)
+    assert np.abs(q).max() > 5e-3
+    np.testing.assert_allclose(done.q[::4, 0], q, atol=2e-7)
+    np.testing.assert_allclose(done.tau[::4, 0], GAIN * RATIO * effort, atol=1e-3 * np.abs(GAIN * RATIO * effort).max())
+
+
+@pytest.mark.parametrize("saturation", [np.inf, 3.0])
+@pytest.mark.parametrize("structure", LAWS)
+def test_known_torque_and_feedforward_act_on_the_sampled_loop(structure, saturation):
+    """Pulses of the motor's effort, counted before the saturation, and a force on the mass, which it does not see."""
+    robot = axis(structure, "exact", saturation)
+    (*_, model), path = modelled(robot), path_of("sine")
+    k = np.arange(TICKS)
+    ahead, force = 1.5 + 2.0 * ((k > 100) & (k < 160)), 8.0 - 20.0 * (k > 250)
+    known = {"feedforward": ahead[:, None], "known_torque": force[:, None]}
+    done = simulate(model, recorded_loop(robot), Reference(*path[..., None], **known), start=REST, substeps=4)
+    q, effort = by_hand(structure, "exact", path, saturation, ahead, force)
+    np.testing.assert_allclose(done.q[::4, 0], q, atol=5e-7)
+    np.testing.assert_allclose(done.tau[::4, 0], GAIN * RATIO * effort, atol=1e-3 * np.abs(GAIN * RATIO * effort).max())
+
+
+def test_a_surrogate_holds_what_the_known_torque_does_not():
+    """At rest under a constant force a surrogate stands at its reference: without sag."""
+    robot = axis("pd", "exact", np.inf)
+    *_, model = modelled(robot)
+    references = Reference(*np.zeros((3, TICKS, 1)), known_torque=np.full((TICKS, 1), 30.0))
+    done = simulate(model, surrogate_loop(5.0, np.array([MASS]), 1 / T), references)
+    assert np.abs(done.q).max() < 1e-12
+    assert done.tau[:, 0] == pytest.approx(-30.0)
+
+
+@pytest.mark.parametrize("structure", LAWS)
+def test_the_gain_update_leaves_the_motion_as_it_was(structure):
+    """Twice the mass and friction under twice the gains and twice the limit: the same motion, saturated or not."""
+    robot = axis(structure, "backward_difference", 3.0)
+    dynamics, base, _ = modelled(robot)
+    moved = []
+    for factor in (1.0, 2.0):
+        model = direct_model(dynamics, base.standard_parameters(factor * described_parameters(dynamics, base)))
+        loop = recorded_loop(robot).scaled(np.array([factor]))
+        moved.append(simulate(model, loop, path_of("step")[0][:, None].copy()))
+    assert np.abs(moved[0].tau).max() == pytest.approx(3.0 * GAIN * RATIO)
+    np.testing.assert_allclose(moved[1].q, moved[0].q, atol=1e-12)
+    np.testing.assert_allclose(moved[1].tau, 2 * moved[0].tau, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("way", [1, -1])
+def test_viscous_friction_of_each_direction_slows_its_own(way):
+    """M dv/dt = -Fv v - Fc of the side it moves to: v = (v0 + Fc/Fv) exp(-Fv t/M) - Fc/Fv."""
+    dynamics = InverseModel(load_robot(REPLAY / "emps" / "robot_published_asymmetric.toml"))
+    values = {"M1": 95.0, "Fvp1": 160.0, "Fcp1": 15.0, "Fvn1": 240.0, "Fcn1": 25.0}
+    chi = np.array([values.get(name, 0.0) for name in dynamics.names])
+    Fv, Fc = (160.0, 15.0) if way > 0 else (240.0, 25.0)
+    model = direct_model(dynamics, chi)
+    zero, speed = np.zeros((1, 1)), np.full((1, 1), way * 0.2)
+    assert model.torque(zero, speed, zero) == pytest.approx(way * (Fv * 0.2 + Fc))
+    row = dynamics.regressor(zero, speed, zero)[0, 0] @ chi
+    assert row == pytest.approx(way * (Fv * 0.2 + Fc))
+    start = (np.zeros(1), np.array([way * 0.5]))
+    done = simulate(model, free(1, 1 / T), np.zeros((TICKS, 1)), start=start, substeps=4)
+    t = T / 4 * np.arange(4 * TICKS)
+    np.testing.assert_allclose(way * done.dq[:, 0], (0.5 + Fc / Fv) * np.exp(-Fv / 95 * t) - Fc / Fv, atol=1e-4)
+
+
+def test_a_loop_of_another_gain_and_motor_matrix_acts_at_the_motors():
+    """Two coupled motors at rest, off the reference: tau = Rᵀ G Kp R e, worked out entry by entry."""
+    R, e = np.array([[2.0, 0.0], [3.0, -4.0]]), np.array([0.01, 0.02])
+    model = direct_model(
+        dynamics := InverseModel(load_robot(REPLAY / "scara" / "robot.toml")),
+        np.array([{"ZZ1": 3.0, "ZZ2": 0.1}.get(name, 0.0) for name in dynamics.names]),
+    )
+    loop = ControlLaw(
+        period_s=T, R=R, G=np.array([10.0, 5.0]), Kp=np.array([7.0, 11.0]), Kd=np.zeros(2), Ki=np.zeros(2),
+        position_share=np.ones(2), feedforward=0.0, saturation=np.full(2, np.inf), velocity_estimate="exact",
+        computed_torque=False,
+    )  # fmt: skip
+    m1, m2 = 10.0 * 7.0 * 2.0 * 0.01, 5.0 * 11.0 * (3.0 * 0.01 - 4.0 * 0.02)
+    for estimate in ("exact", "backward_difference"):  # the two ways through the law
+        law = replace(loop, velocity_estimate=estimate)
+        done = simulate(model, law, np.tile(e, (2, 1)), start=(np.zeros(2), np.zeros(2)))
+        np.testing.assert_allclose(done.tau[0], [2.0 * m1 + 3.0 * m2, -4.0 * m2], rtol=1e-12)
+    # The joints' inertias that make these gains oscillators of 5 Hz: w² J = Rᵀ G Kp R on the diagonal.
+    w2 = (2 * np.pi * 5.0) ** 2
+    np.testing.assert_allclose(loop.inertias(5.0), np.array([4 * 70.0 + 9 * 55.0, 16 * 55.0]) / w2)
+    np.testing.assert_array_equal(replace(loop, computed_torque=True).inertias(5.0), 1.0)
+
+
+@pytest.mark.parametrize("estimate", ESTIMATES)
+def test_a_loop_begun_in_motion_along_its_reference_asks_for_nothing(estimate):
+    robot = axis("pd_velocity_feedforward", estimate, np.inf)
+    dynamics = InverseModel(robot)
+    model = direct_model(dynamics, np.array([{"M1": MASS}.get(name, 0.0) for name in dynamics.names]))
+    path, speed = 0.1 + 0.2 * T * np.arange(20)[:, None], np.full((20, 1), 0.2)
+    done = simulate(model, recorded_loop(robot), Reference(path, speed, 0 * speed))
+    np.testing.assert_allclose(done.tau, 0.0, atol=1e-9)
+    np.testing.assert_allclose(done.q, path, atol=1e-12)
+
+
+def test_an_integral_starts_within_the_limit():
+    """8 N to hold at 20 N/A take 0.4 A; of a limit of 0.3 A no more than that is in the integral."""
+    for limit, effort in ((np.inf, 0.4), (0.3, 0.3)):
+        robot = axis("pid", "exact", limit)
+        dynamics = InverseModel(robot)
+        model = direct_model(dynamics, np.array([{"M1": MASS}.get(name, 0.0) for name in dynamics.names]))
+        pushed, zero = replace(model, offset=np.array([8.0])), np.zeros((2, 1))
+        loop = recorded_loop(robot)
+        control = Control(pushed, loop, zero[0], zero[0])
+        control.take(Reference(zero, zero, zero))
+        assert loop.Ki * control._integral == pytest.approx(effort)
+        assert control.torque(0, zero[0], zero[0]) == pytest.approx(effort * GAIN * RATIO)
+
+
+@pytest.mark.parametrize(("force", "moves"), [(14.0, False), (16.0, True), (-24.0, False), (-26.0, True)])
+def test_friction_by_direction_holds_by_direction(force, moves):
+    """15 N hold against a push in the positive direction, 25 N against one in the negative direction."""
+    dynamics = InverseModel(load_robot(REPLAY / "emps" / "robot_published_asymmetric.toml"))
+    values = {"M1": 95.0, "Fcp1": 15.0, "Fcn1": 25.0}
+    model = direct_model(dynamics, np.array([values.get(name, 0.0) for name in dynamics.names]))
+    pushed, zero = replace(model, offset=np.array([-force])), np.zeros((TICKS, 1))
+    done = simulate(pushed, free(1, 1 / T), Reference(zero, zero + 0.1, zero), start=REST)
+    assert (abs(done.dq[-1, 0]) > 2e-3) == moves
+
+
+def test_the_inertia_of_a_joint_is_the_largest_along_the_way():
+    """SCARA, elbow straight and folded: ZZ1R + ZZ2 ± 2 L MX2 at the shoulder, ZZ2 at the elbow."""
+    *_, model = modelled(load_robot(REPLAY / "scara" / "robot.toml"))
+    poses = np.array([[0.3, np.pi], [0.1, 0.0], [0.2, np.pi]])
+    np.testing.assert_allclose(inertias(model.inertia(poses)), [3.45 + 0.061 + 2 * 0.123, 0.061], rtol=1e-12)
+
+
+def test_a_controller_described_in_part_names_what_is_missing():
+    text = axis("pid", "exact", np.inf).files["robot.toml"].decode()
+    robot = robot_from_files({"robot.toml": re.sub("(velocity|integral)_gain = .*", "", text).encode()}, "axis.toml")
+    with pytest.raises(RobotIdimError, match="velocity_gain, integral_gain is missing: expected all of structure"):
+        recorded_loop(robot)

@@ -1,0 +1,380 @@
+"""The simulated robot against physics: energy, closed forms, friction that holds, instants that belong together."""
+
+import dataclasses
+
+import msgspec
+import numpy as np
+import pytest
+from conftest import described_chi, robot_named
+from loops import free, simulate
+
+from acquisition.robot import robot_from_files
+from identification.methods import Iteration, identify_iv, regular_start
+from identification.model import (
+    DirectModel,
+    InverseModel,
+    base_parameters,
+    direct_model,
+    inertias,
+    why_not_positive,
+)
+from identification.regression import Overrides
+from identification.simulation import ClosedLoop, Control, ControlLaw, Encoder, Reference, surrogate_loop
+from identification.study import Noise, closed_loop, random_reference
+
+RATE = 1000.0
+
+
+def model_of(name: str, **values: float):
+    dynamics = InverseModel(robot_named(name))
+    base = base_parameters(dynamics)
+    chi = described_chi(dynamics)
+    for key, value in values.items():
+        chi[[c for c, n in enumerate(dynamics.names) if n.startswith(key)]] = value
+    return dynamics, direct_model(dynamics, base.standard_parameters(base.K @ chi))
+
+
+def still(n: int, seconds: float) -> np.ndarray:
+    return np.zeros((round(seconds * RATE), n))
+
+
+def test_energy_is_kept_without_friction():
+    _, model = model_of("tx40", Fv=0.0, Fc=0.0, Fvm=0.0, Fcm=0.0)
+    start = (np.array([0.3, -0.4, 0.5, 0.2, 0.6, 0.1]), np.array([0.5, 0.2, -0.4, 1.0, -0.5, 2.0]))
+    done = simulate(model, free(6, RATE), still(6, 1.0), start=start, bound=1e9, substeps=20)
+    kinetic = 0.5 * np.einsum("ti,tij,tj->t", done.dq, model.inertia(done.q), done.dq)
+    # What gravity does is the work of -g(q): its torque at rest, summed along the path.
+    g = np.array([model.inertia_and_bias(q, np.zeros(6))[1] for q in done.q])
+    work = np.cumsum(np.einsum("ti,ti->t", 0.5 * (g[1:] + g[:-1]), np.diff(done.q, axis=0)))
+    drift = kinetic[1:] - kinetic[0] + work
+    assert np.ptp(kinetic) > 5.0
+    assert np.abs(drift).max() < 2e-3 * np.ptp(kinetic)
+
+
+def test_a_pd_loop_is_the_double_integrator_it_is_designed_as():
+    """A step of a mass under the surrogate PD: the closed form of a second order system with zeta = 0.8."""
+    _, model = model_of("emps", Fv=0.0, Fc=0.0, Off=0.0)
+    rate = 20_000.0
+    loop = surrogate_loop(5.0, np.array([95.1089]), rate)
+    t = np.arange(int(0.3 * rate)) / rate
+    done = simulate(model, loop, np.full((len(t), 1), 0.01), start=(np.zeros(1), np.zeros(1)))
+    w, z = 2 * np.pi * 5.0, 0.8
+    wd = w * np.sqrt(1 - z**2)
+    expected = 0.01 * (1 - np.exp(-z * w * t) * (np.cos(wd * t) + z / np.sqrt(1 - z**2) * np.sin(wd * t)))
+    np.testing.assert_allclose(done.q[:, 0], expected, atol=2e-5)
+
+
+def test_coulomb_friction_holds_a_joint_that_is_pushed_too_little():
+    _, model = model_of("emps", Off=0.0)
+    for force, moves in ((20.0, False), (21.0, True)):
+        pushed = dataclasses.replace(model, offset=np.array([-force]))
+        assert (np.abs(simulate(pushed, free(1, RATE), still(1, 0.5)).q[-1]) > 1e-4).all() == moves
+    stopping = simulate(model, free(1, RATE), still(1, 0.5), start=(np.zeros(1), np.array([0.05])))
+    # M dv/dt = -Fv v - Fc from v0 stops at (M/Fv) (v0 - (Fc/Fv) ln(1 + Fv v0/Fc)), and stays.
+    M, Fv, Fc, v0 = 95.1089, 203.5034, 20.3935, 0.05
+    stop = M / Fv * (v0 - Fc / Fv * np.log(1 + Fv * v0 / Fc))
+    assert np.abs(stopping.dq[-50:]).max() < 1e-6
+    assert stopping.q[-1, 0] == pytest.approx(stop, rel=0.01)
+
+
+def test_a_light_wrist_does_not_chatter():
+    """Fc h/M = 0.16 rad/s per step on joint 6: explicit friction would reverse its sign every step at standstill."""
+    _, model = model_of("tx40")
+    q_ref = still(6, 1.0) + np.array([0.1, -0.3, 0.4, 0.2, 0.5, 0.0])
+    loop = surrogate_loop(10.0, inertias(model.inertia(q_ref[:1])), RATE)
+    done = simulate(model, loop, q_ref)
+    assert np.abs(done.ddq[500:]).max() < 0.05
+
+
+@pytest.mark.parametrize("name", ["tx40", "scara", "emps"])
+def test_position_speed_acceleration_and_torque_are_of_one_instant(name):
+    """IDM(q, dq, ddq) chi = tau row by row, but for the implicit friction where a joint turns round or sticks."""
+    dynamics, model = model_of(name)
+    q_ref = random_reference(dynamics.robot, duration_s=5.0, sample_rate_hz=RATE, seed=2)
+    dq_ref = np.gradient(q_ref, 1 / RATE, axis=0)
+    ddq_ref = np.gradient(dq_ref, 1 / RATE, axis=0)
+    loop = surrogate_loop(10.0, inertias(model.inertia(q_ref[::50])), RATE)
+    done = simulate(model, loop, Reference(q_ref, dq_ref, ddq_ref), bound=9.0)
+    tau = dynamics.regressor(done.q, done.dq, done.ddq) @ described_chi(dynamics)
+    along = np.abs(done.dq @ model.directions.T)
+    moving = (along > 0.02 * along.max(axis=0)).all(axis=1)
+    assert moving.mean() > 0.5
+    rms = np.sqrt(np.mean(done.tau**2, axis=0))
+    # Viscous friction is taken at the end of the step: h Fv ddq.
+    assert (np.abs(tau - done.tau)[moving] < 0.02 * rms + 1e-3 * np.abs(done.ddq[moving]).max(axis=0)).all()
+    # A shift by one instant is far worse: the test would see it.
+    assert np.median(np.abs(tau[5:] - done.tau[:-5])[moving[5:]]) > 3 * np.median(np.abs(tau - done.tau)[moving])
+
+
+def scara_pid(saturation: float) -> tuple[DirectModel, ControlLaw]:
+    """The SCARA under a PID, motor 1 limited to `saturation`."""
+    _, model = model_of("scara")
+    J = inertias(model.inertia(still(2, 0.01)))
+    loop = dataclasses.replace(surrogate_loop(5.0, J, RATE), gravity=False)
+    limits = np.array([saturation, np.inf])
+    return model, dataclasses.replace(loop, Ki=loop.Kp * 10, position_share=np.ones(2), saturation=limits)
+
+
+def test_a_saturated_motor_holds_its_own_integral_only():
+    """At rest, off the reference: the effort of motor 2 grows by Ki e T at each instant, while motor 1 is at its limit."""
+    model, loop = scara_pid(saturation=0.5)
+    zero, reference = still(2, 0.01), still(2, 0.01) + np.array([1.0, 0.3])
+    control = Control(model, loop, zero[0], zero[0])
+    control.take(Reference(reference, zero, zero))
+    tau = np.array([control.torque(k, zero[0], zero[0]) for k in range(10)])
+    np.testing.assert_allclose(tau[:, 0], 0.5)
+    np.testing.assert_allclose(np.diff(tau[:, 1]), loop.Ki[1] * 0.3 / RATE, rtol=1e-9)
+
+
+def test_a_loop_with_an_integral_starts_in_balance():
+    model, loop = scara_pid(saturation=np.inf)
+    done = simulate(dataclasses.replace(model, offset=np.array([3.0, -0.5])), loop, still(2, 1.0))
+    assert np.abs(done.q).max() < 1e-9
+    np.testing.assert_allclose(done.tau[0], [3.0, -0.5], rtol=1e-12)
+
+
+@pytest.mark.parametrize("estimate", ["exact", "backward_difference", "two_sample_mean"])
+def test_spans_of_a_reference_one_after_the_other_are_the_whole_of_it(estimate):
+    """Position, speed, integral, modes of friction and the positions before go on from span to span."""
+    model, loop = scara_pid(saturation=300.0)
+    loop = dataclasses.replace(loop, velocity_estimate=estimate)
+    t_s = np.arange(900)[:, None] / RATE
+    q_ref = np.hstack([np.sin(9 * t_s), 0.4 * np.cos(13 * t_s)])
+    dq_ref = np.gradient(q_ref, 1 / RATE, axis=0)
+    reference, bound = Reference(q_ref, dq_ref, np.gradient(dq_ref, 1 / RATE, axis=0)), np.ones(2)
+    whole = simulate(model, loop, reference, substeps=2)
+    assert whole.reason is None
+    assert (np.abs(whole.tau[:, 0]) == 300.0).any()  # saturated now and then
+    fastest = np.abs(dq_ref @ model.directions.T).max(axis=0)
+    robot = ClosedLoop(model, loop, (q_ref[0], dq_ref[0]), fastest=fastest, substeps=2)
+    spans = [slice(0, 1), slice(1, 290), slice(290, 291), slice(291, 900)]
+    parts = [robot.follow(Reference(*(x[s] for x in (q_ref, dq_ref, reference.ddq))), bound)[0] for s in spans]
+    for joined, wanted in zip(np.concatenate(parts, axis=1), whole, strict=False):
+        np.testing.assert_allclose(joined, wanted, rtol=1e-9, atol=1e-9)
+    _, lost = robot.follow(Reference(q_ref[:1] + 9.0, dq_ref[:1], dq_ref[:1]), bound)
+    assert "0.900 s" in lost
+
+
+def test_a_surrogate_holds_a_vertical_axis_up():
+    """The PD of 5 Hz alone would let the axis sag by g/w² = 9.9 mm; half of the reference would be lost in that."""
+    text = (
+        'name = "lift"\ngravity_m_s2 = [0, 0, -9.81]\n[[joint]]\nname = "z"\ntype = "prismatic"\n'
+        "dh = { alpha_deg = 0, d_m = 0, theta_deg = 0, r_m = 0 }\nrotor_inertia = false\ncoulomb = false\n"
+        '[[motor]]\nname = "m"\neffort_unit = "N"\n[controller]\nbandwidth_hz = 5\n[parameters]\nM1 = 20.0\nFv1 = 50.0\n'
+    )
+    robot = robot_from_files({"robot.toml": text.encode()}, "lift.toml")
+    q_ref = 0.02 * np.sin(np.arange(8000) / 800)[:, None]
+    signals = closed_loop(robot, q_ref, RATE, noise=Noise(), seed=1)
+    assert np.abs(signals.q - q_ref).max() < 1e-3
+    measured = dataclasses.replace(signals, q_ref=None)
+    fit = identify_iv(measured, Overrides(), Iteration())
+    assert (fit.status, fit.iv.reference, fit.iv.controller) == ("converged", "surrogate", "surrogate")
+    assert fit.iv.passes[-1].z.tracking_percent < 5
+    np.testing.assert_allclose(fit.beta, [20.0, 50.0], rtol=0.01)
+    # So does a described PD, where the measured position, with the sag in it, stands in for the reference.
+    described = msgspec.structs.replace(
+        robot.controller,
+        structure="pd",
+        sample_rate_hz=1000.0,
+        position_gain=(20 * 31.4**2,),
+        velocity_gain=(20 * 50.0,),
+    )
+    signals = closed_loop(dataclasses.replace(robot, controller=described), q_ref, RATE, noise=Noise(), seed=1)
+    assert signals.q.mean() < -5e-3  # it sags
+    fit = identify_iv(dataclasses.replace(signals, q_ref=None), Overrides(), Iteration())
+    assert fit.status == "converged"
+    assert fit.iv.passes[-1].z.tracking_percent < 20
+
+
+def test_a_simulation_that_runs_away_in_its_last_steps_is_told():
+    _, model = model_of("emps")
+    loop = dataclasses.replace(surrogate_loop(1.0, np.array([95.0]), RATE), Kp=np.array([9e8]), Kd=np.array([9e6]))
+    done = simulate(model, loop, still(1, 0.06), start=(np.array([1e-3]), np.zeros(1)), bound=0.1)
+    assert "leaves its reference at joint 1" in done.reason
+    assert (np.abs(done.q) < 0.1).all()
+
+
+def test_noise_at_the_first_instant_does_not_go_into_the_integral():
+    """Begun in motion, off the reference, with 50 rad/s² of a count in its second difference: what is held is gravity only."""
+    model, loop = scara_pid(saturation=np.inf)
+    q_ref, off = still(2, 0.1) + 0.3, np.array([0.299, 0.301])
+    control = Control(model, loop, off, np.array([1.5, -2.0]))
+    control.take(Reference(q_ref, q_ref + 1.0, q_ref + 50.0))
+    np.testing.assert_array_equal(control._integral, 0.0)  # the SCARA lies flat
+    held = dataclasses.replace(model, offset=np.array([2.0, -0.3]))
+    control = Control(held, loop, off, np.array([1.5, -2.0]))
+    control.take(Reference(q_ref, q_ref + 1.0, q_ref + 50.0))
+    np.testing.assert_allclose(loop.Ki * control._integral, [2.0, -0.3])
+    # Where the loop adds gravity along the reference itself, the integral holds none of it.
+    control = Control(held, dataclasses.replace(loop, gravity=True), off, off)
+    control.take(Reference(q_ref, q_ref, q_ref))
+    np.testing.assert_allclose(control._integral, 0.0, atol=1e-12)
+
+
+def test_substeps_show_the_motion_between_the_controllers_instants():
+    _, model = model_of("emps")
+    loop = surrogate_loop(5.0, np.array([95.0]), RATE)
+    start = (np.array([1e-3]), np.array([0.05]))
+    coarse, fine = (simulate(model, loop, still(1, 0.2), start=start, substeps=s) for s in (1, 8))
+    assert len(fine.q) == 8 * len(coarse.q)
+    np.testing.assert_allclose(fine.q[::8], coarse.q, atol=5e-6)
+    assert (np.diff(fine.tau.reshape(-1, 8), axis=1) == 0).all()  # held in between
+
+
+TURN_SLIDE_TURN = """
+name = "turn slide turn"
+[controller]
+bandwidth_hz = 5
+[[joint]]
+name = "shoulder"
+type = "revolute"
+dh = { alpha_deg = 0, d_m = 0, theta_deg = 0, r_m = 0 }
+rotor_inertia = false
+[[joint]]
+name = "slide"
+type = "prismatic"
+dh = { alpha_deg = 90, d_m = 0, theta_deg = 0, r_m = 0 }
+rotor_inertia = false
+[[joint]]
+name = "turn"
+type = "revolute"
+dh = { alpha_deg = 90, d_m = 0.1, theta_deg = 0, r_m = 0.2 }
+rotor_inertia = false
+[[motor]]
+name = "s"
+effort_unit = "N m"
+[[motor]]
+name = "a"
+effort_unit = "N"
+[[motor]]
+name = "b"
+effort_unit = "N m"
+"""
+
+
+@pytest.mark.parametrize("mass", [1e-3, 1.0, 2.0, 7.0])
+def test_a_representative_robot_has_no_link_without_mass(mass):
+    """M2R = M2 + M3, and M3 is free to choose: whatever M2R is, M2 must not come out as zero."""
+    dynamics = InverseModel(robot_from_files({"robot.toml": TURN_SLIDE_TURN.encode()}, "robot.toml"))
+    base = base_parameters(dynamics)
+    assert "M2R" in base.names
+    assert "M3" not in base.names
+    beta = np.array([{"M2R": mass}.get(name, 0.1) for name in base.names])
+    chi = base.standard_parameters(beta)
+    np.testing.assert_allclose(base.K @ chi, beta, atol=1e-12)
+    assert (np.abs(chi[base.masses[1:]]) > 0.5).all()
+    q = np.array([[0.2, 0.1, 0.4]])
+    M = direct_model(dynamics, chi).inertia(q)[0]
+    rest = dynamics.regressor(q, 0 * q, 0 * q)[0]
+    columns = [(dynamics.regressor(q, 0 * q, unit[None])[0] - rest) @ chi for unit in np.eye(3)]
+    np.testing.assert_allclose(M, np.stack(columns, axis=1), atol=1e-12)
+
+
+def test_parameters_that_no_robot_has_are_told_from_those_that_can_be_simulated():
+    dynamics = InverseModel(robot_named("scara"))
+    massless = np.array([{"MX1": 1.0, "ZZ1": 3.0, "ZZ2": 1.0}.get(name, 0.0) for name in dynamics.names])
+    assert why_not_positive(direct_model(dynamics, massless).inertia(np.zeros((1, 2)))) is None
+    broken = direct_model(dynamics, np.full(dynamics.p, np.nan))
+    assert why_not_positive(broken.inertia(np.zeros((1, 2)))) == "the inertia matrix is not finite on the trajectory"
+
+
+def test_a_simulation_that_leaves_its_reference_says_where_and_is_not_clipped():
+    _, model = model_of("emps", Off=500.0)
+    done = simulate(model, free(1, RATE), still(1, 1.0), bound=0.1)
+    assert "leaves its reference at joint 1" in done.reason
+    assert 0 < len(done.q) < RATE
+
+
+def test_an_inertia_matrix_that_is_not_positive_stops_the_simulation():
+    _, model = model_of("scara", ZZ2=-0.01, Fc=0.0)
+    assert "not positive on the trajectory" in why_not_positive(model.inertia(np.zeros((1, 2))))
+    assert simulate(model, free(2, RATE), still(2, 0.1)).reason == "the inertia matrix is not positive definite"
+
+
+def test_direct_model_is_the_inverse_of_the_inverse_model():
+    """M(q) from the direct model against the regressor: the torque of a unit acceleration less that at rest."""
+    dynamics, model = model_of("tx40")
+    chi = described_chi(dynamics)
+    rng = np.random.default_rng(0)
+    q = rng.uniform(-2, 2, size=(5, 6))
+    M = model.inertia(q)
+    rest = dynamics.regressor(q, 0 * q, 0 * q) @ chi
+    for j in range(6):
+        unit = np.zeros_like(q)
+        unit[:, j] = 1.0
+        np.testing.assert_allclose(dynamics.regressor(q, 0 * q, unit) @ chi - rest, M[:, :, j], atol=1e-11)
+
+
+def test_regular_start_is_a_regular_inertia_matrix_with_two_on_the_coupled_joint():
+    dynamics = InverseModel(robot_named("tx40"))
+    base = base_parameters(dynamics)
+    beta = regular_start(dynamics, base)
+    start = {name: value for name, value in zip(base.names, np.round(beta, 12), strict=True) if value}
+    assert start == {"ZZ1R": 1.0, "ZZ2R": 1.0, "Ia3": 1.0, "Ia4": 1.0, "Ia5": 2.0, "Ia6": 1.0}
+    J = np.array([5.0, 4.0, 3.0, 0.2, 0.1, 0.01])
+    M = direct_model(dynamics, base.standard_parameters(regular_start(dynamics, base, J))).inertia(np.zeros((1, 6)))[0]
+    np.testing.assert_allclose(np.diag(M), J + np.array([0, 0, 0, 0, 0.01, 0]), rtol=1e-9)
+    assert why_not_positive(direct_model(dynamics, base.standard_parameters(beta)).inertia(np.zeros((1, 6)))) is None
+
+
+LONE_UNITS = {"revolute": "N m/A", "prismatic": "N/A"}
+LAWS_OF_A_LONE_JOINT = {
+    "plain": {},
+    "integral": {"Ki": np.array([900.0]), "velocity_estimate": "backward_difference", "gravity_at_q": True},
+    "saturated": {"saturation": np.array([1.5]), "velocity_estimate": "two_sample_mean"},
+    "cascade": {
+        "Ki": np.array([90.0]),
+        "saturation": np.array([1.5]),
+        "feedforward": 0.0,
+        "position_share": np.array([30.0]),
+    },
+}
+
+
+@pytest.mark.parametrize("law", LAWS_OF_A_LONE_JOINT)
+@pytest.mark.parametrize("friction", ["symmetric", "asymmetric", "none", "load"])
+@pytest.mark.parametrize("kind", ["revolute", "prismatic"])
+def test_a_lone_joint_moves_as_one_of_several(kind, friction, law):
+    """In Python floats as in arrays, to which further friction leads, here of size zero."""
+    terms = {"none": "[]", "load": '["viscous", "coulomb", "load"]'}.get(friction, f'"{friction}"')
+    robot = robot_from_files(
+        {
+            "robot.toml": (
+                f'name = "lone"\ngravity_m_s2 = [3, 0, -9.81]\n[[joint]]\nname = "x"\ntype = "{kind}"\nfriction = {terms}\n'
+                "dh = { alpha_deg = 50, d_m = 0.1, theta_deg = 20, r_m = 0.2 }\n"
+                f'[[motor]]\nname = "m"\ndrive_gain = 10\ndrive_gain_unit = "{LONE_UNITS[kind]}"\nratio = 2\n'
+                "[controller]\nbandwidth_hz = 5\n"
+            ).encode()
+        },
+        "lone.toml",
+    )
+    dynamics = InverseModel(robot)
+    values = {"M1": 9.0, "MX1": 0.7, "MY1": -0.4, "ZZ1": 0.9, "Ia1": 0.3, "Fv1": 3.0, "Fc1": 5.0, "mu1": 0.2}
+    values |= {"Fvp1": 3.0, "Fvn1": 2.0, "Fcp1": 6.0, "Fcn1": 4.0}
+    model = dataclasses.replace(
+        direct_model(dynamics, np.array([values.get(name, 0.0) for name in dynamics.names])), offset=np.ones(1)
+    )
+    size_0 = {"stribeck": (np.zeros(len(model.directions)), np.ones(len(model.directions)))}
+    loop = dataclasses.replace(
+        surrogate_loop(5.0, np.ones(1), RATE), R=np.full((1, 1), 2.0), G=np.full(1, 10.0), gravity=law != "integral"
+    )
+    loop = dataclasses.replace(loop, Kp=0.03 * loop.Kp, Kd=0.03 * loop.Kd, **LAWS_OF_A_LONE_JOINT[law])
+    t_s, rng = np.arange(300)[:, None] / RATE, np.random.default_rng(1)
+    q_ref = 0.2 * (1 - np.cos(36 * t_s)) * (t_s < 0.17)
+    noise = rng.normal(0, 1e-5, q_ref.shape)
+    inputs = {
+        "known_torque": 3.0 * (t_s > 0.3),
+        "feedforward": 0.1 * (t_s > 0.6),
+        "encoder": Encoder(noise=noise, step=2e-5),
+    }
+    reference = Reference(q_ref, np.gradient(q_ref, axis=0) * RATE, 0 * q_ref, **inputs)
+    start = np.array([0.01]), np.array([0.2])
+    alone, general = (
+        simulate(one, loop, reference, start=start, bound=9.0, substeps=2)
+        for one in (model, dataclasses.replace(model, shapes={} if friction == "load" else size_0))
+    )
+    assert alone.reason is general.reason is None
+    assert np.ptp(alone.q) > 0.03
+    assert (np.abs(alone.tau) == 30.0).any() == ("saturation" in LAWS_OF_A_LONE_JOINT[law])
+    same = [np.abs(x - y).max() <= 1e-12 * np.abs(y).max() for x, y in zip(alone[:4], general[:4], strict=True)]
+    assert all(same) == (friction != "load")

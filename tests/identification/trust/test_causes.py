@@ -1,0 +1,136 @@
+"""What is wrong with a recording is named: exchanged efforts, wrong signs, unstated limits, units, a period for a rate."""
+
+from dataclasses import replace
+
+import msgspec
+import numpy as np
+import pytest
+from conftest import robot_named
+from hunt import fit_by_default, fit_by_least_squares
+from hunt_kinds import KINDS, SetUp, of_motors, sound
+from independent_simulator import at_rate
+
+from identification.data import Signals
+from identification.errors import RobotIdimError
+from identification.methods import Fit
+from identification.regression import KnownLag, Overrides, make_problem
+from identification.simulation import unstated_limits
+from identification.trust import combined_lag
+
+
+def setup(name: str, seed: int = 1, duration_s: float = 5.0) -> SetUp:
+    return replace(sound(name, np.random.default_rng(seed)), duration_s=duration_s)
+
+
+def first(fit: Fit) -> tuple[str, str]:
+    """Verdict and finding: what the user reads first."""
+    return fit.trust.verdict, fit.trust.finding
+
+
+def with_sign(signals: Signals, motor: int) -> Signals:
+    factor = np.where(np.arange(signals.robot.n) == motor, -1.0, 1.0)
+    return of_motors(lambda efforts: factor * efforts)(signals)
+
+
+@pytest.mark.parametrize("fit_by", [fit_by_default, fit_by_least_squares])
+def test_exchanged_efforts_are_named_and_what_is_left_without(fit_by):
+    signals = setup("scara", 2).recording(2)
+    fit = fit_by(replace(signals, effort=signals.effort[:, ::-1]))
+    assert first(fit) == ("do not use", "the efforts of motor_1 and motor_2 are exchanged")
+    error = fit.trust.line("signs and order").text.split("torque errors of joints are ")[1]
+    left, with_it = (float(text.split(" %")[0]) for text in error.split(" in place of "))
+    sound_errors = [joint.moving_relative_error_percent for joint in fit_by(signals).errors[:-1]]
+    assert left == pytest.approx(np.sqrt(np.mean(np.square(sound_errors))), rel=0.3)
+    assert with_it > 50
+
+
+@pytest.mark.parametrize("motor", [0, 1])
+def test_a_wrong_sign_names_the_motor(motor):
+    signals = setup("scara", 3).recording(3)
+    fit = fit_by_least_squares(with_sign(signals, motor))
+    assert first(fit) == ("do not use", f"the effort of motor_{motor + 1} has the wrong sign")
+    turned = np.where(np.arange(2) == motor, -1.0, 1.0)
+    fit = fit_by_least_squares(replace(signals, q=turned * signals.q, q_ref=turned * signals.q_ref))
+    assert first(fit) == ("do not use", f"the position of motor_{motor + 1} has the wrong sign")
+
+
+def test_of_all_signs_no_motor_is_named():
+    fit = fit_by_least_squares(with_sign(with_sign(setup("scara", 3).recording(3), 0), 1))
+    assert first(fit) == ("do not use", "physical")
+
+
+def test_of_a_coupled_wrist_the_motor_is_named():
+    signals = setup("tx40", 1, 8.0).recording(1)
+    assert not {"signs and order", "saturation", "positions"} & {
+        line.test for line in fit_by_least_squares(signals).trust.lines
+    }
+    for motor in (4, 5):
+        found = first(fit_by_least_squares(with_sign(signals, motor)))
+        assert found == ("do not use", f"the effort of motor_{motor + 1} has the wrong sign")
+    R, zero = signals.robot.R, signals.robot.zero
+    turn = np.linalg.solve(R, np.diag([1.0, 1, 1, 1, -1, 1]) @ R)
+    q, q_ref = ((x - zero) @ turn.T + zero for x in (signals.q, signals.q_ref))
+    found = first(fit_by_least_squares(replace(signals, q=q, q_ref=q_ref)))
+    assert found == ("do not use", "the position of motor_5 has the wrong sign")
+    order = [0, 1, 2, 4, 3, 5]
+    fit = fit_by_least_squares(of_motors(lambda efforts: efforts[:, order])(signals))
+    assert first(fit) == ("do not use", "the efforts of motor_4 and motor_5 are exchanged")
+    by_joint = fit_by_least_squares(replace(signals, effort=signals.effort[:, [0, 1, 2, 3, 5, 4]]))
+    assert first(by_joint) == ("do not use", "the efforts of joint_5 and joint_6 are exchanged")
+
+
+@pytest.mark.parametrize("name", ["emps", "scara"])
+def test_an_unstated_limit_of_a_drive_is_named(name):
+    setup_ = replace(sound(name, np.random.default_rng(4)), saturated=0.8)
+    try:
+        told = " ".join(first(fit_by_default(setup_.recording(4))))
+    except RobotIdimError as error:
+        told = str(error)
+    assert "saturates at" in told
+
+
+def test_limits_are_where_an_effort_stays_and_peaks_are_none():
+    t, robot = np.arange(10_000) / 1000, robot_named("scara")
+    q = np.stack([np.sin(2 * np.pi * 0.5 * t), np.sin(2 * np.pi * 0.7 * t)], axis=1)
+    effort = np.stack([10 * np.sin(2 * np.pi * 0.5 * t), 2 * np.sin(2 * np.pi * 0.9 * t)], axis=1)
+    effort += 0.02 * np.random.default_rng(0).standard_normal(effort.shape)
+
+    def limits(effort: np.ndarray, **saturation: float) -> list[str]:
+        motors = tuple(msgspec.structs.replace(motor, **saturation) for motor in robot.motors)
+        own = replace(robot, motors=motors)
+        signals = Signals(t_s=t, q=q, effort=effort, sample_rate_hz=1000.0, robot=own, recording="log")
+        return unstated_limits(make_problem(signals, Overrides(span="all")))
+
+    assert limits(effort) == []
+    clipped = np.clip(effort, -8.0, 8.0)
+    (found,) = limits(clipped)
+    assert found.startswith("drive of motor_1 saturates at 8 N m in 4")  # of acos(0.8) / (pi / 2) = 41 % of the samples
+    assert limits(clipped, saturation=8.0) == []
+    assert limits(clipped, saturation=20.0) == [found]
+
+
+def test_radians_declared_as_degrees_are_asked_for():
+    signals = KINDS["radians declared as degrees"].change(setup("scara"), np.random.default_rng(1)).recording(1)
+    assert first(fit_by_least_squares(signals)) == ("caution", "radians declared as degrees?")
+
+
+@pytest.mark.parametrize("bandwidth_hz", [5.0, None])
+def test_a_period_for_a_rate_is_refused(bandwidth_hz):
+    signals = setup("scara", duration_s=1.0).recording(1)
+    robot = replace(signals.robot, controller=type(signals.robot.controller)(bandwidth_hz=bandwidth_hz))
+    with pytest.raises(RobotIdimError) as refused:
+        make_problem(replace(at_rate(signals, 0.001), robot=robot), Overrides())
+    assert refused.value.key == "sample_rate_hz"
+    assert "not a period" in refused.value.expected
+
+
+def test_a_known_lag_and_the_data_are_compared_by_students_t():
+    """3.48 deviations are the quantile 0.9985 of Student's t of 16 degrees of freedom (tables), 2.97 that of a normal law."""
+    known = KnownLag(value_s=0.0, sd_s=1e-9, source="effort_timing")
+    sources = [
+        [combined_lag(known, (t * 1e-3, 1e-3, freedom)).source == "data" for t in (2.9, 3.05, 3.4, 3.55)]
+        for freedom in (16, 10**6)
+    ]
+    assert sources == [[False, False, False, True], [False, True, True, True]]
+    exact = KnownLag(value_s=0.0, sd_s=1e-2, source="effort_timing")  # the deviation of the data hardly counts
+    assert combined_lag(exact, (31e-3, 1e-3, 4)).source == "data"

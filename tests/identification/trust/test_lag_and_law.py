@@ -1,0 +1,291 @@
+"""Lag of the torque and control law, on recordings of the independent simulator and the real EMPS."""
+
+from dataclasses import replace
+from functools import cache, partial
+
+import msgspec
+import numpy as np
+import pytest
+from conftest import REPLAY, robot_named
+from independent_robots import plant
+from independent_simulator import Imperfections, described_controller, references, simulate
+from looked_at import looked_at
+
+from identification.data import Recordings, Signals, load_signals
+from identification.estimation import System, whitened
+from identification.methods import Fit, identify, identify_ls, read_equations
+from identification.methods.timing import known_lags
+from identification.regression import Overrides, make_problem, sampled_at
+from identification.regression.law import law_of
+from identification.trust import TrustLine, trust_in
+
+
+@cache
+def recorded(name: str, lag: int = 0, noise: float = 0.0, stribeck: float = 0.0, gain_factor: float = 1.0) -> Signals:
+    toml = REPLAY / name / "robot.toml"
+    body = plant(toml, smooth=0.002)
+    body = replace(body, friction=replace(body.friction, stribeck=stribeck))
+    cell = Imperfections(lag=lag, encoder_noise=noise, torque_noise_percent=1.0, gain_factor=gain_factor)
+    path = references(body, range(1), duration_s=10.0, rate_hz=1000.0)
+    return simulate(body, described_controller(body), path, cell).signals(robot_named(name), 0, effort_timing="unknown")
+
+
+@cache
+def fitted(signals: Signals, *, method: str | None = None, torque_lag_s: float | str | None = None) -> Fit:
+    return identify(signals, Overrides(torque_lag_s=torque_lag_s), method=method)
+
+
+NO_LAW = dict.fromkeys(("structure", "sample_rate_hz", "position_gain", "velocity_gain", "velocity_estimate"))
+
+
+def with_controller(signals: Signals, **keys: object) -> Signals:
+    robot = signals.robot
+    return replace(signals, robot=replace(robot, controller=msgspec.structs.replace(robot.controller, **keys)))
+
+
+# Lag
+
+
+def known(signals: Signals, option: float | str | None = None) -> tuple[float, float, str]:
+    found = make_problem(signals, Overrides(torque_lag_s=option)).settings.known_lag
+    return found.value_s, found.sd_s, found.source
+
+
+@pytest.mark.parametrize("lag", [0, 3])
+@pytest.mark.parametrize("name", ["emps", "scara"])
+def test_the_lag_is_found_corrected_and_counted(name, lag):
+    signals = recorded(name, lag=lag)
+    fit = fitted(signals)
+    # By the same ramps: those of a stated lag may be others, just as good.
+    stated = identify(signals, Overrides(torque_lag_s=1e-3 * (lag - 0.5), ramp_rows=fit.settings.ramp_rows))
+    (found,) = fit.lags
+    assert found.found is not None
+    assert 1e3 * found.value_s == pytest.approx(lag - 0.5, abs=0.12)
+    assert abs(1e3 * found.value_s - (lag - 0.5)) < 1.5 * 1e3 * found.half_width_s
+    assert fit.settings.torque_lag_s == found.value_s
+    assert (np.abs(fit.beta - stated.beta) < fit.intervals.half).all()
+    wider = np.sqrt(stated.intervals.sigma**2 + found.moved**2)
+    np.testing.assert_allclose(fit.intervals.sigma, wider, rtol=0.15)
+    told = fit.trust.line("lag")
+    assert (told.level, told.value) == ("ok", pytest.approx(1e3 * found.value_s))
+    assert "corrected, included in the intervals" in told.text
+
+
+def test_what_a_lag_moves_is_the_difference_of_two_fits():
+    signals = recorded("scara")
+    by = partial(Overrides, ramp_rows=2.0)
+    fits = [identify(signals, by(torque_lag_s=lag_s), method="wls") for lag_s in (-1e-4, 1e-4)]
+    lag = identify(signals, by(), method="wls").lags[0]
+    moves, half = np.abs(fits[1].beta - fits[0].beta) / 2e-4, fits[0].intervals.half
+    # Of a millisecond; the fits differ in the weights of their joints too.
+    np.testing.assert_array_less(1e-3 * np.abs(lag.moved / lag.sd_s - moves), np.maximum(0.2 * half, 2e-5 * moves))
+
+
+@pytest.mark.parametrize("lag", [0, 1])
+def test_noise_that_is_fed_back_does_not_pass_for_a_lag(lag):
+    (found,) = fitted(recorded("emps", lag=lag, noise=2e-5)).lags
+    assert 1e3 * found.value_s == pytest.approx(lag - 0.5, abs=1.25e3 * found.half_width_s)
+    assert 1e3 * found.half_width_s < 0.8
+
+
+def test_friction_that_the_model_lacks_does_not_pass_for_a_lag():
+    (found,) = fitted(recorded("emps", stribeck=0.5)).lags
+    assert 1e3 * found.value_s == pytest.approx(-0.5, abs=1.5e3 * found.half_width_s)
+
+
+def test_data_that_contradict_what_is_known_count_alone():
+    """A torque two samples late that is said to be a mean, without a controller to replay."""
+    signals = replace(recorded("scara", lag=2), effort_timing="mean")
+    bare = with_controller(signals, **NO_LAW, bandwidth_hz=signals.robot.bandwidth_hz)
+    fit = fitted(bare)
+    (found,) = fit.lags
+    assert found.source == "data"
+    assert 1e3 * found.value_s == pytest.approx(1.5, abs=0.2)
+    assert "contradicts it and is not used" in fit.trust.line("lag").text
+
+
+def test_data_beside_a_lag_that_is_stated():
+    late = recorded("emps", lag=3)
+    fit = fitted(late, torque_lag_s=0.0025)
+    assert (fit.trust.line("lag").level, fit.settings.torque_lag_s) == ("ok", 0.0025)
+    assert "lag" in [one.what for one in fit.trust.assumed]
+    wrong = fitted(late, torque_lag_s=0.0).trust.line("lag")
+    assert wrong.level == "caution"
+    assert "the data give 0.002" in wrong.text
+
+
+def test_without_a_reference_the_lag_is_not_found_but_counted():
+    bare = replace(recorded("scara"), q_ref=None)
+    fit = identify(bare, Overrides())
+    (found,) = fit.lags
+    assert (fit.method, found.found, found.value_s, found.sd_s) == ("wls", None, 0.0, 0.002)
+    told = fit.trust.line("lag")
+    assert told.text.startswith("not known, 0 ± 2 ms: ±")
+    assert "included in the intervals" in told.text
+    exact = fitted(bare, method="wls", torque_lag_s=0.0)
+    np.testing.assert_allclose(
+        fit.intervals.half, fit.intervals.reach * np.hypot(exact.intervals.sigma, found.moved), rtol=1e-9
+    )
+    assert identify(bare, Overrides(), method="iv").lags[0].found is None
+
+
+def test_the_delay_behind_the_command_and_a_torque_before_it():
+    signals = recorded("scara")
+    assert fitted(signals).lags[0].delay_s == pytest.approx((0.0, 0.0), abs=2.5e-4)
+    _, evidence = looked_at("iv", signals)
+    (lag,) = evidence.lags
+    late, early = (replace(evidence, lags=(replace(lag, delay_s=(by, 1e-4)),)) for by in (2e-3, -2e-3))
+    after, before = (trust_in(one).line("lag") for one in (late, early))
+    assert after.level == "ok"
+    assert "2.00 ± 0.10 samples after the command" in after.text
+    assert before.level == "caution"
+
+
+def test_recordings_alike_have_one_lag_and_others_their_own():
+    first, second = recorded("scara"), recorded("scara", lag=2)
+    first = replace(first, recording="A", sha256="a")
+    both = Recordings(sources=(first, replace(second, recording="B", sha256="b")))
+    (one,) = identify(both, Overrides()).lags
+    assert one.recordings == ("A", "B")
+    other = replace(second, recording="B", sha256="b", effort_timing="command")
+    two = identify(Recordings(sources=(first, other)), Overrides()).lags
+    found = {lag.recordings: 1e3 * lag.value_s for lag in two}
+    assert found[("A",)] == pytest.approx(-0.5, abs=0.2)
+    assert found[("B",)] == pytest.approx(1.5, abs=0.3)
+
+
+@pytest.mark.parametrize(
+    ("timing", "rate_hz", "stated", "option", "expected"),
+    [
+        ("command", 1000.0, None, None, (-0.5e-3, 0.25e-3, "effort_timing command")),
+        ("command", 500.0, None, None, (-1e-3, 0.5e-3, "effort_timing command")),
+        ("command", None, None, None, (-0.5e-3, 0.25e-3, "effort_timing command")),
+        ("mean", 1000.0, None, None, (0.0, 0.25e-3, "effort_timing mean")),
+        ("measured", 1000.0, None, None, (0.0, 0.25e-3, "effort_timing measured")),
+        ("unknown", 1000.0, None, None, (0.0, 2e-3, "nothing")),
+        ("command", 1000.0, "none", None, (0.0, 0.0, "torque_lag_s")),
+        ("command", 1000.0, 2e-3, None, (2e-3, 0.0, "torque_lag_s")),
+        ("command", 1000.0, 2e-3, "none", (0.0, 0.0, "torque_lag_s")),
+        ("unknown", 1000.0, "none", 1e-3, (1e-3, 0.0, "torque_lag_s")),
+    ],
+)
+def test_what_is_known_of_a_lag(timing, rate_hz, stated, option, expected):
+    signals = with_controller(replace(recorded("scara"), effort_timing=timing), sample_rate_hz=rate_hz)
+    own = msgspec.structs.replace(signals.robot.identification, torque_lag_s=stated)
+    assert known(replace(signals, robot=replace(signals.robot, identification=own)), option) == expected
+
+
+def test_the_described_law_tells_the_lag_of_a_command():
+    signals = recorded("emps", lag=3, noise=2e-5)
+    (group,) = known_lags(read_equations(signals, Overrides(), lambda text: None))
+    assert 1e3 * group.value_s == pytest.approx(2.5, abs=0.1)
+    assert group.sd_s == pytest.approx(0.5e-3, rel=0.1)
+    stamped = known_lags(read_equations(replace(signals, effort_timing="command"), Overrides(), lambda text: None))[0]
+    assert 1 / stamped.sd_s**2 == pytest.approx(1 / group.sd_s**2 + 1 / 0.25e-3**2)
+
+
+def test_the_shift_is_that_of_a_sine_and_ends_are_cut():
+    t = np.arange(2000.0)
+    x = np.sin(0.05 * t)[:, None]
+    np.testing.assert_allclose(sampled_at(t[:-10] + 0.3, x)[:, 0], np.sin(0.05 * (t[:-10] + 0.3)), atol=1e-6)
+    signals = recorded("scara")
+    N = len(signals.q)
+    for lag_s in (0.9, -0.9):
+        settings = make_problem(signals, Overrides(torque_lag_s=lag_s, span="all")).settings
+        assert (settings.start >= 900) == (lag_s < 0)
+        assert (settings.stop <= N - 900) == (lag_s > 0)
+
+
+def test_an_autoregression_is_taken_out():
+    rng = np.random.default_rng(1)
+    x, e = np.zeros(20_000), rng.standard_normal(20_000)
+    for k in range(2, len(x)):
+        x[k] = 1.2 * x[k - 1] - 0.5 * x[k - 2] + e[k]
+    system = System.whole(x[:, None], x, np.zeros(len(x), dtype=int), ("a",))
+    white, Z = whitened(system, 2 * x[:, None], x, 2)
+    assert white.Y[2:] == pytest.approx(e[2:], abs=0.07)
+    np.testing.assert_array_equal(Z, 2 * white.W)
+    assert white.used[:2].sum() == 0
+
+
+# Control law
+
+
+def law_line_of(signals: Signals) -> TrustLine:
+    return fitted(signals, method="wls").trust.line("control law")
+
+
+@pytest.mark.parametrize("name", ["emps", "scara"])
+def test_the_right_controller_is_confirmed_and_faults_are_named(name):
+    signals = recorded(name)
+    right = law_line_of(signals)
+    assert right.level == "ok"
+    assert right.value == pytest.approx(1.0, abs=0.01)
+    scaled = law_line_of(replace(signals, effort=1.1 * signals.effort))
+    assert (scaled.level, scaled.value) == ("caution", pytest.approx(1.1, abs=0.01))
+    sign = np.ones(signals.robot.n)
+    sign[-1] = -1
+    wrong = law_line_of(replace(signals, effort=signals.effort * sign))
+    assert (wrong.level, wrong.value) == ("do not use", pytest.approx(-1.0, abs=0.01))
+    assert f"motor {signals.robot.motors[-1].name}:" in wrong.text
+    assert signals.q_ref is not None
+    ratio = law_line_of(replace(signals, q=1.05 * signals.q, q_ref=1.05 * signals.q_ref, effort=signals.effort / 1.05))
+    assert (ratio.level, ratio.value) == ("caution", pytest.approx(1 / 1.05**2, abs=0.01))
+    weak = law_line_of(recorded(name, gain_factor=2.0))
+    assert (weak.level, weak.value) == ("caution", pytest.approx(2.0, abs=0.02))
+
+
+def test_a_rate_one_percent_wrong_shows_where_a_speed_is_fed_back():
+    signals = recorded("emps")
+    found = law_line_of(replace(signals, sample_rate_hz=1010.0, t_s=signals.t_s / 1.01))
+    assert found.level == "caution"
+
+
+def test_an_integral_is_found_and_missed_where_it_is_not_described():
+    toml = REPLAY / "scara" / "robot.toml"
+    body = plant(toml, smooth=0.002)
+    c = described_controller(body)
+    cascade = {"structure": "cascade_p_pi", "position_gain": c.position_gain / c.velocity_gain}
+    c = replace(c, **cascade, integral_gain=np.full(2, 20.0))
+    path = references(body, range(1), duration_s=5.0, rate_hz=1000.0)
+    runs = simulate(body, c, path, Imperfections(torque_noise_percent=1.0))
+    keys = {"structure": c.structure, "position_gain": tuple(c.position_gain), "integral_gain": (20.0, 20.0)}
+    signals = with_controller(runs.signals(robot_named("scara"), 0), **keys)
+    assert law_line_of(signals).level == "ok"
+    assert law_line_of(with_controller(signals, structure="cascade_p_p", integral_gain=None)).level == "caution"
+
+
+@pytest.mark.parametrize("lag", [0, 3])
+def test_the_described_gains_tell_a_lag_of_noisy_commands(lag):
+    signals = recorded("emps", lag=lag, noise=2e-5)
+    law = law_of(make_problem(signals, Overrides()))
+    assert law.lag_s[0] * signals.sample_rate_hz == pytest.approx(lag, abs=0.1)
+    assert law.residual_percent[0] < 1.1
+    corrected = law_of(make_problem(signals, Overrides(torque_lag_s=0.002)))
+    assert corrected.lag_s[0] == pytest.approx(law.lag_s[0], abs=2e-5), "of the effort as it was recorded"
+
+
+def test_a_law_that_cannot_be_looked_for_says_why_and_one_that_is_found_is_used():
+    signals = recorded("scara")
+    bare = with_controller(signals, **NO_LAW)
+    torque = with_controller(signals, structure="computed_torque")
+    for one, why in ((replace(signals, q_ref=None), "no reference"), (torque, "own model")):
+        found = identify_ls(one, Overrides()).trust.line("control law")
+        assert found.level == "not made"
+        assert why in found.text
+    fit = identify(bare, Overrides())
+    assert fit.trust.verdict == "trust"
+    assert fit.iv.controller == "found"
+    assert not [x for x in fit.trust.assumed if x.what == "control law"]
+
+
+def test_the_real_emps(emps):
+    """Controller confirmed. The volts are 0.75 to 0.8 ms early: half a period of hold, and 0.25 ms of the amplifier."""
+    fit = identify(load_signals(emps), Overrides())
+    found = fit.trust.line("control law")
+    assert found.level == "ok"
+    assert found.value == pytest.approx(1.0, abs=1e-3)
+    (lag,) = fit.lags
+    assert 1e3 * lag.value_s == pytest.approx(-0.77, abs=0.08)
+    assert lag.delay_s is not None
+    assert 1e3 * lag.delay_s[0] == pytest.approx(0.27, abs=0.08)

@@ -1,0 +1,227 @@
+"""The links of a URDF as a witness of a recording: arms of a simulator of its own, with one fault in what a fit is given."""
+
+import json
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from hunt import fit_by_default
+from independent_robots import with_payload
+from independent_simulator import Imperfections, references, simulate
+from independent_urdf import RATE_HZ, arm_of, robot_of
+from urdfs import SIX, six_joints
+
+from acquisition.robot import Payload
+from identification.commands import main
+from identification.methods import fit_document, fit_file
+from identification.model import InverseModel, base_parameters, base_prior
+from identification.report import to_markdown
+from identification.study import write_signals
+
+NAMES = [name for name, *_ in SIX]
+RUNS, TOLD = 2, NAMES[:5]  # wrist_3 turns its own axis: its links need next to no torque, no prior can tell its gain
+CELL = Imperfections(torque_noise_percent=2.0, encoder_noise=2e-5)
+
+
+@cache
+def runs(payload_kg: float = 0.0):
+    body, law = arm_of(six_joints())
+    body = with_payload(body, payload_kg) if payload_kg else body
+    count = 1 if payload_kg else RUNS
+    reference = references(body, range(count), duration_s=10, rate_hz=RATE_HZ)
+    return simulate(body, law, reference, CELL, seed=1, substeps=6)
+
+
+@cache
+def recorded(run: int):
+    """A recording whose description has the links of the arm times 0.7 to 1.4."""
+    factors = np.random.default_rng(run).uniform(0.7, 1.4, len(NAMES))
+    return runs().signals(robot_of(six_joints(factors), NAMES), run)
+
+
+def times(signals, j: int, gain: float):
+    effort = signals.effort.copy()
+    effort[:, j] *= gain
+    return replace(signals, effort=effort)
+
+
+def exchanged(signals, a: int, b: int, *columns: str):
+    order = np.arange(len(NAMES))
+    order[[a, b]] = b, a
+    return replace(signals, **{name: getattr(signals, name)[:, order] for name in columns})
+
+
+def told(signals):
+    fit = fit_by_default(signals)
+    line = fit.trust.line("prior")
+    assert line.level != "do not use"
+    return fit, line
+
+
+def test_the_arm_of_a_urdf_has_its_equations_of_motion():
+    model = InverseModel(robot_of(six_joints(), NAMES))
+    q, dq, ddq = np.random.default_rng(1).uniform(-2, 2, (3, 20, 6))
+    M, bias = arm_of(six_joints())[0].rigid(q, dq)
+    chi = np.zeros(model.p)
+    chi[model.of_links] = model.link_parameters().ravel()
+    np.testing.assert_allclose(model.regressor(q, dq, ddq) @ chi, (M @ ddq[..., None])[..., 0] + bias, atol=1e-11)
+
+
+def test_the_prior_is_the_torque_of_the_links_where_no_rotor_is_regrouped():
+    head = 'type = "revolute"\nrotor_inertia = false\n'
+    text = six_joints((1.1, 0.9, 1.2, 0.8, 1.0, 1.3))
+    still = robot_of(text, NAMES, joint=lambda toml: toml.replace('type = "revolute"\n', head))
+    model = InverseModel(still)
+    base = base_parameters(model)
+    found, source = base_prior(model, base)
+    assert source == "URDF"
+    assert set(found) == {name for name, of in zip(base.names, base.links, strict=True) if of}
+    q, dq, ddq = np.random.default_rng(2).uniform(-2, 2, (3, 20, 6))
+    W = model.regressor(q, dq, ddq)[..., base.columns]
+    M, bias = arm_of(text)[0].rigid(q, dq)
+    beta = np.array([found.get(name, 0.0) for name in base.names])
+    np.testing.assert_allclose(W @ beta, (M @ ddq[..., None])[..., 0] + bias, atol=1e-10)
+
+    with_rotors = InverseModel(robot_of(text, NAMES))
+    base = base_parameters(with_rotors)
+    named = base_prior(with_rotors, base)[0]
+    assert len(named) < len(found)
+    expressions = dict(zip(base.names, base.expressions, strict=True))
+    assert not any("Ia" in expressions[name] for name in named)
+    # a link without inertials leaves out whatever it is regrouped into
+    without = InverseModel(robot_of(six_joints((1, 1, 1, 1, 1, 0)), NAMES))
+    left = base_prior(without, base_parameters(without))[0]
+    assert left
+    assert not any("6" in expressions[name] for name in left)
+
+
+@pytest.mark.parametrize("run", range(RUNS))
+def test_links_off_by_forty_percent_are_no_fault(run):
+    fit, line = told(recorded(run))
+    assert (fit.trust.verdict, line.level) == ("trust", "ok"), line.text
+    assert {one.name for one in line.figures} == set(TOLD)
+    assert all(0.6 < one.value < 1.5 for one in line.figures)
+    assert fit.data.prior_error_percent > 3 * fit.trust.line("held-out blocks").value
+
+
+def test_a_wrong_gain_is_named_at_its_joint():
+    cases = [(j, gain, j % RUNS) for j, gain in zip(range(5), (10, 3, 10, 3, 3), strict=True)]
+    named = 0
+    for j, gain, run in cases:
+        fit, line = told(times(recorded(run), j, gain))
+        assert fit.trust.verdict != "trust"
+        named += line.text.startswith(f"torque of {NAMES[j]} is ") and line.level == "caution"
+    assert named > 0.8 * len(cases)
+
+
+@pytest.mark.parametrize(("a", "b"), [(0, 1), (2, 3)])
+def test_exchanged_columns_are_named(a, b):
+    for of, columns in (("efforts", ["effort"]), ("positions", ["q", "q_ref"])):
+        fit, line = told(exchanged(recorded(0), a, b, *columns))
+        assert fit.trust.verdict != "trust"
+        assert line.text.startswith(f"recorded {of} of joints {NAMES[a]} and {NAMES[b]} exchanged?"), line.text
+
+
+def test_radians_declared_as_degrees_are_named():
+    signals = recorded(1)
+    fit, line = told(replace(signals, q=np.deg2rad(signals.q), q_ref=np.deg2rad(signals.q_ref)))
+    assert fit.trust.verdict != "trust"
+    assert line.text.startswith("position of all joints in rad declared as degrees?")
+
+
+def test_a_prior_that_is_off_everywhere_is_no_fault_of_the_recording():
+    _, line = told(replace(recorded(0), robot=robot_of(six_joints((0.05, 9, 9, 0.02, 0.02, 0.02)), NAMES)))
+    assert line.level == "cannot tell"
+    assert "the prior is off everywhere" in line.text
+    line = told(replace(recorded(0), robot=robot_of(six_joints((0.2,) * 6), NAMES)))[1]
+    assert line.level == "caution"
+    assert line.text.startswith("torques are 5 times what the URDF's links need: ")
+
+
+def test_a_stated_payload_counts():
+    signals = runs(12.0).signals(robot_of(six_joints(), NAMES), 0)
+    assert "wrist_1 is" in told(signals)[1].text
+    line = told(replace(signals, payload=Payload(12.0, (0.0, 0.0, 0.0))))[1]
+    assert line.level == "ok", line.text
+    assert all(0.9 < one.value < 1.1 for one in line.figures)
+
+
+def test_without_gains_or_inertials_there_is_no_prior():
+    for robot in (
+        robot_of(six_joints(), NAMES, joint=lambda toml: toml.replace('"N m"', '"A"')),
+        robot_of(six_joints((0,) * 6), NAMES),
+    ):
+        fit = fit_by_default(replace(recorded(0), robot=robot))
+        assert not any(line.test == "prior" for line in fit.trust.lines)
+        assert "prior" not in to_markdown(fit_document(recorded(0), fit)).replace("a-priori", "")
+        stored = fit_file(fit)
+        assert not stored.prior_source
+        assert not any(one.prior for one in stored.parameters)
+
+
+def test_the_held_out_error_is_that_of_these_links_with_all_else_fitted_to_the_other_blocks():
+    fit = fit_by_default(recorded(1))
+    data, problem = fit.data, fit.problem
+    system, weights = data.observed.system, fit.estimate.weights
+    known = np.array([data.prior.get(name, 0.0) for name in system.names])
+    free = [i for i, name in enumerate(system.names) if name not in data.prior]
+    (W, Y), Z = system.weighted(weights), data.Z[:, free] * data.weight[:, None]
+    motion = problem.motion.between(fit.settings.start, fit.settings.stop, fit.settings.cutoff_hz)
+    whole, T = problem.model.regressor(motion.q, motion.dq, motion.ddq)[..., problem.base.columns], len(fit.tau)
+    squares = np.zeros(2)
+    for block in np.array_split(np.arange(T), 5):
+        others = ~np.isin(np.tile(np.arange(T), len(NAMES)), block)
+        beta = known.copy()
+        ZT, rest = Z[others].T, (Y - W @ known)[others]
+        beta[free] = np.linalg.solve(ZT @ W[others][:, free], ZT @ rest)
+        counts = data.observed.counts[block]
+        error = (fit.tau - fit.settings.decimator.filtered((whole @ beta).T).T)[block]
+        squares += (error[counts] ** 2).sum(), (fit.tau[block][counts] ** 2).sum()
+    assert data.prior_error_percent == pytest.approx(100 * np.sqrt(squares[0] / squares[1]), rel=0.01)
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    """A folder with a recording, its fit, and URDFs."""
+    there = tmp_path_factory.mktemp("prior")
+    write_signals(there / "log.mcap", recorded(0), source="independent simulator")
+    (there / "arm.urdf").write_text(six_joints((2.0,) * 6))
+    (there / "other.urdf").write_text(six_joints().replace("elbow", "knee"))
+    (there / "longer.urdf").write_text(six_joints().replace("0.3922", "0.4"))
+    (there / "empty.urdf").write_text(six_joints((0,) * 6))
+    files = ["--json", str(there / "fit.json"), "--report", str(there / "r.md")]
+    assert main(["fit", str(there / "log.mcap"), *files]) == 0
+    return there
+
+
+def test_the_report_and_the_file_have_the_prior(written):
+    stored = json.loads((written / "fit.json").read_text())
+    assert stored["prior_source"] == "URDF"
+    assert stored["prior_held_out_error_percent"] > 1
+    prior = {one["name"]: one["prior"] for one in stored["parameters"] if "prior" in one}
+    model = InverseModel(recorded(0).robot)
+    assert prior == pytest.approx(base_prior(model, base_parameters(model))[0])
+    report = (written / "r.md").read_text()
+    assert "| parameter | value | ±95% | in % | prior | unit |" in report
+    held = (f"{stored[key]:.2f} %" for key in ("prior_held_out_error_percent", "held_out_error_percent"))
+    assert "torque error held out: links of the URDF {}, fit {}".format(*held) in report
+
+
+def test_a_fit_is_compared_with_a_urdf(written, capsys):
+    fit, arm = str(written / "fit.json"), str(written / "arm.urdf")
+    assert main(["compare", fit, arm, "--json", str(written / "compared.json"), "--all"]) == 0
+    out = capsys.readouterr().out.translate(str.maketrans("┃│", "  ")).splitlines()
+    assert next(line for line in out if "value" in line).split() == ["name", "unit", "value", "±95%", "prior", "ratio"]
+    cells = next(line.split() for line in out if line.strip().startswith("MZ2R"))
+    value, _, prior, ratio = map(float, cells[-4:])
+    assert ratio == pytest.approx(value / prior, rel=0.01)
+    assert ratio == pytest.approx(0.5, rel=0.02)  # the URDF has twice the links of the arm
+    compared = json.loads((written / "compared.json").read_text())
+    assert (compared["a"], compared["b"]) == ("fit", "arm")
+    refused = {"other": "elbow", "longer": "moves differently", "empty": "inertials", "none": "cannot be read"}
+    for name, words in refused.items():
+        assert main(["compare", fit, str(written / f"{name}.urdf")]) == 1
+        error = capsys.readouterr().err
+        assert words in error
+        assert error.count("\n") == 1

@@ -1,0 +1,540 @@
+"""The trust block: each test against mathematics, and on recordings of the independent simulator with one fault each."""
+
+import re
+from dataclasses import replace
+from functools import cache
+from itertools import pairwise
+
+import msgspec
+import numpy as np
+import pytest
+from conftest import REPLAY, ROOT
+from fits_of_records import iv_of, ls_of, signals_of
+from independent_robots import plant
+from independent_simulator import (
+    Imperfections,
+    described_controller,
+    description,
+    designed_pd,
+    references,
+    simulate,
+)
+from looked_at import looked_at
+from scipy.signal import lfilter
+
+from identification.data import Signals
+from identification.estimation import SPANS, System, instrumental_variables, intervals
+from identification.estimation.diagnostics import autoregression
+from identification.methods import Fit, identify, identify_ls
+from identification.methods.equations import SPANS_OF_IV
+from identification.regression import Overrides, torque_of_recording, weighted
+from identification.trust import LEVELS, FitData, Trust, TrustLine, trust_in
+from identification.trust.columns import missing_terms
+from identification.trust.fit_data import measured_motion
+from identification.trust.solution import (
+    TESTS,
+    _combine_failures,
+    essential_test,
+    fixed_point_test,
+    halves_test,
+    instruments_test,
+    worst_first,
+)
+
+WHITE = Imperfections(encoder_noise=1e-6, torque_noise_percent=2.0)
+COARSE = Imperfections(encoder_noise=2e-5, torque_noise_percent=1.0)
+OF_ALL = {
+    "fixed point",
+    "physical",
+    "units",
+    "lag",
+    "control law",
+    "added columns",
+    "held-out blocks",
+    "halves",
+    "ends",
+}
+OF_ALL |= {"consistent", "essential"}
+
+
+@cache
+def recorded(name: str, cell: Imperfections = WHITE, fault: str = "") -> Signals:
+    """A run of 10 s, of the TX40 of 5 s."""
+    toml = REPLAY / name / "robot.toml"
+    described = plant(toml)
+    controller = designed_pd(described, 10.0, 1000.0) if name == "tx40" else described_controller(described)
+    body = plant(toml, tilt_rad=np.deg2rad(3.0) if fault == "tilt of gravity" else 0.0)
+    friction = {"asymmetric friction": {"asymmetry": 0.2}, "Stribeck friction": {"stribeck": 0.5}}.get(fault, {})
+    body = replace(body, friction=replace(body.friction, **friction))
+    cell = replace(cell, drift_percent=30.0 if fault == "drift" else 0.0)
+    reference = references(
+        described, range(5, 6), duration_s=5.0 if name == "tx40" else 10.0, rate_hz=controller.rate_hz
+    )
+    runs = simulate(body, controller, reference, cell, seed=5)
+    return runs.signals(description(toml, controller if name == "tx40" else None), 0)
+
+
+def cut(signals: Signals, first: int, last: int) -> Signals:
+    return replace(signals, **{name: getattr(signals, name)[first:last] for name in ("t_s", "q", "q_ref", "effort")})
+
+
+def without_gains(signals: Signals, unit: str = "A") -> Signals:
+    keys = {"drive_gain": None, "drive_gain_unit": None, "effort_unit": unit}
+    motors = tuple(msgspec.structs.replace(m, **keys) for m in signals.robot.motors)
+    return replace(signals, robot=replace(signals.robot, motors=motors))
+
+
+@cache
+def examined(method: str, name: str, cell: Imperfections = WHITE, fault: str = "") -> tuple[Fit, FitData]:
+    """A fit, and the evidence that its tests looked at."""
+    return looked_at(method, recorded(name, cell, fault))
+
+
+@cache
+def examined_as_long(method: str) -> tuple[Fit, FitData]:
+    """The same of the SCARA as of a recording whose rows are not held."""
+    return looked_at(method, recorded("scara"), long=True)
+
+
+# The verdict
+
+
+def line(level: str, test: str = "a test", finding: str = "") -> TrustLine:
+    return TrustLine(test, level, "", finding=finding)
+
+
+def test_the_worst_line_is_the_verdict():
+    for levels, verdict in (
+        (("ok", "cannot tell", "not made"), "trust"),
+        (("ok", "caution", "not made"), "caution"),
+        (("caution", "do not use", "ok"), "do not use"),
+    ):
+        trust = Trust(lines=worst_first([line(level) for level in levels]))
+        assert trust.verdict == verdict
+        assert [LEVELS.index(x.level) for x in trust.lines] == sorted(LEVELS.index(level) for level in levels)
+    assert Trust(lines=(line("not made"),)).verdict == "trust"
+    assert Trust(lines=(line("not made"),)).finding == ""
+    assert Trust(lines=(line("caution", "lag"),)).finding == "lag"
+    assert Trust(lines=(line("caution", "added columns", "offset missing"),)).finding == "offset missing"
+
+
+@pytest.mark.parametrize("method", ["iv", "wls"])
+def test_a_clean_recording_is_trusted(method):
+    """Least squares cannot find the lag, and half a millisecond more or less is much of the shoulder's small friction."""
+    fit, _ = looked_at(method, recorded("scara"), torque_lag_s=None if method == "iv" else -0.5e-3)
+    lines = {x.test: x for x in fit.trust.lines}
+    assert set(lines) == OF_ALL | ({"instruments"} if method == "iv" else {"position noise"})
+    assert {x.level for x in lines.values()} == {"ok"}
+    assert (fit.distrust, fit.trust.verdict) == ((), "trust")
+
+
+@pytest.mark.parametrize("method", ["iv", "wls"])
+def test_what_nobody_checked_is_named(method):
+    """Whatever stands under `assumed` may be wrong, and the verdict stays."""
+    fit, _ = examined(method, "scara")
+    assumed = {one.what: one for one in fit.trust.assumed}
+    both = {"drive gains", "ratios", "lengths", "sample rate", "zeros", "rotors"}
+    assert set(assumed) == (both if method == "iv" else both | {"encoder noise"})
+    assert assumed["sample rate"].value == "1000 Hz"
+    assert all(one.value and one.why for one in assumed.values())
+
+
+def test_shared_parameters_of_joints_in_unknown_units_are_not_to_be_used():
+    fit = identify(without_gains(recorded("scara")), Overrides(), method="wls")
+    assert (fit.trust.verdict, fit.trust.finding) == ("do not use", "drive gains not known")
+    assert fit.trust.line("units").text.startswith("ZZ2, MX2, MY2 act at several joints")
+    told = fit.trust.line("added columns").text
+    assert "relative gains not tried: the drive gains are not known" in told
+    alone = identify(without_gains(recorded("emps"), "V"), Overrides(), method="wls").trust
+    assert alone.line("units").level == "ok"
+    assert "one joint has no relative gain" in alone.line("added columns").text
+
+
+def test_held_out_blocks_far_off_and_no_positive_m_together_are_not_to_be_used():
+    _, evidence = examined("wls", "scara")
+    held = trust_in(evidence).line("held-out blocks")
+    far = replace(held, level="caution", fails_held_out=True)
+    for value, line_, level in ((-0.1, far, "do not use"), (0.1, far, "caution"), (-0.1, held, "ok")):
+        physical = TrustLine("physical", "caution", "", value)
+        (judged,) = (x for x in _combine_failures([physical, line_]) if x.test == "held-out blocks")
+        assert judged.level == level
+        assert ("--consistent" in judged.text) == (level == "do not use")
+
+
+def test_the_tables_of_the_guides_have_every_line():
+    longer = {"held out": "held-out blocks"}
+    names = {one.__name__.removesuffix("_test").replace("_", " ") for one in TESTS}
+    for guide, head in (("README.md", "| line | what is wrong "), ("results.md", "| line | what it means ")):
+        _, rest = (ROOT / "identification" / guide).read_text().split(head)
+        lines = re.findall(r"^\| `(.*?)` \|", rest.split("\n\n")[0], flags=re.MULTILINE)
+        assert sorted(lines) == sorted(longer.get(name, name) for name in names)
+    counts = re.findall(r"(\d+)(?: spans of time,| or) with instruments (\d+)", rest)
+    assert counts == [(str(SPANS), str(SPANS_OF_IV))] * 2
+
+
+def test_an_inertia_that_is_not_known_to_its_own_size_is_doubted():
+    _, evidence = examined("wls", "scara")
+    of_some = replace(evidence, estimate=evidence.estimate.part(np.arange(5)))  # as with --essential
+    assert (essential_test(of_some).level, essential_test(of_some).text) == ("ok", f"{len(evidence.essential)} of 8")
+    told = essential_test(replace(evidence, essential=("Fv1", "Fc1", "Fc2")))
+    assert (told.level, told.finding) == ("caution", "no inertia is determined")
+    fit, _ = examined("wls", "scara")
+    assert set(fit.essential_names) <= set(fit.essential.estimate.names)
+    wide = replace(fit.intervals, low=fit.intervals.low - np.abs(fit.beta), high=fit.intervals.high + np.abs(fit.beta))
+    assert replace(fit, intervals=wide).essential_names == ()
+
+
+def test_the_error_is_that_behind_the_rules_filter():
+    """Noise of 20 µm makes the prediction of a fit without a filter useless; the model is none the worse."""
+    noisy = recorded("emps", COARSE)
+    plain, raw = (identify(noisy, Overrides(cutoff_hz=c)).errors[-1].relative_error_percent for c in (None, 0.0))
+    assert raw == pytest.approx(plain, rel=0.3)
+
+
+@pytest.mark.parametrize(
+    ("below", "level"),
+    [
+        ({"Fv1": 0.9}, "ok"),
+        ({"Fv1": 1.5}, "caution"),
+        ({"Fv1": 2.5}, "do not use"),
+        ({"Fv1": 1.5, "Fc1": 1.5}, "do not use"),
+        ({"Fv1": 1.5, "Fc2": 1.5}, "caution"),
+    ],
+)
+def test_what_resists_may_be_below_zero_by_chance_once_a_joint(below, level):
+    """In half-widths of the interval."""
+    _, evidence = examined("wls", "scara")
+    estimate, half = evidence.estimate, evidence.intervals.half
+    beta = estimate.beta.copy()
+    for name, times in below.items():
+        beta[estimate.names.index(name)] = -times * half[estimate.names.index(name)]
+    found = trust_in(replace(evidence, estimate=replace(estimate, beta=beta))).line("physical")
+    assert found.level == level, found.text
+
+
+def test_signs_are_judged_by_weighted_rows_only_where_ordinary_least_squares_sees_no_wrong_one():
+    """Of the rows as they are, and with the sign of every torque changed; beta of one or the other."""
+
+    def judged(method: str, sign_of_beta: int) -> tuple[str, bool]:
+        _, evidence = examined(method, "scara")
+        observed, estimate = evidence.observed, evidence.estimate
+        wrong = replace(observed, system=replace(observed.system, Y=-observed.system.Y))
+        estimate = replace(estimate, beta=sign_of_beta * estimate.beta)
+        found = trust_in(replace(evidence, observed=wrong, estimate=estimate)).line("physical")
+        return found.level, "by weighted least squares" in found.text
+
+    assert judged("ols", 1) == ("do not use", True)
+    assert judged("ols", -1) == ("do not use", False)
+    assert judged("wls", 1) == ("ok", False)
+
+
+def test_the_ways_an_iteration_ends():
+    _, evidence = examined("iv", "scara")
+    none = fixed_point_test(replace(evidence, fixed_point=False, unconfirmed="status diverged: M"))
+    assert (none.level, none.text[:18]) == ("do not use", "status diverged: M")
+    assert fixed_point_test(replace(evidence, unconfirmed="status not_confirmed: joint 2")).level == "caution"
+    assert fixed_point_test(evidence).level == "ok"
+
+
+# Added columns
+
+
+@pytest.mark.parametrize("method", ["iv", "wls"])
+def test_a_column_is_solved_with_the_others(method):
+    """Coefficient, residual and t are those of the system with one column more, with itself as its instrument."""
+    fit, evidence = examined(method, "scara", fault="drift")
+    system, n = evidence.observed.system, 2
+    W, Y = system.weighted(fit.estimate.weights)
+    (lack,) = (x for x in missing_terms(evidence) if (x.kind, x.where) == ("drift", "of joint shoulder"))
+    motion, decimation = measured_motion(evidence.problem)
+    if method == "iv":
+        motion, decimation = evidence.replicas[0].motion, evidence.replicas[0].decimation
+    drift = np.linspace(0, 1, len(motion.q))[:, None] * [1.0, 0.0]
+    column = weighted(evidence.problem, motion.t_s, drift, decimation).reshape(-1)
+    column = column * fit.estimate.weights[0] * system.used
+    Z = evidence.Z if method == "iv" else system.W
+    Z = np.c_[Z * (fit.estimate.weights[system.joint_of_row] * system.used)[:, None], column]
+    wider = np.c_[W, column]
+    solved = np.linalg.solve(Z.T @ wider, Z.T @ Y)
+    assert lack.value == pytest.approx(solved[-1], rel=1e-6)
+    before, after = Y - W @ fit.estimate.beta, Y - wider @ solved
+    assert lack.taken_percent == pytest.approx(100 * (1 - after @ after / (before @ before)), rel=1e-6)
+    named = System.whole(wider, Y, system.joint_of_row, (*system.names, "drift"))
+    estimate = instrumental_variables(named, Z, np.ones(n))
+    sigma = intervals(estimate, Y - wider @ estimate.beta, n).sigma[-1]
+    assert lack.t == pytest.approx(estimate.beta[-1] / sigma, rel=1e-6)
+
+
+@pytest.mark.parametrize("fault", ["asymmetric friction", "drift", "Stribeck friction"])
+@pytest.mark.parametrize("method", ["iv", "wls"])
+def test_what_the_model_lacks_is_named_first(method, fault):
+    found = examined(method, "scara", fault=fault)[0].trust
+    told = found.line("added columns")
+    assert told.level == "caution"
+    assert told.text.startswith(f"{fault} of joint ")
+    assert found.verdict != "trust"
+
+
+def test_a_column_has_the_size_of_the_fault():
+    found = [x for x in missing_terms(examined("iv", "scara", fault="asymmetric friction")[1]) if "asym" in x.kind]
+    assert [x.where for x in found] == ["of joint shoulder", "of joint elbow"]
+    assert [abs(x.value - 20.0) < 3 * x.value / x.t < 15.0 for x in found] == [True, True]
+
+
+def test_a_tilt_of_gravity_is_named_first():
+    told = examined("wls", "tx40", fault="tilt of gravity")[0].trust.line("added columns")
+    assert told.text.startswith("tilt of gravity about x ")
+    assert abs(float(told.text.split()[5])) == pytest.approx(np.deg2rad(3.0), rel=0.1)
+
+
+def test_a_relative_gain_is_named():
+    """The elbow's torque scaled by 1.2: its inertia and friction take that, its share in the shoulder's torque does not."""
+    signals = recorded("scara")
+    scaled = replace(signals, effort=signals.effort * np.array([1.0, 1.2]))
+    told = identify_ls(scaled, Overrides()).trust.line("added columns")
+    assert told.level == "caution"
+    assert told.text.startswith("relative gain of joint ")
+
+
+# Other estimates from the same rows
+
+
+def block_errors(evidence: FitData, blocks: int) -> tuple[float, float]:
+    """Held-out and training error in percent, each block predicted by least squares of the rows of the others."""
+    W, Y, counts = evidence.W, evidence.Y, evidence.observed.counts
+    T, n = counts.shape
+    time = np.tile(np.arange(T), n)
+    Z = W if evidence.Z is None else evidence.Z * evidence.weight[:, None]
+    betas = []
+    for a, b in pairwise(np.linspace(0, T, blocks + 1).round()):
+        inside = (time >= a) & (time < b)
+        betas.append(np.linalg.solve(Z[~inside].T @ W[~inside], Z[~inside].T @ Y[~inside]))
+    tau, held, _ = torque_of_recording(evidence.problem, *betas)
+    trained = torque_of_recording(evidence.problem, evidence.estimate.beta)[1]
+    return tuple(100 * np.linalg.norm((tau - x)[counts]) / np.linalg.norm(tau[counts]) for x in (held, trained))
+
+
+@pytest.mark.parametrize("method", ["iv", "wls"])
+def test_held_out_blocks_are_predicted_by_the_fit_of_the_others(method):
+    _, evidence = examined(method, "scara")
+    held, trained = block_errors(evidence, 5)
+    told = trust_in(evidence).line("held-out blocks")
+    assert told.value == pytest.approx(held, rel=1e-6)
+    assert f"{held:.3g} % held out, {trained:.3g} % trained" in told.text
+    assert [figure.name for figure in told.figures] == [f"block {k}" for k in range(1, 6)]
+
+
+def test_a_fit_that_does_not_generalise_is_a_caution():
+    """Of 60 parameters, from 2.6 s; physical ones generalise better, where the drive gains let them be found."""
+    signals = cut(recorded("tx40", fault="tilt of gravity"), 0, 2600)
+    short = identify_ls(signals, Overrides()).trust.line("held-out blocks")
+    assert short.level == "caution"
+    held, trained = (float(x) for x in re.findall(r"([0-9.]+) %", short.text))
+    assert held > 1.5 * trained
+    assert "take the parameters of --consistent" in short.text
+    unknown = identify_ls(without_gains(signals), Overrides()).trust
+    assert "--consistent" not in unknown.line("held-out blocks").text
+
+
+def test_halves_differ_where_the_torque_changes_its_scale():
+    signals = recorded("scara")
+    later = np.where(signals.t_s > signals.t_s[-1] / 2, 1.1, 1.0)[:, None]
+    changed = identify_ls(replace(signals, effort=signals.effort * later), Overrides())
+    assert changed.trust.line("halves").level == "caution"
+    fit, evidence = examined("wls", "scara")
+    assert fit.trust.line("halves").level == "ok"
+    assert ls_of(REPLAY / "tx40" / "session.mcap").trust.line("halves").level == "ok"  # of 60 parameters
+    # The statistic from the two halves' own least squares: correlations of the formula, deviations of the cosines by the
+    # share of white noise that they find in the residuals, I - W(W'W)⁻¹W' of it.
+    n, b = 2, len(fit.estimate.names)
+    T = len(evidence.Y) // n
+    betas, total = [], np.zeros((b, b))
+    for half in (slice(0, round(T / 2)), slice(round(T / 2), T)):
+        W, Y = (x.reshape(n, T, -1)[:, half] for x in (evidence.W, evidence.Y))
+        W, Y = W.reshape(-1, b), Y.reshape(-1)
+        inverse = np.linalg.inv(W.T @ W)
+        beta = inverse @ W.T @ Y
+        t = (W * (Y - W @ beta)[:, None]).reshape(n, -1, b).sum(axis=0) @ inverse
+        instants, B = len(t), int(np.clip(0.4 * len(t) ** (2 / 3), 4, 16))
+        waves = np.cos(np.pi * np.arange(1, B + 1)[:, None] * (np.arange(instants) + 0.5) / instants)
+        given, seen = np.zeros(b), np.zeros(b)
+        for wave in np.sqrt(2) * waves:
+            a = (W @ inverse) * np.tile(wave, n)[:, None]
+            given += ((W @ inverse) ** 2).sum(axis=0)
+            seen += ((a - W @ (inverse @ (W.T @ a))) ** 2).sum(axis=0)
+        sigma = np.sqrt(2 * np.mean((waves @ t) ** 2, axis=0) * given / seen)
+        formula = np.sqrt(np.diag(inverse))
+        total += inverse * np.outer(sigma / formula, sigma / formula)
+        betas.append(beta)
+    off = betas[1] - betas[0]
+    assert halves_test(evidence).value == pytest.approx(off @ np.linalg.solve(total, off), rel=1e-6)
+
+
+def test_the_noise_of_an_end_sample_is_told():
+    """MATLAB's edge rule leaves the last sample of the torque at full size in the end row."""
+    signals = recorded("scara")
+    stop = identify_ls(signals, Overrides(torque_lag_s=0.0)).settings.stop
+    effort = signals.effort.copy()
+    effort[stop - 1] += 2.0
+    noisy = replace(signals, effort=effort)
+    fits = (identify_ls(noisy, Overrides(edges=edges, torque_lag_s=0.0)) for edges in ("smooth", "matlab"))
+    smooth, raw = (fit.trust.line("ends") for fit in fits)
+    assert smooth.level == "ok"
+    assert raw.level == "caution"
+    assert raw.value > 4 * smooth.value
+    assert 'edges = "smooth"' in raw.text
+
+
+def test_noise_of_the_position_biases_least_squares_and_is_told():
+    """20 µm on the EMPS, with the controller in the loop: the mass is 20 to 40 % too low."""
+    fit, _ = examined("wls", "emps", COARSE)
+    told = fit.trust.line("position noise")
+    assert (told.level, fit.trust.verdict) == ("caution", "caution")
+    assert told.value > 1
+    assert "--method iv" in told.text
+    by_iv, _ = examined("iv", "emps", COARSE)
+    assert "position noise" not in {x.test for x in by_iv.trust.lines}
+    assert by_iv.iv is not None
+    assert by_iv.iv.contrast > 1
+    quiet, _ = examined("wls", "emps")
+    assert quiet.trust.line("position noise").level == "ok"
+    raw = identify_ls(recorded("scara"), Overrides(cutoff_hz=0.0)).trust.line("position noise")
+    assert raw.level == "cannot tell"
+    high = identify_ls(recorded("scara"), Overrides(cutoff_hz=350.0)).trust.line("position noise")
+    assert (high.level, "350 Hz" in high.text) == ("cannot tell", True)
+
+
+def test_noise_that_falls_with_frequency_is_seen_by_its_spectrum():
+    """AR(0.9) from sample to sample: the noise above the low-pass is a small part of the noise below."""
+    cell = replace(COARSE, encoder_noise=1e-5, encoder_correlation=0.9)
+    fit, _ = examined("wls", "emps", cell)
+    assert fit.trust.line("position noise").level == "caution"
+
+
+def test_the_move_that_position_noise_is_told_by_is_the_mean_of_both_signs():
+    """It grows with the variance of the noise: what moves the estimate with the noise's sign cancels."""
+    fits = (examined("wls", "emps", replace(COARSE, encoder_noise=noise))[0] for noise in (2e-6, 6e-6))
+    told = [fit.trust.line("position noise").text for fit in fits]
+    small, large = (float(re.search(r"\(([0-9.]+) %\)", text)[1]) for text in told)
+    assert large / small == pytest.approx(9.0, rel=0.25)
+
+
+def test_weak_instruments_and_those_that_are_w():
+    _, evidence = examined("iv", "scara")
+    levels = {F: instruments_test(replace(evidence, first_stage_F=F)).level for F in (5.0, 50.0, 4e16)}
+    assert levels == {5.0: "caution", 50.0: "ok", 4e16: "cannot tell"}
+    assert "W itself" in instruments_test(replace(evidence, first_stage_F=4e16)).text
+
+
+def test_an_autoregression_is_found_despite_gaps():
+    rng = np.random.default_rng(2)
+    rho = lfilter([1.0], [1.0, -0.7, 0.2], rng.standard_normal(20_000))
+    used = (rng.random(20_000) > 0.001).astype(float)
+    np.testing.assert_allclose(autoregression(rho * used, 4), [0.7, -0.2, 0.0, 0.0], atol=0.03)
+
+
+# Long recordings
+
+
+@pytest.mark.parametrize("method", ["iv", "wls"])
+def test_a_long_recording_is_tested_as_its_rows_are(method):
+    """Halves and fifths of the time end where spans do. By instruments a row or two more count."""
+    (fit, evidence), (long, of_blocks) = examined(method, "scara"), examined_as_long(method)
+    assert (evidence.observed.reduced, of_blocks.observed.reduced) == (False, True)
+    rows = 5e-8 if method == "wls" else 0.01
+    told, wanted = (x.trust.line("held-out blocks") for x in (long, fit))
+    assert (told.level, told.value) == ("ok", pytest.approx(wanted.value, rel=0.01))
+    assert [x.name for x in told.figures] == [x.name for x in wanted.figures]
+    for one, other in zip(told.figures, wanted.figures, strict=True):
+        assert one.value == pytest.approx(other.value, rel=0.05 if method == "iv" else 0.01)
+    whole = (slice(0, len(evidence.observed.tau)),)
+    found, expected = (x.error(whole, x.estimate.beta) for x in (of_blocks, evidence))
+    assert found == pytest.approx(expected, rel=rows)
+    told, wanted = (x.trust.line("halves") for x in (long, fit))
+    assert (told.level, told.value) == ("ok", pytest.approx(wanted.value, rel=0.2))
+    told, wanted = (x.trust.line("ends") for x in (long, fit))
+    assert (told.level, told.value) == ("ok", pytest.approx(wanted.value, rel=5 * rows))
+    assert method == "iv" or told.text == wanted.text
+    np.testing.assert_array_equal(of_blocks.predicted, long.tau_predicted)
+    made, wanted = ([x.test for x in one.trust.lines if x.level == "not made"] for one in (long, fit))
+    assert (made, long.trust.verdict) == (wanted, fit.trust.verdict)
+    told, wanted = (x.trust.line("added columns") for x in (long, fit))
+    assert (told.level, told.value) == (wanted.level, pytest.approx(wanted.value, rel=0.05))
+    lag, other = long.lags[0], fit.lags[0]
+    assert lag.value_s == pytest.approx(other.value_s, abs=2e-5)
+    np.testing.assert_allclose(lag.moved, other.moved, rtol=0.2, atol=0.5 * fit.intervals.half.max())
+    assert (np.abs(long.beta - fit.beta) < 0.3 * fit.intervals.half).all()
+
+
+def test_sums_over_spans_are_those_of_their_rows():
+    """Least squares of the spans' own instants, held out or alone, is that of the rows at these instants."""
+    (_, evidence), (fit, long) = examined("wls", "scara"), examined_as_long("wls")
+    T, n, b = len(evidence.observed.tau), 2, len(fit.estimate.names)
+    for part in (slice(0, round(T / 5)), slice(round(T / 5), round(2 * T / 5)), slice(round(T / 2), T)):
+        covered, _ = long.aligned((part,))
+        assert max(abs(covered[0] - part.start), abs(covered[-1] + 1 - part.stop)) <= 1
+        assert all((x == np.arange(part.start, part.stop)).all() for x in evidence.aligned((part,)))
+        inside = np.zeros((n, T), dtype=bool)
+        inside[:, covered] = True
+        W, Y = evidence.W[inside.ravel()], evidence.Y[inside.ravel()]
+        (Q, W_k, Y_k, count), bread = long.part((part,)), long.estimate.bread
+        np.testing.assert_allclose(np.linalg.solve(Q.T @ W_k, Q.T @ Y_k), np.linalg.lstsq(W, Y)[0], rtol=1e-7)
+        np.testing.assert_allclose(bread @ Q.T @ Q @ bread.T, bread @ bread.T @ (W.T @ W) @ bread @ bread.T, rtol=1e-7)
+        weight = evidence.weight[inside.ravel()]
+        assert count == pytest.approx(np.sum(evidence.observed.share.T[inside] ** 2), rel=1e-9)
+        per = np.where(weight > 0, 1 / np.where(weight > 0, weight, 1.0), 0.0)
+        beta = fit.estimate.beta * (1 + 0.01 * np.random.default_rng(3).normal(size=b))
+        error = np.linalg.norm((Y - W @ beta) * per)
+        assert long.error((part,), beta) == pytest.approx(error, rel=1e-7)
+        assert evidence.error((slice(covered[0], covered[-1] + 1),), beta) == pytest.approx(error, rel=1e-7)
+
+
+def test_a_long_recording_that_changes_is_doubted():
+    """Torque of the second half 10 % larger; a raw end sample; 60 parameters from 2.6 s."""
+    signals = recorded("scara")
+    stop = identify_ls(signals, Overrides(torque_lag_s=0.0)).settings.stop
+    later = np.where(signals.t_s > signals.t_s[-1] / 2, 1.1, 1.0)[:, None]
+    noise = np.zeros_like(signals.effort)
+    noise[stop - 1] = 2.0
+    raised, noisy = replace(signals, effort=signals.effort * later), replace(signals, effort=signals.effort + noise)
+    assert looked_at("wls", raised, long=True)[0].trust.line("halves").level == "caution"
+    told, wanted = (
+        looked_at("wls", noisy, long=x, edges="matlab", torque_lag_s=0.0)[0].trust.line("ends") for x in (True, False)
+    )
+    assert (told.level, told.text) == ("caution", wanted.text)
+    short = cut(recorded("tx40", fault="tilt of gravity"), 0, 2600)
+    told, wanted = (looked_at("wls", short, long=x)[0].trust.line("held-out blocks") for x in (True, False))
+    assert (told.level, told.value) == ("caution", pytest.approx(wanted.value, rel=0.1))
+
+
+@pytest.mark.parametrize("long", [False, True])
+def test_a_half_without_motion_of_a_joint_determines_nothing_of_it(long):
+    signals = recorded("scara")
+    q, middle = signals.q.copy(), len(signals.q) // 2
+    q[:middle, 1] = q[middle, 1]
+    told = looked_at("wls", replace(signals, q=q), long=long, decimation=10)[0].trust.line("halves")
+    assert told.level == "not made"
+    assert "a half alone does not determine the parameters" in told.text
+
+
+# Tests that cannot be made
+
+
+def test_a_short_recording_has_no_halves():
+    trust = identify_ls(cut(recorded("tx40", fault="tilt of gravity"), 4000, 4700), Overrides(cutoff_hz=0.0)).trust
+    assert trust.line("halves").level == "not made"
+    assert "record longer" in trust.line("halves").text
+
+
+# Real recordings
+
+
+def test_the_real_axis_has_asymmetric_friction(emps):
+    for fit in (iv_of(emps), ls_of(emps)):
+        told = fit.trust.line("added columns")
+        assert fit.trust.verdict == "caution"
+        assert told.text.startswith("asymmetric friction of joint axis -1")
+        assert told.value < -15
+        cautious = [x.test for x in fit.trust.lines if x.level == "caution"]
+        assert cautious == ["added columns"]
+    assert signals_of(emps).robot.joints[0].friction == "symmetric"

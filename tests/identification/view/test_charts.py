@@ -1,0 +1,219 @@
+"""The charts of the HTML report as data, their axes, and how they are drawn."""
+
+import math
+import re
+from dataclasses import replace
+
+import msgspec
+import numpy as np
+import pytest
+from pictured_fits import FS, fitted, made_up, values
+
+from identification.study import Run, RunFit
+from identification.trust import Figure, Trust, TrustLine
+from identification.view import charts
+from identification.view.axes import decades, linear, logarithmic
+from identification.view.charts import (
+    MAX_ROWS,
+    STUDY_ROWS,
+    deviation_charts,
+    study_chart,
+    trust_charts,
+)
+from identification.view.colors import GREEN, GREY, LIGHT, ORANGE, PURPLE, SKY, VERMILLION
+from identification.view.panels import Column, Curve, Graph, Mark, Rows
+from identification.view.signal_panels import spectrum_charts
+from identification.view.svg_panels import HEAD, LEFT, PITCH, RIGHT, draw_graph, draw_rows
+
+
+def found(column, **given):
+    """Marks of a column with these attributes."""
+    return [m for m in column.marks if all(getattr(m, name) == value for name, value in given.items())]
+
+
+AXES = {
+    "linear": (linear(-1.0, 9.0, 5), {0.0: "0", 2.0: "2", 4.0: "4", 6.0: "6", 8.0: "8"}, 4.0, 0.5),
+    "small": (linear(0.0, 0.03, 3), {0.0: "0.00", 0.01: "0.01", 0.02: "0.02", 0.03: "0.03"}, 0.015, 0.5),
+    "a point": (linear(2.0, 2.0, 3), {2.0: "2"}, 2.0, 0.0),
+    "logarithmic": (logarithmic(0.5, 500.0, 6), {1.0: "1", 10.0: "10", 100.0: "100"}, 5.0, 1 / 3),
+    "decades": (decades([3e-6, 0.2], 3), {1e-6: "1e-6", 1e-4: "1e-4", 1e-2: "0.01", 1.0: "1"}, 1e-3, 0.5),
+    "zero": (logarithmic(0.01, 100.0, 4), {0.01: "0.01", 0.1: "0.1", 1.0: "1", 10.0: "10", 100.0: "100"}, 0.0, 0.0),
+    "beyond": (linear(0.0, 1.0, 1), {0.0: "0", 1.0: "1"}, 7.0, 1.0),
+}
+
+
+@pytest.mark.parametrize("case", AXES)
+def test_an_axis_has_round_ticks_and_places_numbers(case):
+    axis, ticks, value, share = AXES[case]
+    assert {round(tick, 12): text for tick, text in axis.ticks.items()} == ticks
+    assert axis.place(value, 100.0, 200.0) == pytest.approx(100.0 + 100.0 * share)
+
+
+def test_parameters_have_rows_with_values_intervals_and_differences():
+    own = values("IV", M1=(2.0, 0.3), M2=(-1.0, 0.1), M3=(0.0, 0.1))
+    own.parameters["M2"] = msgspec.structs.replace(own.parameters["M2"], essential=False)
+    ls, true = values("LS", M1=(2.4, 0.3), M2=(-9.0, 0.1)), values("true", M1=(2.1, 0.0), M2=(-1.0, 0.0))
+    (chart,) = deviation_charts(own, [ls, true])
+    assert chart.names == [("M1", ORANGE), ("M2", GREY), ("M3", ORANGE)]
+    assert {("× LS", PURPLE), ("| true", GREEN)} <= set(chart.legend)
+    percent, far = chart.columns
+    assert [m.value for m in percent.marks] == pytest.approx([100 * 1.96 * 0.15, 100 * 1.96 * 0.1, 100.0])
+    own_marks = [m for m in far.marks if m.shape in ("dot", "ring")]
+    assert [(m.row, m.value, m.half, m.shape) for m in own_marks] == [
+        (0, 0.0, 1.0, "dot"), (1, 0.0, 1.0, "ring"), (2, 0.0, 1.0, "dot"),
+    ]  # fmt: skip
+    assert [(m.value, m.half) for m in found(far, shape="tick")] == [(pytest.approx(0.1 / 0.588), 0.0), (0.0, 0.0)]
+    crosses = [(math.floor(m.row), m.value, m.half, m.color) for m in found(far, shape="cross")]
+    assert crosses == [
+        (0, pytest.approx(0.4 / 0.588), pytest.approx(1.0), PURPLE),
+        (1, pytest.approx(-8.0 / 0.196), pytest.approx(1.0), VERMILLION),  # beyond 3 sigma
+    ]
+    assert far.lines == (-1.0, 0.0, 1.0)
+    exact = deviation_charts(true, [own])[0].columns[1]
+    assert [m.value for m in found(exact, shape="cross")] == pytest.approx([-0.1 / 0.588, 0.0]), "in those of the other"
+    assert len(deviation_charts(own, [])[0].columns) == 1
+
+
+@pytest.mark.parametrize(("count", "sizes"), [(1, [1]), (30, [30]), (31, [16, 15]), (60, [30, 30]), (61, [21, 21, 19])])
+def test_many_parameters_stand_in_charts_of_like_sizes(count, sizes):
+    charts = deviation_charts(values("IV", **{f"M{k}": (1.0, 0.1) for k in range(count)}), [])
+    assert [len(chart.names) for chart in charts] == sizes
+    assert max(sizes) <= MAX_ROWS
+    assert len({chart.columns[0].axis.high for chart in charts}) == 1, "on one scale"
+
+
+@pytest.mark.parametrize("essential", [False, True])
+def test_the_chart_of_a_fit_marks_its_essential_parameters(essential):
+    from identification.methods import fitted_parameters
+
+    fit = fitted(made_up(), essential=essential)
+    charts = deviation_charts(fitted_parameters(fit), [])
+    assert [name for chart in charts for name, _ in chart.names] == list(fit.estimate.names)
+    assert {name for c in charts for name, color in c.names if color == ORANGE} == set(fit.essential_names)
+
+
+def test_figures_of_the_trust_tests_have_their_intervals_and_what_was_expected():
+    figures = (Figure(name="shoulder", value=1.2, half_width=0.2, expected=-0.5), Figure(name="elbow", value=-0.5))
+    lag = TrustLine("lag", "caution", "torque late", 1.2, unit="samples", figures=figures)
+    made = TrustLine("ends", "ok", "no outlier", -5.0, limit=20.0)
+    (of_lag,) = trust_charts(Trust(lines=(lag, made)))
+    assert of_lag.legend == (("● value ± 95 %", ORANGE), ("| expected", GREEN))
+    (of_blocks,) = trust_charts(Trust(lines=(replace(lag, figures=figures[1:]),)))
+    assert of_blocks.legend[0] == ("● value", ORANGE), "without intervals none is named"
+    assert of_lag.title == "lag: caution"
+    assert of_lag.names == [("shoulder", LIGHT), ("elbow", LIGHT)]
+    (column,) = of_lag.columns
+    assert column.head == "samples"
+    assert [(m.row, m.value) for m in found(column, shape="tick", color=GREEN)] == [(0, -0.5), (1, 0.0)]
+    assert [(m.row, m.value, m.half) for m in found(column, shape="dot", color=ORANGE)] == [
+        (0, 1.2, 0.2),
+        (1, -0.5, 0.0),
+    ]
+    assert column.axis.low < -0.5
+    assert column.axis.high > 1.4
+
+
+def a_run(number, ls, iv, status="converged"):
+    def fit(error):
+        ends = {"low": np.zeros(2), "high": np.ones(2)}
+        known = {"verdict": "trust", "essential": np.ones(2, dtype=bool), "positive": True}
+        return RunFit(beta=np.ones(2), error=error, **ends, **known)
+
+    return Run(number=number, status=status, ls=fit(ls), iv=None if iv is None else fit(iv))
+
+
+def test_a_study_has_all_errors_by_method_and_the_medians_of_those_that_count():
+    runs = [a_run(k, ls, iv) for k, (ls, iv) in enumerate([(0.1, 0.01), (0.2, 0.03), (0.3, 0.02)])]
+    runs += [a_run(3, 0.9, None, "diverged"), a_run(4, 0.2, 0.9, "max_iterations")]
+    chart = study_chart(runs)
+    assert [name for name, _ in chart.names if name] == ["LS: median 20", "IV: median 2"]
+    (column,) = chart.columns
+    assert [m.value for m in found(column, shape="tick")] == [20.0] * STUDY_ROWS + [2.0] * STUDY_ROWS
+    assert [m.value for m in found(column, shape="cross")] == [10.0, 20.0, 30.0, 90.0, 20.0]
+    assert [m.value for m in found(column, shape="dot")] == [1.0, 3.0, 2.0]
+    assert [m.value for m in found(column, shape="ring")] == [90.0]
+    assert all(-0.5 < m.row < STUDY_ROWS - 0.5 for m in found(column, shape="cross"))
+    assert all(STUDY_ROWS - 0.5 < m.row < 2 * STUDY_ROWS - 0.5 for m in found(column, shape="dot"))
+    assert (column.axis.low, column.axis.high) == (1.0, 100.0)
+    none = [replace(run, ls=None, iv=None) for run in runs]
+    assert [name for name, _ in study_chart(none).names if name] == ["LS", "IV"]
+
+
+def test_spectra_show_a_sine_where_it_is_and_the_cut_offs_of_the_fit():
+    signals = made_up(types=("revolute",))
+    settings = fitted(signals).settings
+    sine = replace(signals, q=1e-3 * np.sin(2 * np.pi * 80.0 * signals.t_s)[:, None])
+    position, effort = spectrum_charts(sine, settings)
+    (curve,) = position.curves
+    assert curve.line[0][curve.line[1].argmax()] == pytest.approx(80.0, rel=0.06), "a band of 40 in a decade"
+    assert set(position.marks.values()) == {"bandwidth 10 Hz", f"low-pass {settings.cutoff_hz:g} Hz"}
+    assert position.marks[settings.cutoff_hz].startswith("low-pass")
+    assert f"decimation {0.4 * FS / settings.decimation:g} Hz" in effort.marks.values()
+    assert position.title == "position [rad/√Hz] over frequency [Hz]"
+    short = replace(signals, t_s=signals.t_s[:10], q=signals.q[:10], effort=signals.effort[:10])
+    assert spectrum_charts(short, None) == []
+    drawn = draw_graph(position)
+    ticks = {text: float(x) for x, text in re.findall(r'middle" x="([\d.]+)" y="194">([^<]+)<', drawn)}
+    marks = {text: float(x) for x, text in re.findall(r'end" x="([\d.]+)" y="[\d.]+">(\w[^<]+ Hz)<', drawn)}
+    per_decade = ticks["100"] - ticks["10"]
+    assert marks["bandwidth 10 Hz"] + 4 == pytest.approx(ticks["10"], abs=0.2)
+    at = ticks["10"] + per_decade * math.log10(settings.cutoff_hz / 10.0)
+    assert marks[f"low-pass {settings.cutoff_hz:g} Hz"] + 4 == pytest.approx(at, abs=0.2)
+    assert "bandwidth" not in draw_graph(replace(position, marks={1e6: "bandwidth 1e6 Hz"})), "beyond the axis"
+
+
+def test_a_joint_that_stands_still_has_a_chart_without_rows(monkeypatch):
+    rows = charts.rigid_torque_at_rows
+    monkeypatch.setattr(charts, "rigid_torque_at_rows", lambda *of: tuple(x * [1.0, 0.0] for x in rows(*of)))
+    _, still = charts.friction_charts(fitted(made_up()))
+    assert sum(len(dots) for dots, _ in still.dots) == 0
+    assert "nan" not in draw_graph(still)
+
+
+def test_rows_are_drawn_where_their_axis_says():
+    marks = [
+        Mark(row=0, value=0.5, half=0.25, color=ORANGE),
+        Mark(row=1, value=0.5, color=GREY, shape="ring"),
+        Mark(row=1.5, value=0.75, color=PURPLE, shape="cross"),
+        Mark(row=2, value=-0.5, color=GREEN, shape="bar"),
+        Mark(row=2, value=0.25, color=SKY, shape="tick"),
+    ]
+    column = Column(head="<head>", axis=linear(-1.0, 1.0, 4), marks=marks, lines=(0.25,))
+    rows = Rows(path=("x",), title="a & b", names=[("one", LIGHT), ("two", LIGHT), ("three", LIGHT)], columns=[column])
+    text = draw_rows(rows)
+    assert 'aria-label="a &amp; b"' in text
+    assert "&lt;head&gt;" in text
+    ticks = {t: float(x) for x, t in re.findall(rf'middle" x="([\d.]+)" y="{HEAD - 5:g}">([^<]+)<', text)}
+    zero, one = ticks["0.0"], ticks["1.0"]
+
+    def path(kind):
+        return [
+            tuple(map(float, re.findall(r"-?[\d.]+", d)[:3])) for d in re.findall(rf'{kind}"[^>]* d="([^"]*)"', text)
+        ]
+
+    def at(value, row):
+        return pytest.approx((zero + value * (one - zero), HEAD + PITCH * (row + 0.5)), abs=0.11)
+
+    (interval,), (dot,) = path("l orange"), path("f orange")
+    assert interval[:2] == at(0.25, 0)
+    assert interval[2] == pytest.approx(zero + 0.75 * (one - zero), abs=0.11)
+    assert dot[:2] == at(0.5, 0)
+    assert path("l grey")[0][:2] == at(0.5, 1)
+    assert path("l purple")[0][:2] == at(0.75, 1.5)
+    (bar,) = path("l green")
+    assert (bar[:2], bar[2]) == (at(0.0, 2), pytest.approx(-0.5 * (one - zero), abs=0.11))
+    assert path("l sky")[0][:2] == at(0.25, 2)
+
+
+def test_a_curve_keeps_its_peaks_and_has_no_more_points_than_pixels():
+    t = np.linspace(0.0, 10.0, 50_001)
+    x = np.sin(t)
+    x[31_234] = 7.0
+    graph = Graph(path=("x",), title="x", curves=(Curve(key="x", color=SKY, line=(t, x)),))
+    (path,) = re.findall(r'd="M(\d+ -?\d+l[^"]*)"', draw_graph(graph))
+    steps = np.array([int(n) for n in re.findall(r"-?\d+", path)]).reshape(-1, 2)
+    xy = steps.cumsum(axis=0) / 2
+    assert len(xy) <= 2 * (RIGHT - LEFT) + 2
+    assert xy[:, 1].argmin() == pytest.approx(len(xy) * 31_234 / 50_001, abs=4)
+    assert xy[:, 0].min() == pytest.approx(LEFT, abs=1)
+    assert xy[:, 0].max() == pytest.approx(RIGHT, abs=1)

@@ -1,0 +1,230 @@
+"""The report as one HTML file: its structure, its colours, the panels of both renderers, and what Chromium does with it."""
+
+import html.parser
+import re
+import shutil
+import time
+from dataclasses import replace
+from functools import cache
+from importlib.resources import files
+
+import numpy as np
+import pytest
+from browser import MISSING, browser
+from conftest import REPLAY
+from fits_of_records import iv_of, ls_of, signals_of
+from pictured_fits import Written
+from scipy import signal
+
+from identification.commands import main
+from identification.view import draw_fit, join_pictures, write_html, write_rrd
+from identification.view.colors import CLASSES, SKY
+from identification.view.panels import Curve, Graph, Log, Plot, Rows, Scene
+from identification.view.panels import Page as PageOfPanels
+from identification.view.signal_panels import _welch
+
+SCARA, TX40 = (REPLAY / robot / "session.mcap" for robot in ("scara", "tx40"))
+VOID = {"meta", "link", "br", "img"}
+needs_chromium = pytest.mark.skipif(MISSING is not None, reason=str(MISSING))
+
+
+class Page(html.parser.HTMLParser):
+    """Tags with their attributes, and texts; every tag is closed."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.tags, self.texts, self._open = [], [], []
+        self.feed(text)
+        self.close()
+        assert self._open == []
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self._open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self._open.pop() == tag
+
+    def handle_data(self, data):
+        if self._open and self._open[-1] != "style":
+            self.texts.append(data)
+
+    def all(self, tag):
+        return [attrs for name, attrs in self.tags if name == tag]
+
+
+@cache
+def picture(record):
+    return draw_fit(signals_of(record), iv_of(record))
+
+
+def page_of(picture, tmp_path):
+    write_html(tmp_path / "report.html", picture)
+    return Page((tmp_path / "report.html").read_text(encoding="utf-8"))
+
+
+@pytest.mark.parametrize("record", [SCARA, TX40], ids=["scara", "tx40"])
+def test_the_file_stands_alone_and_is_small(record, tmp_path):
+    signals, fit = signals_of(record), iv_of(record)
+    start = time.process_time()
+    drawn = draw_fit(signals, fit)
+    page = page_of(drawn, tmp_path)
+    assert time.process_time() - start < 1.0, "0.2 s on a machine with nothing else to do"
+    assert (tmp_path / "report.html").stat().st_size < 1_000_000
+    names = {name for name, _ in page.tags}
+    assert not names & {"script", "img", "link", "iframe", "object", "image", "use"}
+    (policy,) = (meta["content"] for meta in page.all("meta") if meta.get("http-equiv") == "Content-Security-Policy")
+    assert policy == "default-src 'none'; style-src 'unsafe-inline'"
+    text = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert not re.search(r"(href|src)=|url\(|@import|https?:|\bnan\b|\binf\b|NaN", text)
+    for attrs in (attrs for _, attrs in page.tags):
+        assert not any(key.startswith("on") for key in attrs)
+    for svg in page.all("svg"):
+        width, height = (float(x) for x in svg["viewbox"].split()[2:])
+        assert width > 0
+        assert height > 0
+        assert svg["aria-label"]
+    said = " ".join(page.texts)
+    assert f"verdict: {fit.trust.verdict}" in said
+    assert "assumed: drive gains" in said
+    assert signals.sha256 in said
+    assert f"numpy {np.__version__}" in said
+    assert "passes from start" in said
+
+
+def test_the_result_stands_before_the_appendix(tmp_path):
+    write_html(tmp_path / "report.html", picture(TX40))
+    text = (tmp_path / "report.html").read_text(encoding="utf-8")
+    result, appendix = text.split("<details>")
+    assert result.count("<figure") == result.count("<table>") == 1
+    assert result.count("<tr>") == 1 + 10
+    fit = iv_of(TX40)
+    worst = max(fit.errors[:-1], key=lambda error: error.moving_relative_error_percent)
+    assert f"torque of {worst.name}, which has the largest error" in result
+    measured, model, rest = (curve.line[1] for curve in picture(TX40).first.curves)
+    np.testing.assert_allclose(measured - model, rest)
+    assert np.abs(rest).max() < 0.5 * np.abs(measured).max()
+    badge = result.split("border-radius")[1].split("</span>")[0]
+    assert badge.endswith(f">{fit.trust.verdict}")
+    assert f"{fit.errors[-1].moving_relative_error_percent:.2g} %" in result
+    assert appendix.count("<figure") > 20
+
+
+def test_rerun_shows_what_is_over_time_and_html_all_but_the_robot(tmp_path):
+    drawn = picture(SCARA)
+    write_rrd(tmp_path / "fit.rrd", drawn)
+    views = {origin.replace("\\", "") for origin in Written(tmp_path / "fit.rrd").views}
+    panels = [panel for page in drawn.pages for group in page.groups.values() for panel in group]
+    assert views == {"/report"} | {
+        "/" + "/".join(panel.path) for panel in panels if isinstance(panel, Plot | Log | Scene)
+    }
+    captions = page_of(drawn, tmp_path).all("figure")
+    figures = [panel for panel in panels if not isinstance(panel, Scene)]
+    assert {type(panel) for panel in figures} == {Plot, Log, Graph, Rows}
+    assert len(captions) == len(figures) + 1 > 20  # the first one again, with its title
+    text = (tmp_path / "report.html").read_text(encoding="utf-8")
+    places = [text.index(f"<figcaption>{panel.title}") for panel in figures]
+    assert places == sorted(places), "in the order of the pages"
+
+
+def test_the_report_of_several_recordings_has_the_signals_of_each(tmp_path):
+    drawn = picture(SCARA)
+    both = join_pictures([drawn, draw_fit(signals_of(SCARA), ls_of(SCARA))])
+    names = [page.name for page in both.pages]
+    assert names[: len(drawn.pages)] == [page.name for page in drawn.pages]
+    assert {name.split(":")[0] for name in names[len(drawn.pages) :]} == {
+        "overview", "residual", "signal", "motion",
+    }  # fmt: skip
+
+
+def test_a_legend_names_what_is_drawn_once(tmp_path):
+    line = np.arange(3.0), np.arange(3.0)
+    shown = [Curve(key=key, name=name, color=SKY, line=line) for key, name in (("a", "edge"), ("b", "edge"), ("c", ""))]
+    plot = Plot(path=("x",), title="x", curves=tuple(shown))
+    drawn = replace(picture(SCARA), pages=(PageOfPanels(name="x", groups={"x": [plot]}),))
+    page = page_of(drawn, tmp_path)
+    assert [text for text in page.texts if text in ("edge", "c")] == ["edge", "c"]
+    assert (tmp_path / "report.html").read_text().count('<path class="l sky"') == 3
+
+
+@pytest.mark.parametrize("length", [400, 401])
+def test_a_spectrum_is_that_of_welch(length):
+    x = np.random.default_rng(1).standard_normal(1700).cumsum()
+    expected = signal.welch(x, 250.0, nperseg=length, detrend="linear")[1]
+    np.testing.assert_allclose(_welch(x, length, 250.0), expected, rtol=1e-9, atol=1e-12 * expected.max())
+
+
+def luminance(code):
+    shares = [int(code[k : k + 2], 16) / 255 for k in (1, 3, 5)]
+    linear = [s / 12.92 if s <= 0.04045 else ((s + 0.055) / 1.055) ** 2.4 for s in shares]
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+
+
+def test_every_colour_has_a_contrast_of_4_5_to_1_in_light_and_dark():
+    style = files("identification.view").joinpath("report.css").read_text(encoding="utf-8")
+    light, dark = (
+        dict(re.findall(r"--(\w+): (#\w{6})", part)) for part in style.split("@media (prefers-color-scheme: dark)")
+    )
+    for colors in (light, dark):
+        assert set(CLASSES.values()) | {"text", "ground", "line"} == set(colors)
+        for name in [*CLASSES.values(), "text"]:
+            low, high = sorted(luminance(colors[key]) for key in (name, "ground"))
+            assert (high + 0.05) / (low + 0.05) >= 4.5, name
+        assert len({colors[name] for name in CLASSES.values()}) == len(CLASSES)
+
+
+@pytest.mark.parametrize("ending", ["md", "html", "pdf"])
+def test_commands_write_their_report(ending, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    scara = REPLAY / "scara"
+    shutil.copy(SCARA, tmp_path / "log.mcap")
+    runs = {
+        "fit": ["fit", "log.mcap"],
+        "validate": ["validate", scara / "fit.json", "log.mcap"],
+        "compare": ["compare", scara / "fit.json", scara / "truth.json"],
+        "friction": ["friction", "log.mcap"],
+        "sensitivity": ["sensitivity", "log.mcap", "--position-noise", "1e-4"],
+        "study": ["study", scara / "robot.toml", "--runs", "2", "--duration-s", "3", "--workers", "1"],
+        "excite": ["excite", scara / "robot.toml", "-o", "ref.csv", "--harmonics=2", "--periods=1", "--period=3"],
+    }
+    for name, arguments in runs.items():
+        status = main([*map(str, arguments), "--report", f"{name}.{ending}"])
+        captured = capsys.readouterr()
+        assert status == (1 if ending == "pdf" else 0), (name, captured.err)
+        assert (tmp_path / f"{name}.{ending}").exists() == (ending != "pdf"), name
+        if ending == "html":
+            page = Page((tmp_path / f"{name}.html").read_text(encoding="utf-8"))
+            assert page.all("svg"), name
+            assert page.all("h1"), name
+        if ending == "pdf":
+            assert "expected .md or .html" in captured.err
+
+
+@needs_chromium
+@pytest.mark.parametrize("record", [SCARA, TX40], ids=["scara", "tx40"])
+def test_chromium_shows_it_without_requests_messages_or_sideways_scroll(record, tmp_path):
+    file = tmp_path / "report.html"
+    write_html(file, picture(record))
+    with browser() as window:
+        for width, scheme in ((1280, "light"), (400, "dark")):
+            window.requests()
+            window.open(file, width=width, scheme=scheme)
+            assert window.requests() == [file.as_uri()]
+            assert window.console() == []
+            assert window.run("return [innerWidth, document.documentElement.scrollWidth]") == [width, width]
+            assert window.run(
+                "return [...document.querySelectorAll('path.l')].filter(p => p.getBBox().width <= 1 && "
+                "p.getBBox().height <= 1 || parseFloat(getComputedStyle(p).strokeWidth) < .5).length"
+            ) == 0  # fmt: skip
+            ground = "return getComputedStyle(document.body).backgroundColor"
+            assert window.run(ground) == {"light": "rgb(255, 255, 255)", "dark": "rgb(18, 18, 18)"}[scheme]
+            assert "NaN" not in window.run("return document.documentElement.outerHTML")
+        pages = len(re.findall(rb"/Type\s*/Page\b[^s]", window.pdf()))
+        assert 4 <= pages <= 22, "at most two of the result, then the appendix, which is opened in print"
+        window.cdp("Emulation.setEmulatedMedia", media="print")
+        inside = "return [...document.querySelectorAll('figure')].map(f => getComputedStyle(f).breakInside)"
+        assert set(window.run(inside)) == {"avoid"}
+        # Less than the 186 mm that a page of A4 across has within its margins: no figure has to be cut.
+        window.cdp("Emulation.setDeviceMetricsOverride", width=1032, height=703, deviceScaleFactor=1, mobile=False)
+        assert max(window.run("return [...document.querySelectorAll('figure')].map(f => f.offsetHeight)")) < 700

@@ -1,0 +1,274 @@
+"""The Rerun file of a fit: its layout shows only what is there, and what is there is what was measured and modelled."""
+
+import re
+import resource
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from pictured_fits import FS, Written, fitted, fitted_iv, made_up, scara
+
+from acquisition.errors import RobotIdimError
+from identification.model import InverseModel
+from identification.regression import Decimation, FilteredMotion, differentiate, predicted_torque
+from identification.view import curves, draw_fit, rerun_panels, write_rrd
+from identification.view.curves import extremes, readable_unit
+
+
+@pytest.fixture
+def written(tmp_path):
+    def write(signals, fit=None, name="fit.rrd", **others):
+        write_rrd(tmp_path / name, draw_fit(signals, fit or fitted(signals), **others))
+        return Written(tmp_path / name)
+
+    return write
+
+
+CASES = {
+    "two joints": {},
+    "one sliding joint, with reference": {"types": ("prismatic",), "reference": True},
+    "one joint in A": {"types": ("revolute",), "unit": "A"},
+    "seven joints": {"types": ("revolute",) * 7},
+    "hardly any noise": {"noise": 0.0},
+    "long": {"types": ("revolute",), "samples": 25_000},
+}
+
+
+@pytest.mark.parametrize("case", CASES.values(), ids=CASES)
+def test_every_panel_of_the_layout_has_data_and_all_data_a_panel(case, written):
+    signals = made_up(**case)
+    file = written(signals)
+    n, errors = signals.robot.n, signals.robot.n * (signals.q_ref is not None)
+    assert sorted(kind for kind, _ in file.views.values()) == ["3D", "TextDocument"] + ["TimeSeries"] * (5 * n + errors)
+    assert file.is_complete()
+    assert "## verdict: " in file.static["/report"]["TextDocument:text"][0]
+
+
+def error_scale(title, name, unit):
+    """What an error of 1 rad or 1 m is drawn as, by its plot's title."""
+    return {f"position error {name} [{p}{unit}]": factor for p, factor in (("", 1.0), ("m", 1e3), ("µ", 1e6))}[title]
+
+
+IV_CASES = {
+    "two joints": scara,
+    "one sliding joint, with reference": lambda: made_up(types=("prismatic",), reference=True),
+    "one joint": lambda: made_up(types=("revolute",)),
+}
+
+
+@pytest.mark.parametrize("case", IV_CASES.values(), ids=IV_CASES)
+def test_a_fit_by_instruments_shows_the_simulated_robot(case, written):
+    signals = case()
+    fit, ls = fitted_iv(signals), fitted(signals)
+    file = written(signals, fit, truth=ls.beta)
+    n = signals.robot.n
+    assert sorted(kind for kind, _ in file.views.values()) == ["3D", "TextDocument"] + ["TimeSeries"] * 6 * n
+    assert file.is_complete()
+    simulated, name = fit.replica.motion, signals.robot.joints[0].name
+    k, x = file.curve("q", name, "simulated")
+    np.testing.assert_array_equal(k, np.rint(simulated.t_s * FS))
+    np.testing.assert_allclose(x, simulated.q[:, 0])
+    titles = {origin: title for origin, (_, title) in file.views.items()}
+    per_unit = error_scale(titles[f"/error/{name}".replace(" ", "\\ ")], name, signals.robot.joints[0].position_unit)
+    k, x = file.curve("error", name, "simulated")
+    np.testing.assert_allclose(x / per_unit, simulated.q[:, 0] - fit.replica.q[:, 0])
+    np.testing.assert_allclose(signals.q[k, 0] + x / per_unit, simulated.q[:, 0], atol=1e-3 * np.ptp(signals.q[:, 0]))
+    if signals.q_ref is not None:
+        k, x = file.curve("error", name, "reference")
+        np.testing.assert_allclose(x / per_unit, (signals.q_ref - signals.q)[k, 0])
+    text = file.static["/report"]["TextDocument:text"][0]
+    assert "simulated robot against the recording" in text
+    assert "passes from start" in text
+    assert "IV and LS" in text
+    assert "IV and true" in text
+
+
+def test_a_robot_that_cannot_be_simulated_has_no_ghost(written):
+    fit = fitted_iv(made_up())
+    assert (fit.status, fit.replica.direct) == ("not_confirmed", ())
+    file = written(made_up(), fit)
+    assert file.is_complete()
+    assert not any("simulated" in path for path in [*file.curves, *file.moving])
+    assert fit.iv.reason in file.static["/report"]["TextDocument:text"][0]
+
+
+def test_titles_say_joint_and_unit(written):
+    titles = {origin: title for origin, (_, title) in written(made_up(types=("prismatic", "revolute"))).views.items()}
+    assert titles["/torque/joint\\ 1.x"] == "torque joint 1.x [N]"
+    assert titles["/torque/joint\\ 2.x"] == "torque joint 2.x [N m]"
+    assert titles["/residual/joint\\ 1.x"] == "residual joint 1.x [N]"
+    assert titles["/ddq/joint\\ 1.x"] == "ddq joint 1.x [m/s²]"
+    assert titles["/q/joint\\ 2.x"] == "q joint 2.x [rad]"
+    in_amperes = written(made_up(types=("revolute",), unit="A"), name="a.rrd").views
+    assert in_amperes["/torque/joint\\ 1.x"][1] == "torque joint 1.x [A]"
+
+
+@pytest.mark.parametrize(
+    ("peak", "expected"),
+    [(2.0, (1.0, "rad")), (0.5, (1e3, "mrad")), (1e-3, (1e3, "mrad")), (9e-4, (1e6, "µrad")), (0.0, (1.0, "rad"))],
+)
+def test_errors_are_in_a_readable_unit(peak, expected):
+    assert readable_unit(peak, "rad") == expected
+
+
+def test_joints_of_one_kind_share_the_unit_of_their_errors(written):
+    signals = made_up(types=("revolute", "prismatic", "revolute"), reference=True)
+    q_ref = signals.q + np.array([2e-3, 3e-5, 5e-6])
+    file = written(replace(signals, q_ref=q_ref), fitted(signals))
+    titles = [file.views[f"/error/joint\\ {j}.x"][1] for j in (1, 2, 3)]
+    assert titles == [f"position error joint {j}.x [{unit}]" for j, unit in ((1, "mrad"), (2, "µm"), (3, "mrad"))]
+    for j, error in enumerate([2.0, 30.0, 5e-3], 1):
+        np.testing.assert_allclose(file.curve("error", f"joint {j}.x", "reference")[1], error, rtol=1e-6)
+
+
+def test_short_curves_are_written_sample_by_sample(written):
+    signals = made_up(reference=True)
+    fit, file = fitted(signals), written(signals)
+    plan = fit.settings
+    span = np.arange(plan.start, plan.stop)
+    whole = FilteredMotion(signals).between(plan.start, plan.stop, plan.cutoff_hz)  # in one pass
+    for j, joint in enumerate(signals.robot.joints):
+        assert not any(
+            path.startswith(f"/{d}/") and path.endswith("/measured") for d in ("dq", "ddq") for path in file.curves
+        )
+        expected = {
+            ("torque", "measured"): (np.arange(len(signals.q)), signals.effort),
+            ("q", "measured"): (np.arange(len(signals.q)), signals.q),
+            ("q", "reference"): (np.arange(len(signals.q)), signals.q_ref),
+            ("q", "measured_filtered"): (span, whole.q),
+            ("dq", "measured_filtered"): (span, whole.dq),
+            ("ddq", "measured_filtered"): (span, whole.ddq),
+        }
+        for (quantity, key), (samples, values) in expected.items():
+            k, x = file.curve(quantity, joint.name, key)
+            np.testing.assert_array_equal(k, samples)
+            np.testing.assert_allclose(x, values[:, j], rtol=1e-9, atol=1e-9 * np.abs(values).max())
+
+
+def test_the_residual_is_the_one_whose_error_is_reported(written):
+    signals = made_up()
+    fit, file = fitted(signals), written(signals)
+    decimation = Decimation(factor=fit.settings.decimation)
+    Y = decimation.filtered(signals.effort[fit.settings.start : fit.settings.stop].T)
+    motion = FilteredMotion(signals).between(fit.settings.start, fit.settings.stop, fit.settings.cutoff_hz)
+    predicted = predicted_torque(motion, InverseModel(signals.robot), fit.base, fit.beta)
+    for j, joint in enumerate(signals.robot.joints):
+        k, rho = file.curve("residual", joint.name, "residual")
+        assert 100 * np.linalg.norm(rho) / np.linalg.norm(Y[j]) == pytest.approx(fit.errors[j].relative_error_percent)
+        np.testing.assert_allclose(rho, Y[j] - decimation.filtered(predicted[:, j]), atol=1e-9 * np.abs(Y[j]).max())
+        np.testing.assert_array_equal(file.curve("torque", joint.name, "residual")[1], rho)
+        assert k[-1] == fit.settings.stop - 1
+        assert set(np.diff(k)) == {fit.settings.decimation}
+
+
+def test_blocks_of_a_long_recording_leave_no_seam(written, monkeypatch):
+    signals = made_up()
+    whole = written(signals)
+    monkeypatch.setattr(curves, "_BLOCK", 700)
+    blocks = written(signals, name="blocks.rrd")
+    assert whole.curves.keys() == blocks.curves.keys()
+    for path, (t, x) in whole.curves.items():
+        np.testing.assert_array_equal(blocks.curves[path][0], t)
+        np.testing.assert_allclose(blocks.curves[path][1], x, rtol=1e-9, atol=1e-9 * np.abs(x).max())
+
+
+@pytest.mark.parametrize(("N", "step"), [(1, 1), (10, 1), (10, 3), (99, 9), (1000, 7), (5, 9)])
+def test_thinning_keeps_both_extremes_of_every_bucket(N, step):
+    x = np.random.default_rng(N).standard_normal(N)
+    k = extremes(x, step)
+    assert (np.diff(k) > 0).all()
+    if step == 1:
+        np.testing.assert_array_equal(k, np.arange(N))
+    assert len(k) <= 2 * (N // step) + N % step or step == 1
+    for a in range(0, N, step):
+        kept, bucket = x[k[(k >= a) & (k < a + step)]], x[a : a + step]
+        assert kept.min() == bucket.min()
+        assert kept.max() == bucket.max()
+
+
+def test_long_curves_are_bounded_and_lose_no_peak(written, tmp_path):
+    signals = made_up(types=("revolute",), samples=25_000)
+    fit = fitted(signals)
+    effort = signals.effort.copy()
+    effort[12_345] = 10 * effort.max()
+    spiked = replace(signals, effort=effort)
+    file = written(spiked, fit)
+    k, x = file.curve("torque", "joint 1.x", "measured")
+    np.testing.assert_array_equal(x, effort[k, 0])
+    assert x[k == 12_345] == effort.max()
+    assert k[0] < 5
+    assert k[-1] > len(effort) - 6
+    step = -(-25_000 // 5000)
+    assert all(len(t) <= 2 * 5000 + step for t, _ in file.curves.values())
+    assert (tmp_path / "fit.rrd").stat().st_size < 4e6
+
+
+def test_what_was_not_recorded_or_done_is_not_shown(written):
+    signals = made_up()
+    assert not any(path.endswith("reference") for path in written(signals).curves)
+    unfiltered = written(signals, fitted(signals, cutoff_hz=0.0), name="b.rrd")
+    k, speed = unfiltered.curve("dq", "joint 1.x", "measured")
+    np.testing.assert_allclose(speed, differentiate(signals.q, FS)[k, 0], atol=1e-9 * np.abs(speed).max())
+    assert not any(path.endswith("filtered") for path in unfiltered.curves)
+    assert all(unfiltered.holds(origin, kind) for origin, (kind, _) in unfiltered.views.items())
+
+
+def test_a_fit_that_leaves_nothing_has_no_residual_page(written):
+    signals = made_up()
+    fit = fitted(signals)
+    nothing = np.zeros((200, 2))
+    rows = {"t_s": signals.t_s[:200], "tau": nothing, "tau_predicted": nothing, "speed": nothing}
+    views = written(signals, replace(fit, **rows)).views
+    assert not any(origin.startswith("/residual") for origin in views)
+    assert len(views) == 4 * signals.robot.n + 2
+
+
+def test_the_report_tells_result_settings_and_parameters(written):
+    signals = made_up(types=("revolute",), unit="A")
+    fit = fitted(signals)
+    text = written(signals).static["/report"]["TextDocument:text"][0]
+    moving = fit.errors[-1].moving_relative_error_percent
+    assert text.startswith(
+        f"# made up: WLS (as requested), solved, {fit.trust.verdict}: {fit.trust.finding}; {moving:.3g} %"
+    )
+    for warning in fit.warnings:
+        assert f"warning: {warning}" in text
+    assert fit.warnings, "the drive gain is not known"
+    for name, value, unit in zip(fit.estimate.names, fit.estimate.beta, fit.base.units, strict=True):
+        (row,) = re.findall(rf"^\| {name} \| ([^ ]+) \|", text, flags=re.MULTILINE)
+        assert float(row) == pytest.approx(value, rel=1e-3)
+        assert f"| {unit} |" in text
+    for part in ("made_up.mcap", "0" * 64, "low-pass 50 Hz", "WLS"):
+        assert part in text
+
+
+def test_each_fit_is_an_application_of_its_own(written):
+    """A viewer has one layout per application: another fit's titles would stand over this one's curves."""
+    signals = made_up()
+    files = [written(signals, fit) for fit in (fitted(signals), fitted(signals), fitted(signals, cutoff_hz=30.0))]
+    assert files[0].application == files[1].application != files[2].application
+
+
+def test_a_disk_that_fills_up_leaves_what_was_there(tmp_path):
+    path = tmp_path / "fit.rrd"
+    path.write_bytes(b"before")
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, limits[1]))
+    try:
+        with pytest.raises(RobotIdimError, match="cannot be written"):
+            write_rrd(path, draw_fit(made_up(), fitted(made_up())))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert path.read_bytes() == b"before"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_failure_half_way_leaves_nothing_and_is_silent(tmp_path, monkeypatch, capfd):
+    def fail(*_, **__):
+        raise ValueError("half way")
+
+    monkeypatch.setattr(rerun_panels, "_arrange", fail)
+    with pytest.raises(ValueError, match="half way"):
+        write_rrd(tmp_path / "fit.rrd", draw_fit(made_up(), fitted(made_up())))
+    assert list(tmp_path.iterdir()) == []
+    assert capfd.readouterr() == ("", "")

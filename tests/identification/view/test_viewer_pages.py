@@ -1,0 +1,390 @@
+"""The rest of the Rerun files: robots, sessions, recordings not fitted, two fits side by side, and the commands."""
+
+import json
+import time
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+
+import msgspec
+import numpy as np
+import pinocchio as pin
+import pytest
+from conftest import REPLAY, robot_named
+from fits_of_records import iv_of, signals_of
+from pictured_fits import Written, fitted, fitted_iv, made_up, scara, urdf_robot, values
+from scipy.spatial.transform import Rotation
+
+from identification.commands import main
+from identification.data import load_signals
+from identification.errors import RobotIdimError
+from identification.model import InverseModel
+from identification.regression import Overrides
+from identification.report import Parameter, ParameterSet, comparison_section, differences
+from identification.view import draw_fit, draw_recording, write_rrd
+from identification.view.colors import COMPARED, JOINTS, MEASURED, PREDICTED, REFERENCE, RESIDUAL, SIMULATED
+from identification.view.curves import column_plots
+from identification.view.rerun_panels import shown_text
+from identification.view.robot_drawing import pose_stride, robot_scene
+from identification.view.signal_panels import event_logs, health_plots
+
+SESSION = REPLAY / "scara" / "session.mcap"
+
+
+@pytest.mark.parametrize("name", ["scara", "tx40", "emps"])
+def test_a_robot_is_drawn_from_its_table(name):
+    robot = robot_named(name)
+    rng = np.random.default_rng(1)
+    q = 0.2 * np.cumsum(rng.standard_normal((400, robot.n)), axis=0) / 20
+    signals = replace(
+        made_up(), t_s=np.arange(400) / 1000.0, q=q, effort=np.zeros_like(q), robot=robot, events=(), health={}
+    )
+    scene = robot_scene(signals, None)
+    links = ET.fromstring(scene.urdf).findall("link")
+    assert len(links) == robot.n + 1
+    assert all(link.find("visual/geometry") is not None for link in links), "base and every link have something to show"
+    (robot_shown,) = scene.robots
+    assert np.diff(robot_shown.t_s).min() > 0.99 / 50
+    model = pin.buildModelFromXML(scene.urdf)
+    order = [model.joints[model.getJointId(joint)].idx_v for joint in scene.joints]
+    data, places = model.createData(), InverseModel(robot).placements(robot_shown.q)[0]
+    for qk, expected in zip(robot_shown.q, places, strict=True):
+        moved = np.zeros(model.nv)
+        moved[order] = qk
+        pin.forwardKinematics(model, data, pin.integrate(model, pin.neutral(model), moved))
+        at = [data.oMi[model.getJointId(joint)].translation for joint in scene.joints]
+        np.testing.assert_allclose(at, expected, atol=1e-9)
+
+
+def test_poses_are_as_many_as_a_screen_shows():
+    assert pose_stride(45_000, 5000.0) == 100
+    assert pose_stride(100, 20.0) == 1
+    assert 10_000_000 / pose_stride(10_000_000, 1000.0) <= 15_000
+
+
+@pytest.fixture
+def mesh(tmp_path):
+    """A tetrahedron as a binary STL in a ROS package `arm`."""
+    corners = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.4]], dtype="<f4")
+    faces = np.zeros(4, np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "<u2")]))
+    faces["corners"] = corners[[[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]]
+    file = tmp_path / "src" / "arm" / "meshes" / "l.STL"
+    file.parent.mkdir(parents=True)
+    file.write_bytes(bytes(80) + np.uint32(4).tobytes() + faces.tobytes())
+    return file
+
+
+PLACES = {
+    "a box": ("", {}),
+    "absolute path": ("{mesh}", {}),
+    "file": ("file://{mesh}", {}),
+    "package among sources": ("package://arm/meshes/l.STL", {"ROS_PACKAGE_PATH": "/nowhere:{src}"}),
+    "package itself": ("package://arm/meshes/l.STL", {"ROS_PACKAGE_PATH": "{src}/arm"}),
+    "installed package": ("package://arm/meshes/l.STL", {"AMENT_PREFIX_PATH": "{src}"}),
+    "package that is not there": ("package://arm/meshes/l.STL", {"ROS_PACKAGE_PATH": "/nowhere"}),
+    "another mesh": ("package://arm/meshes/m.stl", {"ROS_PACKAGE_PATH": "{src}"}),
+    "relative name": ("meshes/l.STL", {}),
+    "not a mesh": ("file://{mesh}.txt", {}),
+}
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_a_urdf_shows_its_shapes_and_a_mesh_where_its_file_is_found(place, mesh, tmp_path, monkeypatch, capfd):
+    name, variables = PLACES[place]
+    mesh.with_name("l.STL.txt").write_text("text")
+    folder = tmp_path / "src"
+    if "AMENT_PREFIX_PATH" in variables:
+        (folder / "share").mkdir()
+        (folder / "arm").rename(folder / "share" / "arm")
+    for variable in ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH"):
+        monkeypatch.setenv(variable, variables.get(variable, "").format(src=folder))
+    monkeypatch.chdir(mesh.parents[1] if mesh.exists() else tmp_path)  # a relative name is not relative to this
+    robot = urdf_robot(f"<mesh filename='{name.format(mesh=mesh)}'/>" if name else "<box size='.1 .1 .4'/>")
+    collision = "<collision><geometry><mesh filename='/nowhere/c.stl'/></geometry></collision></link>"
+    robot = replace(robot, urdf=robot.urdf.replace("</link>", collision))
+    signals = replace(made_up(types=("revolute", "revolute")), robot=robot)
+    write_rrd(tmp_path / "view.rrd", draw_recording(signals, Overrides()))
+    file = Written(tmp_path / "view.rrd")
+    assert name or file.is_complete()
+    own = [columns for path, columns in file.static.items() if "/robot/measured/visual_geometries/l2" in path]
+    found = place in list(PLACES)[:6]
+    assert (len(own) > 0) == found
+    assert any(any(name.startswith("Asset3D:blob") for name in columns) for columns in own) == (found and name != "")
+    made = any("/robot/measured/visual_geometries/link_2" in path for path in file.static)
+    assert made != found, "lines where the mesh is not found"
+    moved = [path for path, columns in file.moving.items() if "Transform3D:quaternion" in columns]
+    assert len(moved) == 2, "one for each joint"
+    assert capfd.readouterr() == ("", "")
+
+
+def test_both_robots_stand_where_their_data_says(tmp_path):
+    signals = scara()
+    fit = fitted_iv(signals)
+    write_rrd(tmp_path / "fit.rrd", draw_fit(signals, fit))
+    file = Written(tmp_path / "fit.rrd")
+    for key, t_s, q in (
+        ("measured", signals.t_s, signals.q),
+        ("simulated", fit.replica.motion.t_s, fit.replica.motion.q),
+    ):
+        first, second = (file.moving[f"/robot/{key}/joints/{j}"] for j in (1, 2))
+        at = np.array([t.total_seconds() for t in first["time"]])
+        k = np.array([np.abs(t_s - t).argmin() for t in at])
+        places, _ = InverseModel(signals.robot).placements(q[k])
+        turns = Rotation.from_quat(np.array(first["Transform3D:quaternion"])[:, 0])
+        elbow = np.array(first["Transform3D:translation"])[:, 0]
+        elbow = elbow + turns.apply(np.array(second["Transform3D:translation"])[:, 0])
+        np.testing.assert_allclose(elbow, places[:, 1], atol=1e-6)
+    assert file.moving["/robot/simulated/joints/2"]["time"][0].total_seconds() == 0.0, (
+        "never at the origin for want of a pose"
+    )
+
+
+def event(**values):
+    return replace(signals_of(SESSION).events[0], **values)
+
+
+def eventful(signals):
+    t_s = np.array([-1.0, 0.0, 1.0, 2.0, 99.0])
+    return replace(
+        signals,
+        events=(
+            event(t_s=-3.0, kind="phase", text="configure"),
+            event(t_s=-1.0, kind="phase", text="settle"),
+            event(t_s=0.5, kind="phase", text="track"),
+            event(t_s=1.0, kind="fault", text="drive 2: following error"),
+            event(t_s=99.0, kind="phase", text="stop"),
+        ),
+        health={"frames": (t_s, 100 * t_s), "late": (t_s, np.array([0, 0, 2, 2, 3.0])), "lost": (t_s, t_s * np.nan)},
+    )
+
+
+def test_events_and_counters_of_a_session_are_shown(tmp_path):
+    signals = eventful(made_up())
+    write_rrd(tmp_path / "fit.rrd", draw_fit(signals, fitted(made_up())))
+    file = Written(tmp_path / "fit.rrd")
+    assert file.is_complete()
+    assert "TextLog" in {kind for kind, _ in file.views.values()}
+    end_s = signals.t_s[-1]
+    (log,), (plot,) = event_logs(signals), health_plots(signals)
+    lines = log.lines
+    assert lines[0] == (0.0, False, "-3.000 s  phase: configure (before the samples)")
+    assert lines[3] == (1.0, True, "1.000 s  fault: drive 2: following error")
+    assert plot.title == "fault counters: late 3"
+    assert "- recorder: frames 9900, late 3\n" in file.static["/report"]["TextDocument:text"][0]
+    ((late, counts),) = [c.line for c in plot.curves]
+    np.testing.assert_allclose(late, [0.0, 0.0, 1.0, 2.0, end_s])
+    np.testing.assert_allclose(counts, [0, 0, 2, 2, 3])
+
+
+def test_columns_beside_position_and_effort_are_on_the_signal_page_where_they_are_recorded():
+    plain = made_up(types=("revolute", "prismatic"))
+    robot = plain.robot
+    columns = {name: k + plain.q for k, name in enumerate(("velocity", "known_torque", "feedforward"), 1)}
+    whole = replace(plain, **columns)
+    joints, motors = [j.name for j in robot.joints], [m.name for m in robot.motors]
+    plots = column_plots(whole)
+    assert [plot.title for plot in plots[:2]] == ["velocity measured", "known torque"]
+    assert [curve.name for curve in plots[0].curves] == [f"{joints[0]} [rad/s]", f"{joints[1]} [m/s]"]
+    assert [curve.name for curve in plots[1].curves] == [f"{joints[0]} [N m]", f"{joints[1]} [N]"]
+    for plot, name, keys in zip(plots, columns, (joints, joints, motors), strict=True):
+        assert [curve.key for curve in plot.curves] == keys
+        for c, curve in enumerate(plot.curves):
+            t_s, x = curve.line
+            np.testing.assert_array_equal(x, columns[name][np.searchsorted(plain.t_s, t_s), c])
+            assert x.max() == columns[name][:, c].max()
+    assert column_plots(plain) == []
+    alike = made_up(types=("revolute", "revolute"))
+    (only,) = column_plots(replace(alike, known_torque=alike.q))
+    assert (only.path, only.title) == (("column", "known_torque"), "known torque [N m]")
+    (only,) = column_plots(replace(alike, feedforward=alike.q))
+    assert only.title == f"feed-forward [{alike.robot.motors[0].recorded_unit}]"
+    for signals, shown in ((whole, 3), (plain, 0)):
+        (page,) = (page for page in draw_recording(signals, Overrides()).pages if page.name == "signal")
+        assert len(page.groups["column"]) == shown
+
+
+def test_a_recording_gives_its_events_in_seconds_of_its_samples(tmp_path):
+    from acquisition.recording import Header, RecordingWriter, read_recording
+
+    recording, path = read_recording(SESSION), tmp_path / "log.mcap"
+    samples = np.array(recording.samples[:3000])
+    samples["stamp_ns"] += 5_000_000_000 - samples["stamp_ns"][0]
+    with RecordingWriter(
+        path, Header(robot=recording.robot, source="t", sample_rate_hz=1000.0, effort_provenance="t")
+    ) as writer:
+        writer.event(4_000_000_000, "phase", "track")
+        writer.samples(samples)
+        writer.health(6_000_000_000, {"late": 2.0})
+    signals = load_signals(path)
+    assert signals.events == (event(t_s=-1.0, kind="phase", text="track"),)
+    np.testing.assert_allclose(signals.health["late"], [[1.0], [2.0]])
+
+
+VIEWS = {
+    "two joints": {},
+    "one sliding joint, with reference": {"types": ("prismatic",), "reference": True},
+    "seven joints": {"types": ("revolute",) * 7},
+    "short": {"samples": 40},
+    "two samples": {"samples": 2},
+}
+
+
+@pytest.mark.parametrize("case", VIEWS.values(), ids=VIEWS)
+def test_a_recording_that_is_not_fitted_is_shown(case, tmp_path):
+    signals = made_up(**{**case, "samples": 4000})
+    N = case.get("samples", 4000)
+    if N < 4000:
+        signals = replace(signals, t_s=signals.t_s[:N], q=signals.q[:N], effort=signals.effort[:N])
+    write_rrd(tmp_path / "view.rrd", draw_recording(signals, Overrides()))
+    file = Written(tmp_path / "view.rrd")
+    assert file.is_complete()
+    kinds = [kind for kind, _ in file.views.values()]
+    n = signals.robot.n
+    assert kinds.count("TimeSeries") == n * (4 + (signals.q_ref is not None))
+    assert "3D" in kinds
+    text = file.static["/report"]["TextDocument:text"][0]
+    assert ("cannot be fitted" in text) == (N < 4000)
+
+
+def test_a_robot_that_stands_still_is_shown(tmp_path):
+    signals = made_up()
+    still = replace(signals, q=np.zeros_like(signals.q), effort=np.zeros_like(signals.effort))
+    write_rrd(tmp_path / "view.rrd", draw_recording(still, Overrides()))
+    file = Written(tmp_path / "view.rrd")
+    assert file.is_complete()
+    assert "no joint moves" in file.static["/report"]["TextDocument:text"][0]
+
+
+def test_differences_are_in_deviations_of_the_difference():
+    a, b = (
+        values("A", M1=(2.0, 0.3), M2=(1.0, 0.0), M4=(1.0, 0.1)),
+        values("B", M1=(1.0, 0.4), M2=(1.0, 0.0), M3=(5.0, 1.0)),
+    )
+    rows = {row.name: row for row in differences(a, b)}
+    assert list(rows) == ["M1", "M2", "M4", "M3"]
+    assert rows["M1"].off_sigma == pytest.approx(2.0)
+    assert rows["M1"].off_percent == pytest.approx(100.0)
+    assert rows["M2"].off_sigma is None
+    assert (rows["M3"].a, rows["M3"].off, rows["M4"].b) == (None, None, None)
+    by_name, _, *alone = comparison_section(a, b).lines
+    assert "matched by name" in by_name
+    assert alone == ["only in A: M4", "only in B: M3"]
+    with pytest.raises(RobotIdimError, match="no parameter in common"):
+        differences(a, values("C", M9=(1.0, 1.0)))
+
+
+def test_where_there_are_intervals_they_are_the_deviations_to_judge_by():
+    """Intervals of 2.0 ± 0.6 and 1.0 ± 0.8: the difference is one of two whose halves add up to 1, so 1.96 deviations."""
+    a = Parameter(name="M1", value=2.0, low=1.4, high=2.6, unit="kg", sigma=0.01)
+    b = Parameter(name="M1", value=1.0, low=0.2, high=1.8, unit="kg", sigma=5.0)
+    (row,) = differences(ParameterSet(label="A", parameters={"M1": a}), ParameterSet(label="B", parameters={"M1": b}))
+    assert row.off_sigma == pytest.approx(1.96)
+    without = Parameter(name="M1", value=1.0, unit="kg", sigma=0.2)
+    assert (without.half, without.spread) == (pytest.approx(1.96 * 0.2), pytest.approx(0.2))
+    earlier = Parameter(name="M1", value=1.0, unit="kg", sigma=0.2, sigma_hac=0.3)  # in files of earlier versions
+    assert earlier.spread == pytest.approx(0.3)
+    assert Parameter(name="M1", value=1.0, unit="kg").half == 0
+
+
+def test_text_has_only_characters_of_the_viewers_font(tmp_path):
+    """The viewer's font is Inter alone; the viewer ends at a character without a glyph."""
+    assert shown_text("cond ZᵀW, σ ± 2 µrad²/√Hz − é") == "cond Z'W, σ ± 2 µrad²/√Hz − é"
+    assert shown_text("Ｊ１ 関節") == "J1 ??"
+    signals = scara()
+    robot = replace(
+        signals.robot,
+        joints=tuple(msgspec.structs.replace(j, name=f"関節 {k}") for k, j in enumerate(signals.robot.joints)),
+    )
+    signals = replace(signals, robot=robot)
+    write_rrd(tmp_path / "fit.rrd", draw_fit(signals, fitted_iv(signals)))
+    file = Written(tmp_path / "fit.rrd")
+    texts = [title for _, title in file.views.values()]
+    texts += file.static["/report"]["TextDocument:text"]
+    for columns in file.static.values():
+        texts += columns.get("SeriesLines:names") or []
+    assert any("Z'W" in text for text in texts)
+    assert all(shown_text(text) == text for text in texts)
+
+
+def test_colors_are_those_of_okabe_and_ito():
+    published = "E69F00 56B4E9 009E73 F0E442 0072B2 D55E00 CC79A7"
+    own = {tuple(bytes.fromhex(code)) for code in published.split()}
+    used = [*JOINTS, *COMPARED, REFERENCE, SIMULATED, PREDICTED, RESIDUAL]
+    assert {color for color in used if len(set(color)) > 1} <= own
+    assert len({MEASURED, REFERENCE, SIMULATED, PREDICTED, RESIDUAL}) == 5
+    assert len(set(JOINTS)) == len(JOINTS)
+
+
+def run(capsys, *arguments):
+    status = main([str(a) for a in arguments])
+    captured = capsys.readouterr()
+    return status, captured.out, captured.err
+
+
+@pytest.mark.parametrize("place", ["missing/fit.rrd", "folder", "closed/fit.rrd"])
+def test_a_picture_that_cannot_be_written_does_not_cost_the_fit(place, capfd, tmp_path):
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "closed").write_text("a file where a folder should be")
+    table = run(capfd, "fit", SESSION)[1].replace("report with charts: --report session.html\n", "")
+    status, out, err = run(capfd, "fit", SESSION, "--json", tmp_path / "fit.json", "--rrd", tmp_path / place)
+    assert status == 1
+    assert err.startswith("robot-identify: ")
+    assert err.count("\n") == 1
+    assert out == table
+    assert json.loads((tmp_path / "fit.json").read_text())["status"] == "converged"
+
+
+def test_the_file_of_the_real_record_is_small_and_soon_written(tx40, tmp_path):
+    signals, fit = signals_of(tx40), iv_of(tx40)
+    start = time.process_time()
+    write_rrd(tmp_path / "fit.rrd", draw_fit(signals, fit))
+    assert time.process_time() - start < 6, "2 s on a machine with nothing else to do"
+    assert len(signals.q) == 45_000
+    assert (tmp_path / "fit.rrd").stat().st_size < 30e6
+    assert Written(tmp_path / "fit.rrd").is_complete()
+
+
+def test_commands_view_and_compare(capsys, tmp_path):
+    status, out, err = run(capsys, "view", SESSION, "-o", tmp_path / "view.rrd")
+    assert (status, err) == (0, "")
+    assert f"rerun --bind 127.0.0.1 {tmp_path / 'view.rrd'}" in out
+    assert Written(tmp_path / "view.rrd").is_complete()
+    status, out, _ = run(capsys, "view", SESSION, "-o", tmp_path / "view.html")
+    assert (status, out) == (0, f"open the report: {tmp_path / 'view.html'} in a browser\n")
+    assert "position [rad/√Hz] over frequency [Hz]" in (tmp_path / "view.html").read_text()
+    status, _, err = run(capsys, "view", SESSION, "--follow", "-o", tmp_path / "live.html")
+    assert (status, err.count("\n")) == (1, 1)
+    assert err.endswith("expected FILE.rrd with --follow\n")
+    for method, rrd in (("wls", []), ("iv", ["--rrd", tmp_path / "iv.rrd"])):
+        assert run(capsys, "fit", SESSION, "--method", method, "--json", tmp_path / f"{method}.json", *rrd)[0] == 0
+    assert "IV and LS" in Written(tmp_path / "iv.rrd").static["/report"]["TextDocument:text"][0]
+    status, out, err = run(capsys, "compare", tmp_path / "iv.json", tmp_path / "wls.json")
+    assert (status, err) == (0, "")
+    assert "of 8 parameters in both" in out
+    assert "ZZ1R" in out
+
+
+def test_fits_that_cannot_be_compared_are_refused_in_one_line(capsys, tmp_path):
+    def fit(name, parameter, unit):
+        parameters = [{"name": parameter, "value": 1.0, "sigma": 0.1, "unit": unit}]
+        content = {"format": 1, "method": "wls", "status": "solved", "parameters": parameters}
+        (tmp_path / name).write_text(json.dumps(content))
+        return tmp_path / name
+
+    a = fit("a.json", "M1", "kg")
+    for b, message in (
+        (fit("b.json", "M2", "kg"), "no parameter in common"),
+        (fit("c.json", "M1", "V s²/m"), "c: M1.unit = 'V s²/m': expected kg, as in a"),
+        (tmp_path / "none.json", "cannot be read"),
+    ):
+        status, _, err = run(capsys, "compare", a, b)
+        assert status == 1
+        assert message in err
+        assert err.count("\n") == 1
+    truth = tmp_path / "truth.json"
+    truth.write_text(json.dumps({"parameters": [{"name": "M1", "value": 1.3, "unit": "kg"}]}))
+    status, out, _ = run(capsys, "compare", a, truth)
+    assert status == 0
+    assert "-3.00" in out
+    status, _, err = run(capsys, "compare", a, a, "--json", a)
+    assert status == 1
+    assert "is an input too" in err

@@ -1,0 +1,70 @@
+"""Pictures of the READMEs, cut out of reports in Chromium. `python tests/pictures.py` writes replay_data/pictures again.
+
+The real record of the EMPS is not here (see replay_data/README.md); without it its picture stays.
+"""
+
+import base64
+import os
+import tempfile
+from pathlib import Path
+
+from browser import Browser, browser
+from conftest import DATA, REPLAY
+
+from acquisition.importing import import_tables
+from acquisition.robot import load_robot
+from identification.commands import main
+
+EMPS, TX40 = (REPLAY / robot / "session.mcap" for robot in ("emps", "tx40"))
+NOISE = ",".join(f"{k}e-6" for k in range(2, 21, 2))  # m rms
+MARGIN = 4  # pixels around a figure
+# Name of a picture, command, script of the element to cut out of its report, and pixels per pixel of the page.
+PICTURES = {
+    "noise.png": (["sensitivity", EMPS, "--position-noise", NOISE], "return document.querySelector('.first')", 2),
+    "torque.png": (["fit", TX40], "return document.querySelector('.first')", 2),
+    "report.png": (
+        ["fit", TX40],
+        "document.querySelector('footer').remove(); return document.querySelector('main')",
+        1,
+    ),
+    "sensitivity.png": (
+        ["sensitivity", "emps.mcap"],
+        "document.querySelector('details').open = true; return document.querySelector('details section')",
+        1,
+    ),
+}
+
+
+def cut_out(window: Browser, element: str, scale: int) -> bytes:
+    """The element that a script returns, as a PNG."""
+    place = (
+        f"const b = (() => {{ {element} }})().getBoundingClientRect(); return [b.x, b.y + scrollY, b.width, b.height]"
+    )
+    x, y, width, height = window.run(place)
+    clip = {
+        "x": max(0, x - MARGIN),
+        "y": max(0, y - MARGIN),
+        "width": width + 2 * MARGIN,
+        "height": height + 2 * MARGIN,
+    }
+    found = window.cdp("Page.captureScreenshot", captureBeyondViewport=True, clip={**clip, "scale": scale})
+    return base64.b64decode(found["data"])
+
+
+def write_pictures() -> None:
+    """Run the commands, and write the pictures."""
+    with tempfile.TemporaryDirectory() as folder, browser() as window:
+        os.chdir(folder)
+        record = DATA / "emps" / "DATA_EMPS.mat"
+        if record.exists():
+            robot = load_robot(REPLAY / "emps" / "robot.toml")
+            import_tables([record], robot, REPLAY / "emps" / "map.toml", Path("emps.mcap"))
+        for name, ((command, log, *options), element, scale) in PICTURES.items():
+            if Path(log).exists():
+                assert main([command, str(log), *options, "--report", "report.html"]) in (0, 3)
+                window.open(Path("report.html"))
+                (REPLAY / "pictures" / name).write_bytes(cut_out(window, element, scale))
+
+
+if __name__ == "__main__":
+    write_pictures()

@@ -1,0 +1,78 @@
+"""What the house may cost: lines, rooms, and the way of one fit through them. Who needs more says what it takes away."""
+
+import dataclasses
+import inspect
+import sys
+from functools import cache
+from pathlib import Path
+from types import FrameType
+
+from conftest import REPLAY, ROOT
+
+from identification.commands import main
+
+PACKAGES = ("acquisition", "identification")
+MOST_LINES = 34_446
+ROOMS = {"acquisition": 9, "identification": 13}
+MOST_RECORDS, MOST_VISITS = 50, 503
+LONGEST_CYCLE = 8  # rooms that a loop goes through again and again: counted once
+
+
+def test_lines_and_rooms():
+    files = [path for package in PACKAGES for path in (ROOT / package).rglob("*.py")]
+    assert sum(len(path.read_text().splitlines()) for path in files) <= MOST_LINES
+    assert {p: sum(1 for x in (ROOT / p).iterdir() if (x / "__init__.py").exists()) for p in PACKAGES} == ROOMS
+
+
+class Trip:
+    """Counts, as a profiler, the types of records that are made, and the changes from room to room by calls and returns."""
+
+    def __init__(self) -> None:
+        self.records: set[type] = set()
+        self.visits: list[str] = []
+        self._inside: list[str] = []
+
+    def __call__(self, frame: FrameType, event: str, _: object) -> None:
+        code = frame.f_code
+        if event == "call" and code.co_name == "__init__" and code.co_filename == "<string>":
+            made = type(frame.f_locals["self"])
+            if dataclasses.is_dataclass(made) and made.__module__.startswith("identification."):
+                self.records.add(made)
+        room = room_of(code.co_filename)
+        if event not in ("call", "return") or not room or not code.co_flags & inspect.CO_OPTIMIZED:
+            return
+        if event == "call":
+            self._inside.append(room)
+        elif self._inside:
+            self._inside.pop()
+        if self._inside and self.visits[-1:] != self._inside[-1:]:
+            self.visits.append(self._inside[-1])
+            while n := repeated(self.visits):
+                del self.visits[-n:]
+
+
+@cache
+def room_of(file: str) -> str:
+    """The room, or the file beside the rooms, that code of the packages stands in; empty for other code."""
+    path = Path(file)
+    parts = path.relative_to(ROOT).parts if path.is_relative_to(ROOT) else ("",)
+    return "/".join(parts[:2]) if parts[0] in PACKAGES else ""
+
+
+def repeated(visits: list[str]) -> int:
+    """Length of the cycle that the visits end with twice, 0 for none."""
+    lengths = (n for n in range(1, LONGEST_CYCLE + 1) if len(visits) >= 2 * n and visits[-n:] == visits[-2 * n : -n])
+    return next(lengths, 0)
+
+
+def test_one_fit_takes_a_short_way():
+    trip, command = Trip(), ["fit", str(REPLAY / "scara" / "session.mcap"), "--method", "iv", "--workers", "1"]
+    assert main(command) == 0  # imports and caches are those of any fit, whatever ran before
+    sys.setprofile(trip)
+    try:
+        assert main(command) == 0
+    finally:
+        sys.setprofile(None)
+    shown = ("report", "view", "commands")
+    assert len([made for made in trip.records if made.__module__.split(".")[1] not in shown]) <= MOST_RECORDS
+    assert len(trip.visits) <= MOST_VISITS, len(trip.visits)

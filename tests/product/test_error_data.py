@@ -1,0 +1,91 @@
+"""What a caller reads from an error: the file or the place in it, the key, the value, and what was expected."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from conftest import REPLAY
+from made_up_buses import bus_text, robot_of
+
+from acquisition.errors import RobotIdimError
+from acquisition.robot import load_robot
+from identification import fit
+from identification.data import load_signals
+from identification.simulation import described_robot
+
+
+def data_of(caught):
+    error = caught.value
+    return error.place, error.key, error.value, error.expected
+
+
+@pytest.mark.parametrize(
+    ("key", "most", "prismatic"),
+    [
+        ("bus.heartbeat_s", 1.0, False),
+        ("bus.late_sync_s", 1.0, False),
+        ("bus.enable_motion_deg", 10.0, False),
+        ("bus.enable_motion_m", 0.1, True),
+        ("joint[0].following_error_deg", 30.0, False),
+        ("joint[0].following_error_m", 0.3, True),
+        ("joint[0].speed_deg_s", 3000.0, False),
+        ("joint[0].speed_m_s", 20.0, True),
+    ],
+)
+def test_of_a_guard_that_guards_nothing(tmp_path: Path, key, most, prismatic):
+    """Refused where robot.toml is read; a recording made with it still opens."""
+    table, name = key.split(".")
+    text = bus_text(1)
+    if prismatic:
+        text = text.replace("revolute", "prismatic").replace("acceleration_deg", "acceleration_m")
+        text = text.replace("position_deg", "position_m")
+        text = text.replace("speed_deg_s = 200", "speed_m_s = 2").replace(
+            "following_error_deg = 5", "following_error_m = 0.1"
+        )
+    lines = [line for line in text.splitlines() if not line.startswith(f"{name} =")]
+    at = lines.index("[bus]" if table == "bus" else "[[joint]]") + 1
+
+    def with_value(value: float) -> str:
+        return "\n".join([*lines[:at], f"{name} = {value}", *lines[at:]])
+
+    path = tmp_path / "robot.toml"
+    path.write_text(with_value(most))
+    load_robot(path)
+    path.write_text(with_value(1.001 * most))
+    with pytest.raises(RobotIdimError) as caught:
+        load_robot(path)
+    assert data_of(caught) == (str(path), key, pytest.approx(1.001 * most), f"{most:g} at most")
+    robot_of(with_value(1e9 if name != "heartbeat_s" else 10.0))
+
+
+@pytest.mark.parametrize(
+    ("change", "key", "value"),
+    [
+        ({"low_speed_percent": 99.0}, "decimated rows", 4),
+        ({"q": [1.0, 0.0]}, "parameters not excited", ["Fv2", "Fc2"]),
+        ({"q": [100.0, 1.0]}, "", None),  # beyond the limits of position
+    ],
+)
+def test_the_default_method_gives_the_data_of_the_method_asked_for(change, key, value):
+    signals = load_signals(REPLAY / "scara" / "session.mcap")
+    scale, caught = change.pop("q", 1.0), []
+    signals = replace(signals, q=signals.q * scale, q_ref=signals.q_ref * scale)
+    for method in (None, "iv"):
+        with pytest.raises(RobotIdimError) as refused:
+            fit(signals.q, signals.effort, 1000.0, signals.robot, signals.q_ref, method=method, **change)
+        caught.append(refused)
+    assert data_of(caught[0]) == data_of(caught[1])
+    assert data_of(caught[0])[1:3] == (key, value)
+    assert caught[0].value.expected or key == "parameters not excited"
+    assert caught[0].value.place or key
+
+
+def test_of_what_cannot_be_simulated():
+    robot = load_signals(REPLAY / "scara" / "session.mcap").robot
+    with pytest.raises(RobotIdimError) as caught:
+        described_robot(replace(robot, parameters={"ZZ9": 0.061}))
+    expected = "such as XX1, XY1, XZ1 ... Fc2"
+    assert data_of(caught) == ("robot SCARA", "parameters.ZZ9", 0.061, expected)
+    assert str(caught.value) == (
+        f"robot SCARA: parameters.ZZ9 = 0.061: not a standard parameter of this robot: expected {expected}"
+    )

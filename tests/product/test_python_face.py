@@ -1,0 +1,545 @@
+"""The packages from Python: light to import, typed, a fit of arrays, results that say what they are."""
+
+import doctest
+import html.parser
+import re
+import shutil
+import subprocess
+import sys
+import textwrap
+from dataclasses import replace
+from pathlib import Path
+from unittest.mock import ANY
+
+import msgspec
+import numpy as np
+import pytest
+from conftest import REPLAY, ROOT, robot_named
+
+import acquisition
+import identification
+
+SCARA = REPLAY / "scara" / "robot.toml"
+PACKAGES = {"acquisition": acquisition, "identification": identification}
+
+
+@pytest.fixture(scope="module")
+def signals():
+    """Simulated, so without a recording."""
+    from identification.study import Noise, closed_loop, random_reference
+
+    robot = robot_named("scara")
+    q_ref = random_reference(robot, duration_s=4.0, sample_rate_hz=1000.0, seed=3)
+    return closed_loop(robot, q_ref, 1000.0, noise=Noise(encoder_step=1e-5, effort_percent=2.0), seed=3)
+
+
+@pytest.fixture(scope="module")
+def by_iv(signals):
+    return identification.fit(signals.q, signals.effort, 1000.0, SCARA, signals.q_ref)
+
+
+def test_importing_loads_no_library():
+    code = (
+        "import sys, acquisition, identification; dir(identification); identification.RobotIdimError\n"
+        "rooms = [m for m in sys.modules if m.startswith(('acquisition.', 'identification.'))]\n"
+        "print({'numpy', 'scipy', 'msgspec', 'pinocchio'} & set(sys.modules) or sorted(rooms))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert done.stdout == "['acquisition.errors', 'acquisition.lazy', 'identification.errors']\n"
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_what_is_named_is_there(package):
+    module = PACKAGES[package]
+    assert dir(module) == sorted(module.__all__)
+    assert {getattr(module, name).__name__ for name in module.__all__} == set(module.__all__)
+    with pytest.raises(AttributeError, match=f"module '{package}' has no attribute 'nothing'"):
+        module.nothing  # noqa: B018
+
+
+@pytest.mark.parametrize("method", ["wls", "ols"])
+def test_a_fit_of_arrays_is_that_of_the_same_signals(signals, method):
+    fit = identification.fit(signals.q, signals.effort, 1000.0, str(SCARA), method=method)
+    same = identification.identify_ls(
+        replace(signals, q_ref=None, effort_timing="unknown"), identification.Overrides(), method=method
+    )
+    np.testing.assert_array_equal(fit.beta, same.beta)
+    assert fit.method == method
+
+
+def test_a_fit_of_arrays_finds_the_true_parameters(signals, by_iv):
+    from identification.study import study_truth
+
+    base, true = study_truth(signals.robot)
+    assert (by_iv.status, by_iv.base.names, by_iv.iv.reference) == ("converged", base.names, "recorded")
+    assert np.linalg.norm(by_iv.beta - true) < 0.01 * np.linalg.norm(true)
+    without = identification.fit(signals.q, signals.effort, 1000.0, signals.robot)
+    assert (by_iv.method, without.method) == ("iv", "wls")
+    asked = identification.fit(signals.q, signals.effort, 1000.0, signals.robot, method="iv")
+    assert asked.iv.reference == "surrogate"
+
+
+def test_arrays_stay_what_they_are(signals):
+    from identification.data import signals_from_arrays
+
+    q, tau = np.array(signals.q), signals.effort.tolist()
+    made = signals_from_arrays(q, tau, 1000.0, signals.robot, q)
+    q[:] = 0.0
+    np.testing.assert_array_equal(made.q, signals.q)
+    np.testing.assert_array_equal(made.effort, signals.effort)
+    np.testing.assert_allclose(made.t_s, np.arange(len(q)) / 1000.0)
+    other = signals_from_arrays(signals.q, signals.effort, 1000.0, signals.robot)
+    assert made.sha256 != other.sha256, "the reference is part of what was fitted"
+
+
+@pytest.mark.parametrize(
+    ("change", "place", "key", "value", "expected"),
+    [
+        ({"q": np.zeros(50)}, "arrays", "q.shape", (50,), "(N, 2), time first"),
+        ({"q": np.zeros((2, 50))}, "arrays", "q.shape", (2, 50), "(N, 2), time first"),
+        ({"q": [["a", "b"]] * 50}, "arrays", "q", None, "numbers of shape (N, 2)"),
+        ({"tau": np.zeros((49, 2))}, "arrays", "effort.shape", (49, 2), "(50, 2), as q has"),
+        ({"q_ref": np.zeros((51, 2))}, "arrays", "q_ref.shape", (51, 2), "(50, 2), as q has"),
+        ({"tau": np.full((50, 2), np.inf)}, "arrays", "effort[0]", [np.inf, np.inf], "finite numbers"),
+        ({"sample_rate_hz": 0.0}, "arrays", "sample_rate_hz", 0.0, "a number above 0"),
+        ({"sample_rate_hz": -np.inf}, "arrays", "sample_rate_hz", -np.inf, "a number above 0"),
+        ({"method": "ls"}, "", "method", "ls", "'iv', 'wls' or 'ols'"),
+        ({"velocity": np.zeros((49, 2))}, "arrays", "velocity.shape", (49, 2), "(50, 2), as q has"),
+        ({"known_torque": np.zeros((50, 1))}, "arrays", "known_torque.shape", (50, 1), "(N, 2), time first"),
+        ({"feedforward": [[0, np.nan]] * 50}, "arrays", "feedforward[0]", ANY, "finite numbers"),
+        ({"cutoff_hz": -1.0}, "", "cutoff_hz", -1.0, "a number from 0"),
+        ({"decimation": -1}, "", "decimation", -1, "a number from 0"),
+        ({"low_speed_percent": np.inf}, "", "low_speed_percent", np.inf, "a number from 0"),
+        (
+            {"bandwidth_hz": 5.0, "robot": robot_named("scara")},
+            "",
+            "bandwidth_hz",
+            5.0,
+            "a URDF's path with it",
+        ),
+        ({"bandwidth_hz": 5.0}, str(SCARA), "", None, "a URDF; robot.toml has a key for it"),
+    ],
+)
+def test_what_cannot_be_fitted_is_refused(change, place, key, value, expected):
+    given = {"q": np.zeros((50, 2)), "tau": np.zeros((50, 2)), "sample_rate_hz": 100.0, "robot": SCARA}
+    with pytest.raises(identification.RobotIdimError) as caught:
+        identification.fit(**{**given, **change})
+    error = caught.value
+    assert (error.place, error.key, error.value, error.expected) == (place, key, value, expected)
+    assert str(error).startswith(f"{place}: {key}" if place else key)
+    assert str(error).endswith(f": expected {expected}")
+
+
+def test_a_known_torque_is_explained_with_that_of_the_drives(signals):
+    """One is taken off the drives' torque: the fit is the same if it is told, another if it is not."""
+    known = np.sin(signals.t_s)[:, None] * [3.0, 1.0]
+    unshifted = msgspec.structs.replace(
+        signals.robot.identification, torque_lag_s="none"
+    )  # of the drives' torque alone
+    robot = replace(signals.robot, identification=unshifted)
+    plain, told, untold = (
+        identification.fit(signals.q, tau, 1000.0, robot, method="wls", known_torque=k).beta
+        for tau, k in ((signals.effort, None), (signals.effort - known, known), (signals.effort - known, None))
+    )
+    np.testing.assert_allclose(told, plain, rtol=1e-9)
+    assert np.abs(untold / plain - 1).max() > 0.1
+
+
+def test_columns_beside_position_and_effort_are_copied_and_checked(signals):
+    from identification.data import signals_from_arrays
+
+    speed, ahead = np.gradient(signals.q, 1e-3, axis=0), np.array(signals.effort)
+    fit = identification.fit(
+        signals.q, signals.effort, 1000.0, SCARA, method="wls", velocity=0.8 * speed, feedforward=ahead
+    )
+    kept, before = fit.problem.signals, ahead.copy()
+    ahead[:] = 0.0
+    np.testing.assert_array_equal(kept.feedforward, before)
+    np.testing.assert_array_equal(kept.velocity, 0.8 * speed)
+    assert kept.known_torque is None
+    warnings = [text for text in fit.warnings if "velocity" in text]
+    assert [text.split(", ")[0] for text in warnings] == [
+        f"recording: velocity of joint {name} = 0.8 x the derivative of its position" for name in ("shoulder", "elbow")
+    ]
+    right = signals_from_arrays(signals.q, signals.effort, 1000.0, signals.robot, velocity=speed)
+    assert right.events == ()
+    with pytest.raises(acquisition.RobotIdimError, match="arrays: velocity of joint shoulder = -1 x the derivative"):
+        signals_from_arrays(signals.q, signals.effort, 1000.0, signals.robot, velocity=-speed)
+    made = [
+        signals_from_arrays(signals.q, signals.effort, 1000.0, signals.robot, **{name: before})
+        for name in ("known_torque", "feedforward")
+    ]
+    assert made[0].sha256 != made[1].sha256, "the same numbers under another name are another recording"
+
+
+def test_results_say_in_a_line_what_they_are(signals, by_iv):
+    error, essential = by_iv.errors[-1].moving_relative_error_percent, len(by_iv.essential_names)
+    assert (
+        repr(by_iv)
+        == f"Fit(SCARA, arrays, iv, converged, verdict trust: 8 parameters, {essential} essential, moving error {error:.3g} %)"
+    )
+    assert repr(signals).endswith(": SCARA, 4001 samples of 2 joints at 1000 Hz, with reference)")
+    assert repr(acquisition.load_robot(str(SCARA))) == "Robot(SCARA: 2 joints, 2 drives)"
+    recording = acquisition.read_recording(str(REPLAY / "scara" / "session.mcap"))
+    assert repr(recording) == (
+        f"Recording(SCARA: {len(recording.samples)} samples at 1000 Hz, {sum(map(len, recording.frames.values()))} CAN frames)"
+    )
+    loaded = identification.load_signals(str(REPLAY / "scara" / "session.mcap"))
+    assert repr(loaded).startswith("Signals(session.mcap: SCARA, ")
+
+
+class Page(html.parser.HTMLParser):
+    """The texts of a page by their tags, those of table cells row by row; every tag must be closed."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.rows, self.texts, self.open = [], [], []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        self.open.append(tag)
+        if tag == "tr":
+            self.rows.append([])
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if self.open and self.open[-1] in ("td", "th"):
+            self.rows[-1].append(data)
+        elif self.open:
+            self.texts.append(data)
+
+
+def test_a_notebook_shows_the_report_of_a_fit(signals):
+    from identification.methods import fit_document
+
+    robot = replace(signals.robot, name="<b>SCARA & Co")
+    fit = identification.identify_ls(replace(signals, robot=robot), identification.Overrides())
+    assert fit._repr_html_().count("<iframe") == 1
+    page, report = Page(fit._repr_html_()), fit_document(fit.problem.signals, fit).short
+    assert page.open == []
+    assert page.texts[0] == report.title.split("; ")[0]
+    assert page.texts[1] == fit.verdict
+    assert {text for figure in report.figures for text in figure} <= {*page.texts}
+    assert "<b>SCARA & Co" in report.title
+    tables = [section.table for section in report.sections if section.table]
+    shown = [row for table in tables for row in ([heading for heading, _ in table.columns], *table.rows)]
+    assert page.rows == [
+        [" ".join((x if isinstance(x, str) else x.text).split()) for x in row if x != ""] for row in shown
+    ]
+    for section in report.sections:
+        lines = (*section.lines, *(f"warning: {text}" for text in section.warnings))
+        assert {" ".join(text.split()) for text in lines} <= {*page.texts}
+
+
+def test_the_lines_of_the_readme_run(tmp_path, monkeypatch, capsys):
+    section = (ROOT / "identification" / "README.md").read_text().split("## From Python\n")[1].split("\n## ")[0]
+    lines = re.findall(r"(?:^ {4}.*\n|^\n(?= {4}))+", section, flags=re.MULTILINE)
+    (block,) = (textwrap.dedent(part).strip() for part in lines if part.strip())
+    assert len([line for line in block.splitlines() if line]) <= 5
+    shutil.copy(REPLAY / "scara" / "session.mcap", tmp_path / "log.mcap")
+    shutil.copy(SCARA, tmp_path / "robot.toml")
+    monkeypatch.chdir(tmp_path)
+    exec(compile(block, "README", "exec"), {})
+    told = capsys.readouterr().out
+    assert told.startswith("Fit(SCARA, arrays, iv, converged, verdict trust: 8 parameters, ")
+    assert "'ZZ1R': " in told
+
+
+def test_a_fit_is_validated_on_another_recording(signals, by_iv, tmp_path):
+    at_iv = by_iv.errors[-1].relative_error_percent
+    assert identification.validate(by_iv, signals).relative_error_percent == pytest.approx(at_iv, rel=0.05)
+    other = identification.simulate_recording(
+        SCARA, tmp_path / "other.mcap", identification.Study(seed=9, duration_s=5.0)
+    )
+    with pytest.raises(acquisition.RobotIdimError, match=r"other\.mcap: "):
+        identification.simulate_recording(SCARA, tmp_path / "other.mcap")
+    by_iv.to_json(tmp_path / "fit.json")
+    found = [
+        identification.validate(fit, recording, identification.Overrides(decimation=10))
+        for fit, recording in (
+            (by_iv, other),
+            (identification.read_fit(tmp_path / "fit.json"), str(tmp_path / "other.mcap")),
+        )
+    ]
+    assert found[0].decimation == 10
+    assert found[0].joints == found[1].joints
+    assert found[0].provenance.recording == "other.mcap"
+
+
+def test_a_fit_tells_its_verdict_and_its_parameters(signals, by_iv):
+    assert by_iv.verdict == by_iv.trust.verdict == "trust"
+    assert by_iv.assumed == by_iv.trust.assumed != ()
+    found = {p.name: p for p in by_iv.parameters}
+    np.testing.assert_array_equal([found[name].value for name in by_iv.base.names], by_iv.beta)
+    assert [p.half for p in by_iv.parameters] == pytest.approx(by_iv.intervals.half)
+    whole = 100 * np.linalg.norm(by_iv.residuals()) / np.linalg.norm(by_iv.tau)
+    assert whole == pytest.approx(by_iv.errors[-1].relative_error_percent)
+
+
+@pytest.mark.filterwarnings("ignore::identification.DoNotUseWarning")
+def test_settings_are_plain_keywords(signals):
+    def fitted(**given):
+        return identification.fit(signals.q, signals.effort, 1000.0, SCARA, method="wls", **given)
+
+    settings = fitted(cutoff_hz=37.0, decimation=7, low_speed_percent=3.0, torque_lag_s=0.002).settings
+    assert (settings.cutoff_hz, settings.decimation, settings.torque_lag_s) == (37.0, 7, 0.002)
+    assert settings.low_speed.ls == 3.0
+    assert fitted(cutoff_hz=0.0).settings.cutoff_hz is None
+    noise = np.random.default_rng(1).normal(scale=20.0, size=signals.effort.shape)
+    noisy = replace(signals, effort=signals.effort + noise)
+    few = identification.fit(noisy.q, noisy.effort, 1000.0, SCARA, method="wls", essential=True)
+    assert len(few.estimate.names) < 8 == len(few.beta)
+
+
+@pytest.mark.parametrize("by", ["arrays", "recording"])
+def test_what_is_not_to_be_used_warns_where_it_was_asked_for(signals, by):
+    wrong = replace(signals, effort=-signals.effort)
+    ways = {
+        "arrays": lambda: identification.fit(wrong.q, wrong.effort, 1000.0, SCARA),
+        "recording": lambda: identification.identify_ls(wrong, identification.Overrides()),
+    }
+    first_words = "^do not use Fit.SCARA, .*, verdict do not use: .*: "
+    with pytest.warns(identification.DoNotUseWarning, match=first_words) as told:
+        fit = ways[by]()
+    assert [warning.filename for warning in told] == [__file__]
+    with pytest.raises(identification.RobotIdimError, match=r"^not exported: (arrays|simulated): verdict do not use: "):
+        fit.export(mjcf="never.xml")
+
+
+def test_a_fit_that_may_be_used_warns_of_nothing(signals, recwarn):
+    identification.fit(signals.q, signals.effort, 1000.0, SCARA, signals.q_ref)
+    assert list(recwarn) == []
+
+
+def test_two_fits_are_compared(signals, by_iv):
+    by_ls = identification.fit(signals.q, signals.effort, 1000.0, SCARA, method="wls")
+    found = by_iv.compare(by_ls)
+    assert [row.name for row in found] == list(by_iv.base.names)
+    np.testing.assert_allclose([row.off for row in found], by_iv.beta - by_ls.beta)
+    moved = replace(
+        signals.robot, files={"robot.toml": signals.robot.files["robot.toml"].replace(b"d_m = 0.5", b"d_m = 0.6")}
+    )
+    other = identification.fit(signals.q, signals.effort, 1000.0, moved, method="wls")
+    with pytest.warns(UserWarning, match="^the link frames differ: two different DH rows; ") as told:
+        by_iv.compare(other)
+    assert [warning.filename for warning in told] == [__file__]
+
+
+def test_a_robot_may_be_a_urdf(by_iv, tmp_path):
+    urdf = tmp_path / "arm.urdf"
+    by_iv.consistent().export(urdf=urdf)
+    limits = {"position": 2.0, "speed": 3, "acceleration": [20.0, 30.0]}
+    robot = identification.read_robot(urdf, joints=["shoulder", "elbow"], bandwidth_hz=8.0, **limits)
+    assert robot.bandwidth_hz == 8.0
+    assert [np.deg2rad(joint.acceleration_deg_s2) for joint in robot.joints] == pytest.approx([20.0, 30.0])
+    with pytest.raises(acquisition.RobotIdimError, match=r"robot SCARA: controller\.bandwidth_hz is missing"):
+        identification.simulate_recording(urdf, tmp_path / "log.mcap")
+    log = identification.simulate_recording(robot, tmp_path / "log.mcap")
+    fits = [
+        identification.fit(log.q, log.effort, log.sample_rate_hz, given, log.q_ref, **others)
+        for given, others in ((str(urdf), {"bandwidth_hz": 8.0}), (robot, {}))
+    ]
+    np.testing.assert_array_equal(fits[0].beta, fits[1].beta)
+    assert fits[0].verdict == "trust"
+
+
+def test_several_recordings_are_drawn_one_by_one(signals, tmp_path):
+    from identification.data import signals_from_arrays
+
+    halves = [
+        signals_from_arrays(signals.q[part], signals.effort[part], 1000.0, signals.robot)
+        for part in (slice(0, 2000), slice(2000, 4000))
+    ]
+    fit = identification.identify_ls(identification.Recordings(sources=tuple(halves)), identification.Overrides())
+    fit.write_rrd(tmp_path / "fit.rrd")
+    assert {path.name for path in tmp_path.iterdir()} == {"fit_1.rrd", "fit_2.rrd"}
+
+
+def test_references_studies_and_friction_are_there_from_python(signals, tmp_path):
+    settings = identification.ExcitationSettings(periods=1, period_s=5.0, harmonics=3)
+    identification.design_reference(SCARA, settings, noise=[0.1]).write(tmp_path / "ref.csv")
+    table = np.loadtxt(tmp_path / "ref.csv", delimiter=",", skiprows=1)
+    assert (table[-1, 0], table.shape[1]) == (5.0, 3)
+    runs = identification.run_study(SCARA, identification.Study(runs=2, duration_s=4.0))
+    assert [run.number for run in runs] == [0, 1]
+    assert identification.select_friction(signals).recommended.terms == (frozenset(), frozenset())
+
+
+def test_examples_and_the_script_of_a_user_run(tmp_path, monkeypatch, capsys):
+    import mujoco
+
+    shutil.copy(SCARA, tmp_path / "robot.toml")
+    monkeypatch.chdir(tmp_path)
+    assert doctest.testmod(identification) == (0, 7)
+    assert doctest.testmod(acquisition) == (0, 2)
+    for name in ("log.mcap", "report.html", "robot.xml"):
+        (tmp_path / name).unlink()
+    exec(compile(Path(__file__).with_name("user_script.py").read_text(), "user_script", "exec"), {})
+    assert capsys.readouterr().out.startswith("trust ['drive gains', ")
+    assert "SCARA" in (tmp_path / "report.html").read_text()
+    assert mujoco.MjModel.from_xml_path("robot.xml").nv == 2
+
+
+STORED = REPLAY / "tx40" / "fit.json"
+
+
+def test_a_stored_fit_is_short_in_print_and_in_a_notebook():
+    stored = identification.read_fit(STORED)
+    expected = "(TX40, session.mcap, iv, converged, verdict trust: 60 parameters, 37 essential, moving error 0.69 %)"
+    assert (repr(stored), repr(stored.file)) == (f"StoredFit{expected}", f"FitFile{expected}")
+    shown = stored._repr_html_()
+    assert len(shown) < 20_000
+    assert shown.count("<iframe") == 1
+    frame, page = Page(html.unescape(shown.split('srcdoc="')[1].split('"')[0])), Page(shown)
+    assert (page.open, frame.open) == ([], [])
+    assert any("parameters of " in text for text in frame.texts)
+    assert {"0.69 %", "held out", "half of the 37 determined parameters", "the worst, ZZ6", "±85 %"} <= {*page.texts}
+    assert expected.strip("()") in page.texts[0]
+    value = {p.name: p for p in stored.parameters}
+    assert [row[0] for row in page.rows[1:]] == sorted(value, key=lambda x: value[x].half / abs(value[x].value))[:10]
+    assert (stored.verdict, stored.assumed[0].what) == (stored.file.verdict, stored.file.assumed[0].what)
+    known = msgspec.structs.replace(stored.file, verdict=msgspec.UNSET)
+    assert repr(known) == "FitFile(60 parameters)"
+
+
+def test_a_fit_that_is_in_doubt_says_so_in_a_notebook(tmp_path):
+    stored = identification.read_fit(STORED).file
+    line = msgspec.structs.replace(stored.trust[0], level="do not use", text="the torque is <another>")
+    path = tmp_path / "fit.json"
+    path.write_bytes(msgspec.json.encode(msgspec.structs.replace(stored, trust=[line, *stored.trust[1:]])))
+    assert "warning: the torque is <another>" in Page(identification.read_fit(path)._repr_html_()).texts
+
+
+def test_parameters_are_columns(by_iv, tmp_path):
+    by_iv.to_json(tmp_path / "fit.json")
+    for fit in (by_iv, identification.read_fit(tmp_path / "fit.json")):
+        columns = fit.parameters.to_dict()
+        assert [*columns] == ["name", "value", "half_width", "low", "high", "unit", "expression", "essential"]
+        assert columns["name"] == list(by_iv.base.names)
+        assert columns["value"] == pytest.approx(by_iv.beta)
+        assert columns["half_width"] == pytest.approx(by_iv.intervals.half)
+        assert columns["unit"] == list(by_iv.base.units)
+
+
+def test_a_fit_predicts_the_torque_of_pinocchio(by_iv, tmp_path):
+    """Of the physically possible links, by the recursive Newton-Euler algorithm, and friction by hand."""
+    import pinocchio
+
+    fit = by_iv.consistent()
+    fit.to_json(tmp_path / "fit.json")
+    q, dq, ddq = np.random.default_rng(0).normal(size=(3, 20, 2))
+    predicted = identification.read_fit(tmp_path / "fit.json").predict(q, dq, ddq)
+    np.testing.assert_allclose(predicted, fit.predict(q, dq, ddq))
+    beta = dict(zip(fit.base.names, fit.beta, strict=True))
+    model = pinocchio.Model()
+    for at, parameters in ((0.0, {"zz": beta["ZZ1R"]}), (0.5, {"zz": beta["ZZ2"], "x": beta["MX2"], "y": beta["MY2"]})):
+        place = pinocchio.SE3(np.eye(3), np.array([at, 0.0, 0.0]))
+        joint = model.addJoint(model.njoints - 1, pinocchio.JointModelRZ(), place, f"joint {at}")
+        m = 1e-9  # its mass is regrouped in ZZ1R
+        dynamic = [m, parameters.get("x", 0.0), parameters.get("y", 0.0), 0, 0, 0, 0, 0, 0, parameters["zz"]]
+        inertia = pinocchio.Inertia.FromDynamicParameters(np.array(dynamic, dtype=float))
+        model.appendBodyToJoint(joint, inertia, pinocchio.SE3.Identity())
+    model.gravity.linear = np.zeros(3)
+    data = model.createData()
+    rigid = np.array([pinocchio.rnea(model, data, *row) for row in zip(q, dq, ddq, strict=True)])
+    viscous, coulomb = ([beta[f"{kind}{j}"] for j in (1, 2)] for kind in ("Fv", "Fc"))
+    np.testing.assert_allclose(predicted, rigid + dq * viscous + np.sign(dq) * coulomb, rtol=1e-6, atol=1e-6)
+    with pytest.raises(identification.RobotIdimError, match=r"expected \(rows, 2\) of q, dq and ddq"):
+        fit.predict(q, dq[:, :1], ddq)
+    bare = msgspec.structs.replace(fit.file, description={})
+    (tmp_path / "bare.json").write_bytes(msgspec.json.encode(bare))
+    with pytest.raises(identification.RobotIdimError, match=r"bare\.json: description is missing"):
+        identification.read_fit(tmp_path / "bare.json").predict(q, dq, ddq)
+
+
+def test_a_stored_fit_is_compared_and_exported_as_one_in_memory(by_iv, tmp_path):
+    by_iv.to_json(tmp_path / "fit.json")
+    stored = identification.read_fit(tmp_path / "fit.json")
+    assert [row.off for row in stored.compare(by_iv)] == pytest.approx([0.0] * 8, abs=1e-12)
+    limits = [fit.export(toml=tmp_path / f"{k}.toml") for k, fit in enumerate((by_iv, stored))]
+    values = [acquisition.load_robot(tmp_path / f"{k}.toml").parameters for k in range(2)]
+    assert values[0] == pytest.approx(values[1])
+    assert limits[0].split("model of")[0] == limits[1].split("model of")[0]
+
+
+def test_recordings_are_lists_of_arrays(signals):
+    both = slice(0, 2000), slice(2000, 4001)
+    q, tau, q_ref = ([x[part] for part in both] for x in (signals.q, signals.effort, signals.q_ref))
+    fit = identification.fit(q, tau, 1000.0, SCARA, q_ref)
+    assert [one.problem.signals.recording for one in fit.recordings] == ["arrays 1", "arrays 2"]
+    for one, k in zip(fit.recordings, range(2), strict=True):
+        np.testing.assert_array_equal(one.problem.signals.q, q[k])
+        np.testing.assert_array_equal(one.problem.signals.q_ref, q_ref[k])
+    slow = [q[0], q[1][::2]], [tau[0], tau[1][::2]], [1000.0, 500.0]
+    rates = identification.fit(*slow, SCARA, method="wls", payload=[None, "2"]).recordings
+    assert [one.problem.signals.sample_rate_hz for one in rates] == [1000.0, 500.0]
+    assert [one.problem.signals.payload and one.problem.signals.payload.mass_kg for one in rates] == [None, 2.0]
+    for change, key in (({"tau": tau[:1]}, "len(effort)"), ({"payload": ["1"]}, "len(payload)")):
+        with pytest.raises(identification.RobotIdimError) as caught:
+            identification.fit(**{"q": q, "tau": tau, "sample_rate_hz": 1000.0, "robot": SCARA, **change})
+        assert (caught.value.key, caught.value.value, caught.value.expected) == (key, 1, "2, one for each of q")
+
+
+def test_a_period_is_no_rate(signals):
+    with pytest.raises(identification.RobotIdimError) as caught:
+        identification.fit(signals.q, signals.effort, 0.008, SCARA)
+    assert str(caught.value) == "arrays: sample_rate_hz = 0.008: a period? the rate is 125 Hz: expected 1 or more"
+
+
+def test_the_help_of_a_fit_is_short():
+    import inspect
+
+    shown = str(inspect.signature(identification.fit))
+    assert shown.startswith("(q, tau, sample_rate_hz, robot, q_ref=None, *, method=None, ")
+    assert len(shown) < 350
+
+
+@pytest.mark.parametrize(
+    ("text", "python"),
+    [
+        ("another --seed or --harmonics", "another seed or harmonics"),
+        ("--torque-lag-s states one", "torque_lag_s states one"),
+        ("--range = 3", "position = 3"),
+        ("--period 3 or longer", "period_s 3 or longer"),
+        ("or --allow-untrusted", "or allow_untrusted=True"),
+        ("`robot-identify fit --json` and --gains", "`robot-identify fit --json` and gains"),
+    ],
+)
+def test_errors_speak_of_keyword_arguments(text, python):
+    error = identification.RobotIdimError(expected=text)
+    assert (str(error), error.args[0]) == (f"expected {python}", f"expected {text}")
+
+
+def test_one_error_has_the_words_of_who_asked(tmp_path, capsys):
+    from identification.commands import main
+
+    for name in ("robot.toml", "session.mcap"):
+        shutil.copy(REPLAY / "scara" / name, tmp_path)
+    settings = identification.ExcitationSettings(period_s=1.0, harmonics=30)
+    with pytest.raises(identification.RobotIdimError) as caught:
+        identification.design_reference(SCARA, settings, noise=[0.1])
+    assert "--" not in str(caught.value)
+    assert "period_s" in str(caught.value)
+    command = [
+        "excite",
+        str(SCARA),
+        "-o",
+        str(tmp_path / "r.csv"),
+        "--harmonics",
+        "30",
+        "--period",
+        "1",
+        "--noise",
+        "0.1",
+    ]
+    assert main(command) == 1
+    assert (
+        capsys.readouterr()
+        .err.replace("--period", "period_s")
+        .replace("--harmonics", "harmonics")
+        .endswith(f"{caught.value}\n")
+    )
+    with pytest.raises(acquisition.RobotIdimError, match=r"^payload = 'x': "):
+        identification.simulate_recording(SCARA, tmp_path / "log.mcap", payload="x")

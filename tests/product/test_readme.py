@@ -1,0 +1,187 @@
+"""The READMEs: every command is one the programs take and those without hardware run; links, pictures."""
+
+import re
+import shlex
+import shutil
+import subprocess
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import ACQUIRE, IDENTIFY, REPLAY, ROOT
+from urdfs import TWO_TURNING, packaged_urdf
+
+from acquisition.recording import read_recording
+
+FIRST, ACQUISITION, IDENTIFICATION = (ROOT / folder / "README.md" for folder in (".", "acquisition", "identification"))
+SESSION, FORMATS = ROOT / "identification" / "first_session.md", ROOT / "acquisition" / "formats.md"
+FOLDERS = ("acquisition", "identification", "replay_data", "tests")
+BESIDE = [*ROOT.glob("*.md"), *ROOT.glob(".github/*.md")]
+ALL = [*BESIDE, *sorted(path for folder in FOLDERS for path in (ROOT / folder).rglob("*.md"))]
+TEXT = {path: path.read_text() for path in ALL}
+# In blocks and in sentences. What follows " #" is a remark.
+COMMAND = re.compile(
+    r"^ {4,}(robot-(?:acquire|identify) .*)$|`(robot-(?:acquire|identify) [a-z]+ [^`]*)`", re.MULTILINE
+)
+COMMANDS = list(
+    dict.fromkeys(
+        (found[1] or found[2]).split(" #")[0].strip()
+        for path, text in TEXT.items()
+        if path.name != "reference.md"  # whose words are those of the help
+        for found in COMMAND.finditer(text)
+    )
+)
+PROGRAMS = {program.name: program for program in (ACQUIRE, IDENTIFY)}
+
+
+def test_the_readmes_have_commands():
+    assert {FIRST, ACQUISITION, IDENTIFICATION} < set(ALL)
+    assert len(COMMANDS) >= 35
+    assert {command.split()[0] for command in COMMANDS} == set(PROGRAMS)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_is_one_the_program_takes(command):
+    program, *arguments = shlex.split(command)
+    assert callable(PROGRAMS[program].parser(arguments[0]).parse_args(arguments).run)
+
+
+FIRST_FIT = "robot-identify fit log.mcap --json fit.json --rrd fit.rrd"
+
+
+def masked(line):
+    """A line without its numbers, and its numbers."""
+    number = r"(?<![A-Za-z0-9])[0-9][0-9.e-]*"
+    return re.sub(number, "x", line), [float(x) for x in re.findall(number, line)]
+
+
+def test_commands_without_hardware_run_as_they_stand(tmp_path, monkeypatch, capsys):
+    for name in ("log.mcap", "other.mcap"):
+        shutil.copy(REPLAY / "tx40" / "session.mcap", tmp_path / name)
+    for name in ("robot.toml", "corrected.toml"):
+        shutil.copy(REPLAY / "tx40" / "robot.toml", tmp_path / name)
+    monkeypatch.chdir(tmp_path)
+    # Fits come before the commands that read them.
+    later = [command for command in COMMANDS if command.split()[1] in ("compare", "validate")]
+    printed = {}
+    for command in [command for command in COMMANDS if command not in later] + later:
+        program, *arguments = shlex.split(command)
+        runs = {"base", "info", "fit", "validate", "import", "export", "view", "compare"}
+        if arguments[0] not in runs or not Path(arguments[1]).exists() or "map.toml" in arguments:
+            continue
+        assert PROGRAMS[program].main(arguments) == 0, command
+        printed[command] = capsys.readouterr().out
+    assert {command.split()[1] for command in printed} == runs
+    # The beginning of the report that the page of the first session shows; " ..." stands for the rest of a line.
+    shown = TEXT[SESSION].split("the recording of the demo prints:\n\n")[1].split("\n\n")[0].splitlines()
+    for line, now in zip(shown, printed[FIRST_FIT].splitlines(), strict=False):
+        (words, numbers), (words_now, numbers_now) = masked(line.strip().removesuffix(" ...")), masked(now.strip())
+        assert words == words_now if not line.endswith(" ...") else words_now.startswith(words)
+        assert numbers_now[: len(numbers)] == pytest.approx(numbers, rel=0.05)
+
+
+def test_the_six_commands_from_a_urdf_to_mujoco_run_as_they_stand(tmp_path, monkeypatch):
+    mujoco = pytest.importorskip("mujoco")
+    shutil.copy(packaged_urdf("ur5_robot.urdf"), tmp_path)
+    monkeypatch.chdir(tmp_path)
+    section = TEXT[IDENTIFICATION].split("\n## Your arm in MuJoCo in six commands\n")[1].split("\n## ")[0]
+    commands = re.findall(r"^ {4}(.*)$", section, flags=re.MULTILINE)
+    assert len(commands) == 6
+    for command in commands:
+        program, *arguments = shlex.split(command, comments=True)
+        if program in PROGRAMS:
+            assert PROGRAMS[program].main(arguments) == 0, command
+        else:
+            subprocess.run([program, *arguments], check=True)
+    assert mujoco.MjModel.from_xml_path("new.xml").nv == 6
+
+
+@pytest.mark.parametrize(("readme", "longest"), [(FIRST, 130), (IDENTIFICATION, 250)])
+def test_a_guide_is_short(readme, longest):
+    assert len(TEXT[readme].splitlines()) <= longest
+
+
+def test_the_two_commands_that_set_everything_up_are_there():
+    assert "pip install -e . && .venv/bin/robot-identify demo" in TEXT[FIRST]
+    assert "pip install -c .constraints.txt -e '.[test]' && .venv/bin/pytest" in TEXT[FIRST]
+
+
+def test_the_description_of_your_own_robot_is_one(tmp_path, capsys):
+    """The description shown, of one joint of a URDF of two, is read, and has base parameters."""
+    (shown,) = re.findall(r"^```toml\n(.*?)^```", TEXT[SESSION], flags=re.MULTILINE | re.DOTALL)
+    (tmp_path / "robot.toml").write_text(shown)
+    (tmp_path / tomllib.loads(shown)["urdf"]).write_text(TWO_TURNING)
+    assert IDENTIFY.main(["base", str(tmp_path / "robot.toml")]) == 0
+    assert "ZZ1R" in capsys.readouterr().out
+
+
+def test_the_map_that_is_shown_maps_the_columns_that_are_named(tmp_path):
+    shown, header = (
+        re.search(pattern, TEXT[FORMATS], flags=re.MULTILINE | re.DOTALL)[1]
+        for pattern in (r"^```toml\n(.*?)^```", r"header `(t,[^`]*)`")
+    )
+    (tmp_path / "map.toml").write_text(shown)
+    values = np.arange(7 * 200.0).reshape(200, 7) * 1e-5 * np.arange(1, 8)
+    values[:, 0] = np.arange(200) / 100
+    np.savetxt(tmp_path / "log.csv", values, delimiter=",", header=header, comments="")
+    out, robot = str(tmp_path / "log.mcap"), str(REPLAY / "scara" / "robot.toml")
+    options = ["--robot", robot, "--map", str(tmp_path / "map.toml"), "-o", out]
+    assert ACQUIRE.main(["import", str(tmp_path / "log.csv"), *options]) == 0
+    samples = read_recording(tmp_path / "log.mcap").samples
+    for name, columns in (("position", slice(1, 3)), ("reference", slice(3, 5)), ("effort", slice(5, 7))):
+        np.testing.assert_array_equal(samples[name], values[:, columns])
+
+
+@pytest.mark.parametrize("program", [ACQUIRE, IDENTIFY], ids=lambda program: program.name)
+def test_every_option_of_a_program_is_named_in_the_first_readme(program):
+    for action in program.parser()._actions:
+        assert not action.option_strings or f"`{action.option_strings[-1]}`" in TEXT[FIRST], action.option_strings
+
+
+@pytest.mark.parametrize("program", [ACQUIRE, IDENTIFY], ids=lambda program: program.name)
+def test_every_command_stands_in_the_first_readme(program):
+    text = TEXT[FIRST].partition("## Commands")[2].partition(f"`{program.name}`:\n")[2]
+    items = re.match(r"(\n*- .*)+", text)[0].splitlines()
+    listed = {name for item in items for name in re.findall(r"`([a-z]+)`", item.partition(": ")[0])}
+    commands = next(action for action in program.parser()._actions if action.choices)
+    assert listed == set(commands.choices)
+
+
+def anchors(text):
+    """Anchors of the headings as GitHub makes them."""
+    for heading in re.findall(r"^#+ (.*)$", text, flags=re.MULTILINE):
+        yield re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
+
+
+@pytest.mark.parametrize("readme", ALL, ids=lambda path: str(path.relative_to(ROOT)))
+def test_every_link_leads_somewhere(readme):
+    links = re.findall(r"\]\((?!https?:)([^)#]*)(?:#([^)]*))?\)", TEXT[readme])
+    for place, anchor in links:
+        file = (readme.parent / place).resolve() if place else readme
+        file = file / "README.md" if file.is_dir() else file
+        assert file.exists(), place
+        assert not anchor or anchor in anchors(file.read_text()), f"{place}#{anchor}"
+
+
+def test_every_picture_is_shown():
+    shown = {
+        (readme.parent / place).resolve()
+        for readme in ALL
+        for place in re.findall(r"!\[[^]]*\]\(([^)]*)\)", TEXT[readme])
+    }
+    assert shown == set((REPLAY / "pictures").iterdir())
+
+
+def test_every_equation_of_the_method_is_in_a_docstring_of_the_code():
+    displayed = re.findall(
+        r"\s\((\d|[A-Z])\)$", (ROOT / "identification" / "method.md").read_text(), flags=re.MULTILINE
+    )
+    code = "".join(path.read_text() for path in (ROOT / "identification").rglob("*.py"))
+    named = {
+        one
+        for group in re.findall(r"[Ee]quations? ((?:\(\w\)(?: and )?)+)", code)
+        for one in re.findall(r"\w(?=\))", group)
+    }
+    assert len(displayed) == 12
+    assert set(displayed) <= named

@@ -1,0 +1,157 @@
+"""The house: rooms with a face, few files and tests, files that stay small, a command line that starts at once.
+
+That arrows between rooms run down, that rooms are entered by their faces and that heavy packages have one owner each is held
+by the contracts in pyproject.toml (`lint-imports`).
+"""
+
+import ast
+import subprocess
+import sys
+import tomllib
+
+import pytest
+from conftest import PROGRAMS, ROOT
+
+PACKAGES = ("acquisition", "identification")
+ROOMS = sorted(path for package in PACKAGES for path in (ROOT / package).iterdir() if (path / "__init__.py").exists())
+FILES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
+TESTS = sorted((ROOT / "tests").rglob("*.py"))
+MOST_FILES, MOST_LINES = 15, 330
+
+
+@pytest.mark.parametrize("room", ROOMS, ids=lambda room: f"{room.parent.name}.{room.name}")
+def test_a_room_has_a_purpose_a_face_and_few_files(room):
+    face = ast.parse((room / "__init__.py").read_text())
+    assert ast.get_docstring(face)
+    shown = [n for n in ast.walk(face) if isinstance(n, ast.ImportFrom)]
+    assert shown
+    others = ("typing", "lazy", "acquisition.lazy")  # for names that are imported when they are used
+    assert all(n.level == 1 or n.module in others for n in shown), "a face shows what its own room has"
+    files = {path.stem for path in room.glob("*.py")} - {"__init__"}
+    if room.name == "commands":  # one file per command, and those that commands share
+        files -= set(command_files(room.parent.name))
+    assert len(files) <= MOST_FILES
+
+
+HEAVY = {
+    "numpy",
+    "scipy",
+    "pinocchio",
+    "rerun",
+    "mcap",
+    "rosbags",
+    "pyarrow",
+    "joblib",
+    "rich",
+    "can",
+    "canopen",
+    "msgspec",
+}
+
+
+def commands_of(package):
+    (choices,) = (action.choices for action in PROGRAMS[package].parser()._actions if action.choices)
+    return list(choices)
+
+
+def command_files(package):
+    """By the file of each command its name."""
+    commands = PROGRAMS[package].parser(*PROGRAMS[package].commands)
+    (choices,) = (action.choices for action in commands._actions if action.choices)
+    return {command.get_default("run").__module__.rsplit(".", 1)[-1]: name for name, command in choices.items()}
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_a_command_has_the_name_of_its_file(package):
+    assert [file.rstrip("_") for file in command_files(package)] == commands_of(package)
+
+
+def test_every_room_is_in_the_contracts():
+    with (ROOT / "pyproject.toml").open("rb") as file:
+        contracts = tomllib.load(file)["tool"]["importlinter"]["contracts"]
+    layers = {f"{c['containers'][0]}.{name}" for c in contracts if c["type"] == "layers" for name in c["layers"]}
+    faces = {c["allowed_importers"][0] for c in contracts if c["type"] == "protected"}
+    rooms = {f"{room.parent.name}.{room.name}" for room in ROOMS}
+    assert faces == rooms
+    assert rooms <= layers
+
+
+@pytest.mark.parametrize("room", ROOMS, ids=lambda room: f"{room.parent.name}.{room.name}")
+def test_a_room_has_its_tests(room):
+    assert list((ROOT / "tests" / room.parent.name / room.name).glob("test_*.py"))
+
+
+def test_no_file_imports_a_file_of_tests():
+    """What two need stands in a helper beside them, which is imported by its name alone."""
+    names = [path.stem for path in TESTS]
+    assert {name for name in names if names.count(name) > 1} == set()
+    found = {
+        f"{path.name}: {module}"
+        for path in TESTS
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.Import | ast.ImportFrom)
+        for module in (*(alias.name for alias in node.names), getattr(node, "module", None))
+        if module in names and module.startswith("test_")
+    }
+    assert found == set()
+
+
+def test_files_stay_small():
+    lengths = {str(path.relative_to(ROOT)): len(path.read_text().splitlines()) for path in FILES}
+    assert {name: n for name, n in lengths.items() if n > MOST_LINES} == {}
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_help_loads_nothing_heavy(package):
+    """That of the program and of each command."""
+    helps = [["--help"], *([name, "--help"] for name in commands_of(package))]
+    code = (
+        f"import sys\nfrom {package}.commands import main\n"
+        f"for arguments in {helps}:\n try: main(arguments)\n except SystemExit: pass\n"
+        f"heavy = {HEAVY} & set(sys.modules)\nsys.exit(f'loaded: {{heavy}}' if heavy else 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("usage: robot-") == len(helps)
+
+
+def test_the_methods_are_imported_without_the_slow_parts_of_scipy():
+    """`scipy.signal` imports `scipy.stats`, which alone takes longer than a fit."""
+    code = (
+        "import sys\nimport identification.methods\n"
+        "slow = {'scipy.stats', 'scipy.signal', 'scipy.interpolate'} & set(sys.modules)\n"
+        "sys.exit(f'loaded: {slow}' if slow else 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
+    assert done.returncode == 0, done.stderr
+
+
+def test_two_files_are_compared_without_what_made_them():
+    fits = [str(ROOT / "replay_data" / name / "fit.json") for name in ("scara", "scara")]
+    code = (
+        f"import sys\nfrom identification.commands import main\nassert main(['compare', *{fits}]) == 0\n"
+        "print(sum(name.split('.')[0] in ('acquisition', 'identification') for name in sys.modules))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
+    assert int(done.stdout.split()[-1]) <= 45, done.stderr
+
+
+MOST_PARAMETERS = 6
+PLAIN_KEYWORDS = {"identification/notebook.py fit"}  # what users call with arrays: no record of options between
+
+
+def parameters(function):
+    """Names of a function's parameters, `self` and `cls` apart."""
+    a = function.args
+    names = [parameter.arg for parameter in (*a.posonlyargs, *a.args, a.vararg, *a.kwonlyargs, a.kwarg) if parameter]
+    return names[1:] if names[:1] in (["self"], ["cls"]) else names
+
+
+def test_functions_take_few_parameters():
+    long = {
+        f"{path.relative_to(ROOT)} {node.name}"
+        for path in FILES
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and len(parameters(node)) > MOST_PARAMETERS
+    }
+    assert long == PLAIN_KEYWORDS
