@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,7 @@ from ..recording import (
 from ..robot import Payload, Robot, check_recorded_positions, resolve
 from ..session import RecordedSummary, write_decoded
 from .captures import is_capture
-from .ethercat import import_capture
+from .ethercat import MAPPING_NOTE, capture_header, import_capture
 from .time_base import ImportSummary
 
 
@@ -52,8 +53,13 @@ def import_recording(path: Path, out: Path, robot: Robot | None = None, place: s
     if recording.cut and robot is None:
         return _repair(recording, path, out)
     if recording.capture:
-        description = place or f"{path}: robot.toml"
-        return import_capture(path, out, robot or recording.robot, description, recording=recording)
+        robot = robot or recording.robot
+        bus, notes = (
+            resolve(robot, place or f"{path}: robot.toml"),
+            {**recording.metadata, "decoded_from": recording.sha256},
+        )
+        header = capture_header(robot, bus, notes.get("source", ""), notes)
+        return import_capture(BytesIO(recording.capture), header, bus, Place(str(path)), out)
     if not recording.frames:
         Place(str(path)).refuse(text="holds no frames and is not cut off", expected="a recording of drives")
     frames = max(recording.frames.values(), key=len)
@@ -120,7 +126,10 @@ def import_log(
         The log cannot be read, none of its frames are of the described interface, or they do not decode.
     """
     if is_capture(log):
-        return import_capture(log, out, robot, place, mapping, payload)
+        bus, notes = resolve(robot, place), {MAPPING_NOTE: " ".join(mapping)}
+        header = capture_header(robot, bus, f"EtherCAT capture {log.name}", notes, payload)
+        with log.open("rb") as file:
+            return import_capture(file, header, bus, Place(str(log)), out)
     frames, left_out = _select_interface(log, robot)
     frames["time_ns"] = np.maximum.accumulate(frames["time_ns"])
     decoded = _decode_checked(frames, robot, str(log), place)

@@ -1,16 +1,16 @@
 """Imports a capture of an EtherCAT bus in operation: frames → joint samples at the times of cycles. Nothing is ever sent."""
 
-from collections.abc import Sequence
-from io import BytesIO
+from collections.abc import Mapping
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 
 from ..arrays import Ints
 from ..errors import Place
 from ..files import atomic_write
-from ..recording import Block, Header, Recording, RecordingWriter, in_parts, joint_samples, minimum_ahead, refuse_period
-from ..robot import Payload, Robot, check_recorded_efforts, check_recorded_positions, resolve
+from ..recording import Block, Header, RecordingWriter, in_parts, joint_samples, minimum_ahead, refuse_period
+from ..robot import Bus, Payload, Robot, check_recorded_efforts, check_recorded_positions
 from .captures import PCAP_HEAD, packets
 from .process_data import MAX_OFF, Bools, ProcessData, parse_mapping
 from .time_base import ImportSummary
@@ -18,7 +18,7 @@ from .time_base import ImportSummary
 _MAX_CLOCK_ERROR = 2e-4  # of the described period: clocks differ by less than the second
 _MIN_SHARE = 0.5  # of the rows: with fewer there is no reference, and no clock but the capture's
 _LATE = 15  # rows: what delays more of them lasts
-_MAPPING_NOTE = "ethercat_mapping"  # of the metadata
+MAPPING_NOTE = "ethercat_mapping"  # of the metadata
 
 
 def cycle_numbers(time_ns: Ints, period_ns: float) -> tuple[Ints, Bools]:
@@ -55,24 +55,29 @@ def _period_ns(time_ns: Ints) -> float:
     return period
 
 
-def import_capture(
-    path: Path,
-    out: Path,
-    robot: Robot,
-    place: str,
-    mapping: Sequence[str] = (),
-    payload: Payload | None = None,
-    recording: Recording | None = None,
-) -> ImportSummary:
+def capture_header(
+    robot: Robot, bus: Bus, source: str, notes: Mapping[str, str], payload: Payload | None = None
+) -> Header:
+    """The header of a recording of a capture; of `notes` `MAPPING_NOTE` has the mapping that is stated."""
+    return Header(
+        robot=robot,
+        sample_rate_hz=1.0 / bus.file.sync_period_s,
+        source=source,
+        effort_provenance=bus.provenance,
+        effort_timing=bus.file.effort_timing,
+        payload=payload,
+        notes=notes,
+    )
+
+
+def import_capture(file: BinaryIO, header: Header, bus: Bus, at: Place, out: Path) -> ImportSummary:
     """Write the recording `out` from a capture (pcap, pcapng) of an EtherCAT bus in operation.
 
     Parameters
     ----------
-    robot : its drives, by their EtherCAT stations.
-    place : the name of the description in errors.
-    mapping : by slave the inputs in their order, `0x6041:16,0x6064:32`, where the capture begins after the mapping.
-    payload : what the robot carried.
-    recording : that of `path`, whose frames are decoded again.
+    header : as of `capture_header`: the robot, and a stated mapping where the capture begins after the mapping.
+    bus : the robot's drives, by their EtherCAT stations.
+    at : the file.
 
     Returns
     -------
@@ -84,25 +89,9 @@ def import_capture(
     BadInputError
         The file is no capture, or it has no process data that come back, no mapping, or another period.
     """
-    bus, at, warnings = resolve(robot, place), Place(str(path)), list[str]()
-    source, notes = f"EtherCAT capture {path.name}", {_MAPPING_NOTE: " ".join(mapping)}
-    if recording is not None:
-        source, notes = recording.metadata.get("source", ""), {**recording.metadata, "decoded_from": recording.sha256}
-    header = Header(
-        robot=robot,
-        sample_rate_hz=1.0 / bus.file.sync_period_s,
-        source=source,
-        effort_provenance=bus.provenance,
-        effort_timing=bus.file.effort_timing,
-        payload=payload,
-        notes=notes,
-    )
-    process, head = ProcessData(bus, parse_mapping(notes.get(_MAPPING_NOTE, "").split()), at), PCAP_HEAD
-    try:
-        file = path.open("rb") if recording is None else BytesIO(recording.capture)
-    except OSError as error:
-        at.refuse(text=f"cannot be read: {error.strerror or error}")
-    with file, atomic_write(out) as partial, RecordingWriter(partial, header) as writer:
+    robot, warnings = header.robot, list[str]()
+    process, head = ProcessData(bus, parse_mapping(header.notes.get(MAPPING_NOTE, "").split()), at), PCAP_HEAD
+    with atomic_write(out) as partial, RecordingWriter(partial, header) as writer:
         for given in packets(file, at, warnings):
             kept = process.add(given)
             if len(kept):

@@ -15,7 +15,7 @@ from ..errors import Place
 from ..protocol import ObjectEntry, Pdo
 from ..robot import Bus, Drive, Robot
 from .association import associate
-from .rows import SENT, Block, Rows, Traffic, sample_dtype
+from .rows import SENT, Block, Rows, Traffic, sample_dtype, unwrap
 from .sync_grid import Bools, SyncTimes, counted_steps, recorded_syncs, sync_steps, sync_times, without_repeats
 from .writer import RecordingWriter
 
@@ -249,20 +249,6 @@ def _carriers(bus: Bus) -> dict[Pdo, str]:
             if pdo is not None:
                 names[pdo] = f"TPDO {pdo.number} of node {drive.node}, {drive.name}"
     return names
-
-
-def unwrap(counts: Ints, bits: int) -> tuple[Ints, Ints]:
-    """Counts without the wraps of a counter of `bits`, and the rows at which it wraps.
-
-    No motor moves by half of a counter's range between two answers, so a larger step is a wrap.
-    """
-    steps = np.diff(counts)
-    wraps = np.flatnonzero(np.abs(steps) > 1 << (bits - 1))
-    if not len(wraps):
-        return counts, wraps
-    turns = np.zeros(len(counts), np.int64)
-    turns[wraps + 1] = -np.sign(steps[wraps])
-    return counts + (np.cumsum(turns) << bits), wraps + 1
 
 
 def _wraps(traffic: Traffic, bus: Bus, rows_of: Mapping[Pdo, Rows], stamps: Ints) -> Iterator[str]:

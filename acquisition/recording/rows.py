@@ -171,3 +171,17 @@ def written_by_master(frames: Block) -> Mapping[int, dict[tuple[int, int], int]]
         if transfer.kind == "write" and low <= transfer.index <= high:
             values.setdefault(int(row["can_id"]) - REQUEST, {})[transfer.index, transfer.sub] = transfer.number
     return values
+
+
+def unwrap(counts: Ints, bits: int) -> tuple[Ints, Ints]:
+    """Counts without the wraps of a counter of `bits`, and the rows at which it wraps.
+
+    No motor moves by half of a counter's range between two answers, so a larger step is a wrap.
+    """
+    steps = np.diff(counts)
+    wraps = np.flatnonzero(np.abs(steps) > 1 << (bits - 1))
+    if not len(wraps):
+        return counts, wraps
+    turns = np.zeros(len(counts), np.int64)
+    turns[wraps + 1] = -np.sign(steps[wraps])
+    return counts + (np.cumsum(turns) << bits), wraps + 1

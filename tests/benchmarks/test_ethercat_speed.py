@@ -13,7 +13,7 @@ from pathlib import Path
 import made_up_ethercat as made_up
 import numpy as np
 import pytest
-from test_ethercat import robot_text
+from ethercat_robots import robot_text
 
 pytestmark = pytest.mark.skipif(
     "--benchmark-enable" not in sys.argv, reason="a benchmark: run `pytest tests/benchmarks -s --benchmark-enable`"

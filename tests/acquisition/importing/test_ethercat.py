@@ -7,7 +7,8 @@ import made_up_ethercat as made_up
 import numpy as np
 import pytest
 from conftest import needs_data
-from made_up_buses import JOINT, robot_of
+from ethercat_robots import robot_text
+from made_up_buses import robot_of
 
 from acquisition.commands import main
 from acquisition.errors import RobotIdimError
@@ -20,23 +21,6 @@ from identification.methods import Iteration
 from identification.regression import Overrides
 
 COUNTS = 524_288
-DRIVE = """
-[[bus.drive]]
-node = {node}
-actual = "6077"
-rated_torque_nm = 1
-counts_per_turn = 524288
-"""
-
-
-def robot_text(n: int = 2, *, drive: str = "", bandwidth_hz: float = 5, period_s: float = 0.001) -> str:
-    joints = "".join(JOINT.format(i=i + 1, ratio=1) for i in range(n)).replace("[-150, 150]", "[-36000, 36000]")
-    joints = joints.replace("speed_deg_s = 200", "speed_deg_s = 3000")
-    bus = f'[bus]\ninterface = "none"\nchannel = "none"\nsync_period_s = {period_s}\n'
-    drives = "".join(DRIVE.format(node=i + 1) + drive for i in range(n))
-    return f'name = "made up"\n[controller]\nbandwidth_hz = {bandwidth_hz}\n{joints}{bus}{drives}'
-
-
 ROBOT = robot_of(robot_text())
 
 
@@ -141,11 +125,11 @@ def test_a_capture_that_begins_in_operation_needs_the_mapping(tmp_path, image):
     recording, _ = imported(tmp_path, content, mapping=STATED[image])
     check(recording.samples, bus)
     assert len(recording.samples) == 100
-    missing = r"no mapping of inputs is in it; it has LR[DW] .* bytes at 0x10000.*--mapping"
+    missing = r"no mapping of inputs is in it; it has LR[DW] .* bytes at 0x10000.*mapping"
     with pytest.raises(RobotIdimError, match=missing) as caught:
         imported(tmp_path, content)
     assert "\n" not in str(caught.value)
-    with pytest.raises(RobotIdimError, match="--mapping has 160 bits; it has"):
+    with pytest.raises(RobotIdimError, match="mapping has 160 bits; it has"):
         imported(tmp_path, content, mapping=[WHOLE, WHOLE])
 
 

@@ -9,7 +9,7 @@ from made_up_buses import block, bus_of, bus_text, counts, flat, frame, robot_of
 
 from acquisition.errors import RobotIdimError
 from acquisition.recording import ERROR, EXTENDED, FRAME, REMOTE_REQUEST, Decoded, decode, gaps, written_by_master
-from acquisition.recording.decoding import unwrap
+from acquisition.recording.rows import unwrap
 from acquisition.robot import resolve
 
 ROBOT = robot_of(bus_text())
