@@ -184,7 +184,7 @@ def test_what_has_no_frames_or_no_samples_is_told(tmp_path):
         with RecordingWriter(tmp_path / name, header(ROBOT, 500.0)) as writer:
             if name == "a.mcap":
                 writer.samples(some_samples(3))
-    with pytest.raises(RobotIdimError, match="holds no (CAN )?frames"):
+    with pytest.raises(RobotIdimError, match=r"holds no (CAN )?frames"):
         import_recording(tmp_path / "a.mcap", tmp_path / "o.mcap", None, "x")
     with pytest.raises(RobotIdimError, match="holds no joint samples"):
         export_csv(tmp_path / "b.mcap", tmp_path / "o.csv")
