@@ -27,14 +27,24 @@ if TYPE_CHECKING:
     from .recording import Recording, read_recording
     from .robot import Robot, load_robot
 
-_ERRORS = ("BadInputError", "BusFaultError", "NoAnswerError", "RefusedError", "RobotIdimError", "SdoAbortedError")
-__all__ = [*_ERRORS, "Recording", "Robot", "load_robot", "read_recording"]
+__all__ = [
+    "BadInputError",
+    "BusFaultError",
+    "NoAnswerError",
+    "Recording",
+    "RefusedError",
+    "Robot",
+    "RobotIdimError",
+    "SdoAbortedError",
+    "load_robot",
+    "read_recording",
+]
 
 if not TYPE_CHECKING:  # a type checker would accept any name
     __getattr__, __dir__ = lazy_names(
         __name__,
         {
-            "errors": _ERRORS,
+            "errors": tuple(name for name in __all__ if name.endswith("Error")),
             "recording": ("Recording", "read_recording"),
             "robot": ("Robot", "load_robot"),
         },

@@ -42,9 +42,10 @@ def lines_of(signals: Signals, settings: Settings | None, fit: Fit | None) -> Li
     `measured` covers the recording. `filtered`, if there is a low-pass, covers the fitted span, in place of raw derivatives.
     `simulated` is the robot with the estimate, if the fit simulated one. Errors are positions minus the measured one.
     """
-    filtered = {} if settings is None or settings.cutoff_hz is None else _decimate(signals, settings)
+    motion = fit.problem.motion if fit else FilteredMotion(signals)  # that of the fit is filtered already
+    filtered = {} if settings is None or settings.cutoff_hz is None else _decimate(signals, settings, motion)
     lines = {("filtered", quantity): joints for quantity, joints in filtered.items()}
-    for quantity, joints in _decimate(signals, None).items():
+    for quantity, joints in _decimate(signals, None, motion).items():
         if quantity in ("q", "torque") or not filtered:
             lines["measured", quantity] = joints
     if signals.q_ref is not None:
@@ -64,13 +65,12 @@ def _line(t_s: Array, x: Array) -> Line:
     return t_s[k], x[k]
 
 
-def _decimate(signals: Signals, settings: Settings | None) -> dict[str, list[Line]]:
+def _decimate(signals: Signals, settings: Settings | None, motion: FilteredMotion) -> dict[str, list[Line]]:
     """Lines of the raw motion and torque, or of the filtered motion, for each quantity and joint."""
     start, stop, stride = 0, len(signals.q), 1
     if settings is not None:
         start, stop, stride = settings.start, settings.stop, model_stride(signals, settings)
     pieces: dict[str, list[list[Line]]] = defaultdict(lambda: [[] for _ in range(signals.robot.n)])
-    motion = FilteredMotion(signals)
     step = bucket_size(-(-(stop - start) // stride))
     size = max(1, _BLOCK // (step * stride)) * step * stride
     for a in range(start, stop, size):
