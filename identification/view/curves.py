@@ -45,7 +45,7 @@ def lines_of(signals: Signals, settings: Settings | None, fit: Fit | None) -> Li
     motion = fit.problem.motion if fit else FilteredMotion(signals)  # that of the fit is filtered already
     filtered = {} if settings is None or settings.cutoff_hz is None else _decimate(signals, settings, motion)
     lines = {("filtered", quantity): joints for quantity, joints in filtered.items()}
-    for quantity, joints in _decimate(signals, None, motion).items():
+    for quantity, joints in _decimate(signals, None, FilteredMotion(signals)).items():
         if quantity in ("q", "torque") or not filtered:
             lines["measured", quantity] = joints
     if signals.q_ref is not None:
