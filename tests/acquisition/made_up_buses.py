@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from acquisition.errors import RobotIdimError
+from acquisition.errors import BadInputError
 from acquisition.recording import FRAME, SENT, Block
 from acquisition.robot import Bus, Robot, resolve, robot_from_files
 
@@ -56,7 +56,7 @@ def bus_of(robot: Robot) -> Bus:
 
 def refused(text: str, expected: str, files: Mapping[str, bytes] | None = None) -> None:
     """A description is refused in one line with `expected` in it, which begins with the key that is wrong."""
-    with pytest.raises(RobotIdimError, match=re.escape(expected)) as caught:
+    with pytest.raises(BadInputError, match=re.escape(expected)) as caught:
         bus_of(robot_of(text, files))
     assert str(caught.value).startswith(f"robot.toml: {caught.value.key}")
     assert "\n" not in str(caught.value)

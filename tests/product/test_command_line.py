@@ -15,7 +15,7 @@ from made_up_recordings import write
 
 from acquisition.commands import STATUSES, Progress, from_options, run_command
 from acquisition.commands import main as acquire
-from acquisition.errors import RobotIdimError
+from acquisition.errors import BadInputError, RobotIdimError
 from acquisition.robot import load_robot
 from identification.commands import main as identify
 
@@ -379,7 +379,7 @@ def test_a_urdf_in_place_of_a_description_is_told(start, tmp_path, monkeypatch, 
 )
 def test_another_file_in_place_of_a_description_is_named(start, text, tmp_path):
     (tmp_path / "fit").write_bytes(start)
-    with pytest.raises(RobotIdimError) as refused:
+    with pytest.raises(BadInputError) as refused:
         load_robot(tmp_path / "fit")
     assert str(refused.value).startswith(f"{tmp_path / 'fit'}: {text}: expected a robot.toml")
 

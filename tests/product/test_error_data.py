@@ -7,7 +7,7 @@ import pytest
 from conftest import REPLAY
 from made_up_buses import bus_text, robot_of
 
-from acquisition.errors import RobotIdimError
+from acquisition.errors import BadInputError, RobotIdimError
 from acquisition.robot import load_robot
 from identification import fit
 from identification.data import load_signals
@@ -52,7 +52,7 @@ def test_of_a_guard_that_guards_nothing(tmp_path: Path, key, most, prismatic):
     path.write_text(with_value(most))
     load_robot(path)
     path.write_text(with_value(1.001 * most))
-    with pytest.raises(RobotIdimError) as caught:
+    with pytest.raises(BadInputError) as caught:
         load_robot(path)
     assert data_of(caught) == (str(path), key, pytest.approx(1.001 * most), f"{most:g} at most")
     robot_of(with_value(1e9 if name != "heartbeat_s" else 10.0))
@@ -82,7 +82,7 @@ def test_the_default_method_gives_the_data_of_the_method_asked_for(change, key, 
 
 def test_of_what_cannot_be_simulated():
     robot = load_signals(REPLAY / "scara" / "session.mcap").robot
-    with pytest.raises(RobotIdimError) as caught:
+    with pytest.raises(BadInputError) as caught:
         described_robot(replace(robot, parameters={"ZZ9": 0.061}))
     expected = "such as XX1, XY1, XZ1 ... Fc2"
     assert data_of(caught) == ("robot SCARA", "parameters.ZZ9", 0.061, expected)

@@ -122,7 +122,7 @@ def test_arrays_stay_what_they_are(signals):
 )
 def test_what_cannot_be_fitted_is_refused(change, place, key, value, expected):
     given = {"q": np.zeros((50, 2)), "tau": np.zeros((50, 2)), "sample_rate_hz": 100.0, "robot": SCARA}
-    with pytest.raises(identification.RobotIdimError) as caught:
+    with pytest.raises(identification.BadInputError) as caught:
         identification.fit(**{**given, **change})
     error = caught.value
     assert (error.place, error.key, error.value, error.expected) == (place, key, value, expected)
@@ -163,7 +163,7 @@ def test_columns_beside_position_and_effort_are_copied_and_checked(signals):
     ]
     right = signals_from_arrays(signals.q, signals.effort, 1000.0, signals.robot, velocity=speed)
     assert right.events == ()
-    with pytest.raises(acquisition.RobotIdimError, match="arrays: velocity of joint shoulder = -1 x the derivative"):
+    with pytest.raises(acquisition.BadInputError, match="arrays: velocity of joint shoulder = -1 x the derivative"):
         signals_from_arrays(signals.q, signals.effort, 1000.0, signals.robot, velocity=-speed)
     made = [
         signals_from_arrays(signals.q, signals.effort, 1000.0, signals.robot, **{name: before})
@@ -253,7 +253,7 @@ def test_a_fit_is_validated_on_another_recording(signals, by_iv, tmp_path):
     other = identification.simulate_recording(
         SCARA, tmp_path / "other.mcap", identification.Study(seed=9, duration_s=5.0)
     )
-    with pytest.raises(acquisition.RobotIdimError, match=r"other\.mcap: "):
+    with pytest.raises(acquisition.BadInputError, match=r"other\.mcap: "):
         identification.simulate_recording(SCARA, tmp_path / "other.mcap")
     by_iv.to_json(tmp_path / "fit.json")
     found = [
@@ -304,7 +304,7 @@ def test_what_is_not_to_be_used_warns_where_it_was_asked_for(signals, by):
     with pytest.warns(identification.DoNotUseWarning, match=first_words) as told:
         fit = ways[by]()
     assert [warning.filename for warning in told] == [__file__]
-    with pytest.raises(identification.RobotIdimError, match=r"^not exported: (arrays|simulated): verdict do not use: "):
+    with pytest.raises(identification.BadInputError, match=r"^not exported: (arrays|simulated): verdict do not use: "):
         fit.export(mjcf="never.xml")
 
 
@@ -446,11 +446,11 @@ def test_a_fit_predicts_the_torque_of_pinocchio(by_iv, tmp_path):
     rigid = np.array([pinocchio.rnea(model, data, *row) for row in zip(q, dq, ddq, strict=True)])
     viscous, coulomb = ([beta[f"{kind}{j}"] for j in (1, 2)] for kind in ("Fv", "Fc"))
     np.testing.assert_allclose(predicted, rigid + dq * viscous + np.sign(dq) * coulomb, rtol=1e-6, atol=1e-6)
-    with pytest.raises(identification.RobotIdimError, match=r"expected \(rows, 2\) of q, dq and ddq"):
+    with pytest.raises(identification.BadInputError, match=r"expected \(rows, 2\) of q, dq and ddq"):
         fit.predict(q, dq[:, :1], ddq)
     bare = msgspec.structs.replace(fit.file, description={})
     (tmp_path / "bare.json").write_bytes(msgspec.json.encode(bare))
-    with pytest.raises(identification.RobotIdimError, match=r"bare\.json: description is missing"):
+    with pytest.raises(identification.BadInputError, match=r"bare\.json: description is missing"):
         identification.read_fit(tmp_path / "bare.json").predict(q, dq, ddq)
 
 
@@ -477,13 +477,13 @@ def test_recordings_are_lists_of_arrays(signals):
     assert [one.problem.signals.sample_rate_hz for one in rates] == [1000.0, 500.0]
     assert [one.problem.signals.payload and one.problem.signals.payload.mass_kg for one in rates] == [None, 2.0]
     for change, key in (({"tau": tau[:1]}, "len(effort)"), ({"payload": ["1"]}, "len(payload)")):
-        with pytest.raises(identification.RobotIdimError) as caught:
+        with pytest.raises(identification.BadInputError) as caught:
             identification.fit(**{"q": q, "tau": tau, "sample_rate_hz": 1000.0, "robot": SCARA, **change})
         assert (caught.value.key, caught.value.value, caught.value.expected) == (key, 1, "2, one for each of q")
 
 
 def test_a_period_is_no_rate(signals):
-    with pytest.raises(identification.RobotIdimError) as caught:
+    with pytest.raises(identification.BadInputError) as caught:
         identification.fit(signals.q, signals.effort, 0.008, SCARA)
     assert str(caught.value) == "arrays: sample_rate_hz = 0.008: a period? the rate is 125 Hz: expected 1 or more"
 
@@ -518,7 +518,7 @@ def test_one_error_has_the_words_of_who_asked(tmp_path, capsys):
     for name in ("robot.toml", "session.mcap"):
         shutil.copy(REPLAY / "scara" / name, tmp_path)
     settings = identification.ExcitationSettings(period_s=1.0, harmonics=30)
-    with pytest.raises(identification.RobotIdimError) as caught:
+    with pytest.raises(identification.BadInputError) as caught:
         identification.design_reference(SCARA, settings, noise=[0.1])
     assert "--" not in str(caught.value)
     assert "period_s" in str(caught.value)
@@ -541,5 +541,5 @@ def test_one_error_has_the_words_of_who_asked(tmp_path, capsys):
         .replace("--harmonics", "harmonics")
         .endswith(f"{caught.value}\n")
     )
-    with pytest.raises(acquisition.RobotIdimError, match=r"^payload = 'x': "):
+    with pytest.raises(acquisition.BadInputError, match=r"^payload = 'x': "):
         identification.simulate_recording(SCARA, tmp_path / "log.mcap", payload="x")

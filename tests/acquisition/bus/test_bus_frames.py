@@ -23,7 +23,7 @@ from acquisition.bus import (
     read_log,
     socket_of,
 )
-from acquisition.errors import RobotIdimError
+from acquisition.errors import BusFaultError, RefusedError
 from acquisition.recording import (
     CAN_FD,
     ERROR,
@@ -233,14 +233,14 @@ def test_what_a_link_sends():
 
 def test_what_a_link_cannot_send_or_read_is_told_and_not_noted():
     fake, tapped = FakeBus(OSError("gone")), []
-    with pytest.raises(RobotIdimError, match="bus: passive: nothing is ever sent"):
+    with pytest.raises(RefusedError, match="bus: passive: nothing is ever sent"):
         Link(fake, passive=True, tap=tapped.append).send(0x80, b"")
     assert fake.sent == []
     fake.send = raising(can.CanOperationError("buffer full"))
     link = Link(fake, passive=False, tap=tapped.append)
-    with pytest.raises(RobotIdimError, match="bus: frame 0x605 cannot be sent: buffer full"):
+    with pytest.raises(BusFaultError, match="bus: frame 0x605 cannot be sent: buffer full"):
         link.send(0x605, b"")
-    with pytest.raises(RobotIdimError, match="bus: cannot be read: gone"):
+    with pytest.raises(BusFaultError, match="bus: cannot be read: gone"):
         link.take(0)
     assert tapped == []
 
@@ -257,7 +257,7 @@ def test_a_datagram_that_is_no_frame_ends_nothing_on_a_group_unless_its_socket_f
     broken.__cause__ = OSError(19, "No such device")
     assert Link(group(datagram, message()), passive=False).take(0.1).can_id == 0x185
     for fake, why in ((FakeBus(datagram), "no frame"), (group(broken), "failed to wait")):
-        with pytest.raises(RobotIdimError, match=f"bus: cannot be read: {why}"):
+        with pytest.raises(BusFaultError, match=f"bus: cannot be read: {why}"):
             Link(fake, passive=False).take(0.01)
     noisy = group()
     noisy.messages = SimpleNamespace(pop=lambda _: datagram)  # again and again
@@ -369,7 +369,7 @@ def test_how_a_bus_is_opened(monkeypatch, keys, passive, expected):
         bus.send(message())
         return
     for send in (bus.send, bus.send_periodic):
-        with pytest.raises(RobotIdimError, match="passive"):
+        with pytest.raises(RefusedError, match="passive"):
             send(message(), 0.1)
 
 
@@ -379,7 +379,7 @@ def test_how_a_bus_is_opened(monkeypatch, keys, passive, expected):
 def test_a_bus_that_cannot_be_opened_is_told(monkeypatch, error):
     monkeypatch.setattr(can, "Bus", raising(error))
     why = "ImportError" if error is ImportError else "no such device"
-    with pytest.raises(RobotIdimError, match=f"bus: pcan PCAN_USBBUS1: cannot be opened: {why}"):
+    with pytest.raises(BusFaultError, match=f"bus: pcan PCAN_USBBUS1: cannot be opened: {why}"):
         open_bus(bus_file(interface="pcan", channel="PCAN_USBBUS1"), passive=False)
 
 

@@ -15,7 +15,7 @@ from made_up_buses import bus_text
 from acquisition.bus import listening_words, open_bus
 from acquisition.bus.passive import LISTEN_ONLY
 from acquisition.commands import main
-from acquisition.errors import RobotIdimError
+from acquisition.errors import RefusedError, RobotIdimError
 from acquisition.robot import BusFile
 
 Asked = list[tuple[object, ...]]
@@ -114,7 +114,7 @@ def test_an_adapter_is_told_to_only_listen(monkeypatch, interface):
 def test_a_pcan_that_does_not_confirm_is_no_passive_bus(monkeypatch, confirms):
     asked: Asked = []
     pcan_driver(monkeypatch, asked, confirms)
-    with pytest.raises(RobotIdimError, match="bus: pcan PCAN_USBBUS1: does not confirm listen-only: expected a driver"):
+    with pytest.raises(RefusedError, match="bus: pcan PCAN_USBBUS1: does not confirm listen-only: expected a driver"):
         open_bus(bus_at("pcan", "PCAN_USBBUS1"), passive=True)
     assert asked[-1][0] == "Uninitialize"
     open_bus(bus_at("pcan", "PCAN_USBBUS1"), passive=False).shutdown()

@@ -15,7 +15,7 @@ from virtual_buses import Ear, bus_file
 from acquisition.bus import Frame, Link, open_bus, service_of
 from acquisition.bus.frames import other_node, sign_of_master
 from acquisition.commands import main
-from acquisition.errors import RobotIdimError
+from acquisition.errors import BusFaultError, RefusedError, RobotIdimError
 from acquisition.protocol import State
 from acquisition.recording import EXTENDED, REMOTE_REQUEST, SENT, read_recording
 from acquisition.session import InlineLog, Stop, Task, replay, running
@@ -84,7 +84,7 @@ def test_replay_is_refused_whoever_is_heard(tracked, can_id, monkeypatch):
     somebody, ear = Link(open_bus(file, passive=False), passive=False), Ear(file.channel)
     monkeypatch.setattr(running, "open_link", heard_at_once(partial(somebody.send, can_id, b"\x01")))
     try:
-        with pytest.raises(RobotIdimError) as caught:
+        with pytest.raises(RefusedError) as caught:
             replay(tracked, file, Stop())
     finally:
         somebody.close()
@@ -141,7 +141,7 @@ def test_replay_stops_at_the_first_stranger(tracked, can_id):
     met = threading.Thread(target=meet)
     met.start()
     try:
-        with pytest.raises(RobotIdimError) as caught:
+        with pytest.raises(RefusedError) as caught:
             replay(tracked, file, Stop(), speed=0.5)
     finally:
         met.join()
@@ -155,9 +155,9 @@ def test_replay_stops_at_the_first_stranger(tracked, can_id):
 
 
 def test_replay_onto_hardware_must_be_asked_for(tracked):
-    with pytest.raises(RobotIdimError, match=r"interface = 'socketcan': hardware .* expected onto_bus"):
+    with pytest.raises(RefusedError, match=r"interface = 'socketcan': hardware .* expected onto_bus"):
         replay(tracked, bus_file("nowhere0", "socketcan"), Stop())
-    with pytest.raises(RobotIdimError, match="nowhere0: cannot be opened"):
+    with pytest.raises(BusFaultError, match="nowhere0: cannot be opened"):
         replay(tracked, bus_file("nowhere0", "socketcan"), Stop(), onto_bus=True)
 
 

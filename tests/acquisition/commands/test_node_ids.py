@@ -11,7 +11,7 @@ from virtual_buses import bus_file, served
 from acquisition.bus import Frame, Uploads, scan_nodes
 from acquisition.commands import main
 from acquisition.commands.scanning import ARRAYS, OBJECTS
-from acquisition.errors import RobotIdimError
+from acquisition.errors import RefusedError
 from acquisition.protocol import State, abort_answer, read_request
 from acquisition.session import Task
 
@@ -104,5 +104,5 @@ def test_a_late_answer_is_not_that_of_a_second_device():
     assert run.drives.asked > 20
     nodes = scan_nodes(Uploads(connected(kind=Slow)[0], bus_file()), OBJECTS, ARRAYS)
     assert sorted(nodes) == [1, 2]
-    with pytest.raises(RobotIdimError, match="two devices answer as node 2: expected one device for each node id"):
+    with pytest.raises(RefusedError, match="two devices answer as node 2: expected one device for each node id"):
         scan_nodes(Uploads(connected(kind=Twice)[0], bus_file()), OBJECTS, ARRAYS)

@@ -21,7 +21,7 @@ from acquisition.commands import checking, main
 from acquisition.commands.checking import table
 from acquisition.commands.command_line import Progress
 from acquisition.commands.scanning import ARRAYS, OBJECTS, bus_lines, findings_of
-from acquisition.errors import RobotIdimError
+from acquisition.errors import RefusedError
 from acquisition.protocol import abort_answer, value_answer
 from acquisition.recording import ERROR, REMOTE_REQUEST
 from acquisition.robot import lines_to_fill_in
@@ -98,7 +98,7 @@ def test_nothing_but_a_read_can_be_sent(can_id, frame):
     if can_id != 0x601:
         frame = frame or b"\x40\x41\x60\x00" + bytes(4)  # a read, but to an identifier of another service
     link = Answering()
-    with pytest.raises(RobotIdimError, match="is no SDO read"):
+    with pytest.raises(RefusedError, match="is no SDO read"):
         Uploads(link, bus_file()).send(can_id, frame)
     assert link.sent == []
 
@@ -152,10 +152,10 @@ WRONG = "error frame: no acknowledgement.*bitrate"
 def test_a_master_that_begins_or_an_error_frame_silences_the_scan(frame, after, told, for_good):
     link = Sudden(link=drives_of(2), frame=frame, after=after)
     uploads = Uploads(link, bus_file())
-    with pytest.raises(RobotIdimError, match=told.format(after)):
+    with pytest.raises(RefusedError, match=told.format(after)):
         scan_nodes(uploads, OBJECTS, ARRAYS)
     for _ in range(2):
-        with pytest.raises(RobotIdimError, match=for_good):
+        with pytest.raises(RefusedError, match=for_good):
             uploads.send(0x601, b"\x40\x00\x10" + bytes(5))
     assert len(link.sent) == after
 

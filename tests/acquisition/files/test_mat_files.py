@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import scipy.io
 
-from acquisition.errors import RobotIdimError
+from acquisition.errors import BadInputError
 from acquisition.files import read_columns
 
 Q = np.arange(21.0).reshape(7, 3)  # 7 samples of 3 joints
@@ -46,7 +46,7 @@ def mat(tmp_path, variables, *, before=b"", behind=b""):
 
 
 def refused(path, columns, count) -> str:
-    with pytest.raises(RobotIdimError) as caught:
+    with pytest.raises(BadInputError) as caught:
         read_columns(path, columns, count)
     text = str(caught.value)
     assert text.startswith(f"{path}: ")

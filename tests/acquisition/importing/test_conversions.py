@@ -8,7 +8,7 @@ from made_up_recordings import header, some_samples
 
 from acquisition.bus import read_log
 from acquisition.commands import main
-from acquisition.errors import RobotIdimError
+from acquisition.errors import BadInputError
 from acquisition.files import read_columns
 from acquisition.importing import export_csv, import_log, import_recording
 from acquisition.recording import ERROR, SENT, RecordingWriter, decode, read_recording
@@ -129,7 +129,7 @@ def test_csv_holds_every_digit(tmp_path):
 )
 def test_logs_that_are_none(tmp_path, name, content, expected):
     (tmp_path / name).write_bytes(content)
-    with pytest.raises(RobotIdimError, match=expected) as caught:
+    with pytest.raises(BadInputError, match=expected) as caught:
         import_log(tmp_path / name, tmp_path / "o.mcap", ROBOT, "robot.toml")
     assert "\n" not in str(caught.value)
     assert not (tmp_path / "o.mcap").exists()
@@ -139,7 +139,7 @@ def test_logs_that_are_none(tmp_path, name, content, expected):
 def test_a_time_that_no_recording_holds(tmp_path, time):
     log = tmp_path / "a.log"
     log.write_text(f"(1.0) can0 080#\n(1.001) can0 181#00\n({time}) can0 080#\n")
-    with pytest.raises(RobotIdimError) as caught:
+    with pytest.raises(BadInputError) as caught:
         import_log(log, tmp_path / "o.mcap", ROBOT, "robot.toml")
     assert str(caught.value) == f"{log}: frame 3: time {float(time):.10g} s: expected 0 to 2147483648"
     assert list(tmp_path.iterdir()) == [log]
@@ -170,12 +170,12 @@ def test_two_interfaces_are_not_taken_for_one_and_can_fd_alone_is_no_log(tmp_pat
     log = tmp_path / "a.log"
     write_log(log, flat(session()))
     log.write_text(log.read_text() + log.read_text().replace("can0", "can1"))
-    with pytest.raises(RobotIdimError) as caught:
+    with pytest.raises(BadInputError) as caught:
         import_log(log, tmp_path / "o.mcap", ROBOT, "robot.toml")
     told = "frames: 150 of interface can0, 150 of interface can1: expected one interface: filter the log, or name one"
     assert str(caught.value) == f"{log}: {told} of them as bus.channel in robot.toml"
     log.write_text("(1.2) can0 181##1000102030405060708090A0B\n")
-    with pytest.raises(RobotIdimError, match=r"a\.log: holds no (CAN )?frames \(1 of CAN FD\): expected some"):
+    with pytest.raises(BadInputError, match=r"a\.log: holds no (CAN )?frames \(1 of CAN FD\): expected some"):
         import_log(log, tmp_path / "o.mcap", ROBOT, "robot.toml")
 
 
@@ -184,9 +184,9 @@ def test_what_has_no_frames_or_no_samples_is_told(tmp_path):
         with RecordingWriter(tmp_path / name, header(ROBOT, 500.0)) as writer:
             if name == "a.mcap":
                 writer.samples(some_samples(3))
-    with pytest.raises(RobotIdimError, match=r"holds no (CAN )?frames"):
+    with pytest.raises(BadInputError, match=r"holds no (CAN )?frames"):
         import_recording(tmp_path / "a.mcap", tmp_path / "o.mcap", None, "x")
-    with pytest.raises(RobotIdimError, match="holds no joint samples"):
+    with pytest.raises(BadInputError, match="holds no joint samples"):
         export_csv(tmp_path / "b.mcap", tmp_path / "o.csv")
 
 
@@ -225,7 +225,7 @@ def test_why_there_are_no_samples_is_said_by_all_who_need_some(tmp_path, capsys)
     for command in (["info", log], ["export", log, "-o", tmp_path / "a.csv"]):
         assert why in (text := told(capsys, *command))
     assert "with a corrected --robot" in text
-    with pytest.raises(RobotIdimError, match=why):
+    with pytest.raises(BadInputError, match=why):
         load_signals(log)
     cut.write_bytes(log.read_bytes()[:-100])
     assert f"warning: no samples: {cut}: {why}" in told(capsys, "import", cut, "-o", tmp_path / "b.mcap")

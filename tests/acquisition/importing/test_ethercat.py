@@ -11,7 +11,7 @@ from ethercat_robots import robot_text
 from made_up_buses import robot_of
 
 from acquisition.commands import main
-from acquisition.errors import RobotIdimError
+from acquisition.errors import BadInputError, RobotIdimError
 from acquisition.importing import import_log, import_recording
 from acquisition.importing.ethercat import cycle_numbers
 from acquisition.recording import read_recording
@@ -105,7 +105,7 @@ def test_stations_are_those_of_the_description_or_of_the_bus(tmp_path):
     check(plain, bus)
     np.testing.assert_array_equal(samples["position"], plain["position"][:, ::-1])
     wrong = robot_of(robot_text().replace("node = 1", "node = 1\nstation = 7"))
-    with pytest.raises(RobotIdimError, match="no mapping of station 7 for motor_1"):
+    with pytest.raises(BadInputError, match="no mapping of station 7 for motor_1"):
         imported(tmp_path, made_up.pcap(bus.packets(50)), wrong)
 
 
@@ -126,10 +126,10 @@ def test_a_capture_that_begins_in_operation_needs_the_mapping(tmp_path, image):
     check(recording.samples, bus)
     assert len(recording.samples) == 100
     missing = r"no mapping of inputs is in it; it has LR[DW] .* bytes at 0x10000.*mapping"
-    with pytest.raises(RobotIdimError, match=missing) as caught:
+    with pytest.raises(BadInputError, match=missing) as caught:
         imported(tmp_path, content)
     assert "\n" not in str(caught.value)
-    with pytest.raises(RobotIdimError, match="mapping has 160 bits; it has"):
+    with pytest.raises(BadInputError, match="mapping has 160 bits; it has"):
         imported(tmp_path, content, mapping=[WHOLE, WHOLE])
 
 
@@ -139,7 +139,7 @@ def test_a_stated_mapping_where_only_the_objects_are_missing(tmp_path):
     content = made_up.pcap(bus.packets(100))
     recording, _ = imported(tmp_path, content, mapping=[WHOLE] * 2)
     check(recording.samples, bus)
-    with pytest.raises(RobotIdimError, match="station 1002: 1C13 maps 128 bits, sync manager 3 has 80"):
+    with pytest.raises(BadInputError, match="station 1002: 1C13 maps 128 bits, sync manager 3 has 80"):
         imported(tmp_path, content, mapping=[WHOLE + GAP] * 2)
 
 
@@ -148,7 +148,7 @@ def test_what_is_missing_is_said(tmp_path):
     packets = bus.packets(100)
     out = [packet for packet in packets if not packet[1][6] & 2]
     back = [packet for packet in packets if packet[1][6] & 2]
-    with pytest.raises(RobotIdimError, match=r"no process data come back from the slaves.*both directions"):
+    with pytest.raises(BadInputError, match=r"no process data come back from the slaves.*both directions"):
         imported(tmp_path, made_up.pcap(out))
     check(imported(tmp_path, made_up.pcap(back))[0].samples, bus)
     over = made_up.Bus(image="overlap")
@@ -157,9 +157,9 @@ def test_what_is_missing_is_said(tmp_path):
     check(recording.samples, over)
     assert "reference" not in recording.samples.dtype.names
     assert found.warnings == ("no reference: the targets are not mapped, or not in frames on their way out",)
-    with pytest.raises(RobotIdimError, match=r"no process data come back.*it has .nothing."):
+    with pytest.raises(BadInputError, match=r"no process data come back.*it has .nothing."):
         imported(tmp_path, made_up.pcap(bus.start()))
-    with pytest.raises(RobotIdimError, match=r"a cycle came every 1 ms; bus.sync_period_s = 0.002 in robot.toml"):
+    with pytest.raises(BadInputError, match=r"a cycle came every 1 ms; bus.sync_period_s = 0.002 in robot.toml"):
         imported(tmp_path, made_up.pcap(packets), robot_of(robot_text(period_s=0.002)))
 
 
@@ -245,7 +245,7 @@ def test_stations_that_came_back_in_another_order_are_refused(tmp_path):
     (first, one), (second, other) = packets[1], packets[3]  # back, with the positions 2 and 1
     at = one.index(b"\x02\x00\x10\x00")
     packets[1], packets[3] = (first, one[:at] + b"\x00" + one[at + 1 :]), (second, other)
-    with pytest.raises(RobotIdimError, match=r"station 100[12] that came back is not the one that went out"):
+    with pytest.raises(BadInputError, match=r"station 100[12] that came back is not the one that went out"):
         imported(tmp_path, made_up.pcap(packets))
 
 

@@ -7,7 +7,7 @@ import pytest
 import scipy.io
 from descriptions import COUPLED, ONE_JOINT
 
-from acquisition.errors import RobotIdimError
+from acquisition.errors import BadInputError
 from acquisition.importing import ImportSummary, import_tables
 from acquisition.recording import read_recording
 from acquisition.robot import Robot, robot_from_files
@@ -52,7 +52,7 @@ def run(folder: Path, robot: Robot, table_map: str, *tables: Path) -> ImportSumm
 
 def refusal(folder: Path, robot: Robot, table_map: str, *tables: Path) -> tuple[str, str, object, str]:
     """Place, key, value and what was expected; nothing is written."""
-    with pytest.raises(RobotIdimError) as caught:
+    with pytest.raises(BadInputError) as caught:
         run(folder, robot, table_map, *tables)
     assert not (folder / "out.mcap").exists()
     assert not list(folder.glob(".*"))
@@ -90,7 +90,7 @@ def test_joint_side_stands_as_it_is(tmp_path, two, table):
     table_map = MAP.replace("motor", "joint").replace("mA", "mN m") + '[reference]\ncolumns = ["p2", "p1"]\n'
     table_map += 'unit = ["deg", "rad"]\nside = "joint"\n'
     with pytest.raises(
-        RobotIdimError, match=r"position.side = 'joint': zero_deg of joint first in robot.toml has no effect"
+        BadInputError, match=r"position.side = 'joint': zero_deg of joint first in robot.toml has no effect"
     ):
         run(tmp_path, two, table_map, table)
     plain = robot_from_files({"robot.toml": ROBOT.replace("zero_deg = 90\n", "").encode()}, "plain.toml")
@@ -398,5 +398,5 @@ def test_what_instants_efforts_belong_to_is_what_the_map_says(tmp_path, two, sta
 def test_missing_files_are_named(tmp_path, two):
     assert refusal(tmp_path, two, MAP, tmp_path / "none.csv")[0] == "none.csv"
     assert refusal(tmp_path, two, MAP, tmp_path)[0] == str(tmp_path)
-    with pytest.raises(RobotIdimError, match=r"none\.toml: cannot be read: No such file"):
+    with pytest.raises(BadInputError, match=r"none\.toml: cannot be read: No such file"):
         import_tables([], two, tmp_path / "none.toml", tmp_path / "out.mcap")

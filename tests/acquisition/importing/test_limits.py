@@ -9,7 +9,7 @@ import pytest
 from conftest import REPLAY, needs_data, robot_named
 from urdfs import TURN_AND_SLIDE, TURN_AND_SLIDE_TOML
 
-from acquisition.errors import RobotIdimError
+from acquisition.errors import BadInputError
 from acquisition.importing import import_tables
 from acquisition.robot import (
     RADIANS_AS_DEGREES,
@@ -34,7 +34,7 @@ def moving(n: int = 6) -> np.ndarray:
 
 
 def refusal(q: np.ndarray, robot=TX40, t=T) -> str:
-    with pytest.raises(RobotIdimError) as caught:
+    with pytest.raises(BadInputError) as caught:
         check_recorded_positions(robot, t, q, "log")
     assert "\n" not in str(caught.value)
     return str(caught.value)
@@ -129,7 +129,7 @@ def test_a_fit_refuses_what_no_robot_did_and_tells_of_small_overshoots():
     signals = load_signals(REPLAY / "scara" / "session.mcap")
     q = np.array(signals.q)
     q[6000:, 0] += math.radians(72)
-    with pytest.raises(RobotIdimError, match=r"session.mcap: joint shoulder jumps by 71.98 deg"):
+    with pytest.raises(BadInputError, match=r"session.mcap: joint shoulder jumps by 71.98 deg"):
         identify_ls(dataclasses.replace(signals, q=q), Overrides())
     limits = signals.robot.joints[0].si("position")
     shifted: Signals = dataclasses.replace(
@@ -151,7 +151,7 @@ def test_real_records_pass_and_wrong_units_are_refused_at_import(tmp_path, emps,
     wide = load_robot(folder / "robot.toml")
     motor = type(wide.motors[0])(name="m", drive_gain=35.0, drive_gain_unit="N/V")
     fast = dataclasses.replace(wide, motors=(motor,), R=np.array([[0.1]]))
-    with pytest.raises(RobotIdimError, match=r"DATA_EMPS.mat: joint axis at .* m, .* s: limits -0.15 m and 0.15 m"):
+    with pytest.raises(BadInputError, match=r"DATA_EMPS.mat: joint axis at .* m, .* s: limits -0.15 m and 0.15 m"):
         import_tables([needs_data("emps", "DATA_EMPS.mat")], fast, table_map, out)
     assert not out.exists()
 
@@ -181,7 +181,7 @@ def test_efforts_come_from_the_description_else_from_the_urdf():
     ],
 )
 def test_an_effort_that_is_no_limit_is_refused(keys, key, value):
-    with pytest.raises(RobotIdimError) as caught:
+    with pytest.raises(BadInputError) as caught:
         urdf_arm(**keys)
     assert (caught.value.key, caught.value.value) == (key, value)
 

@@ -13,7 +13,7 @@ from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, Qo
 from rosbags.rosbag2 import CompressionMode, StoragePlugin, Writer
 
 from acquisition.commands import main
-from acquisition.errors import RobotIdimError
+from acquisition.errors import BadInputError
 from acquisition.importing import BagOptions, import_bag
 from acquisition.recording import Header, RecordingWriter, read_recording
 from identification.data import load_signals
@@ -195,7 +195,7 @@ ONE_PUBLISHER = "one publisher; record the topic of the arm's own driver"
 )  # fmt: skip
 def test_what_is_wrong_with_a_bag_is_told(tmp_path, robot, change, place, key, value, expected):
     folder, out = bag(tmp_path / "bag", edited(**change)), tmp_path / "out.mcap"
-    with pytest.raises(RobotIdimError) as caught:
+    with pytest.raises(BadInputError) as caught:
         import_bag(folder, robot, out, OPTIONS)
     assert not out.exists()
     error = caught.value
@@ -230,7 +230,7 @@ def in_turns(every=1, **other):
 )
 def test_two_publishers_with_the_same_names_are_refused(tmp_path, key, other):
     path = bag(tmp_path / "two", in_turns(**other))
-    with pytest.raises(RobotIdimError) as refused:
+    with pytest.raises(BadInputError) as refused:
         import_bag(path, robot_named("scara"), tmp_path / "out.mcap", OPTIONS)
     assert refused.value.key.startswith(key)
     assert "one publisher" in refused.value.expected
@@ -360,7 +360,7 @@ def test_a_reference_that_cannot_be_used_is_a_warning_and_if_asked_for_a_refusal
     assert not found.has_reference
     (warning,) = found.warnings
     assert warning.startswith(f"no reference: {path}: {CONTROLLER}: {problem}")
-    with pytest.raises(RobotIdimError) as refused:
+    with pytest.raises(BadInputError) as refused:
         import_bag(path, robot, tmp_path / "asked.mcap", replace(OPTIONS, reference_topic=CONTROLLER))
     assert f"no reference: {refused.value}" == warning
     assert not (tmp_path / "asked.mcap").exists()
@@ -368,7 +368,7 @@ def test_a_reference_that_cannot_be_used_is_a_warning_and_if_asked_for_a_refusal
 
 def test_a_reference_topic_of_another_type_or_none_is_told(tmp_path, robot, whole):
     for topic, problem in (("/rosout", f"has type {TEXT}"), ("/away", "does not exist")):
-        with pytest.raises(RobotIdimError, match=f"topic {topic} {problem}: expected a topic of control_msgs/msg/"):
+        with pytest.raises(BadInputError, match=f"topic {topic} {problem}: expected a topic of control_msgs/msg/"):
             import_bag(whole, robot, tmp_path / "out.mcap", replace(OPTIONS, reference_topic=topic))
 
 

@@ -8,7 +8,7 @@ from dry_sessions import Answering
 from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.bus import Frame, Master
-from acquisition.errors import NoAnswerError, RobotIdimError, SdoAbortedError
+from acquisition.errors import BadInputError, NoAnswerError, SdoAbortedError
 from acquisition.protocol import (
     ObjectEntry,
     Pdo,
@@ -231,7 +231,7 @@ def test_objects_in_pdos_by_their_bits():
         (0x20000101, "2000:1 of 1 bits"),
         (0x200001FF, "2000:1 of 255"),
     ):
-        with pytest.raises(RobotIdimError, match=f"x: tpdo 1: {expected}.*: expected whole bytes of its own type"):
+        with pytest.raises(BadInputError, match=f"x: tpdo 1: {expected}.*: expected whole bytes of its own type"):
             pdos_of("tpdo", unknown | {(0x1A00, 1): word}, KINDS, "x")
 
 
@@ -246,7 +246,7 @@ def test_values_in_a_frame():
         (0x6074, 0): 32767,
     }
     assert pdo.unpack(data("37 92 FB FF FF FF D4 FE 00")) == values  # what is beyond belongs to nobody
-    with pytest.raises(RobotIdimError, match="PDO 0x185: 7 bytes: expected 8"):
+    with pytest.raises(BadInputError, match="PDO 0x185: 7 bytes: expected 8"):
         pdo.unpack(data("37 92 FB FF FF FF D4"))
     assert [pdo.offset(0x6041, 0), pdo.offset(0x6064, 0), pdo.offset(0x6074, 0)] == [0, 2, 6]
     assert [pdo.offset(0x6064, 1), pdo.offset(0x6065, 0)] == [None, None]
@@ -274,7 +274,7 @@ def test_the_interpolation_period_of_60c2(period_s, expected):
 
 @pytest.mark.parametrize("period_s", [0.256, 0.0003333, 1e-7])
 def test_periods_that_60c2_cannot_say(period_s):
-    with pytest.raises(RobotIdimError, match=r"bus.sync_period_s = .*60C2"):
+    with pytest.raises(BadInputError, match=r"bus.sync_period_s = .*60C2"):
         interpolation_period(period_s)
 
 
@@ -473,9 +473,9 @@ def test_a_master_reads_and_writes(bus):
     master = Master(link, bus)
     assert master.read(5, 0x6041) == 0x1237
     master.write(5, 0x6040, 0, 6, 2)
-    with pytest.raises(RobotIdimError, match=re.escape("node 5: object 1000:0: refused by the drive: general error")):
+    with pytest.raises(SdoAbortedError, match=re.escape("node 5: object 1000:0: refused by the drive: general error")):
         master.read(5, 0x1000)
-    with pytest.raises(RobotIdimError, match="node 5: object 1001:0: no answer in"):
+    with pytest.raises(NoAnswerError, match="node 5: object 1001:0: no answer in"):
         master.read(5, 0x1001)
     assert link.sent[:2] == [(0x605, data("40 41 60 00 00 00 00 00")), (0x605, data("2B 40 60 00 06 00 00 00"))]
 

@@ -4,7 +4,7 @@ import itertools
 
 import pytest
 
-from acquisition.errors import RobotIdimError
+from acquisition.errors import BusFaultError, RobotIdimError
 from acquisition.protocol import (
     AUTOMATIC,
     BITS,
@@ -113,7 +113,7 @@ def test_every_statusword_tells_the_state_of_the_table():
         assert state_or_none(word) is expected.get(word), hex(word)
     for word in (0x1237, 0x0637, 0xF027):
         assert state_of(word) is State.OPERATION_ENABLED
-    with pytest.raises(RobotIdimError, match="statusword 0x1211: expected the bits of a CiA 402 state"):
+    with pytest.raises(BusFaultError, match="statusword 0x1211: expected the bits of a CiA 402 state"):
         state_of(0x1211)
 
 
@@ -152,7 +152,7 @@ def test_what_is_commanded_on_the_way_up_and_down(state, goal, table):
 
 def test_no_command_leads_into_a_fault():
     for goal in (State.FAULT, State.FAULT_REACTION_ACTIVE, State.NOT_READY_TO_SWITCH_ON):
-        with pytest.raises(RobotIdimError, match=f"no command leads from switched on to {goal.words}"):
+        with pytest.raises(BusFaultError, match=f"no command leads from switched on to {goal.words}"):
             toward(State.SWITCHED_ON, goal)
     assert toward(State.FAULT_REACTION_ACTIVE, State.FAULT) is None
 

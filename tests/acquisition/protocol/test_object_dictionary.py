@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from made_up_buses import bus_of, bus_text, refused, robot_of
 
-from acquisition.errors import RobotIdimError
+from acquisition.errors import BadInputError, RobotIdimError
 from acquisition.protocol import load_dictionary
 from acquisition.robot import load_robot, resolve
 from acquisition.simulated import SimulatedDrives
@@ -85,7 +85,7 @@ def test_identities(text, expected):
 def test_a_dictionary_of_four_mebibytes_and_no_more():
     remark = ";" + "x" * (4 * 2**20 - len(EDS) - 1)
     assert len(found(EDS + remark).entries) == 14
-    with pytest.raises(RobotIdimError, match=re.escape("a.eds: 4194305 bytes: expected 4194304 at most")):
+    with pytest.raises(BadInputError, match=re.escape("a.eds: 4194305 bytes: expected 4194304 at most")):
         found(EDS + remark + "x")
 
 
@@ -134,7 +134,7 @@ def test_an_empty_number_is_read_as_0_with_a_warning():
 def test_every_real_dictionary_loads_or_is_refused_in_one_line(name):
     path = needs_data("eds") / name
     if name.startswith("infranor"):
-        with pytest.raises(RobotIdimError, match=r"line 2112: .ManufacturerObjects. holds '12' twice") as caught:
+        with pytest.raises(BadInputError, match=r"line 2112: .ManufacturerObjects. holds '12' twice") as caught:
             load_dictionary(path.read_bytes(), name, 1)
         assert "\n" not in str(caught.value)
         return
@@ -211,11 +211,11 @@ def test_damaged_dictionaries(tmp_path):
         (b"[1000]\nObjectType=7\n", "not a readable EDS or DCF"),
         (b"[6041]\na=1\n[6041]\n", "line 3: [6041] is there twice: expected once"),
     ):
-        with pytest.raises(RobotIdimError, match=re.escape(f"x.eds: {expected}")) as caught:
+        with pytest.raises(BadInputError, match=re.escape(f"x.eds: {expected}")) as caught:
             load_dictionary(data, "x.eds", 1)
         assert "\n" not in str(caught.value)
     (tmp_path / "robot.toml").write_text(bus_text(1).replace("node = 1\n", 'node = 1\ndictionary = "none.eds"\n'))
-    with pytest.raises(RobotIdimError, match=r"bus.drive\[0\].dictionary = 'none.eds': cannot be read: No such file"):
+    with pytest.raises(BadInputError, match=r"bus.drive\[0\].dictionary = 'none.eds': cannot be read: No such file"):
         load_robot(tmp_path / "robot.toml")
 
 
@@ -228,5 +228,5 @@ def test_any_bytes_as_a_dictionary_are_one_line_or_a_result(data):
 def test_pdos_of_traffic_are_looked_at_too():
     values = {(0x1800, 1): 0x701, (0x1A00, 0): 3} | {(0x1A00, k): SENT_OBJECTS[k] for k in (1, 2, 3)}
     robot = robot_of(bus_text(1, drive='mapping = "traffic"'))
-    with pytest.raises(RobotIdimError, match=r"tpdo 1 \(mapping = 'traffic'\): identifier 0x701"):
+    with pytest.raises(BadInputError, match=r"tpdo 1 \(mapping = 'traffic'\): identifier 0x701"):
         resolve(robot, "r.toml", {1: values})

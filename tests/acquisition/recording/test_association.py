@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_up_buses import block, bus_of, bus_text, frame, robot_of
 
-from acquisition.errors import RobotIdimError
+from acquisition.errors import BadInputError, RobotIdimError
 from acquisition.recording import FRAME, SENT, Block, Decoded, decode
 
 ROBOT = robot_of(bus_text())
@@ -255,7 +255,7 @@ def test_with_over_five_percent_missing_there_are_no_samples():
         if not refused:
             assert len(decode(kept, ROBOT, BUS, "log").samples) == SYNCS - count
             continue
-        with pytest.raises(RobotIdimError, match=r"log: 5.6% of the PDOs of a drive are missing: expected 5% at most"):
+        with pytest.raises(BadInputError, match=r"log: 5.6% of the PDOs of a drive are missing: expected 5% at most"):
             decode(kept, ROBOT, BUS, "log")
         # Not in the span in which all drives answer: it has begun later.
         assert len(decode(np.delete(frames, of_first[:count]), ROBOT, BUS, "log").samples) == SYNCS - count

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from made_up_buses import block, bus_of, bus_text, counts, flat, frame, robot_of, session
 
-from acquisition.errors import RobotIdimError
+from acquisition.errors import BadInputError
 from acquisition.recording import ERROR, EXTENDED, FRAME, REMOTE_REQUEST, Decoded, decode, gaps, written_by_master
 from acquisition.recording.rows import unwrap
 from acquisition.robot import resolve
@@ -99,7 +99,7 @@ def test_a_period_that_is_not_the_described_one_is_refused(way):
     warned = decode(flat(session(period_ns=2_000_000 + way * 98_000)), ROBOT, BUS, "log")
     assert warned.warnings[0].endswith("ms: expected 2 ms as robot.toml says")
     off_ns = 2_000_000 + way * 102_000
-    with pytest.raises(RobotIdimError) as caught:
+    with pytest.raises(BadInputError) as caught:
         decode(flat(session(period_ns=off_ns)), ROBOT, BUS, "log")
     told, expected = str(caught.value), f"expected {off_ns * 1e-9:.3g};"
     assert told.startswith(
@@ -165,7 +165,7 @@ def test_what_wrapped_is_unwrapped(steps, start):
     ],
 )
 def test_what_cannot_be_decoded(frames, expected):
-    with pytest.raises(RobotIdimError, match=expected):
+    with pytest.raises(BadInputError, match=expected):
         decode(frames, ROBOT, BUS, "log")
 
 

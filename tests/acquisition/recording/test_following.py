@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from made_up_buses import bus_of, bus_text, flat, robot_of, session
 from made_up_recordings import header
 
-from acquisition.errors import RobotIdimError
+from acquisition.errors import BadInputError
 from acquisition.recording import Block, RecordingFollower, RecordingWriter, decode
 from acquisition.session import Recorder
 
@@ -140,7 +140,7 @@ def test_a_file_that_cannot_be_followed_any_more(tmp_path, harm, text):
     writer, follower = begun(path)
     assert follower.read() is False or follower.rows is not None
     harm(path)
-    with pytest.raises(RobotIdimError, match=text) as raised:
+    with pytest.raises(BadInputError, match=text) as raised:
         follower.read()
     assert str(raised.value).startswith(f"{path}: ")
     assert "\n" not in str(raised.value)

@@ -12,7 +12,7 @@ from conftest import robot_named
 from made_up_recordings import header, some_frames, some_samples, write
 from rosbags.typesys import Stores, get_typestore
 
-from acquisition.errors import RobotIdimError
+from acquisition.errors import BadInputError
 from acquisition.recording import EXTENDED, FRAME, SENT, Header, RecordingWriter, gaps, read_recording, sample_dtype
 from acquisition.robot import load_robot
 
@@ -135,7 +135,7 @@ GROWING, FINITE = "growing stamps from 0 to 2147483647999999999", "a finite numb
 def test_values_that_a_recording_does_not_take(tmp_path, field, values, row, value, expected):
     samples = some_samples(3)
     samples[field] = values
-    with pytest.raises(RobotIdimError) as caught:
+    with pytest.raises(BadInputError) as caught:
         write_rows(tmp_path, samples)
     error, key = caught.value, field if field == "stamp_ns" else f"{field} of joint 2"
     assert (error.place, error.key) == (f"{tmp_path / 'rows.mcap'}: /samples: row {row}", key)
@@ -148,10 +148,10 @@ def test_a_row_that_is_refused_is_counted_from_the_first_of_all_blocks_and_a_lat
     samples["stamp_ns"][-1] = 2**31 * 10**9 - 1
     write_rows(tmp_path, samples)
     samples["effort"][1500, 0] = np.nan
-    with pytest.raises(RobotIdimError, match="row 1501"):
+    with pytest.raises(BadInputError, match="row 1501"):
         write_rows(tmp_path, samples)
     samples["stamp_ns"][1400] = samples["stamp_ns"][1399]  # the first of a block
-    with pytest.raises(RobotIdimError, match="row 1401"):
+    with pytest.raises(BadInputError, match="row 1401"):
         write_rows(tmp_path, samples)
 
 
@@ -217,13 +217,13 @@ def test_writer_refuses_what_the_reader_would(tmp_path, robot):
             (some_samples(10, n=3, first=10), "expected sample_dtype of 2 joints"),
             (some_samples(10, first=10, reference=False), "as in the block before"),
         ):
-            with pytest.raises(RobotIdimError, match=message):
+            with pytest.raises(BadInputError, match=message):
                 writer.samples(bad)
-        with pytest.raises(RobotIdimError, match=r"CAN channel '\.\./x': expected letters"):
+        with pytest.raises(BadInputError, match=r"CAN channel '\.\./x': expected letters"):
             writer.frames("../x", some_frames(1))
-        with pytest.raises(RobotIdimError, match="can0/frames: rows of"):
+        with pytest.raises(BadInputError, match="can0/frames: rows of"):
             writer.frames("can0", some_samples(1))
-        with pytest.raises(RobotIdimError, match="stamp_ns = -1"):
+        with pytest.raises(BadInputError, match="stamp_ns = -1"):
             writer.event(-1, "phase", "track")
         writer.samples(some_samples(0, first=10))
         writer.samples(some_samples(10, first=10))

@@ -15,7 +15,7 @@ from made_up_recordings import attempt, is_prefix, same, write
 from mcap.writer import Writer
 
 from acquisition.bus import WallClock
-from acquisition.errors import RobotIdimError
+from acquisition.errors import BadInputError
 from acquisition.importing import import_recording
 from acquisition.recording import FRAME, read_recording
 from acquisition.recording import content as mcap_content
@@ -77,7 +77,7 @@ def test_a_flipped_bit_in_a_cut_file_is_found_in_all_it_tells(whole, tmp_path):
     full = read_recording(whole)
     start = data.index(b"robot.toml")
     for place in (data.index(b"1000.0"), data.index(b"made up"), data.index(b"shoulder"), start, start + 500):
-        with pytest.raises(RobotIdimError, match=r"crc32|CRC"):
+        with pytest.raises(BadInputError, match=r"crc32|CRC"):
             read_recording(spoilt(tmp_path / "bad.mcap", data, place, 1))
     chunks = data.index(b"zstd")
     for place in range(chunks + 20, len(data), 251):
@@ -112,10 +112,10 @@ def test_what_unpacks_to_too_much_is_refused(tmp_path, robot, whole, monkeypatch
         writer.add_message(channel, 0, bytes(70 * 2**20), 0)
         writer.finish()
     assert (tmp_path / "bomb.mcap").stat().st_size < 20_000
-    with pytest.raises(RobotIdimError, match=r"a chunk of 7.* bytes: expected 67108864"):
+    with pytest.raises(BadInputError, match=r"a chunk of 7.* bytes: expected 67108864"):
         read_recording(tmp_path / "bomb.mcap")
     monkeypatch.setattr(mcap_content, "_MAX_TOTAL_BYTES", 10_000)
-    with pytest.raises(RobotIdimError, match="more than 10000 bytes unpacked"):
+    with pytest.raises(BadInputError, match="more than 10000 bytes unpacked"):
         read_recording(whole)
 
 
@@ -189,7 +189,7 @@ NOT_FINITE = struct.pack("<q4d", 0, 0.0, float("nan"), 0.0, 0.0)
 def test_files_that_are_no_recording_are_refused_in_one_line(tmp_path, robot, metadata, messages, message):
     path = tmp_path / "odd.mcap"
     record(path, metadata, dict(robot.files), messages)
-    with pytest.raises(RobotIdimError, match=message.replace("| null", r"\| null")) as caught:
+    with pytest.raises(BadInputError, match=message.replace("| null", r"\| null")) as caught:
         read_recording(path)
     assert str(caught.value).startswith(str(path))
     assert "\n" not in str(caught.value)
@@ -216,14 +216,14 @@ def test_what_stands_twice_or_belongs_to_nothing_is_damage_and_an_empty_channel_
         recording = read_recording(tmp_path / "a.mcap")
         assert (recording.samples, recording.frames) == (None, {})
         return
-    with pytest.raises(RobotIdimError, match=message):
+    with pytest.raises(BadInputError, match=message):
         read_recording(tmp_path / "a.mcap")
 
 
 @pytest.mark.parametrize("content", [b"", b"time,q1\n0,1\n", b"\x89MCAP0\r", b"\x89HDF\r\n\x1a\n" * 50])
 def test_what_is_not_mcap_is_refused(tmp_path, content):
     (tmp_path / "a.mcap").write_bytes(content)
-    with pytest.raises(RobotIdimError, match="is not an MCAP file"):
+    with pytest.raises(BadInputError, match="is not an MCAP file"):
         read_recording(tmp_path / "a.mcap")
 
 
@@ -236,7 +236,7 @@ def test_no_file_a_folder_or_no_description(tmp_path, robot):
         (b"name = 1", path, r"a\.mcap: robot.toml: name = 1: expected `str`"),
     ):
         record(path, GOOD, {} if toml is None else {"robot.toml": toml}, [])
-        with pytest.raises(RobotIdimError, match=message):
+        with pytest.raises(BadInputError, match=message):
             read_recording(where)
     # The file that all of these and those above differ from is read.
     record(path, GOOD, dict(robot.files), [("/samples", LAYOUT, ROW), ("/elsewhere", "", b"x")])

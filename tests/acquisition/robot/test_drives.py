@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from made_up_buses import bus_of, bus_text, refused, robot_of
 
-from acquisition.errors import RobotIdimError
+from acquisition.errors import BadInputError
 from acquisition.protocol import ObjectEntry
 from acquisition.robot import parse_homed, refuse_load, refuse_out_of_range, resolve
 
@@ -37,7 +37,7 @@ def test_a_rate_of_six_axes():
     assert bus_of(robot_of(bus_text(6))).load == pytest.approx(0.7775)
     bus = bus_of(robot_of(bus_text(6, period_s=0.001)))  # for a listener, who sends none of it
     expected = "bus.sync_period_s = 0.001: 156% of 1000000 bit/s: expected 95% at most: 0.0016 s"
-    with pytest.raises(RobotIdimError, match=re.escape(expected)):
+    with pytest.raises(BadInputError, match=re.escape(expected)):
         refuse_load(bus, "robot.toml")
     refuse_load(bus_of(robot_of(bus_text(6))), "robot.toml")
 
@@ -109,7 +109,7 @@ def test_refused_in_one_line(change, expected):
 def test_one_drive_for_each_motor_and_a_bus_for_them():
     text = bus_text(2)
     refused(text[: text.rindex("[[bus.drive]]")], "bus.drive = '1 tables': expected one per motor: 2")
-    with pytest.raises(RobotIdimError, match=r"r.toml: bus is missing: expected its drives: remove `#: `"):
+    with pytest.raises(BadInputError, match=r"r.toml: bus is missing: expected its drives: remove `#: `"):
         resolve(robot_of(text[: text.index("[bus]")]), "r.toml")
 
 
@@ -156,7 +156,7 @@ def test_targets_beyond_what_the_object_holds():
     ):
         path[3] = 0.0
         path[3, column] = value
-        with pytest.raises(RobotIdimError, match=re.escape(f"x: at 0.006 s: target of {told}")) as caught:
+        with pytest.raises(BadInputError, match=re.escape(f"x: at 0.006 s: target of {told}")) as caught:
             refuse_out_of_range(path, robot, bus, "x")
         assert str(caught.value).endswith("counts: expected -2147483648 to 2147483647")
 

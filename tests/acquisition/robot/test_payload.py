@@ -15,7 +15,7 @@ from made_up_recordings import header, some_samples
 from urdfs import ARM, joint, urdf
 
 from acquisition.commands import main
-from acquisition.errors import RobotIdimError
+from acquisition.errors import BadInputError, RobotIdimError
 from acquisition.importing import import_recording
 from acquisition.options import RecordOptions
 from acquisition.recording import RecordingWriter, read_recording
@@ -64,7 +64,7 @@ def test_a_payload_is_read_and_written(text, payload, words):
     ],
 )  # fmt: skip
 def test_no_payload(text):
-    with pytest.raises(RobotIdimError) as refused:
+    with pytest.raises(BadInputError) as refused:
         parse_payload(text, robot_named("tx40"), "--payload")
     assert (refused.value.key, refused.value.value) == ("--payload", text)
     assert refused.value.expected.startswith("KG or KG@X,Y,Z")
@@ -78,7 +78,7 @@ def test_the_table_says_how_the_numbers_are_meant():
 
 
 def refusal(call, *arguments, **named) -> tuple[str, str, object]:
-    with pytest.raises((RobotIdimError, RobotIdimError)) as caught:
+    with pytest.raises((BadInputError, RobotIdimError)) as caught:
         call(*arguments, **named)
     assert "\n" not in str(caught.value)
     return caught.value.place, caught.value.key, caught.value.value
@@ -134,7 +134,7 @@ def test_the_frame_of_a_fixed_link_gives_the_parameters_of_its_place():
 
 @pytest.mark.parametrize("frame", ["sensor", "arm", "base", "mount", "nothing"])
 def test_a_frame_that_the_last_joint_does_not_carry_is_refused(frame):
-    with pytest.raises(RobotIdimError) as refused:
+    with pytest.raises(BadInputError) as refused:
         payload_parameters(InverseModel(arm()), Payload(2.0, frame=frame))
     error = refused.value
     assert (error.place, error.key, error.value) == ("robot arm", "payload.frame", frame)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from made_up_buses import bus_text, robot_of
 
-from acquisition.errors import RobotIdimError
+from acquisition.errors import BadInputError
 from acquisition.robot import FourierReference, Robot, approach, check_limits, fourier_reference, table_reference
 
 DEG = np.pi / 180
@@ -22,7 +22,7 @@ def robot_with(low: float = -150, high: float = 60, speed: float = 200, accelera
 
 
 def told(q: np.ndarray, robot: Robot) -> str:
-    with pytest.raises(RobotIdimError) as caught:
+    with pytest.raises(BadInputError) as caught:
         check_limits(q, robot, PERIOD_S, "here")
     return str(caught.value)
 
@@ -181,12 +181,12 @@ def test_a_random_series_of_a_joint_without_limits_of_speed_and_of_another_seed(
 
 def test_a_random_series_of_a_joint_without_a_range_or_of_no_length_is_refused():
     """It has no range of 1 rad to each side by itself."""
-    with pytest.raises(RobotIdimError) as error:
+    with pytest.raises(BadInputError) as error:
         fourier_reference(robot_of(bus_text(1).replace("position_deg = [-150, 150]", "")), period_s=10.0, seed=3)
     assert (error.value.key, error.value.value) == ("joint[0].position_deg", None)
     assert error.value.place.endswith("joint joint_1")
     for period_s in (0.0, -1.0, float("nan")):
-        with pytest.raises(RobotIdimError, match=f"period {period_s:g} s: expected more than 0"):
+        with pytest.raises(BadInputError, match=f"period {period_s:g} s: expected more than 0"):
             fourier_reference(robot_of(bus_text(1)), period_s=period_s, seed=0)
 
 
@@ -218,7 +218,7 @@ def test_a_table_is_a_spline_at_rest_at_its_ends(tmp_path):
 def test_tables_that_no_path_leads_through(tmp_path, rows, period_s, expected):
     path = tmp_path / "ref.csv"
     path.write_text(f"time_s,joint_1,joint_2\n{rows}\n")
-    with pytest.raises(RobotIdimError, match=re.escape(f"{path}: {expected}")) as caught:
+    with pytest.raises(BadInputError, match=re.escape(f"{path}: {expected}")) as caught:
         table_reference(path, robot_of(bus_text(2)), period_s)
     assert "\n" not in str(caught.value)
 
@@ -227,5 +227,5 @@ def test_a_table_of_a_day_and_one_without_a_joint(tmp_path):
     path = tmp_path / "ref.csv"
     path.write_text("time_s,joint_1\n0,0\n86400,1\n")
     assert len(table_reference(path, robot_of(bus_text(1)), 1.0)) == 86401
-    with pytest.raises(RobotIdimError, match="'joint_2' does not exist"):
+    with pytest.raises(BadInputError, match="'joint_2' does not exist"):
         table_reference(path, robot_of(bus_text(2)), 1.0)

@@ -10,7 +10,7 @@ import pytest
 from conftest import REPLAY, robot_named
 from descriptions import COUPLED, ONE_JOINT
 
-from acquisition.errors import RobotIdimError, one_line
+from acquisition.errors import BadInputError, RobotIdimError, one_line
 from acquisition.files import atomic_write, refuse_clash
 from acquisition.robot import load_robot, robot_from_files
 
@@ -19,7 +19,7 @@ GAIN = 'drive_gain = 0.2\ndrive_gain_unit = "N m/A"'
 
 
 def refused(text: str, files: dict[str, bytes] | None = None) -> RobotIdimError:
-    with pytest.raises(RobotIdimError) as caught:
+    with pytest.raises(BadInputError) as caught:
         robot_from_files({"robot.toml": text.encode(), **(files or {})}, "here")
     assert str(caught.value).startswith("here: ")
     assert "\n" not in str(caught.value)
@@ -183,16 +183,16 @@ def test_each_mistake_is_told_in_one_line(old, new, message):
 
 
 def test_no_description_and_bytes_that_are_no_text():
-    with pytest.raises(RobotIdimError, match="here: not valid TOML: 'utf-8' codec"):
+    with pytest.raises(BadInputError, match="here: not valid TOML: 'utf-8' codec"):
         robot_from_files({"robot.toml": b"name = '\xff'"}, "here")
-    with pytest.raises(RobotIdimError, match=r"here: holds no robot\.toml"):
+    with pytest.raises(BadInputError, match=r"here: holds no robot\.toml"):
         robot_from_files({}, "here")
 
 
 def test_the_urdf_comes_along_or_is_missed(tmp_path):
     text = ONE_JOINT.replace(DH, "").replace('name = "one"', 'name = "one"\nurdf = "arm.urdf"')
     (tmp_path / "robot.toml").write_text(text)
-    with pytest.raises(RobotIdimError, match=r"urdf = 'arm\.urdf': cannot be read: No such file"):
+    with pytest.raises(BadInputError, match=r"urdf = 'arm\.urdf': cannot be read: No such file"):
         load_robot(tmp_path / "robot.toml")
     assert "urdf = 'arm.urdf': the URDF is missing next to the description" in refusal(text)
     (tmp_path / "arm.urdf").write_text("<robot/>")
@@ -200,9 +200,9 @@ def test_the_urdf_comes_along_or_is_missed(tmp_path):
     assert robot.urdf == "<robot/>"
     assert robot_from_files(robot.files, "a recording").urdf == "<robot/>"
     (tmp_path / "robot.toml").write_text(text.replace("arm.urdf", "arm\\u0000.urdf"))
-    with pytest.raises(RobotIdimError, match="cannot be read: embedded null byte"):
+    with pytest.raises(BadInputError, match="cannot be read: embedded null byte"):
         load_robot(tmp_path / "robot.toml")
-    with pytest.raises(RobotIdimError, match=r"none\.toml: cannot be read: No such file"):
+    with pytest.raises(BadInputError, match=r"none\.toml: cannot be read: No such file"):
         load_robot(tmp_path / "none.toml")
 
 
@@ -246,7 +246,7 @@ def test_places_where_no_file_can_stand(tmp_path):
         (tmp_path / "file" / "out", "Not a directory"),
         (tmp_path / ("x" * 300), "File name too long"),
     ):
-        with pytest.raises(RobotIdimError, match=message), atomic_write(path) as partial:
+        with pytest.raises(BadInputError, match=message), atomic_write(path) as partial:
             partial.write_text("new")
     assert {p.name for p in tmp_path.iterdir()} == {"file", "pipe"}
     assert (tmp_path / "pipe").is_fifo()
@@ -257,10 +257,10 @@ def test_an_input_is_not_replaced_under_any_of_its_names(tmp_path):
     (tmp_path / "link").symlink_to(tmp_path / "in")
     (tmp_path / "hard link").hardlink_to(tmp_path / "in")
     for out in (tmp_path / "in", tmp_path / "link", tmp_path / "." / "in", tmp_path / "hard link"):
-        with pytest.raises(RobotIdimError, match="is an input too"):
+        with pytest.raises(BadInputError, match="is an input too"):
             refuse_clash([tmp_path / "missing", tmp_path / "in", None], out)
     refuse_clash([tmp_path / "in"], None, tmp_path / "out", tmp_path / "other")
-    with pytest.raises(RobotIdimError, match="out: named twice"):
+    with pytest.raises(BadInputError, match="out: named twice"):
         refuse_clash([tmp_path / "in"], tmp_path / "out", None, tmp_path / "." / "out")
 
 
@@ -280,7 +280,7 @@ def test_controller_keys_that_would_do_nothing_are_refused(tmp_path, key, told):
     rest = after[after.index("\n[") :]
     path = tmp_path / "robot.toml"
     path.write_text(f"{before}[controller]\nbandwidth_hz = 5.0\n{key}\n{rest}")
-    with pytest.raises(RobotIdimError) as caught:
+    with pytest.raises(BadInputError) as caught:
         load_robot(path)
     assert told in str(caught.value)
     assert robot_from_files({"robot.toml": path.read_bytes()}, "log.mcap").n == 2

@@ -14,7 +14,7 @@ from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.bus import Master, confirm_motion, position_words
 from acquisition.commands import main
-from acquisition.errors import RobotIdimError
+from acquisition.errors import BadInputError, BusFaultError, RefusedError, RobotIdimError
 from acquisition.robot import table_reference
 from acquisition.session import RecordOptions, Task, UserInterface, real_time_scheduling, record, timing
 from acquisition.session.running import _before_motion as before_motion
@@ -36,7 +36,7 @@ def test_joint_positions_in_words_by_hand():
     robot = robot_of(bus_text(2))
     words = confirm_motion(robot, master, lambda words, faults: not shown.append(words))
     assert words == shown[0] == ["joint_1 = 45.00 deg", "joint_2 = -90.00 deg"]
-    with pytest.raises(RobotIdimError, match=r"joint angles not confirmed \(joint_1 = 45.00 deg, joint_2"):
+    with pytest.raises(RefusedError, match=r"joint angles not confirmed \(joint_1 = 45.00 deg, joint_2"):
         confirm_motion(robot, master, lambda words, faults: False)
     assert position_words(robot_named("emps"), np.array([0.25]))[0].endswith(" = 0.25000 m")
 
@@ -46,7 +46,7 @@ def test_a_reset_of_faults_is_asked_together_with_the_joint_angles():
     run.drives.nodes[1].emergency(0x8611)
     for _ in range(2):
         run.drives.nodes[1].tick()
-    with pytest.raises(RobotIdimError) as caught:
+    with pytest.raises(RefusedError) as caught:
         confirm_motion(robot, master, lambda *asked: bool(shown.extend(asked)))
     words, faults = shown
     assert (len(words), len(faults)) == (2, 1)
@@ -101,7 +101,7 @@ def test_drives_that_do_not_supervise_themselves_are_no_go_for_motion(values, mi
         del node.values[key]
     ready = partial(before_motion, robot, master, confirm=lambda words, faults: True)
     if refused:
-        with pytest.raises(RobotIdimError) as caught:
+        with pytest.raises(RefusedError) as caught:
             ready(RecordOptions())
         assert (caught.value.place, caught.value.key) == ("node 2 (motor_2)", "supervision")
         assert f": {refused}" in str(caught.value)
@@ -123,7 +123,7 @@ def test_a_drive_that_is_not_homed_moves_nothing(name):
     node.more_status = 0
     node.values |= dict.fromkeys([key for key in node.values if key[0] == 0x2000], 0)
     node.tick()
-    with pytest.raises(RobotIdimError, match=r"node 2 \(motor_2\): homed = '[0-9.:]+': not set") as caught:
+    with pytest.raises(RefusedError, match=r"node 2 \(motor_2\): homed = '[0-9.:]+': not set") as caught:
         confirm_motion(robot, master, lambda words, faults: True)
     error = caught.value
     assert (error.place, error.key, error.value) == ("node 2 (motor_2)", "homed", robot.bus.drive[1].homed)
@@ -178,7 +178,7 @@ def test_speeds_that_are_none(tmp_path, speed):
     path = tmp_path / "ref.csv"
     path.write_text("time_s,joint_1\n0,0\n1,0\n")
     for track, expected in ((path, "expected more than 0, and 1 at most"), (None, "expected track with it")):
-        with pytest.raises(RobotIdimError, match=expected):
+        with pytest.raises(BadInputError, match=expected):
             record(
                 robot, "robot.toml", tmp_path / "a.mcap", RecordOptions(track=track, speed=speed, dry_run=True),
                 UserInterface(),
@@ -226,14 +226,14 @@ def test_jitter_that_would_be_a_fault_in_motion_is_refused(monkeypatch):
     assert (found.sd_s, found.worst_s) == (pytest.approx(0.004, rel=1e-3), pytest.approx(0.004))
     assert found.off == 1.0
     monkeypatch.setattr(timing, "largest_delay_s", lambda _: 0.0119)
-    with pytest.raises(RobotIdimError, match=r"SYNC jitter sd = 4.000 ms: 3 sd exceed 11.9 ms"):
+    with pytest.raises(RefusedError, match=r"SYNC jitter sd = 4.000 ms: 3 sd exceed 11.9 ms"):
         refuse_jitter(master)
 
 
 def test_jitter_of_another_producer_that_sends_no_sync():
     run, master = connected(robot_of(bus_text(1, extra='sync_producer = "other"')))
     before_ns = run.now_ns()
-    with pytest.raises(RobotIdimError) as caught:
+    with pytest.raises(BusFaultError) as caught:
         refuse_jitter(master)
     assert (caught.value.place, caught.value.expected) == ("bus", "the other producer's")
     assert run.now_ns() - before_ns == 50 * 2_000_000
@@ -250,6 +250,6 @@ def test_a_sync_may_be_late_by_three_periods_but_not_by_less_than_20_ms():
         link.time_ns = pace.next_ns + late_ms * 1_000_000
         pace.sync(in_motion=True)
     link.time_ns = pace.next_ns + 31_000_000
-    with pytest.raises(RobotIdimError, match=r"SYNC 0.031 s late in motion: expected 0.03 s at most"):
+    with pytest.raises(BusFaultError, match=r"SYNC 0.031 s late in motion: expected 0.03 s at most"):
         pace.sync(in_motion=True)
     pace.sync(in_motion=False)

@@ -5,7 +5,7 @@ import pytest
 from dry_sessions import dry_session, swing
 from made_up_buses import bus_of, bus_text, flat, robot_of, session
 
-from acquisition.errors import RobotIdimError
+from acquisition.errors import BadInputError
 from acquisition.importing import export_csv, import_recording
 from acquisition.recording import Header, RecordingWriter, read_recording, sample_dtype, writer
 from acquisition.recording.rows import Traffic
@@ -65,7 +65,7 @@ def test_recordings_of_earlier_versions_with_columns_of_them_still_open(tmp_path
     assert (tmp_path / "new.mcap.csv").read_bytes() == (tmp_path / "old.mcap.csv").read_bytes()
     (tmp_path / "robot.toml").write_text(text)
     expected = r"robot.toml: bus.drive\[0\].extra\[2\] = a table: expected '2081:1' alone: frames hold its raw integer"
-    with pytest.raises(RobotIdimError, match=expected):
+    with pytest.raises(BadInputError, match=expected):
         load_robot(tmp_path / "robot.toml")
 
 
@@ -80,7 +80,7 @@ def test_a_wrong_period_loses_no_frame_and_the_corrected_description_decodes_it(
     assert recording.samples is None
     (kept,) = recording.frames.values()
     assert kept.tobytes() == frames.tobytes()
-    with pytest.raises(RobotIdimError, match="SYNC came every"):
+    with pytest.raises(BadInputError, match="SYNC came every"):
         import_recording(tmp_path / "a.mcap", tmp_path / "b.mcap", None, "robot.toml")
     assert not (tmp_path / "b.mcap").exists()
     corrected = robot_of(bus_text(2, period_s=0.0054))

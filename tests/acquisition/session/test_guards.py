@@ -18,7 +18,7 @@ from acquisition.protocol import State, error_words, status_words
 from acquisition.recording import overview
 from acquisition.session import Outcome, Stop, Task
 from identification.data import load_signals
-from identification.errors import RobotIdimError
+from identification.errors import BadInputError
 
 REST = Task(reference=np.zeros((151, 2)))  # 0.3 s
 PERIOD_S = 0.002
@@ -233,7 +233,7 @@ def test_a_late_sync_in_motion(tmp_path, extra, for_s, fault):
         assert session.outcome.reason.startswith("SYNC 2 s late in motion: expected 0.02 s at most")
         (gap,) = overview(session.recording)["gaps"]
         assert gap.missing == pytest.approx(2.0 / 0.002, abs=5)
-        with pytest.raises(RobotIdimError, match=r"samples: .*gap\(s\).*expected 2.000 ms throughout"):
+        with pytest.raises(BadInputError, match=r"samples: .*gap\(s\).*expected 2.000 ms throughout"):
             load_signals(tmp_path / "a.mcap")
 
 

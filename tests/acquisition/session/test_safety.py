@@ -16,7 +16,7 @@ from made_up_buses import bus_of, bus_text, robot_of
 import acquisition.session.logs as recorder_logs
 import acquisition.simulated.drives as dry_run_module
 from acquisition.bus import Frame, Master
-from acquisition.errors import RobotIdimError
+from acquisition.errors import BadInputError, BusFaultError, NoAnswerError, RobotIdimError
 from acquisition.protocol import Mode, write_request
 from acquisition.robot import axis_of
 from acquisition.session import RecordOptions, Stop, Task, UserInterface, record, stop_on_signals
@@ -70,11 +70,11 @@ def test_a_second_axis_is_asked_and_set_by_its_own_objects(monkeypatch):
     axis = 'control = "6840"\nstatus = "6841"\nobjects = { "6840" = "U16", "6841" = "U16" }'
     bus, link, written, read = bus_of(robot_of(bus_text(1, drive=axis))), Answering(), [], []
     assert axis_of(bus.drives[0]) == 0x800
-    with pytest.raises(RobotIdimError, match="object 6841:0"):
+    with pytest.raises(NoAnswerError, match="object 6841:0"):
         Master(link, bus).state(bus.drives[0])
     assert link.sent == [(0x601, bytes.fromhex("4041680000000000"))]
     mixed = bus_of(robot_of(bus_text(1, drive=axis.replace('status = "6841"', 'status = "6041"'))))
-    with pytest.raises(RobotIdimError, match="expected those of one axis"):
+    with pytest.raises(BadInputError, match="expected those of one axis"):
         axis_of(mixed.drives[0])
     monkeypatch.setattr(Master, "write", lambda self, node, index, sub, *_: written.append((index, sub)))
     monkeypatch.setattr(Master, "read", lambda self, node, index: read.append(index) or 8)
@@ -167,7 +167,7 @@ def test_a_recorder_that_hangs_is_noticed(tmp_path, monkeypatch):
                 text = str(error)
         assert text.startswith("no status from the recorder for")
         monkeypatch.setattr(recorder_logs, "MAX_HUNG_FINISH_S", 0.5)
-        with pytest.raises(RobotIdimError, match=r"the recorder did not answer in 0.5 s"):
+        with pytest.raises(BusFaultError, match=r"the recorder did not answer in 0.5 s"):
             log.finish(time.time_ns())
     finally:
         os.kill(log.pid, signal.SIGCONT)
@@ -177,14 +177,14 @@ def test_a_recorder_that_hangs_is_noticed(tmp_path, monkeypatch):
 def test_what_is_refused_leaves_no_file(tmp_path):
     out = tmp_path / "a.mcap"
     nowhere = robot_of(bus_text(1, interface="slcan", channel="/nowhere/adapter"))
-    with pytest.raises(RobotIdimError, match=r"bus: slcan .*: cannot be opened"):
+    with pytest.raises(BusFaultError, match=r"bus: slcan .*: cannot be opened"):
         record(nowhere, "robot.toml", out, RecordOptions(duration_s=1.0), UserInterface())
-    with pytest.raises(RobotIdimError, match="track: lasts as long as its reference"):
+    with pytest.raises(BadInputError, match="track: lasts as long as its reference"):
         record(nowhere, "robot.toml", out, RecordOptions(duration_s=1.0, track=tmp_path / "x.csv"), UserInterface())
     assert not out.exists()
     far = tmp_path / "far.csv"
     far.write_text("time_s,joint_1\n0,0\n1,0.5\n2,9\n3,9\n")
-    with pytest.raises(RobotIdimError, match=r"far.csv: .*position of joint_1"):
+    with pytest.raises(BadInputError, match=r"far.csv: .*position of joint_1"):
         record(nowhere, "robot.toml", out, RecordOptions(track=far, dry_run=True), UserInterface())
     assert not out.exists()
 

@@ -34,7 +34,7 @@ from third_party_drives import npm, third_party_drive
 import acquisition.session.process as process_module
 from acquisition.bus import Master, open_link
 from acquisition.commands import main
-from acquisition.errors import RobotIdimError
+from acquisition.errors import NoAnswerError
 from acquisition.protocol import State, state_of
 from acquisition.recording import Recording
 from acquisition.session import InlineLog, Task
@@ -212,7 +212,7 @@ def test_an_answer_that_does_not_come_is_awaited_with_signs_of_life():
     run.drives.silent.add(0)
     began_ns = run.now_ns()
     master.while_awaiting = lambda: times.append(run.now_ns() - began_ns)
-    with pytest.raises(RobotIdimError, match=r"no answer in 0.3 s"):
+    with pytest.raises(NoAnswerError, match=r"no answer in 0.3 s"):
         master.read(1, 0x6041)
     assert silence_s(master.bus.file) == 0.3  # longer than a few periods
     assert silence_s(bus_of(robot_of(bus_text(2, period_s=0.2))).file) == pytest.approx(0.6)

@@ -8,7 +8,7 @@ from conftest import REPLAY, described_chi
 from made_up_buses import bus_of, bus_text, robot_of
 
 import acquisition.simulated.mechanism as mechanism_module
-from acquisition.errors import RobotIdimError
+from acquisition.errors import BadInputError
 from acquisition.recording import read_recording
 from acquisition.robot import load_robot
 from acquisition.session import RecordOptions, UserInterface, record
@@ -69,5 +69,5 @@ def test_without_parameters_or_dynamics_a_stand_in_with_weight_moves(monkeypatch
 
 def test_parameters_that_describe_no_robot_are_refused_in_one_line():
     robot = robot_of((REPLAY / "scara" / "robot.toml").read_text().replace("ZZ2 = 0.061", "ZZ2 = -1000.0"))
-    with pytest.raises(RobotIdimError, match="cannot be simulated: the inertia matrix is not positive"):
+    with pytest.raises(BadInputError, match="cannot be simulated: the inertia matrix is not positive"):
         driven_plant(robot, bus_of(robot))

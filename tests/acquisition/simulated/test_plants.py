@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from made_up_buses import bus_text, robot_of
 
-from acquisition.errors import RobotIdimError
+from acquisition.errors import BadInputError
 from acquisition.recording import sample_dtype
 from acquisition.simulated import TablePlant, middle_of_range
 from acquisition.simulated.mechanism import JointwisePlant, typical_inertia, typical_plant
@@ -107,7 +107,7 @@ def test_a_table_goes_by_its_rate():
     samples = np.zeros(4, sample_dtype(1, reference=False))
     samples["position"][:, 0], samples["effort"][:, 0] = [1.0, 3.0, 4.0, 4.5], [10.0, 20.0, 30.0, 40.0]
     plant = TablePlant(samples, 100.0)
-    with pytest.raises(RobotIdimError, match="holds no samples"):
+    with pytest.raises(BadInputError, match="holds no samples"):
         TablePlant(samples[:0], 100.0)
     seen = []
     for _ in range(10):

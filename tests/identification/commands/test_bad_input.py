@@ -14,7 +14,7 @@ from command_runs import refused, run
 from conftest import REPLAY, ROOT, robot_named
 from made_up_recordings import header
 
-from acquisition.errors import RobotIdimError
+from acquisition.errors import BadInputError, RobotIdimError
 from acquisition.recording import RecordingWriter, read_recording
 from acquisition.robot import robot_from_files
 from identification.data import load_signals
@@ -65,7 +65,7 @@ def test_volts_never_become_newton_metres(tmp_path):
     with RecordingWriter(path, header(volts)) as writer:
         writer.samples(recording.samples)
     assert load_signals(path).robot.effort_units[0] == "V"
-    with pytest.raises(RobotIdimError, match=r"unit of motor .* in robot SCARA = .*: expected V, as recorded"):
+    with pytest.raises(BadInputError, match=r"unit of motor .* in robot SCARA = .*: expected V, as recorded"):
         load_signals(path, robot_named("scara"))
 
 
@@ -73,7 +73,7 @@ def test_motors_in_another_order_than_joints_are_refused():
     text = (REPLAY / "scara" / "robot.toml").read_text()
     lines = [line for line in text.splitlines() if not line.startswith("ratio")]
     swapped = "\n".join(["motor_matrix = [[0.0, 1.0], [1.0, 0.0]]", *lines])
-    with pytest.raises(RobotIdimError, match=r"motor_matrix\[0\] = .*: expected motor 1 to turn joint 1"):
+    with pytest.raises(BadInputError, match=r"motor_matrix\[0\] = .*: expected motor 1 to turn joint 1"):
         robot_from_files({"robot.toml": swapped.encode()}, "r.toml")
 
 
@@ -151,7 +151,7 @@ ARM = """<robot name="r"><link name="a"/><link name="flange"/>
 def test_a_movable_joint_needs_an_axis_and_a_fixed_one_none(kind):
     """Exporters write `0 0 0` there. At q = 0 both arms are straight: inertias as of two unit masses by hand."""
     none, urdf = (ARM.replace("TYPE", kind).replace("AXIS", axis) for axis in ("0 0 0", "0 0 1"))
-    with pytest.raises(RobotIdimError, match="joint 'shoulder': axis = '0 0 0': expected a direction"):
+    with pytest.raises(BadInputError, match="joint 'shoulder': axis = '0 0 0': expected a direction"):
         InverseModel(dataclasses.replace(robot_named("scara"), urdf=none))
     idm = InverseModel(dataclasses.replace(robot_named("scara"), urdf=urdf))
     chi = np.array([{"ZZ1": 1.0, "ZZ2": 2.0, "M2": 3.0}.get(name, 0.0) for name in idm.names])

@@ -12,7 +12,7 @@ import pytest
 
 from identification.data import Work
 from identification.data import work as work_module
-from identification.errors import RobotIdimError
+from identification.errors import BadInputError, RobotIdimError
 
 
 def slowly_squared(x: int) -> tuple[int, int]:
@@ -59,7 +59,7 @@ def test_results_come_in_the_order_of_the_tasks_and_errors_as_they_are(work):
 
 
 def told_of(work, *task) -> str:
-    with pytest.raises(RobotIdimError) as told:
+    with pytest.raises(BadInputError) as told:
         list(work.run(*task))
     assert "\n" not in str(told.value)
     return str(told.value)

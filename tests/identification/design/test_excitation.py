@@ -16,7 +16,7 @@ from loops import modelled
 from pictured_fits import Written
 from urdfs import TURN_AND_SLIDE, TURN_AND_SLIDE_TOML
 
-from acquisition.errors import RobotIdimError
+from acquisition.errors import BadInputError, NoFitError, RobotIdimError
 from acquisition.robot import Payload, check_limits, fourier_reference, load_robot, robot_from_files, table_reference
 from identification.commands import main
 from identification.data import Recordings, load_signals
@@ -288,7 +288,7 @@ def test_a_search_that_makes_no_parameter_worse_goes_before_one_of_less_criterio
 def test_searches_that_all_leave_a_limit_end_in_one_line(monkeypatch):
     monkeypatch.setattr(search, "best_series", lambda problem, start, say: 2 * start)
     told = r"no reference keeps the limits: \w+ of joint \w+ is exceeded by .* another seed or"
-    with pytest.raises(RobotIdimError, match=told):
+    with pytest.raises(NoFitError, match=told):
         excite(SCARA, ExcitationSettings(period_s=2.0, harmonics=3), prior_information(SCARA), "here")
 
 
@@ -305,7 +305,7 @@ def test_searches_that_all_leave_a_limit_end_in_one_line(monkeypatch):
 )
 def test_what_cannot_be_is_refused_in_one_line(old, new, harmonics, says):
     robot = with_text("scara", old, new, 1)
-    with pytest.raises((RobotIdimError, RobotIdimError)) as caught:
+    with pytest.raises((BadInputError, RobotIdimError)) as caught:
         excite(robot, ExcitationSettings(harmonics=harmonics), prior_information(robot), "here")
     assert says in str(caught.value)
     assert "\n" not in str(caught.value)
@@ -314,7 +314,7 @@ def test_what_cannot_be_is_refused_in_one_line(old, new, harmonics, says):
 def test_gravity_that_a_joint_cannot_hold_is_refused():
     robot = with_text("tx40", "acceleration_deg_s2 = 2500", "acceleration_deg_s2 = 2500\neffort_nm = 24")
     robot = replace(robot, gravity=np.array([9.81, 0.0, 0.0]))
-    with pytest.raises(RobotIdimError, match=r"joint_2 needs [0-9.]+ N m to leave rest .* effort limit of 24"):
+    with pytest.raises(BadInputError, match=r"joint_2 needs [0-9.]+ N m to leave rest .* effort limit of 24"):
         excite(robot, ExcitationSettings(), prior_information(robot), "here")
 
 
@@ -353,7 +353,7 @@ def test_noise_is_stated_or_that_of_a_fit_or_a_share_of_the_torque(tmp_path):
     knowledge = prior_information(SCARA)
     assert torque_noise(SCARA, direct, knowledge, motions)[0] == pytest.approx(0.02 * rms)
     assert torque_noise(SCARA, direct, prior_information(SCARA, noise=(0.3,)), motions)[0].tolist() == [0.3, 0.3]
-    with pytest.raises(RobotIdimError, match=r"noise.*expected one number, or one for each of 2 joints"):
+    with pytest.raises(BadInputError, match=r"noise.*expected one number, or one for each of 2 joints"):
         prior_information(SCARA, noise=(1.0, 2.0, 3.0))
     beta = described_parameters(model, base)
     values = zip(base.names, beta, base.units, strict=True)
@@ -499,7 +499,7 @@ def test_a_robot_whose_links_are_near_each_other_at_rest_is_refused():
     text = capsules("", 0.95).files["robot.toml"].decode()
     folded = text.replace("d_m = 1, theta_deg = 0", "d_m = 1, theta_deg = 180")
     robot = robot_from_files({"robot.toml": folded.encode()}, "here")
-    with pytest.raises(RobotIdimError, match=r"keeps the limits: base and link of b are -\d.\d+ m apart at rest"):
+    with pytest.raises(NoFitError, match=r"keeps the limits: base and link of b are -\d.\d+ m apart at rest"):
         excite(robot, ExcitationSettings(period_s=4.0, harmonics=4), prior_information(robot), "here")
 
 
@@ -520,7 +520,7 @@ def test_shapes_that_touch_in_the_middle_and_meshes_that_are_not_found_are_named
     assert obstacles.distances(np.array([[0.0, 0.5]]))[0] == pytest.approx([3.5 - 0.2])
     assert obstacles_in(arm(mesh)).missing == ("package://none/a.stl",)
     (tmp_path / "a.stl").write_text("no mesh")
-    with pytest.raises(RobotIdimError, match=r"URDF: a collision shape cannot be read: .*a\.stl") as caught:
+    with pytest.raises(BadInputError, match=r"URDF: a collision shape cannot be read: .*a\.stl") as caught:
         obstacles_in(arm(mesh), lambda name: tmp_path / "a.stl")
     assert str(caught.value).count("\n") == 0
     # Two plates as a V that opens towards the base: its hull is nearer than its edges.

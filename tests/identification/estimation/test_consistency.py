@@ -8,7 +8,7 @@ from physical_cases import body, covariance, covariance_with, lowest, one_link, 
 from scipy.optimize import minimize
 
 from acquisition.robot import Robot, load_robot
-from identification.errors import RobotIdimError
+from identification.errors import NoFitError
 from identification.estimation import consistent_parameters, parameter_certainty, pseudo_inertia
 from identification.estimation.consistency import _inverse_root, _Objective
 from identification.model import InverseModel, physical_parameters, requirements
@@ -171,7 +171,7 @@ def test_links_expected_are_those_of_a_urdf_or_plausible_ones(tmp_path):
 def test_estimates_that_are_no_numbers_are_refused():
     K, physical = one_link()
     for beta, C in ((np.full(7, np.nan), np.eye(7)), (np.ones(7), -np.eye(7) + 2 * np.ones((7, 7)))):
-        with pytest.raises(RobotIdimError, match="no consistent parameters found"):
+        with pytest.raises(NoFitError, match="no consistent parameters found"):
             consistent_parameters(beta, C, K, physical)
 
 

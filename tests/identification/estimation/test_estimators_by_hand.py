@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from identification.errors import RobotIdimError
+from identification.errors import NoFitError
 from identification.estimation import (
     System,
     chi_squared_quantile,
@@ -167,7 +167,7 @@ def test_the_reduction_ends_at_the_stated_ratio_of_deviations(ratio, kept):
 def test_a_column_of_rounding_alone_is_not_excited():
     rng = np.random.default_rng(5)
     W = rng.normal(size=(30, 3)) * np.array([1.0, 1e-14, 1.0])
-    with pytest.raises(RobotIdimError, match="parameters not excited = b: no torque depends on them"):
+    with pytest.raises(NoFitError, match="parameters not excited = b: no torque depends on them"):
         ordinary_least_squares(System.whole(W, rng.normal(size=30), np.zeros(30, dtype=int), tuple("abc")))
 
 

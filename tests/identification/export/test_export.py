@@ -21,7 +21,7 @@ from scipy.interpolate import CubicSpline
 
 from acquisition.robot import load_robot, robot_from_files
 from identification.commands import main
-from identification.errors import RobotIdimError
+from identification.errors import BadInputError, RobotIdimError
 from identification.estimation import consistent_parameters
 from identification.export import export_model, make_urdf, model_of_fit, split_parameters, write_models
 from identification.export.exporting import replace_parameters
@@ -261,7 +261,7 @@ def test_parameters_replace_what_was_there_however_it_was_written(table):
 
 
 def test_a_table_that_cannot_be_replaced_by_lines_is_refused():
-    with pytest.raises(RobotIdimError) as caught:
+    with pytest.raises(BadInputError) as caught:
         replace_parameters('text = """\n[parameters]\n"""\n', {"Fv1": 1.0}, "new")
     assert caught.value.key == "[parameters]"
 

@@ -13,7 +13,7 @@ from command_runs import run
 from urdfs import ARM, BOX, LIMIT, PARTS, joint, link, urdf
 
 from acquisition.commands import main as acquire
-from acquisition.errors import RobotIdimError
+from acquisition.errors import BadInputError, RobotIdimError
 from acquisition.robot import check_limits, lines_to_fill_in, load_robot, resolve
 from acquisition.simulated import driven_plant
 from identification import read_robot
@@ -358,11 +358,11 @@ def test_a_joint_that_is_locked_is_not_asked_for_limits_or_an_axis(here, capsys)
 
 
 def test_errors_carry_their_data(here):
-    with pytest.raises(RobotIdimError) as error:
+    with pytest.raises(BadInputError) as error:
         read_chain(Path("arm.urdf"), ("turn", "elbow"))
     assert (error.value.place, error.value.key, error.value.value) == ("arm.urdf", "--joints", "elbow")
     robot = robot_of_chain(read_chain(Path("arm.urdf"), ARM))
-    with pytest.raises(RobotIdimError) as unstated:
+    with pytest.raises(BadInputError) as unstated:
         _ = robot.bandwidth_hz
     assert (unstated.value.place, unstated.value.key) == ("robot made up", "controller.bandwidth_hz")
 

@@ -17,7 +17,7 @@ from random_arms import random_estimate
 from acquisition.robot import fourier_reference, robot_from_files
 from identification.commands import main
 from identification.data import signals_from_arrays
-from identification.errors import RobotIdimError
+from identification.errors import BadInputError
 from identification.estimation import (
     consistent_parameters,
     intervals,
@@ -287,7 +287,7 @@ def test_a_urdf_says_what_the_links_of_a_robot_of_dh_rows_are():
     torque = np.array([pin.rnea(cad, data, *state) for state in zip(q, dq, ddq, strict=True)])
     np.testing.assert_allclose(idm.regressor(q, dq, ddq) @ chi, torque, atol=1e-12)
     longer = CAD.replace('<origin xyz="0.3 0 0"/>', '<origin xyz="0.31 0 0"/>')
-    with pytest.raises(RobotIdimError) as caught:
+    with pytest.raises(BadInputError) as caught:
         expected_links(idm, InverseModel(urdf_prior(robot, longer, "cad.urdf")))
     assert (caught.value.place, caught.value.key, caught.value.value) == ("prior cad.urdf", "joint", "b")
 

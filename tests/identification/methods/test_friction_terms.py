@@ -31,7 +31,7 @@ from friction_models import (
 from loops import free, simulate
 from stacked_recordings import system_of
 
-from acquisition.errors import RobotIdimError
+from acquisition.errors import BadInputError
 from acquisition.robot import fourier_reference, robot_from_files
 from identification.commands import main
 from identification.data import RecordingFile, Recordings, Work
@@ -75,7 +75,7 @@ def arm():
 )
 def test_a_list_of_terms_that_means_nothing_is_refused(lines, key, expected):
     text = (REPLAY / "scara" / "robot.toml").read_text().replace('"revolute"\n', f'"revolute"\n{lines}\n', 1)
-    with pytest.raises(RobotIdimError) as refused:
+    with pytest.raises(BadInputError) as refused:
         robot_from_files({"robot.toml": text.encode()}, "scara.toml")
     assert refused.value.key == key
     assert expected in str(refused.value.expected)
@@ -461,7 +461,7 @@ bandwidth_hz = 5
 )
 def test_values_in_tables_of_a_description_are_replaced_line_by_line(values, changed):
     if changed is None:
-        with pytest.raises(RobotIdimError) as refused:
+        with pytest.raises(BadInputError) as refused:
             replace_in_tables(TABLES, "joint", values, "robot.toml")
         assert (refused.value.place, refused.value.key) == ("robot.toml", "[[joint]]")
     else:

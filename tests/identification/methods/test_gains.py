@@ -14,7 +14,7 @@ import identification.methods.idim as idim
 from acquisition.robot import Payload
 from identification.commands import main
 from identification.data import Recordings
-from identification.errors import RobotIdimError
+from identification.errors import BadInputError
 from identification.estimation import one_thread, weighted_least_squares
 from identification.methods import fit_file, identify, identify_ls, validate_all
 from identification.methods.equations import equations_of, read_equations
@@ -453,7 +453,7 @@ def test_gains_of_long_recordings_are_not_those_of_their_beginnings(pair, monkey
     exchanged = replace(free, payload=loaded.payload), replace(loaded, payload=None)
     monkeypatch.setattr("identification.regression.equations._MAX_NUMBERS", 100)
     for signals in (pair, exchanged):
-        with pytest.raises(RobotIdimError, match="too long to identify gains without a simulated robot") as caught:
+        with pytest.raises(BadInputError, match="too long to identify gains without a simulated robot") as caught:
             fit_with_gains(*signals)
         assert "a larger decimation or shorter recordings" in str(caught.value)
 

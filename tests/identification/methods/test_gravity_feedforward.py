@@ -14,7 +14,7 @@ import pytest
 from conftest import PROGRAMS, REPLAY
 from urdfs import packaged_urdf
 
-from acquisition.errors import RobotIdimError
+from acquisition.errors import BadInputError
 from acquisition.robot import Controller, load_robot
 from identification.data import Signals
 from identification.export import read_chain, robot_of_chain
@@ -126,7 +126,7 @@ def test_computed_torque_has_gravity_by_itself(tmp_path):
     text = (REPLAY / "scara" / "robot.toml").read_text()
     law = 'structure = "computed_torque"\ngravity_feedforward = true'
     (tmp_path / "robot.toml").write_text(text.replace('structure = "pd_velocity_feedforward"', law))
-    with pytest.raises(RobotIdimError, match=r"controller\.gravity_feedforward = True: expected a structure"):
+    with pytest.raises(BadInputError, match=r"controller\.gravity_feedforward = True: expected a structure"):
         load_robot(tmp_path / "robot.toml")
 
 

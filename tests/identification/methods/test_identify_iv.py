@@ -15,7 +15,7 @@ from fits_of_records import iv_of, ls_of, signals_of
 from acquisition.robot import Robot, load_robot
 from identification.commands import main
 from identification.data import Signals, load_signals
-from identification.errors import RobotIdimError
+from identification.errors import BadInputError, RobotIdimError
 from identification.methods import Fit, Iteration, identify_iv, identify_ls
 from identification.model import InverseModel, base_parameters, described_parameters, direct_model, why_not_positive
 from identification.regression import Overrides
@@ -210,7 +210,7 @@ def test_too_few_passes_are_called_what_they_are():
 def test_a_reference_of_another_recording_is_refused():
     signals = signals_of(SCARA)
     foreign = dataclasses.replace(signals, q_ref=np.array(signals.q_ref[::-1]))
-    with pytest.raises(RobotIdimError, match="expected the reference of this recording"):
+    with pytest.raises(BadInputError, match="expected the reference of this recording"):
         identify_iv(foreign, Overrides(), Iteration())
 
 
@@ -235,7 +235,7 @@ def test_a_controller_too_slow_for_the_recording_is_refused():
     signals = signals_of(SCARA)
     slow = msgspec.structs.replace(signals.robot.controller, sample_rate_hz=1.0)
     robot = dataclasses.replace(signals.robot, controller=slow)
-    with pytest.raises(RobotIdimError, match=r"controller.sample_rate_hz = 1: .* expected at least 30"):
+    with pytest.raises(BadInputError, match=r"controller.sample_rate_hz = 1: .* expected at least 30"):
         identify_iv(dataclasses.replace(signals, robot=robot), Overrides(), Iteration())
 
 

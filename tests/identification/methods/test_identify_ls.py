@@ -10,7 +10,7 @@ from fits_of_records import ls_of
 import identification.regression.equations as regression_module
 from acquisition.robot import fourier_reference
 from identification.data import Signals, signals_from_arrays
-from identification.errors import RobotIdimError
+from identification.errors import BadInputError, NoFitError
 from identification.estimation import System, essential_parameters, ordinary_least_squares, weighted_least_squares
 from identification.methods import identify_ls
 from identification.model import BaseParameters, InverseModel, base_parameters, described_parameters
@@ -91,7 +91,7 @@ def test_a_joint_that_does_not_move_is_named():
     motion = exact_motion(dynamics, duration_s=5.0, sample_rate_hz=200.0, seed=1)
     parts = {name: getattr(motion, name) * [1.0, 0.0] for name in ("q", "dq", "ddq", "tau")}
     observed = system_of(Motion(t_s=motion.t_s, **parts), dynamics, base)
-    with pytest.raises(RobotIdimError, match="not excited = Fv2, Fc2"):
+    with pytest.raises(NoFitError, match="not excited = Fv2, Fc2"):
         ordinary_least_squares(observed)
 
 
@@ -100,7 +100,7 @@ def test_parameters_that_cannot_be_told_apart_are_named():
     W = rng.normal(size=(200, 4))
     W[:, 2] = 2 * W[:, 0]
     problem = System.whole(W, rng.normal(size=200), np.zeros(200, dtype=int), ("ZZ1R", "Ia1", "Fv1", "Fc1"))
-    with pytest.raises(RobotIdimError, match=r"rank 3 for 4 parameters; not distinguishable: ZZ1R, Fv1$"):
+    with pytest.raises(NoFitError, match=r"rank 3 for 4 parameters; not distinguishable: ZZ1R, Fv1$"):
         ordinary_least_squares(problem)
 
 
@@ -141,7 +141,7 @@ def test_signals_that_are_not_finite_are_refused():
     signals = synthetic_signals(seconds=5.0)
     broken = signals.effort.copy()
     broken[70, 1] = np.inf
-    with pytest.raises(RobotIdimError, match=r"made.mcap: effort\[70\] = \[2.*, inf\]: expected finite"):
+    with pytest.raises(BadInputError, match=r"made.mcap: effort\[70\] = \[2.*, inf\]: expected finite"):
         dataclasses.replace(signals, effort=broken)
 
 
@@ -173,9 +173,9 @@ def test_a_cutoff_below_five_bandwidths_warns_and_options_override():
     assert make_settings(signals, Overrides(cutoff_hz=0)).cutoff_hz is None
     (told,) = make_settings(signals, Overrides(decimation=30)).warnings
     assert "keeps 6.66667 Hz, less than twice the bandwidth of 5 Hz" in told
-    with pytest.raises(RobotIdimError, match="cut-off = 300 Hz: expected below 250 Hz"):
+    with pytest.raises(BadInputError, match="cut-off = 300 Hz: expected below 250 Hz"):
         make_settings(signals, Overrides(cutoff_hz=300.0))
-    with pytest.raises(RobotIdimError, match="expected at least 60000, 30 decimated rows"):
+    with pytest.raises(NoFitError, match="expected at least 60000, 30 decimated rows"):
         make_settings(signals, Overrides(decimation=2000))
 
 

@@ -14,7 +14,7 @@ from independent_robots import Array, Plant, plant
 from independent_simulator import Imperfections, described_controller, designed_pd, references, simulate
 
 from acquisition.commands import main as acquire
-from acquisition.errors import RobotIdimError
+from acquisition.errors import BadInputError
 from acquisition.robot import check_recorded_velocities, load_robot
 from identification.commands import main as identify
 from identification.data import Recordings, Signals, load_signals
@@ -174,7 +174,7 @@ def test_another_description_of_the_robot(tmp_path):
     assert np.array_equal(read.feedforward, signals.feedforward)
     volts = text.replace("drive_gain = 35.15065188\n", "").replace('drive_gain_unit = "N/V"', 'effort_unit = "V"')
     (tmp_path / "volts.toml").write_text(volts)
-    with pytest.raises(RobotIdimError, match="known_torque: cannot be added to efforts in V: expected the drive gains"):
+    with pytest.raises(BadInputError, match="known_torque: cannot be added to efforts in V: expected the drive gains"):
         load_signals(tmp_path / "a.mcap", load_robot(tmp_path / "volts.toml"))
 
 
@@ -212,7 +212,7 @@ def test_speeds_of_joints_that_stand_are_not_judged():
         assert check_recorded_velocities(scara, q, v, 400.0, "log") == ()
     slow = np.round(3e-3 * np.sin(0.6 * t), 4)
     q, v = np.stack([fast, slow], axis=1), np.stack([0.8 * np.cos(2 * t), -1.8e-3 * np.cos(0.6 * t)], axis=1)
-    with pytest.raises(RobotIdimError, match="velocity of joint elbow"):
+    with pytest.raises(BadInputError, match="velocity of joint elbow"):
         check_recorded_velocities(scara, q, v, 400.0, "log")
 
 

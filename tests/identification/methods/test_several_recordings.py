@@ -14,7 +14,7 @@ import identification.regression.equations as regression_system
 from acquisition.robot import robot_from_files
 from identification.commands import main
 from identification.data import Recordings, Signals, Work, check_one_robot, signals_from_arrays
-from identification.errors import RobotIdimError
+from identification.errors import BadInputError, NoFitError
 from identification.export import model_of_fit
 from identification.methods import (
     Iteration,
@@ -265,7 +265,7 @@ def with_a_joint_held(seed: int, still: int) -> Signals:
 def test_recordings_that_excite_half_the_parameters_each(tmp_path, capsys):
     halves = with_a_joint_held(4, still=1), with_a_joint_held(5, still=0)
     for one in halves:
-        with pytest.raises(RobotIdimError):
+        with pytest.raises(NoFitError):
             identify_ls(one, Overrides())
         write_signals(tmp_path / one.recording, one, source="test")
     fit = identify_ls(several(*halves), Overrides())
@@ -336,7 +336,7 @@ def test_recordings_of_another_robot_are_refused(part, at, values, key):
         other = replace(other, robot=replace(other.robot, **values))
     else:
         other = replace(other, **values) if part == "recording" else with_part(other, part, at, **values)
-    with pytest.raises(RobotIdimError) as told:
+    with pytest.raises(BadInputError) as told:
         identify_ls(several(recorded(1), other), Overrides())
     assert (told.value.place, told.value.key) == ("r2.mcap", key)
     assert part == "recording" or "as in r1.mcap" in told.value.expected
@@ -348,7 +348,7 @@ def test_friction_terms_agree_in_any_order():
     check_one_robot([recorded(1), *lists])
     stribeck = ("viscous", "stribeck")
     speeds = (with_part(recorded(k), "joints", 1, friction=stribeck, stribeck_speed_deg_s=10.0 * k) for k in (1, 2))
-    with pytest.raises(RobotIdimError) as told:
+    with pytest.raises(BadInputError) as told:
         check_one_robot(list(speeds))
     assert (told.value.key, told.value.value) == ("joint elbow: stribeck_speed_deg_s", 20.0)
 
@@ -454,7 +454,7 @@ def test_own_parameters_by_hand():
 
 def test_own_offsets_that_nothing_has_or_gravity_absorbs_are_refused(tmp_path):
     robot = replace(recorded(1).robot, identification=with_offsets(("Off",))[0].robot.identification)
-    with pytest.raises(RobotIdimError, match="no joint has it") as told:
+    with pytest.raises(BadInputError, match="no joint has it") as told:
         identify_ls(several(*(replace(recorded(k), robot=robot) for k in (1, 2))), Overrides())
     assert (told.value.key, told.value.value) == ("identification.own", "Off")
     # A vertical slide with a motor: M (ddq + g) + Ia ddq + Off has three columns of rank two.
@@ -478,7 +478,7 @@ own = ["Off"]
     t = np.arange(5000) / 1000
     q = 0.1 * np.sin(2 * np.pi * t)[:, None]
     problems = [make_problem(signals_from_arrays(q, 50 + q, 1000.0, lift), Overrides())] * 2
-    with pytest.raises(RobotIdimError, match="gravity absorbs an offset") as told:
+    with pytest.raises(BadInputError, match="gravity absorbs an offset") as told:
         make_unknowns(problems)
     assert (told.value.place, told.value.key, told.value.value) == ("robot lift", "identification.own", "Off")
 

@@ -7,7 +7,7 @@ from conftest import FROM_PINOCCHIO, REPLAY, robot_named
 from urdfs import LIMIT, TWO_TURNING, joint, robot_of_arm, urdf
 
 from acquisition.robot import Robot, load_robot, robot_from_files
-from identification.errors import RobotIdimError
+from identification.errors import BadInputError
 from identification.model import InverseModel, base_parameters, described_parameters
 
 KINDS, UNITS = ("revolute", "revolute", "prismatic"), ("N m", "N m", "N")
@@ -187,7 +187,7 @@ def test_a_urdf_gives_the_same_model_as_the_table():
     ],
 )
 def test_a_urdf_that_does_not_fit_is_refused_in_one_line(urdf, names, message):
-    with pytest.raises(RobotIdimError, match=message) as caught:
+    with pytest.raises(BadInputError, match=message) as caught:
         InverseModel(urdf_robot(urdf, names))
     assert "\n" not in str(caught.value)
 
@@ -195,5 +195,5 @@ def test_a_urdf_that_does_not_fit_is_refused_in_one_line(urdf, names, message):
 def test_a_priori_values_must_be_standard_parameters_of_the_robot():
     text = (REPLAY / "scara" / "robot.toml").read_text().replace("ZZ2 = 0.061", "ZZ7 = 0.061")
     dynamics = InverseModel(robot_from_files({"robot.toml": text.encode()}, "scara.toml"))
-    with pytest.raises(RobotIdimError, match=r"parameters\.ZZ7 = 0\.061: not a standard parameter"):
+    with pytest.raises(BadInputError, match=r"parameters\.ZZ7 = 0\.061: not a standard parameter"):
         described_parameters(dynamics, base_parameters(dynamics))

@@ -12,7 +12,7 @@ from urdfs import packaged_urdf
 
 from acquisition.robot import Controller
 from identification.data import Recordings, Signals, load_signals
-from identification.errors import RobotIdimError
+from identification.errors import NoFitError
 from identification.export import read_chain, robot_of_chain
 from identification.methods import identify, identify_ls
 from identification.model import InverseModel, base_parameters, known_parameters
@@ -154,7 +154,7 @@ def test_a_recording_read_again_has_the_same(ur5):
 @pytest.mark.parametrize("count", [2, 20, 60])
 def test_a_short_recording_is_refused(ur5, count):
     t_s, q, q_ref, effort = (x[:count] for x in (ur5.t_s, ur5.q, ur5.q_ref, ur5.effort))
-    with pytest.raises(RobotIdimError, match=r"periods are longer|samples left|half the rate"):
+    with pytest.raises(NoFitError, match=r"periods are longer|samples left|half the rate"):
         make_problem(replace(ur5, t_s=t_s, q=q, q_ref=q_ref, effort=effort), Overrides())
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import interpolate, signal
 
-from identification.errors import RobotIdimError
+from identification.errors import BadInputError, NoFitError
 from identification.regression import Decimation, differentiate, forward_backward_3db_hz, sampled_at
 from identification.regression.filtering import decimate, decimation_passes, decimation_reach, lowpass, lowpass_reach
 from identification.regression.motion import later, motion_between
@@ -89,11 +89,11 @@ def test_a_part_of_a_motion_is_the_part_of_the_whole():
 
 
 def test_cutoffs_beyond_half_the_rate_and_too_few_samples_are_refused():
-    with pytest.raises(RobotIdimError, match="cut-off = 600 Hz: expected between 0 and 500 Hz"):
+    with pytest.raises(BadInputError, match="cut-off = 600 Hz: expected between 0 and 500 Hz"):
         lowpass(np.zeros((100, 1)), 600.0, FS)
-    with pytest.raises(RobotIdimError, match="samples to filter = 12: expected more than 12"):
+    with pytest.raises(NoFitError, match="samples to filter = 12: expected more than 12"):
         lowpass(np.zeros((12, 1)), 20.0, FS)
-    with pytest.raises(RobotIdimError, match="samples to decimate by 10 = 24: expected more than 24"):
+    with pytest.raises(NoFitError, match="samples to decimate by 10 = 24: expected more than 24"):
         decimate(np.zeros(24), 10)
 
 

@@ -8,7 +8,7 @@ from conftest import REPLAY
 
 from acquisition.robot import LowSpeed, robot_from_files
 from identification.data import RecordingFile, Recordings, Work, load_signals
-from identification.errors import RobotIdimError
+from identification.errors import NoFitError
 from identification.estimation import weighted_least_squares
 from identification.methods import identify, identify_ls
 from identification.model import InverseModel, described_parameters
@@ -154,7 +154,7 @@ def test_short_moves_get_short_ramps_and_a_joint_that_never_moves_long_enough_is
     assert ramps[0] == 2.0
     assert ramps[1] < 2.0
     problem = scara(q=np.stack([quick[:, 0], 0.05 * np.sin(2 * np.pi * 24.9 * t)], axis=1))
-    with pytest.raises(RobotIdimError) as caught:
+    with pytest.raises(NoFitError) as caught:
         rows_of_recording(problem)
     assert "joint elbow never moves for longer than a period of the filters between two stops" in str(caught.value)
 

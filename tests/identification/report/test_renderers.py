@@ -5,7 +5,7 @@ import re
 
 import pytest
 
-from acquisition.errors import RobotIdimError
+from acquisition.errors import BadInputError
 from identification.report import (
     Document,
     Number,
@@ -95,5 +95,5 @@ def test_a_row_has_a_cell_for_each_column():
 def test_a_report_in_markdown_is_written_to_its_file(tmp_path):
     write_markdown(tmp_path / "report.md", REPORT)
     assert (tmp_path / "report.md").read_text(encoding="utf-8") == to_markdown(REPORT)
-    with pytest.raises(RobotIdimError):
+    with pytest.raises(BadInputError):
         write_markdown(tmp_path / "missing" / "report.md", REPORT)

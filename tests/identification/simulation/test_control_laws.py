@@ -10,7 +10,7 @@ from loops import free, modelled, simulate
 from scipy.linalg import expm
 
 from acquisition.robot import load_robot, robot_from_files
-from identification.errors import RobotIdimError
+from identification.errors import BadInputError
 from identification.model import InverseModel, described_parameters, direct_model, inertias
 from identification.simulation import Control, ControlLaw, Reference, recorded_loop, surrogate_loop
 
@@ -246,5 +246,5 @@ def test_the_inertia_of_a_joint_is_the_largest_along_the_way():
 def test_a_controller_described_in_part_names_what_is_missing():
     text = axis("pid", "exact", np.inf).files["robot.toml"].decode()
     robot = robot_from_files({"robot.toml": re.sub("(velocity|integral)_gain = .*", "", text).encode()}, "axis.toml")
-    with pytest.raises(RobotIdimError, match="velocity_gain, integral_gain is missing: expected all of structure"):
+    with pytest.raises(BadInputError, match="velocity_gain, integral_gain is missing: expected all of structure"):
         recorded_loop(robot)

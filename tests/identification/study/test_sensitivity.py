@@ -9,7 +9,7 @@ from conftest import REPLAY, ROOT
 
 from identification.commands import main
 from identification.data import RecordingFile, Work
-from identification.errors import RobotIdimError
+from identification.errors import NoFitError
 from identification.report import print_whole
 from identification.study import VariedFit, moves_of, sensitivity_document, vary
 from identification.study.sensitivity import Variant, fit_variant
@@ -160,7 +160,7 @@ def test_a_simulated_recording_knows_its_true_values():
 
 
 def test_a_recording_that_cannot_be_fitted_by_the_rules_is_refused():
-    with pytest.raises(RobotIdimError, match="converged"):
+    with pytest.raises(NoFitError, match="converged"):
         vary(RecordingFile.at(SCARA), (1e-6,), Tasks({}))
 
 

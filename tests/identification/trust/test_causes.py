@@ -11,7 +11,7 @@ from hunt_kinds import KINDS, SetUp, of_motors, sound
 from independent_simulator import at_rate
 
 from identification.data import Signals
-from identification.errors import RobotIdimError
+from identification.errors import BadInputError, RobotIdimError
 from identification.methods import Fit
 from identification.regression import KnownLag, Overrides, make_problem
 from identification.simulation import unstated_limits
@@ -118,7 +118,7 @@ def test_radians_declared_as_degrees_are_asked_for():
 def test_a_period_for_a_rate_is_refused(bandwidth_hz):
     signals = setup("scara", duration_s=1.0).recording(1)
     robot = replace(signals.robot, controller=type(signals.robot.controller)(bandwidth_hz=bandwidth_hz))
-    with pytest.raises(RobotIdimError) as refused:
+    with pytest.raises(BadInputError) as refused:
         make_problem(replace(at_rate(signals, 0.001), robot=robot), Overrides())
     assert refused.value.key == "sample_rate_hz"
     assert "not a period" in refused.value.expected

@@ -15,7 +15,7 @@ from acquisition.recording import Header, RecordingWriter, read_recording
 from acquisition.robot import LowSpeed, Robot, robot_from_files
 from identification.commands import main
 from identification.data import Signals, load_signals
-from identification.errors import RobotIdimError
+from identification.errors import BadInputError
 from identification.methods import Fit, Iteration, identify, identify_iv, identify_ls
 from identification.model import InverseModel, described_parameters
 from identification.regression import Overrides
@@ -303,6 +303,6 @@ def test_samples_at_real_times_are_made_uniform(tmp_path):
     for x in (signals.q, signals.q_ref, signals.effort):
         np.testing.assert_allclose(x[:, 1], 0.3 * np.sin(3.0 * signals.t_s + 1), atol=1e-8)
     rewritten(path, robot, np.delete(made, [5000, 5001, 5002, 5003]))
-    with pytest.raises(RobotIdimError, match=r"samples: 1 gap\(s\), the first after 5\.\d+ s: a step of"):
+    with pytest.raises(BadInputError, match=r"samples: 1 gap\(s\), the first after 5\.\d+ s: a step of"):
         load_signals(path)
     assert signals_of(SCARA).off_grid <= 0.05

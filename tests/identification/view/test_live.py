@@ -18,7 +18,7 @@ from acquisition.recording import Recording, read_recording
 from acquisition.session import Recorder
 from identification.commands import main
 from identification.data import load_signals
-from identification.errors import RobotIdimError
+from identification.errors import BadInputError
 from identification.methods import fit_file, identify_ls, stored_beta
 from identification.model import InverseModel, base_parameters
 from identification.regression import Decimation, Overrides, make_problem, predicted_torque
@@ -188,7 +188,7 @@ def test_the_state_is_red_where_the_file_has_stopped_growing(tmp_path, recorded,
     clocked(monkeypatch, lambda: None)
     for give_up_s in (0.1, 0.6):  # before and after
         monkeypatch.setattr(live, "GIVE_UP_S", give_up_s)
-        with pytest.raises(RobotIdimError, match="not grown"):
+        with pytest.raises(BadInputError, match="not grown"):
             follow_recording(path, None, rrd, lambda text: None)
         text, color = state(rrd)
         assert "late 0" in text

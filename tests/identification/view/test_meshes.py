@@ -7,7 +7,7 @@ import pytest
 from made_up_recordings import header, some_samples
 from pictured_fits import Written, urdf_robot
 
-from acquisition.errors import RobotIdimError
+from acquisition.errors import BadInputError
 from acquisition.files import meshes
 from acquisition.importing import import_recording
 from acquisition.recording import RecordingWriter, read_recording
@@ -87,7 +87,7 @@ def test_a_mesh_of_a_kind_that_is_not_known_is_not_written(tmp_path):
 def test_a_mesh_that_is_not_found_is_refused(name, tmp_path):
     path = described(tmp_path, name)
     (tmp_path / "meshes" / "l.txt").write_text("text")
-    with pytest.raises(RobotIdimError, match="does not exist") as caught:
+    with pytest.raises(BadInputError, match="does not exist") as caught:
         load_robot(path)
     assert (caught.value.place, caught.value.key, caught.value.value) == (str(path), "urdf: mesh", name)
 
@@ -95,11 +95,11 @@ def test_a_mesh_that_is_not_found_is_refused(name, tmp_path):
 def test_what_cannot_be_attached_is_refused(tmp_path, monkeypatch):
     path = described(tmp_path)
     monkeypatch.setattr(meshes, "MAX_MESH_BYTES", 133)
-    with pytest.raises(RobotIdimError, match="134 bytes of meshes so far: expected at most 133"):
+    with pytest.raises(BadInputError, match="134 bytes of meshes so far: expected at most 133"):
         load_robot(path)
     (tmp_path / "arm.urdf").write_text("<robot>")
-    with pytest.raises(RobotIdimError, match="urdf: not valid XML: no element found"):
+    with pytest.raises(BadInputError, match="urdf: not valid XML: no element found"):
         load_robot(path)
     path.write_text(path.read_text().replace('urdf = "arm.urdf"\n', ""))
-    with pytest.raises(RobotIdimError, match="urdf_meshes = True: expected a urdf"):
+    with pytest.raises(BadInputError, match="urdf_meshes = True: expected a urdf"):
         load_robot(path)

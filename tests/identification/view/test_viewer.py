@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from pictured_fits import FS, Written, fitted, fitted_iv, made_up, scara
 
-from acquisition.errors import RobotIdimError
+from acquisition.errors import BadInputError
 from identification.model import InverseModel
 from identification.regression import Decimation, FilteredMotion, differentiate, predicted_torque
 from identification.view import curves, draw_fit, rerun_panels, write_rrd
@@ -255,7 +255,7 @@ def test_a_disk_that_fills_up_leaves_what_was_there(tmp_path):
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, limits[1]))
     try:
-        with pytest.raises(RobotIdimError, match="cannot be written"):
+        with pytest.raises(BadInputError, match="cannot be written"):
             write_rrd(path, draw_fit(made_up(), fitted(made_up())))
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)

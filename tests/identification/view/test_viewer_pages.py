@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from identification.commands import main
 from identification.data import load_signals
-from identification.errors import RobotIdimError
+from identification.errors import BadInputError
 from identification.model import InverseModel
 from identification.regression import Overrides
 from identification.report import Parameter, ParameterSet, comparison_section, differences
@@ -268,7 +268,7 @@ def test_differences_are_in_deviations_of_the_difference():
     by_name, _, *alone = comparison_section(a, b).lines
     assert "matched by name" in by_name
     assert alone == ["only in A: M4", "only in B: M3"]
-    with pytest.raises(RobotIdimError, match="no parameter in common"):
+    with pytest.raises(BadInputError, match="no parameter in common"):
         differences(a, values("C", M9=(1.0, 1.0)))
 
 
