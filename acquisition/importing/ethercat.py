@@ -169,13 +169,15 @@ def _on_grid(
         time_ns %= 2**32
         time_ns += stamp_ns
         time_ns -= 2**31
+        del stamp_ns
     period_ns = _period_ns(time_ns)
     refuse_period(period_ns * 1e-9, nominal_ns * 1e-9, str(at), "a cycle")
     if abs(period_ns / nominal_ns - 1) < _MAX_CLOCK_ERROR:
         period_ns = float(nominal_ns)
     number, certain = cycle_numbers(time_ns, period_ns)
     start_ns = int(np.median(time_ns - _rounded(number, period_ns), overwrite_input=True))
-    known = np.concatenate([some["known"] for some in in_parts(rows)])
+    del time_ns  # large in a long capture, as others that are changed in place
+    known = np.concatenate([some["known"].copy() for some in in_parts(rows)])
     has_reference = bool(known.mean() > _MIN_SHARE)
     certain[1:] &= (np.diff(number) == 1) & certain[:-1] & known[:-1] | (not has_reference)
     certain[0] &= not has_reference
