@@ -16,7 +16,7 @@ from .process_data import AT_ONCE, MARGIN, MAX_OFF, Bools, ProcessData, parse_ma
 from .time_base import ImportSummary
 
 _MAX_CLOCK_ERROR = 2e-4  # of the described period: clocks differ by less than the second
-_MIN_SHARE = 0.5  # of the rows: with fewer there is no reference, and no clock but the capture's
+_MIN_SHARE = 0.5  # of the rows: with fewer there is no reference
 _LATE = 15  # rows: what delays more of them lasts
 MAPPING_NOTE = "ethercat_mapping"  # of the metadata
 
@@ -30,16 +30,14 @@ def cycle_numbers(time_ns: Ints, period_ns: float) -> tuple[Ints, Bools]:
     for first in range(0, len(time_ns), AT_ONCE):
         begin, end = max(0, first - MARGIN), first + AT_ONCE
         some, sure, level = _numbers(time_ns[begin : end + MARGIN], period_ns, first - begin, reached)
-        number[first:end], certain[first:end] = (
-            begin + some[first - begin : end - begin],
-            sure[first - begin : end - begin],
-        )
+        number[first:end] = some[first - begin : end - begin] + begin
+        certain[first:end] = sure[first - begin : end - begin]
         reached = float(level[min(end - begin, len(level) - 1)])
     return number, certain
 
 
 def _numbers(time_ns: Ints, period_ns: float, row: int, reached: float) -> tuple[Ints, Bools, Array]:
-    """As `cycle_numbers`, from the first row, and cycles without rows up to each row, which are `reached` at `row`."""
+    """As `cycle_numbers`, and cycles without a row before each row, of which there are `reached` at `row`."""
     k = np.arange(len(time_ns))
     late = (time_ns - time_ns[0]) / period_ns - k
     on_time = minimum_ahead(late, _LATE)

@@ -16,7 +16,7 @@ from .captures import Packets, datagrams, gather
 from .slaves import LRD, LRW, LWR, WRITES, Entries, Located, Slaves, spans
 
 MAX_OFF = 0.25  # of a period: what is nearer belongs together
-AT_ONCE, MARGIN = 2**17, 64  # rows of a segment, and those before and after it on which it may depend
+AT_ONCE, MARGIN = 2**17, 2**10  # rows of a segment, and those before and after it on which it may depend
 _CLOCK, _CLOCK_COMMANDS = 0x910, (13, 14)  # system time of the distributed clocks; ARMW and FRMW
 _ORDER = 15  # stamps before and after one that must not contradict it
 _MIN_SHARE = 0.01  # of the rows: a working counter that is no damage
@@ -175,7 +175,7 @@ class ProcessData:
             self.refuse_no_rows()
         full, main = {part: self._full(part, parts[part]) for part in inputs}, parts[inputs[0]]
         kinds = [(name, "<i8", (len(self._bus.drives),)) for name in ("position", "effort", "target")]
-        kind = np.dtype([("packet", "<i8"), ("stamp_ns", "<i8"), ("clock_ns", "<i8"), ("known", "?"), *kinds])
+        kind = np.dtype([("stamp_ns", "<i8"), ("clock_ns", "<i8"), ("known", "?"), *kinds])
         joined, clocked = GrowingBytes(), GrowingBytes()
         for first in range(0, len(main), AT_ONCE):
             some = main[max(0, first - MARGIN) : first + AT_ONCE + MARGIN]["packet"]
@@ -196,8 +196,7 @@ class ProcessData:
         (main, doubled), period = self._undoubled(parts[next(iter(full))]), self._bus.period_ns
         self.doubled += int(((doubled >= first) & (doubled < end)).sum())
         rows = np.zeros(len(main), kind)
-        rows["packet"], rows["stamp_ns"], rows["clock_ns"] = main["packet"], main["time_ns"], main["clock_ns"]
-        rows["known"] = len(full) < len(parts)
+        rows["stamp_ns"], rows["clock_ns"], rows["known"] = main["time_ns"], main["clock_ns"], len(full) < len(parts)
         good = (main["packet"] >= first) & (main["packet"] < end)
         whole = good.copy()
         for part, near in parts.items():
@@ -205,12 +204,11 @@ class ProcessData:
             index, certain = (_join if part[3] else _sent)(main, other, period)
             if part[3]:
                 good &= certain
+                whole &= other["counter"][index] == full[part] if len(other) else False
             else:
                 rows["known"] &= certain
-            if len(other):
-                whole &= (other["counter"][index] == full[part]) if part[3] else True
-                for name, i in self._fields[part]:
-                    rows[name][:, i] = other[f"{name}{i}"][index]
+            for name, i in self._fields[part] if len(other) else ():
+                rows[name][:, i] = other[f"{name}{i}"][index]
         self.short += int((good & ~whole).sum())
         return rows[good & whole]
 
