@@ -58,20 +58,13 @@ def _numbers(time_ns: Ints, period_ns: float, row: int, reached: float) -> tuple
     return k + level[before], certain, missing
 
 
-def _rounded(number: Ints, period_ns: float) -> Ints:
-    times = number * period_ns
-    return np.asarray(np.rint(times, out=times), np.int64)
-
-
 def _period_ns(time_ns: Ints) -> float:
     """Between two cycles, by the median of steps over more and more rows."""
-    period = float(np.median(np.diff(time_ns), overwrite_input=True))
+    period = float(np.median(np.diff(time_ns)))
     for ahead in (32, 1024):
         if period > 0 and len(time_ns) > ahead:
             steps = time_ns[ahead:] - time_ns[:-ahead]
-            cycles = steps / period
-            np.maximum(np.rint(cycles, out=cycles), 1, out=cycles)
-            period = float(np.median(np.divide(steps, cycles, out=cycles), overwrite_input=True))
+            period = float(np.median(steps / np.maximum(np.rint(steps / period), 1)))
     return period
 
 
@@ -161,20 +154,16 @@ def _on_grid(
         process.refuse_no_rows()
     time_ns = field_of(rows, "clock_ns" if clock else "stamp_ns")
     if clock and time_ns.max() < 2**32:  # what is above 32 bits is by the capture
-        stamp_ns = field_of(rows, "stamp_ns")
-        time_ns = time_ns - stamp_ns
-        time_ns += 2**31 - time_ns[0]
-        time_ns %= 2**32
-        time_ns += stamp_ns
-        time_ns -= 2**31
-        del stamp_ns
+        since = field_of(rows, "stamp_ns")
+        time_ns = since + (time_ns - time_ns[0] - since + since[0] + 2**31) % 2**32 - 2**31
+        del since
     period_ns = _period_ns(time_ns)
     refuse_period(period_ns * 1e-9, nominal_ns * 1e-9, str(at), "a cycle")
     if abs(period_ns / nominal_ns - 1) < _MAX_CLOCK_ERROR:
         period_ns = float(nominal_ns)
     number, certain = cycle_numbers(time_ns, period_ns)
-    start_ns = int(np.median(time_ns - _rounded(number, period_ns), overwrite_input=True))
-    del time_ns  # large in a long capture, as others that are changed in place
+    start_ns = int(np.median(time_ns - np.rint(number * period_ns).astype(np.int64), overwrite_input=True))
+    del time_ns  # large in a long capture
     known = np.concatenate([some["known"].copy() for some in in_parts(rows)])
     has_reference = bool(known.mean() > _MIN_SHARE)
     certain[1:] &= (np.diff(number) == 1) & certain[:-1] & known[:-1] | (not has_reference)
@@ -196,4 +185,4 @@ def _on_grid(
     name = "distributed clocks" if clock else "stamps of the capture"
     doubled = f"{process.doubled or 'no'} doubled rows"
     times = f"{name}: {1e-6 * period_ns:.9g} ms from cycle to cycle, {gaps}, {doubled}"
-    return rows, chosen, max(0, start_ns) + _rounded(number, period_ns), times, has_reference
+    return rows, chosen, max(0, start_ns) + np.rint(number * period_ns).astype(np.int64), times, has_reference

@@ -174,28 +174,25 @@ class ProcessData:
         if not all(len(parts[part]) for part in inputs):
             self.refuse_no_rows()
         full, main = {part: self._full(part, parts[part]) for part in inputs}, parts[inputs[0]]
-        kinds = [(name, "<i8", (len(self._bus.drives),)) for name in ("position", "effort", "target")]
-        kind = np.dtype([("stamp_ns", "<i8"), ("clock_ns", "<i8"), ("known", "?"), *kinds])
         joined, clocked = GrowingBytes(), GrowingBytes()
         for first in range(0, len(main), AT_ONCE):
             some = main[max(0, first - MARGIN) : first + AT_ONCE + MARGIN]["packet"]
             near = {part: _between(rows, int(some[0]), int(some[-1])) for part, rows in parts.items()}
             ends = (main[k]["packet"] if k < len(main) else some[-1] + 1 for k in (first, first + AT_ONCE))
-            found = self._joined(near, full, kind, *map(int, ends))
+            found = self._joined(near, full, *map(int, ends))
             joined.extend(found.tobytes())
             clocked.extend(found[found["clock_ns"] >= 0].tobytes())
             for rows in parts.values():
                 release_pages(rows)
         clock = len(clocked) > len(joined) / 2
-        return np.frombuffer((clocked if clock else joined).whole(), kind), clock
+        return np.frombuffer((clocked if clock else joined).whole(), found.dtype), clock
 
-    def _joined(
-        self, parts: Mapping[Part, Block], full: Mapping[Part, int], kind: np.dtype[np.void], first: int, end: int
-    ) -> Block:
+    def _joined(self, parts: Mapping[Part, Block], full: Mapping[Part, int], first: int, end: int) -> Block:
         """Rows of the packets from `first` to before `end`, from rows of parts near them."""
         (main, doubled), period = self._undoubled(parts[next(iter(full))]), self._bus.period_ns
         self.doubled += int(((doubled >= first) & (doubled < end)).sum())
-        rows = np.zeros(len(main), kind)
+        kinds = [(name, "<i8", (len(self._bus.drives),)) for name in ("position", "effort", "target")]
+        rows = np.zeros(len(main), [("stamp_ns", "<i8"), ("clock_ns", "<i8"), ("known", "?"), *kinds])
         rows["stamp_ns"], rows["clock_ns"], rows["known"] = main["time_ns"], main["clock_ns"], len(full) < len(parts)
         good = (main["packet"] >= first) & (main["packet"] < end)
         whole = good.copy()
