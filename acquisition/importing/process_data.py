@@ -174,12 +174,11 @@ class ProcessData:
         if not all(len(parts[part]) for part in inputs):
             self.refuse_no_rows()
         full, main = {part: self._full(part, parts[part]) for part in inputs}, parts[inputs[0]]
-        joined, clocked = GrowingBytes(), GrowingBytes()
+        joined, clocked, begin = GrowingBytes(), GrowingBytes(), 0
         for first in range(0, len(main), AT_ONCE):
-            some = main[max(0, first - MARGIN) : first + AT_ONCE + MARGIN]["packet"]
-            near = {part: _between(rows, int(some[0]), int(some[-1])) for part, rows in parts.items()}
-            ends = (main[k]["packet"] if k < len(main) else some[-1] + 1 for k in (first, first + AT_ONCE))
-            found = self._joined(near, full, *map(int, ends))
+            end = int(main[min(first + AT_ONCE, len(main)) - 1]["packet"]) + 1
+            found = self._joined({part: _near(rows, begin, end) for part, rows in parts.items()}, full, begin, end)
+            begin = end
             joined.extend(found.tobytes())
             clocked.extend(found[found["clock_ns"] >= 0].tobytes())
             for rows in parts.values():
@@ -242,10 +241,10 @@ class ProcessData:
         self._place.refuse(text=text, expected=expected)
 
 
-def _between(rows: Block, first: int, last: int) -> Block:
-    """Rows of some packets and `MARGIN` rows before and after; only the rows that a bisection needs are read."""
-    begin, end = (bisect_left(rows, packet, key=lambda row: int(row["packet"])) for packet in (first, last + 1))
-    return rows[max(0, begin - MARGIN) : end + MARGIN]
+def _near(rows: Block, first: int, end: int) -> Block:
+    """Rows of some packets, and `MARGIN` rows before and after; a bisection reads few of the others."""
+    begin, stop = (bisect_left(rows, packet, key=lambda row: int(row["packet"])) for packet in (first, end))
+    return rows[max(0, begin - MARGIN) : stop + MARGIN]
 
 
 def _join(main: Block, other: Block, period: int) -> tuple[Ints, Bools]:
