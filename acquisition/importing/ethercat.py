@@ -1,22 +1,22 @@
 """Imports a capture of an EtherCAT bus in operation: frames → joint samples at the times of cycles. Nothing is ever sent."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
 
-from ..arrays import Ints
+from ..arrays import Array, Ints
 from ..errors import Place
-from ..files import atomic_write
+from ..files import atomic_write, field_of, release_pages
 from ..recording import Block, Header, RecordingWriter, in_parts, joint_samples, minimum_ahead, refuse_period
 from ..robot import Bus, Payload, Robot, check_recorded_efforts, check_recorded_positions
 from .captures import PCAP_HEAD, packets
-from .process_data import MAX_OFF, Bools, ProcessData, parse_mapping
+from .process_data import AT_ONCE, MARGIN, MAX_OFF, Bools, ProcessData, parse_mapping
 from .time_base import ImportSummary
 
 _MAX_CLOCK_ERROR = 2e-4  # of the described period: clocks differ by less than the second
-_MIN_SHARE = 0.5  # of the rows: with fewer there is no reference, and no clock but the capture's
+_MIN_SHARE = 0.5  # of the rows: with fewer there is no reference
 _LATE = 15  # rows: what delays more of them lasts
 MAPPING_NOTE = "ethercat_mapping"  # of the metadata
 
@@ -26,13 +26,26 @@ def cycle_numbers(time_ns: Ints, period_ns: float) -> tuple[Ints, Bools]:
 
     Delays are never negative and do not last, as those of SYNC. Delayed rows are consecutive if none is lost among them.
     """
+    number, certain, reached = np.empty(len(time_ns), np.int64), np.empty(len(time_ns), np.bool_), 0.0
+    for first in range(0, len(time_ns), AT_ONCE):
+        begin, end = max(0, first - MARGIN), first + AT_ONCE
+        some, sure, level = _numbers(time_ns[begin : end + MARGIN], period_ns, first - begin, reached)
+        number[first:end] = some[first - begin : end - begin] + begin
+        certain[first:end] = sure[first - begin : end - begin]
+        reached = float(level[min(end - begin, len(level) - 1)])
+    return number, certain
+
+
+def _numbers(time_ns: Ints, period_ns: float, row: int, reached: float) -> tuple[Ints, Bools, Array]:
+    """As `cycle_numbers`, and cycles without a row before each row, of which there are `reached` at `row`."""
     k = np.arange(len(time_ns))
     late = (time_ns - time_ns[0]) / period_ns - k
     on_time = minimum_ahead(late, _LATE)
     steps = np.diff(on_time)
     steps[np.abs(steps) < MAX_OFF] = 0.0  # drift of the clocks
     level, breaks = (np.concatenate([[0], np.cumsum(x)]) for x in (steps, np.abs(steps - np.rint(steps)) > MAX_OFF))
-    level = np.rint(level).astype(np.int64)
+    missing = level + (reached - level[row])
+    level = np.rint(missing).astype(np.int64)
     delayed = late - on_time > MAX_OFF
     before = np.maximum.accumulate(np.where(delayed, 0, k))
     after = np.minimum.accumulate(np.where(delayed, len(k) - 1, k)[::-1])[::-1]
@@ -42,7 +55,7 @@ def cycle_numbers(time_ns: Ints, period_ns: float) -> tuple[Ints, Bools]:
     certain = (level[before] == level[after]) & (breaks[before] == breaks[after]) & (near | delayed)
     certain &= ~delayed[before] & ~delayed[after]
     certain[1:] &= certain[:-1] | (steps > 1 - MAX_OFF)  # else it may be a row too many
-    return k + level[before], certain
+    return k + level[before], certain, missing
 
 
 def _period_ns(time_ns: Ints) -> float:
@@ -97,9 +110,9 @@ def import_capture(file: BinaryIO, header: Header, bus: Bus, at: Place, out: Pat
             if len(kept):
                 writer.captured(head + given.records(kept), int(given.time_ns[kept[0]]))
                 head = b""
-        rows, times, has_reference = _on_grid(process, bus.period_ns, at, warnings)
-        first_ns, last_ns = int(rows["stamp_ns"][0]), int(rows["stamp_ns"][-1])
-        for block in joint_samples(in_parts(rows), robot, bus):
+        rows, chosen, stamp_ns, times, has_reference = _on_grid(process, bus.period_ns, at, warnings)
+        first_ns, last_ns = int(stamp_ns[0]), int(stamp_ns[-1])
+        for block in joint_samples(_chosen(rows, chosen, stamp_ns, has_reference), robot, bus):
             writer.samples(block)
             t_s = (block["stamp_ns"] - first_ns) * np.float64(1e-9)
             warnings += check_recorded_positions(robot, t_s, block["position"], str(at))
@@ -110,7 +123,7 @@ def import_capture(file: BinaryIO, header: Header, bus: Bus, at: Place, out: Pat
     return ImportSummary(
         out=out,
         robot=robot.name,
-        samples=len(rows),
+        samples=len(chosen),
         sample_rate_hz=header.sample_rate_hz,
         has_reference=has_reference,
         effort_units=robot.effort_units,
@@ -119,46 +132,57 @@ def import_capture(file: BinaryIO, header: Header, bus: Bus, at: Place, out: Pat
     )
 
 
-def _on_grid(process: ProcessData, nominal_ns: int, at: Place, warnings: list[str]) -> tuple[Block, str, bool]:
-    """Rows whose cycle is certain, with their stamps; the report on the times; whether there is a reference.
+def _chosen(rows: Block, chosen: Ints, stamp_ns: Ints, has_reference: bool) -> Iterator[Block]:
+    """Chosen rows with their stamps, some at a time.
 
     The target of a row is that of the cycle before, which the drive had when it sampled.
     """
-    rows = process.rows()
-    clock = np.count_nonzero(rows["clock_ns"] >= 0) > _MIN_SHARE * len(rows)
-    rows = rows[rows["clock_ns"] >= 0] if clock else rows
+    for first in range(0, len(chosen), AT_ONCE):
+        some = chosen[first : first + AT_ONCE]
+        found = rows[some]
+        found["stamp_ns"], found["target"] = stamp_ns[first : first + AT_ONCE], rows["target"][some - 1]
+        release_pages(rows)
+        yield found if has_reference else found[["stamp_ns", "position", "effort"]]
+
+
+def _on_grid(
+    process: ProcessData, nominal_ns: int, at: Place, warnings: list[str]
+) -> tuple[Block, Ints, Ints, str, bool]:
+    """Rows, the numbers and stamps of those whose cycle is certain; the report on the times; whether there is a reference."""
+    rows, clock = process.rows()
     if len(rows) < 4:
         process.refuse_no_rows()
-    time_ns = rows["clock_ns" if clock else "stamp_ns"]
+    time_ns = field_of(rows, "clock_ns" if clock else "stamp_ns")
     if clock and time_ns.max() < 2**32:  # what is above 32 bits is by the capture
-        since = rows["stamp_ns"] - rows["stamp_ns"][0]
-        time_ns = rows["stamp_ns"] + (time_ns - time_ns[0] - since + 2**31) % 2**32 - 2**31
+        since = field_of(rows, "stamp_ns")
+        time_ns = since + (time_ns - time_ns[0] - since + since[0] + 2**31) % 2**32 - 2**31
+        del since
     period_ns = _period_ns(time_ns)
     refuse_period(period_ns * 1e-9, nominal_ns * 1e-9, str(at), "a cycle")
     if abs(period_ns / nominal_ns - 1) < _MAX_CLOCK_ERROR:
         period_ns = float(nominal_ns)
     number, certain = cycle_numbers(time_ns, period_ns)
-    start_ns = int(np.median(time_ns - np.rint(number * period_ns).astype(np.int64)))
-    has_reference = bool(rows["known"].mean() > _MIN_SHARE)
-    certain[1:] &= (np.diff(number) == 1) & certain[:-1] & rows["known"][:-1] | (not has_reference)
+    start_ns = int(np.median(time_ns - np.rint(number * period_ns).astype(np.int64), overwrite_input=True))
+    del time_ns  # large in a long capture
+    known = np.concatenate([some["known"].copy() for some in in_parts(rows)])
+    has_reference = bool(known.mean() > _MIN_SHARE)
+    certain[1:] &= (np.diff(number) == 1) & certain[:-1] & known[:-1] | (not has_reference)
     certain[0] &= not has_reference
     chosen = np.flatnonzero(certain)
     chosen = chosen[np.diff(number[chosen], prepend=-1) > 0]
     if len(chosen) < 2:
         process.refuse_no_rows()
-    found = rows[chosen]
-    found["stamp_ns"] = max(0, start_ns) + np.rint(number[chosen] * period_ns).astype(np.int64)
-    found["target"] = rows["target"][chosen - 1]
+    number = number[chosen]
     if not has_reference:
-        found = found[["stamp_ns", "position", "effort"]]
         warnings.append("no reference: the targets are not mapped, or not in frames on their way out")
     if process.short:
         warnings.append(f"{process.short} cycles with a working counter below the full one are left out")
     uncertain = len(rows) - len(chosen) - has_reference  # the first row has none before it
     if uncertain:
         warnings.append(f"{uncertain} rows beside lost or late frames are left out: their cycle or target is uncertain")
-    steps = np.diff(number[chosen])
+    steps = np.diff(number)
     gaps = f"{(steps > 1).sum()} gaps, {(steps - 1).sum()} rows missing" if (steps > 1).any() else "no gaps"
     name = "distributed clocks" if clock else "stamps of the capture"
     doubled = f"{process.doubled or 'no'} doubled rows"
-    return found, f"{name}: {1e-6 * period_ns:.9g} ms from cycle to cycle, {gaps}, {doubled}", has_reference
+    times = f"{name}: {1e-6 * period_ns:.9g} ms from cycle to cycle, {gaps}, {doubled}"
+    return rows, chosen, max(0, start_ns) + np.rint(number * period_ns).astype(np.int64), times, has_reference

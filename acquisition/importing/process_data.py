@@ -1,6 +1,7 @@
 """Cyclic process data in EtherCAT frames → rows of the integers of CiA 402 drives (CoE), in file order."""
 
-from collections.abc import Sequence
+from bisect import bisect_left
+from collections.abc import Mapping, Sequence
 from typing import NoReturn, TypeAlias
 
 import numpy as np
@@ -8,13 +9,14 @@ from numpy.typing import NDArray
 
 from ..arrays import Ints
 from ..errors import BadInputError, Place, listed
-from ..files import GrowingBytes
-from ..recording import Block, minimum_ahead
+from ..files import GrowingBytes, release_pages
+from ..recording import Block, in_parts, minimum_ahead
 from ..robot import Bus
 from .captures import Packets, datagrams, gather
 from .slaves import LRD, LRW, LWR, WRITES, Entries, Located, Slaves, spans
 
 MAX_OFF = 0.25  # of a period: what is nearer belongs together
+AT_ONCE, MARGIN = 2**17, 2**10  # rows of a segment, and those before and after it on which it may depend
 _CLOCK, _CLOCK_COMMANDS = 0x910, (13, 14)  # system time of the distributed clocks; ARMW and FRMW
 _ORDER = 15  # stamps before and after one that must not contradict it
 _MIN_SHARE = 0.01  # of the rows: a working counter that is no damage
@@ -155,10 +157,11 @@ class ProcessData:
         placed = [spans([((0, 0), sum(bits[:k])), *slave]) for k, slave in enumerate(self._mapping)]
         return {-k: ({key: (base + at, n) for key, at, n in slave}, {}) for k, slave in enumerate(placed, 2)}
 
-    def rows(self) -> Block:
+    def rows(self) -> tuple[Block, bool]:
         """Stamp, time by distributed clocks (-1: none), position, effort and target (n,) of each cycle with full counters.
 
-        `known`: the target is the one that was sent in the cycle.
+        `known`: the target is the one that was sent in the cycle. Second, whether most rows have a time by distributed clocks:
+        the others are left out then. Segments of `AT_ONCE` rows are joined, for long captures.
         """
         station = self._slaves[True].contradicts(self._slaves[False])
         if station is not None:
@@ -167,49 +170,63 @@ class ProcessData:
         inputs = [part for part in self._fields if part[3]]
         if not inputs:
             self.refuse_no_rows()
-        n, main, period = len(self._bus.drives), self._undoubled(inputs[0]), self._bus.period_ns
-        kinds = [(name, "<i8", (n,)) for name in ("position", "effort", "target")]
-        rows = np.zeros(len(main), np.dtype([("stamp_ns", "<i8"), ("clock_ns", "<i8"), ("known", "?"), *kinds]))
-        rows["stamp_ns"], rows["clock_ns"], rows["known"] = (
-            main["time_ns"],
-            main["clock_ns"],
-            len(inputs) < len(self._fields),
-        )
-        good, whole = np.ones(len(main), np.bool_), np.ones(len(main), np.bool_)
-        for part in self._fields:
-            other = main if part == inputs[0] else self._undoubled(part)
-            if part[3] and not len(other):
-                self.refuse_no_rows()
+        parts = {part: np.frombuffer(self._columns[part].whole(), self._row(part)) for part in self._fields}
+        if not all(len(parts[part]) for part in inputs):
+            self.refuse_no_rows()
+        full, main = {part: self._full(part, parts[part]) for part in inputs}, parts[inputs[0]]
+        joined, clocked, begin = GrowingBytes(), GrowingBytes(), 0
+        for first in range(0, len(main), AT_ONCE):
+            end = int(main[min(first + AT_ONCE, len(main)) - 1]["packet"]) + 1
+            found = self._joined({part: _near(rows, begin, end) for part, rows in parts.items()}, full, begin, end)
+            begin = end
+            joined.extend(found.tobytes())
+            clocked.extend(found[found["clock_ns"] >= 0].tobytes())
+            for rows in parts.values():
+                release_pages(rows)
+        clock = len(clocked) > len(joined) / 2
+        return np.frombuffer((clocked if clock else joined).whole(), found.dtype), clock
+
+    def _joined(self, parts: Mapping[Part, Block], full: Mapping[Part, int], first: int, end: int) -> Block:
+        """Rows of the packets from `first` to before `end`, from rows of parts near them."""
+        (main, doubled), period = self._undoubled(parts[next(iter(full))]), self._bus.period_ns
+        self.doubled += int(((doubled >= first) & (doubled < end)).sum())
+        kinds = [(name, "<i8", (len(self._bus.drives),)) for name in ("position", "effort", "target")]
+        rows = np.zeros(len(main), [("stamp_ns", "<i8"), ("clock_ns", "<i8"), ("known", "?"), *kinds])
+        rows["stamp_ns"], rows["clock_ns"], rows["known"] = main["time_ns"], main["clock_ns"], len(full) < len(parts)
+        good = (main["packet"] >= first) & (main["packet"] < end)
+        whole = good.copy()
+        for part, near in parts.items():
+            other, _ = self._undoubled(near)
+            index, certain = (_join if part[3] else _sent)(main, other, period)
             if part[3]:
-                index, joined = _join(main, other, period)
-                good &= joined
-                whole &= other["counter"][index] == self._full(part, other["counter"])
+                good &= certain
+                whole &= other["counter"][index] == full[part] if len(other) else False
             else:
-                index, joined = _sent(main, other, period)
-                rows["known"] &= joined
+                rows["known"] &= certain
             for name, i in self._fields[part] if len(other) else ():
                 rows[name][:, i] = other[f"{name}{i}"][index]
-        self.short = int((good & ~whole).sum())
-        del main, other  # large in a long capture
-        return rows if (good & whole).all() else rows[good & whole]
+        self.short += int((good & ~whole).sum())
+        return rows[good & whole]
 
-    def _full(self, part: Part, counter: NDArray[np.uint16]) -> int:
+    def _full(self, part: Part, rows: Block) -> int:
         """The full working counter: by FMMUs, else the highest that is no damage."""
         if self._slaves[True].mapped:
             return self._slaves[True].full_counter(*part[:3])
-        return int(np.flatnonzero(np.bincount(counter) > _MIN_SHARE * len(counter))[-1])
+        count = sum(np.bincount(some["counter"], minlength=2**16) for some in in_parts(rows))
+        return int(np.flatnonzero(count > _MIN_SHARE * len(rows))[-1])
 
-    def _undoubled(self, part: Part) -> Block:
-        """Rows of a part, but those that repeat the one before within half a period, and whose stamps others contradict."""
-        rows = np.frombuffer(self._columns[part].whole(), self._row(part))
+    def _undoubled(self, rows: Block) -> tuple[Block, Ints]:
+        """Rows of a part, but those whose stamps others contradict, and those that repeat the one before within half a period.
+
+        Second, the packets of those that repeat.
+        """
         time_ns, again = rows["time_ns"], np.abs(np.diff(rows["time_ns"])) < self._bus.period_ns // 2
         for name in rows.dtype.names[3:] if rows.dtype.names else ():
             again &= rows[name][1:] == rows[name][:-1]
         in_order = time_ns <= minimum_ahead(time_ns, _ORDER)
         in_order &= time_ns >= -minimum_ahead(-time_ns[::-1], _ORDER)[::-1]
         in_order[1:] &= ~again
-        self.doubled += int(again.sum()) if part == next(iter(self._fields)) else 0
-        return np.asarray(rows[in_order])
+        return rows[in_order], rows["packet"][1:][again]
 
     def refuse_no_rows(self) -> NoReturn:
         """Say what is missing in the capture."""
@@ -224,8 +241,16 @@ class ProcessData:
         self._place.refuse(text=text, expected=expected)
 
 
+def _near(rows: Block, first: int, end: int) -> Block:
+    """Rows of some packets, and `MARGIN` rows before and after; a bisection reads few of the others."""
+    begin, stop = (bisect_left(rows, packet, key=lambda row: int(row["packet"])) for packet in (first, end))
+    return rows[max(0, begin - MARGIN) : stop + MARGIN]
+
+
 def _join(main: Block, other: Block, period: int) -> tuple[Ints, Bools]:
     """For each row the other one of its cycle, and whether that is certain: of its packet, or near and both regular."""
+    if not (len(main) and len(other)):
+        return np.zeros(len(main), np.int64), np.zeros(len(main), np.bool_)
     index = np.searchsorted(other["packet"], main["packet"]).clip(max=len(other) - 1)
     same = other["packet"][index] == main["packet"]
     if same.mean() > 0.5:
@@ -244,7 +269,7 @@ def _regular(time_ns: Ints, period: int) -> Bools:
 def _sent(main: Block, sent: Block, period: int) -> tuple[Ints, Bools]:
     """For each row what was sent last before, and whether it is of this cycle: after the row before, as long ago as usual."""
     index = np.searchsorted(sent["packet"], main["packet"], "right") - 1
-    if not len(sent):
+    if not (len(main) and len(sent)):
         return index, np.zeros(len(main), np.bool_)
     delay = main["time_ns"] - sent["time_ns"][index]
     usual = np.abs(delay - np.median(delay)) < 2 * MAX_OFF * period

@@ -329,6 +329,25 @@ def test_parts_of_a_long_file_give_the_rows_of_the_whole(tmp_path, monkeypatch):
     assert bytes(parts.capture) == bytes(whole.capture)
 
 
+@pytest.mark.parametrize("image", IMAGES)
+def test_segments_of_a_long_capture_give_the_rows_of_the_whole(tmp_path, monkeypatch, image):
+    """Frames are lost, doubled and late, also beside the ends of segments."""
+    rng, packets = random.Random(1), []
+    for time_ns, frame in made_up.Bus(image=image).packets(700):
+        if rng.random() > 0.01:
+            packets += [(time_ns + 400_000 * (rng.random() < 0.02), frame)] * (1 + (rng.random() < 0.02))
+    content = made_up.pcap(packets)
+    whole, about = imported(tmp_path, content)
+    for module in ("ethercat", "process_data"):
+        monkeypatch.setattr(f"acquisition.importing.{module}.AT_ONCE", 50)
+        monkeypatch.setattr(f"acquisition.importing.{module}.MARGIN", 40)
+    parts, again = imported(tmp_path, content)
+    np.testing.assert_array_equal(parts.samples, whole.samples)
+    assert (again.times, again.warnings) == (about.times, about.warnings)
+    assert "gaps" in again.times
+    assert "no doubled" not in again.times
+
+
 def test_the_command_imports_a_capture_by_its_first_bytes(tmp_path, capsys):
     bus = made_up.Bus()
     (tmp_path / "robot.toml").write_text(robot_text())
