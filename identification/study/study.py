@@ -85,6 +85,8 @@ class Run:
 def run_study(robot: Robot, study: Study, work: Work) -> Iterator[Run]:
     """All runs in order; one that fails has a `reason`. Raises `BadInputError`: the description has no values."""
     study_truth(robot)
+    if robot.controller.structure is None:
+        _ = robot.bandwidth_hz  # of the PD that is simulated: refused before any run
     return work.run(one_run, [(dict(robot.files), study, number) for number in range(study.runs)])
 
 
