@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..arrays import Array
+from ..errors import NoFitError
 from ..estimation import (
     Estimate,
     InstrumentTests,
@@ -98,10 +99,12 @@ def fit_of(equations: Equations, evidence: FitData, solved: LeastSquares, replic
     names = tuple(joint.name for joint in equations.problem.signals.robot.joints)
     evidence = replace(evidence, held_out=held_out_parts(evidence, equations.predicted))
     evidence = with_prior(evidence, equations.predicted)
-    filtered, of_model = equations, predicted
-    # errors of the model, without the noise that passes the cut-off of the fit
-    if (behind := equations.behind_rule()) is not None:
-        filtered, of_model = behind, behind.predicted(solved.estimate)
+    filtered, of_model, warnings = equations, predicted, _warnings(equations)
+    try:  # errors of the model, without the noise that passes the cut-off of the fit
+        if (behind := equations.behind_rule()) is not None:
+            filtered, of_model = behind, behind.predicted(solved.estimate)
+    except NoFitError as error:
+        warnings += (f"errors include noise above the rule's cut-off: {error.args[0]}",)
     measured = filtered.about()
     fitted = [
         FittedRecording(
@@ -128,12 +131,19 @@ def fit_of(equations: Equations, evidence: FitData, solved: LeastSquares, replic
         tau_predicted=predicted,
         speed=rows.speed,
         errors=torque_errors(measured.tau, of_model, measured.speed, names),
-        warnings=_warnings(equations),
+        warnings=warnings,
         trust=trust_in(evidence),
         data=evidence,
         own=own_test(equations.with_motors(()), solved.full),
     )
-    return fit if equations.unknowns.plain else replace(fit, **results_of(equations, evidence))
+    if equations.unknowns.plain:
+        return fit
+    fit = replace(fit, **results_of(equations, evidence))
+    far = [one.recording for one in fit.payloads if not one.near]
+    told = (
+        f"payload of {name}: no body of positive density is near: its values are stated or a ball's" for name in far
+    )
+    return replace(fit, warnings=(*fit.warnings, *told))
 
 
 def own_test(equations: Equations, full: Estimate) -> FTest | None:

@@ -1,7 +1,6 @@
 """The equations of a fit: the rows of all its recordings, in the columns of its unknowns x, about given values of them."""
 
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -9,7 +8,6 @@ from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..data import RecordingFile, Recordings, Signals, check_one_robot
-from ..errors import NoFitError
 from ..estimation import Estimate, System, combined, stacked, stacked_columns
 from ..regression import (
     HELD,
@@ -187,13 +185,13 @@ class Equations:
         return tuple(replace(one, settings=own) for one, own in zip(self.problems, settings, strict=True))
 
     def behind_rule(self) -> "Equations | None":
-        """The same recordings with the rule's low-pass; None if all have it or a lower one, or a recording is too short."""
+        """The same recordings with the rule's low-pass; None if all have it or a lower one.
+
+        Raises `NoFitError` if a recording is too short for it.
+        """
         if all(problem.settings.filtered for problem in self.problems):
             return None
-        signals = [problem.signals for problem in self.problems]
-        with suppress(NoFitError):
-            return self.at_cutoff(min(map(rule_cutoff_hz, signals)))
-        return None
+        return self.at_cutoff(min(rule_cutoff_hz(problem.signals) for problem in self.problems))
 
     def with_motors(self, motors: tuple[int, ...]) -> "Equations":
         """The same recordings with the gains of these motors as unknowns."""

@@ -46,6 +46,7 @@ class EstimatedPayload:
         recording: the first one with it; `payload`: as stated.
         values, half: (10,) XX XY XZ YY YZ ZZ MX MY MZ M of the nearest body of positive density, and half-widths.
         from_prior: (10,) whether a value is not from the recordings.
+        near: whether there is such a body; without one the values are what is stated, or a ball's.
     """
 
     recording: str
@@ -53,6 +54,7 @@ class EstimatedPayload:
     values: Array
     half: Array
     from_prior: NDArray[np.bool_]
+    near: bool
 
     @property
     def center_of_mass_m(self) -> tuple[Array, Array]:

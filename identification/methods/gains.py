@@ -177,8 +177,9 @@ def results_of(equations: Equations, evidence: FitData) -> dict[str, Any]:
             x.signals.recording for x, arm in zip(equations.problems, of.arms, strict=True) if arm.payload is one
         )
         half = found.reach * sigma
+        near = not one.names or bool(half.any())
         payloads.append(
-            EstimatedPayload(recording=name, payload=one.payload, values=values, half=half, from_prior=prior)
+            EstimatedPayload(recording=name, payload=one.payload, values=values, half=half, from_prior=prior, near=near)
         )
     if motors:
         at = [estimate.names.index(name) for name in of.names[of.gains]]

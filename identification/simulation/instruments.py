@@ -91,6 +91,8 @@ def simulate_instruments(
         found = _along(e, simulated_blocks(e, model, gains, reason), x, simulated=True, further=further)
         if covariance is not None and (reason := why_not_positive(e.model(robot).inertia(e.poses))) is not None:
             kind = "consistent"
+        elif covariance is not None and near is robot:
+            reason = "no physically consistent robot is near: that of the estimate itself"
     except NotSimulatedError as why:
         kind, reason = "reference", str(why)
         found = _along(e, reference_blocks(e, x), x, simulated=False, further=further)

@@ -1,0 +1,58 @@
+"""What a fit does where a step is impossible, it says."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import REPLAY, robot_named
+
+from acquisition.robot import Payload
+from identification.data import Recordings, load_signals, signals_from_arrays
+from identification.errors import NoFitError
+from identification.methods import identify, identify_ls
+from identification.regression import Overrides
+
+COLUMNS = ("t_s", "q", "effort", "q_ref")
+
+
+def refused(*_: object) -> None:
+    raise NoFitError("none")
+
+
+def test_a_recording_too_short_for_the_low_pass_of_the_rule():
+    whole = load_signals(REPLAY / "scara" / "session.mcap")
+    part = slice(2000, 2400)
+    signals = signals_from_arrays(whole.q[part], whole.effort[part], whole.sample_rate_hz, robot_named("scara"))
+    fit = identify_ls(signals, Overrides(cutoff_hz=400.0, decimation=2))
+    assert any("include noise" in text for text in fit.warnings)
+
+
+@pytest.mark.parametrize("near", [True, False])
+def test_a_payload_without_a_body(monkeypatch, near):
+    whole = load_signals(REPLAY / "scara" / "session.mcap")
+    halves = tuple(
+        replace(
+            whole,
+            **{name: getattr(whole, name)[part] for name in COLUMNS},
+            payload=load,
+            track=None,
+            recording=label,
+            sha256=label,
+        )
+        for label, part, load in (("free", slice(6000), None), ("loaded", slice(6000, None), Payload(1.0)))
+    )
+    if not near:
+        monkeypatch.setattr("identification.regression.payload.consistent_parameters", refused)
+    fit = identify_ls(Recordings(sources=halves), Overrides())
+    assert fit.payloads[0].near == near
+    assert any("no body" in text for text in fit.warnings) != near
+
+
+def test_a_robot_that_no_consistent_one_is_near(monkeypatch):
+    signals = load_signals(REPLAY / "scara" / "session.mcap")
+    part = replace(signals, **{name: getattr(signals, name)[:4000] for name in COLUMNS}, track=None)
+    monkeypatch.setattr("identification.simulation.motion.nearest_consistent", refused)
+    fit = identify(part, Overrides(), method="iv")
+    assert fit.iv is not None
+    assert [one.z.reason for one in fit.iv.passes[1:]] != [None] * (len(fit.iv.passes) - 1)
+    assert np.isfinite(fit.beta).all()
