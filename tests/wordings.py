@@ -1,0 +1,73 @@
+"""The wordings of errors, in one table: `python tests/wordings.py` writes wordings.txt anew from the packages.
+
+A line is a file, the class of the error, its text, and what it expects. What stands in braces is filled in when it is raised.
+Tests assert an error's class and its data; a better wording changes its line here and no test.
+"""
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+TABLE = Path(__file__).with_name("wordings.txt")
+CLASSES = ("BadInputError", "NoFitError", "RefusedError", "BusFaultError", "NoAnswerError", "SdoAbortedError")
+# Of each way to raise: the names of the positional arguments.
+POSITIONS = dict.fromkeys(CLASSES, ("text",)) | {"refuse": ("key", "value", "expected")}
+
+
+def wording(node: ast.expr | None) -> str:
+    """A text as it is written; of what is computed the expression in braces."""
+    if node is None:
+        return ""
+    if isinstance(node, ast.Constant):
+        return str(node.value)
+    if isinstance(node, ast.JoinedStr):
+        return "".join(wording(part) for part in node.values)
+    if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Add):
+        return wording(node.left) + wording(node.right)
+    return f"{{{ast.unparse(node.value if isinstance(node, ast.FormattedValue) else node)}}}"
+
+
+def assigned(function: ast.AST) -> dict[str, ast.expr]:
+    """The texts that a function gives a name once, by name."""
+    found: dict[str, list[ast.expr]] = {}
+    for node in ast.walk(function):
+        if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
+            found.setdefault(node.targets[0].id, []).append(node.value)
+        if (
+            isinstance(node, ast.Assign)
+            and isinstance(node.targets[0], ast.Tuple)
+            and isinstance(node.value, ast.Tuple)
+        ):
+            for target, value in zip(node.targets[0].elts, node.value.elts, strict=False):
+                found.setdefault(target.id if isinstance(target, ast.Name) else "", []).append(value)
+    return {name: values[0] for name, values in found.items() if len(values) == 1}
+
+
+def lines_of(path: Path) -> Iterator[str]:
+    """A line for each place of a file that raises an error with a text of its own."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    functions = [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)]
+    for call in (node for node in ast.walk(tree) if isinstance(node, ast.Call)):
+        name = getattr(call.func, "id", getattr(call.func, "attr", ""))
+        if name not in POSITIONS:
+            continue
+        around = [one for one in functions if one.lineno <= call.lineno <= (one.end_lineno or 0)]
+        names = assigned(around[-1]) if around else {}
+        given = dict(zip(POSITIONS[name], call.args, strict=False)) | {k.arg: k.value for k in call.keywords}
+        text, expected = (
+            wording(names.get(x.id, x) if isinstance(x := given.get(key), ast.Name) else x)
+            for key in ("text", "expected")
+        )
+        if parts := [part for part in (text, expected and f"expected {expected}") if part]:
+            yield ": ".join((str(path.relative_to(ROOT)), name, *parts))
+
+
+def table() -> str:
+    """All lines, in the order of files and places."""
+    files = sorted(path for package in ("acquisition", "identification") for path in (ROOT / package).rglob("*.py"))
+    return "\n".join(line for path in files for line in lines_of(path)) + "\n"
+
+
+if __name__ == "__main__":
+    TABLE.write_text(table(), encoding="utf-8")
