@@ -1,12 +1,14 @@
 """Which tests are slow: those of slow.txt, which have taken over half a second of CPU time; `-m "not slow"` leaves them out.
 
-With TEST_CPU=FILE the CPU time of each test is written there, and the run ends with the names of those of the list that took
-less than LEAST_S and of others that took more than MOST_S, in seconds of the machine of the list. It never fails: two
-tests on one core take up to twice the time of one. `python tests/slow_tests.py FILE...` makes the list of such files.
+With TEST_CPU=FILE the CPU time of each test is written there. `python tests/slow_tests.py FILE...` makes the list of such
+files; `--check FILE` fails with those of the list that took less than LEAST_S and others that took more than MOST_S, in seconds
+of the machine of the list, and do so again alone: two tests on one core take up to twice the time of one.
 """
 
 import os
+import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Generator, Iterable
 from pathlib import Path
@@ -63,13 +65,13 @@ def measured(reports: Iterable[Any]) -> dict[str, float]:
     return {one.nodeid: dict(one.user_properties)["cpu_s"] for one in reports if one.when == "call"}
 
 
-def wrongly_listed(found: dict[str, float], speed: float) -> list[str]:
-    """Lines on tests that the list has and should not, or the reverse; `speed` is that of this machine."""
-    names, lines = listed(), []
+def wrongly_listed(found: dict[str, float], speed: float) -> dict[str, str]:
+    """Lines by test on those that the list has and should not, or the reverse; `speed` is that of this machine."""
+    names, lines = listed(), {}
     for name, seconds in sorted(found.items(), key=lambda one: -one[1]):
         here = is_listed(name, names)
         if seconds * speed < LEAST_S if here else seconds * speed > MOST_S:
-            lines.append(f"{seconds * speed:.2f} s of CPU {'and' if here else 'but not'} in slow.txt: {name}")
+            lines[name] = f"{seconds * speed:.2f} s of CPU {'and' if here else 'but not'} in slow.txt: {name}"
     return lines
 
 
@@ -81,8 +83,6 @@ def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> Non
     stats = terminalreporter.stats
     found = measured(report for name in ("passed", "failed") for report in stats.get(name, []))
     Path(path).write_text("\n".join(f"{seconds:.3f} {name}" for name, seconds in found.items()) + "\n")
-    for line in wrongly_listed(found, REFERENCE_S / reference_s()):
-        terminalreporter.write_line(line)
 
 
 def lines_of(found: dict[str, float], before: set[str]) -> list[str]:
@@ -97,7 +97,25 @@ def lines_of(found: dict[str, float], before: set[str]) -> list[str]:
     return sorted(lines)
 
 
-if __name__ == "__main__":
-    rows = [line.split(" ", 1) for file in sys.argv[1:] for line in Path(file).read_text().splitlines()]
-    times = {name: float(seconds) for seconds, name in rows}
-    LIST.write_text("\n".join(lines_of(times, listed() if LIST.exists() else set())) + "\n", encoding="utf-8")
+def times_in(*files: str) -> dict[str, float]:
+    """CPU time by test, s, of files of TEST_CPU."""
+    rows = [line.split(" ", 1) for file in files for line in Path(file).read_text().splitlines()]
+    return {name: float(seconds) for seconds, name in rows}
+
+
+def confirmed(file: str) -> dict[str, str]:
+    """Lines on tests that are wrongly listed by a file of TEST_CPU, and are so when they run alone."""
+    if lines := wrongly_listed(times_in(file), REFERENCE_S / reference_s()):
+        with tempfile.NamedTemporaryFile() as again:
+            command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *lines]
+            subprocess.run(command, env={**os.environ, "TEST_CPU": again.name}, check=True)
+            lines = wrongly_listed(times_in(again.name), REFERENCE_S / reference_s())
+    return lines
+
+
+if __name__ == "__main__" and sys.argv[1] == "--check":
+    if lines := confirmed(sys.argv[2]):
+        sys.exit("\n".join(lines.values()))
+elif __name__ == "__main__":
+    lines = lines_of(times_in(*sys.argv[1:]), listed() if LIST.exists() else set())
+    LIST.write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -11,6 +11,7 @@ import tomllib
 
 import pytest
 from conftest import PROGRAMS, ROOT
+from slow_tests import listed
 
 PACKAGES = ("acquisition", "identification")
 ROOMS = sorted(path for package in PACKAGES for path in (ROOT / package).iterdir() if (path / "__init__.py").exists())
@@ -155,3 +156,9 @@ def test_functions_take_few_parameters():
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and len(parameters(node)) > MOST_PARAMETERS
     }
     assert long == PLAIN_KEYWORDS
+
+
+def test_the_list_of_slow_tests_names_tests():
+    for name in listed() - {""}:
+        file, _, function = name.split("[")[0].partition("::")
+        assert f"def {function}(" in (ROOT / file).read_text(), name
