@@ -28,6 +28,14 @@ FROM_PINOCCHIO = [4, 5, 7, 6, 8, 9, 1, 2, 3, 0]
 DATA = ROOT.parent / "shared" / "data"
 
 
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    if not config.getoption("benchmark_enable", False):
+        skip = pytest.mark.skip(reason="a benchmark: run `pytest tests/benchmarks -s --benchmark-enable`")
+        for item in items:
+            if "benchmarks" in item.path.parts:
+                item.add_marker(skip)
+
+
 @pytest.fixture(autouse=True)
 def own_priority(monkeypatch: pytest.MonkeyPatch) -> None:
     """`view --follow` in this process would leave every later test behind all other processes."""

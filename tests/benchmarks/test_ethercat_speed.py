@@ -12,12 +12,8 @@ from pathlib import Path
 
 import made_up_ethercat as made_up
 import numpy as np
-import pytest
 from ethercat_robots import robot_text
 
-pytestmark = pytest.mark.skipif(
-    "--benchmark-enable" not in sys.argv, reason="a benchmark: run `pytest tests/benchmarks -s --benchmark-enable`"
-)
 MEGABYTES = int(os.environ.get("CAPTURE_MB", "200"))
 CYCLES = 10_000  # of a period of the motion
 MAX_BYTES = 0.3e9

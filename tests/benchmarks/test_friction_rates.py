@@ -5,7 +5,6 @@ The table stands in friction_rates.md.
 """
 
 import os
-import sys
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,10 +22,6 @@ from independent_simulator import (
 
 from identification.design import TermSet, select_friction
 from identification.regression import Overrides
-
-pytestmark = pytest.mark.skipif(
-    "--benchmark-enable" not in sys.argv, reason="a benchmark: run `pytest tests/benchmarks -s --benchmark-enable`"
-)
 
 RUNS = int(os.environ.get("FRICTION_RUNS", "10"))
 BATCH = 20  # recordings simulated side by side

@@ -18,10 +18,8 @@ from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from conftest import described_chi, robot_named
 
-import identification.methods.assess as assess
 from acquisition.recording import Header, RecordingWriter, sample_dtype
 from acquisition.robot import fourier_reference
 from identification.data import Work, load_signals
@@ -30,11 +28,6 @@ from identification.methods import Iteration, identify_iv, identify_ls
 from identification.model import InverseModel, base_parameters, described_parameters, direct_model
 from identification.regression import Overrides
 from identification.study import Study, run_study
-from identification.trust import Trust, trust_in
-
-pytestmark = pytest.mark.skipif(
-    "--benchmark-enable" not in sys.argv, reason="a benchmark: run `pytest tests/benchmarks -s --benchmark-enable`"
-)
 
 SAMPLES = 45_000
 
@@ -120,21 +113,6 @@ def test_instrumental_variables_on_the_tx40_recording(tx40, capsys):
     )
     with capsys.disabled():
         print(f"\niv, MCAP to estimate, {passes} passes: {found:.2f} x the floor of {floor_s:.3f} s (bound 1)")
-
-
-def test_the_trust_block_beside_the_fit(tx40, capsys):
-    """All tests of a fit, beside the fit by instruments that they are of."""
-    signals, seen = load_signals(tx40), []
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(assess, "trust_in", lambda evidence: seen.append(evidence) or trust_in(evidence))
-        identify_iv(signals, Overrides(), Iteration())
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(assess, "trust_in", lambda evidence: Trust(lines=()))
-        found, fit_s = ratio(
-            lambda: trust_in(replace(seen[0])), lambda: identify_iv(signals, Overrides(), Iteration()), rounds=5
-        )
-    with capsys.disabled():
-        print(f"\ntrust block: {found:.2f} x the fit by iv of {fit_s:.2f} s (bound 0.5)")
 
 
 def hour_long_recording(path: Path, seconds: int = 3600) -> None:

@@ -7,7 +7,6 @@ Figures stand in friction_rates.md. Run with `LOAD_RUNS=20 pytest tests/benchmar
 """
 
 import os
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -21,10 +20,6 @@ from identification.design import with_terms
 from identification.methods import Iteration, identify_iv, identify_ls
 from identification.model import InverseModel, described_parameters
 from identification.regression import Overrides
-
-pytestmark = pytest.mark.skipif(
-    "--benchmark-enable" not in sys.argv, reason="a benchmark: run `pytest tests/benchmarks -s --benchmark-enable`"
-)
 
 RUNS = int(os.environ.get("LOAD_RUNS", "20"))
 EACH = 2  # recordings of a fit

@@ -4,14 +4,8 @@ The table stands in lossy_can.md. Run with `LOSSY_CAN=393 pytest tests/benchmark
 """
 
 import os
-import sys
 
-import pytest
 from lossy_can import Kind, Outcome, outcomes, table
-
-pytestmark = pytest.mark.skipif(
-    "--benchmark-enable" not in sys.argv, reason="a benchmark: run `pytest tests/benchmarks -s --benchmark-enable`"
-)
 
 EACH, SEED = int(os.environ.get("LOSSY_CAN", "393")), 1
 
