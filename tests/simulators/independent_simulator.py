@@ -21,7 +21,6 @@ from scipy.signal import lfilter
 
 from acquisition.robot import Robot, load_robot
 from identification.data import Signals
-from identification.study import write_signals
 
 AR = 0.98  # of coloured noise, from sample to sample
 
@@ -209,10 +208,6 @@ class Runs:
             t_s=t_s, q=q, q_ref=q_ref, effort=effort, sample_rate_hz=self.rate_hz, track=None, robot=robot,
             recording=f"run {run}", sha256="", effort_timing=cast(Any, effort_timing or self.recorded),
         )  # fmt: skip
-
-    def write(self, path: Path, robot: Robot, run: int) -> None:
-        """One run as a recording."""
-        write_signals(path, self.signals(robot, run), source="independent simulator")
 
 
 def with_lost_rows(signals: Signals, lost: Array) -> Signals:
