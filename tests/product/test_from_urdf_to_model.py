@@ -1,46 +1,48 @@
-"""From a URDF to a reference, and back to a model to simulate with: the five commands of the README on two arms.
+"""From a URDF to a reference, and back to a model to simulate with: the six commands of the README.
 
-The URDFs are those of the package example-robot-data. The robot that is moved is known, so what comes out is compared with it.
+The robot that is moved is known, so what comes out is compared with it.
 """
 
 import json
+import re
+import shlex
 import shutil
-from pathlib import Path
+import subprocess
 
+import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
+from conftest import ACQUIRE, IDENTIFY, ROOT
 from urdfs import packaged_urdf
 
-from acquisition.commands import main as acquire
 from acquisition.robot import load_robot
-from identification.commands import main as identify
 from identification.model import InverseModel
 
-ARMS = {
-    "ur5": ("ur5_robot.urdf", []),
-    "panda": ("panda.urdf", ["--joints", ",".join(f"panda_joint{j}" for j in range(1, 8))]),
-}
-UNSTATED = ["--acceleration", "8", "--following-error", "0.2", "--bandwidth-hz", "10", "--range", "2"]
 
-
-@pytest.fixture(scope="module", params=ARMS)
-def loop(request, tmp_path_factory):
-    """The folder after init, excite, record, fit and export."""
-    there = tmp_path_factory.mktemp(request.param)
-    shutil.copy(packaged_urdf(ARMS[request.param][0]), there / "arm.urdf")
+@pytest.fixture(scope="module")
+def loop(tmp_path_factory):
+    """The folder after the six commands."""
+    there = tmp_path_factory.mktemp("ur5")
+    shutil.copy(packaged_urdf("ur5_robot.urdf"), there)
+    text = (ROOT / "identification" / "README.md").read_text()
+    section = text.split("\n## Your arm in MuJoCo in six commands\n")[1].split("\n## ")[0]
+    commands = re.findall(r"^ {4}(.*)$", section, flags=re.MULTILINE)
+    assert len(commands) == 6
+    programs = {program.name: program for program in (ACQUIRE, IDENTIFY)}
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(there)
-        assert identify(["init", "arm.urdf", *ARMS[request.param][1], *UNSTATED, "-o", "robot.toml"]) == 0
-        description = Path("robot.toml")
-        description.write_text(description.read_text().replace("\n#: ", "\n"))
-        series = ["--period", "4", "--harmonics", "5", "--periods", "1"]
-        assert identify(["excite", "robot.toml", *series, "-o", "ref.csv"]) == 0
-        assert acquire(["record", "robot.toml", "--dry-run", "--track", "ref.csv", "-o", "log.mcap"]) == 0
-        assert identify(["fit", "log.mcap", "--consistent", "--json", "fit.json"]) == 0
-        outputs = ["--urdf", "out.urdf", "--mjcf", "out.xml", "--toml", "out.toml"]
-        assert identify(["export", "fit.json", *outputs]) == 0
+        for command in commands:
+            program, *arguments = shlex.split(command, comments=True)
+            if program in programs:
+                assert programs[program].main(arguments) == 0, command
+            else:
+                subprocess.run([program, *arguments], check=True)
     return there
+
+
+def test_the_exported_model_opens_in_mujoco(loop):
+    assert mujoco.MjModel.from_xml_path(str(loop / "new.xml")).nv == 6
 
 
 def torque(robot, states):
@@ -61,7 +63,7 @@ def relative(error, of):
 
 
 def test_the_exported_description_moves_as_the_robot_that_was_recorded(loop):
-    robot, exported = load_robot(loop / "robot.toml"), load_robot(loop / "out.toml")
+    robot, exported = load_robot(loop / "robot.toml"), load_robot(loop / "new.toml")
     assert [joint.name for joint in exported.joints] == [joint.name for joint in robot.joints]
     states = states_of(robot)
     true = torque(robot, states)
@@ -73,7 +75,7 @@ def test_the_exported_urdf_has_the_rigid_body_of_the_robot(loop):
     robot = load_robot(loop / "robot.toml")
     rigid = {name: value for name, value in robot.parameters.items() if not name.startswith(("Ia", "Fv", "Fc"))}
     dynamics, names = InverseModel(robot), [joint.name for joint in robot.joints]
-    model = pin.buildModelFromUrdf(str(loop / "out.urdf"))
+    model = pin.buildModelFromUrdf(str(loop / "new.urdf"))
     data, order = model.createData(), [model.joints[model.getJointId(name)].idx_v for name in names]
     q, dq, ddq = states_of(robot)
     tau, zero = np.empty(q.shape), np.zeros(model.nv)
@@ -88,10 +90,10 @@ def test_the_exported_urdf_has_the_rigid_body_of_the_robot(loop):
 
 def test_the_exported_description_is_simulated_and_studied(loop, monkeypatch, capsys):
     monkeypatch.chdir(loop)
-    rate_hz = load_robot(loop / "out.toml").controller.sample_rate_hz or 500  # of the law that the fit found
+    rate_hz = load_robot(loop / "new.toml").controller.sample_rate_hz or 500  # of the law that the fit found
     short = ["--duration-s", "2", "--rate-hz", f"{rate_hz:g}"]
-    assert identify(["simulate", "out.toml", *short, "-o", "again.mcap"]) == 0
-    assert identify(["study", "out.toml", *short, "--runs", "1", "--json", "study.json"]) == 0
+    assert IDENTIFY.main(["simulate", "new.toml", *short, "-o", "again.mcap"]) == 0
+    assert IDENTIFY.main(["study", "new.toml", *short, "--runs", "1", "--json", "study.json"]) == 0
     assert capsys.readouterr().err == ""
     (run,) = json.loads((loop / "study.json").read_text())["runs"]
     assert run["ls"]["error"] < 0.5
