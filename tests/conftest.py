@@ -13,7 +13,6 @@ from acquisition.importing import import_tables
 from acquisition.robot import Robot, load_robot
 from identification.commands import main as identify
 from identification.model import InverseModel
-from identification.study import random_reference
 
 pytest_plugins = ["slow_tests"]
 # However long this machine takes for an example.
@@ -70,20 +69,6 @@ def whole(tmp_path_factory: pytest.TempPathFactory, robot: Robot) -> Path:
     path = tmp_path_factory.mktemp("recording") / "whole.mcap"
     write(path, robot)
     return path
-
-
-@pytest.fixture(scope="session")
-def demand_tx40(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A dry run of the TX40 whose drives record one demand (6074h) a SYNC: robot.toml, ref.csv of 8 s, log.mcap."""
-    folder, robot = tmp_path_factory.mktemp("demands"), robot_named("tx40")
-    text = (REPLAY / "tx40" / "robot.toml").read_text()
-    (folder / "robot.toml").write_text(text.replace('actual = "6077"', 'reference = "6074"'))
-    q = random_reference(robot, duration_s=8.0, sample_rate_hz=500.0, seed=2)
-    rows, names = np.column_stack([np.arange(len(q)) / 500, q]), ",".join(joint.name for joint in robot.joints)
-    np.savetxt(folder / "ref.csv", rows, delimiter=",", header=f"time_s,{names}", comments="")
-    robot_toml, ref, log = (str(folder / name) for name in ("robot.toml", "ref.csv", "log.mcap"))
-    assert acquire(["record", robot_toml, "-o", log, "--track", ref, "--dry-run"]) == 0
-    return folder
 
 
 @pytest.fixture(scope="session")
