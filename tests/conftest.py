@@ -25,6 +25,7 @@ PROGRAMS = {"acquisition": ACQUIRE, "identification": IDENTIFY}
 # Of m, mx, my, mz, xx, xy, yy, xz, yz, zz, in the order XX, XY, XZ, YY, YZ, ZZ, MX, MY, MZ, M.
 FROM_PINOCCHIO = [4, 5, 7, 6, 8, 9, 1, 2, 3, 0]
 DATA = ROOT.parent / "shared" / "data"
+RECORDS = {"emps": ("DATA_EMPS.mat",), "tx40": ("pos_read_data.csv", "curr_data.csv")}
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
@@ -71,18 +72,23 @@ def whole(tmp_path_factory: pytest.TempPathFactory, robot: Robot) -> Path:
     return path
 
 
+def imported(name: str, out: Path) -> Path:
+    """The real record of a robot as a recording."""
+    import_tables([DATA / name / part for part in RECORDS[name]], robot_named(name), REPLAY / name / "map.toml", out)
+    return out
+
+
+def imported_for_tests(name: str, factory: pytest.TempPathFactory) -> Path:
+    for part in RECORDS[name]:
+        needs_data(name, part)
+    return imported(name, factory.mktemp(name) / f"{name}.mcap")
+
+
 @pytest.fixture(scope="session")
 def emps(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The real EMPS record as a recording."""
-    out = tmp_path_factory.mktemp("emps") / "emps.mcap"
-    import_tables([needs_data("emps", "DATA_EMPS.mat")], robot_named("emps"), REPLAY / "emps" / "map.toml", out)
-    return out
+    return imported_for_tests("emps", tmp_path_factory)
 
 
 @pytest.fixture(scope="session")
 def tx40(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The real TX40 record as a recording."""
-    tables = [needs_data("tx40", name) for name in ("pos_read_data.csv", "curr_data.csv")]
-    out = tmp_path_factory.mktemp("tx40") / "tx40.mcap"
-    import_tables(tables, robot_named("tx40"), REPLAY / "tx40" / "map.toml", out)
-    return out
+    return imported_for_tests("tx40", tmp_path_factory)
