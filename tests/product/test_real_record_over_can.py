@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from conftest import REPLAY, robot_named
 from dry_sessions import dry_session
+from made_up_recordings import header
 
 from acquisition.importing import import_recording
-from acquisition.recording import Header, RecordingWriter, read_recording, sample_dtype
+from acquisition.recording import RecordingWriter, read_recording, sample_dtype
 from acquisition.robot import Robot, robot_from_files
 from acquisition.session import Task
 from acquisition.simulated import TablePlant
@@ -34,9 +35,7 @@ def tx40_at_500_hz(tx40: Path, tmp_path_factory: pytest.TempPathFactory) -> Path
     recording = read_recording(tx40)
     samples = recording.samples[:: round(recording.sample_rate_hz / RATE_HZ)]
     out = tmp_path_factory.mktemp("tx40_500") / "direct.mcap"
-    with RecordingWriter(
-        out, Header(robot=recording.robot, source="every tenth row", sample_rate_hz=RATE_HZ, effort_provenance="table")
-    ) as writer:
+    with RecordingWriter(out, header(recording.robot, RATE_HZ)) as writer:
         writer.samples(samples)
     return out
 
