@@ -11,7 +11,6 @@ from independent_urdf import FRICTION_OF_TORQUE, arm_of
 from urdfs import SIX, six_joints
 
 from acquisition.commands import main as acquire
-from acquisition.recording import read_recording
 from acquisition.robot import load_robot
 from identification.commands import main as identify
 from identification.model import InverseModel, base_parameters
@@ -141,18 +140,7 @@ def test_a_map_that_is_not_complete_is_named_until_it_is(tmp_path, monkeypatch, 
     Path("x.map.toml").write_text(text)
     assert acquire(command) == 0
     assert capsys.readouterr().out.startswith("log.mcap: two, 400 samples at 100 Hz, effort in N m\n")
-
-
-def test_an_existing_map_is_used_and_never_replaced(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    small_table(tmp_path)
-    Path("robot.toml").write_text(TWO + "[controller]\n")
-    mine = '[time]\ncolumn = "time"\n[position]\ncolumns = ["q_2", "q_1"]\nunit = "rad"\n'
-    mine += '[effort]\ncolumns = [4, 5]\nunit = "N m"\n'
-    Path("x.map.toml").write_text(mine)
-    assert acquire(["import", "x.csv", "--robot", "robot.toml"]) == 0
-    assert Path("x.map.toml").read_text() == mine
-    assert capsys.readouterr().out.startswith("x.mcap: two, 400 samples")
+    assert Path("x.map.toml").read_text() == text, "a map that is there is used"
 
 
 def test_without_a_description_the_map_is_written_and_init_is_named(tmp_path, monkeypatch, capsys):
@@ -170,15 +158,3 @@ def test_without_a_description_the_map_is_written_and_init_is_named(tmp_path, mo
     out = capsys.readouterr().out
     assert "note: torque sensors behind the gears do not see the rotors: state rotor_inertia = false in " in out
     assert "x.mcap: two, 400 samples at 100 Hz" in out
-
-
-def test_percent_of_the_rated_torque_goes_through_the_gain(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    small_table(tmp_path)
-    gain = 'ratio = 50\ndrive_gain = 0.02\ndrive_gain_unit = "N m/%"'
-    Path("robot.toml").write_text(TWO.replace('effort_unit = "N m"', gain) + "[controller]\n")
-    sides = '[time]\ncolumn = "time"\n[position]\ncolumns = ["q_1", "q_2"]\nunit = "rad"\nside = "joint"\n[effort]\n'
-    Path("x.map.toml").write_text(sides + 'columns = ["tau_1", "tau_2"]\nunit = "per mille"\nside = "motor"\n')
-    assert acquire(["import", "x.csv", "--robot", "robot.toml"]) == 0
-    effort = read_recording(Path("x.mcap")).samples["effort"]
-    assert effort[0] == pytest.approx([0.1 * 5 * 0.02 * 50, 0.0])

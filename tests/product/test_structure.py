@@ -34,7 +34,22 @@ def test_a_room_has_a_purpose_a_face_and_few_files(room):
     assert len(files) <= MOST_FILES
 
 
-HEAVY = {*["numpy", "scipy", "pinocchio", "rerun", "mcap", "rosbags", "pyarrow", "joblib", "rich", "can", "canopen", "msgspec"]}
+HEAVY = {
+    *[
+        "numpy",
+        "scipy",
+        "pinocchio",
+        "rerun",
+        "mcap",
+        "rosbags",
+        "pyarrow",
+        "joblib",
+        "rich",
+        "can",
+        "canopen",
+        "msgspec",
+    ]
+}
 
 
 def commands_of(package):

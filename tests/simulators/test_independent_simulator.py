@@ -198,26 +198,6 @@ def test_the_lag_of_a_record_is_that_of_a_torque_of_constant_slope(recorded, lag
     assert runs.signals(description(toml("scara")), 0).effort_timing == recorded
 
 
-def test_coloured_encoder_noise_is_fed_back():
-    cell = Imperfections(encoder_noise=2e-5, encoder_correlation=0.9)
-    runs = short_run("emps", cell)
-    noise = (runs.q - runs.q_true)[..., 0]
-    assert np.std(noise) == pytest.approx(2e-5, rel=0.1)
-    assert np.mean(noise[:, 1:] * noise[:, :-1]) / np.mean(noise**2) == pytest.approx(0.9, abs=0.02)
-    assert np.abs(runs.q_true - short_run("emps").q_true).max() > 1e-5
-
-
-def test_friction_drifts_about_its_mean():
-    friction = plant(toml("emps")).friction
-    v = np.array([[0.3]])
-    assert friction.times(1.2)(v) == pytest.approx(1.2 * friction(v))
-    plain, drifting = short_run("emps"), short_run("emps", Imperfections(friction_drift=0.4))
-    more = (drifting.effort - plain.effort)[..., 0] * np.sign(plain.dq_true[..., 0])
-    moving = np.abs(plain.dq_true[..., 0]) > 0.05
-    assert more[:, :400][moving[:, :400]].mean() < -1.0
-    assert more[:, 600:][moving[:, 600:]].mean() > 1.0
-
-
 def without_friction(body):
     n = body.n
     friction = replace(body.friction, coulomb=0 * body.friction.coulomb, viscous=np.zeros((n, n)))
@@ -246,16 +226,6 @@ def test_a_payload_is_a_point_mass():
     (M, bias), (M_after, bias_after) = (body.inertia_and_bias(q, 0 * q) for body in (before, after))
     np.testing.assert_allclose(M_after - M, 2.0 * J.swapaxes(1, 2) @ J, atol=1e-8)
     np.testing.assert_allclose(bias_after - bias, 2.0 * 9.81 * J[:, 2], atol=1e-7)
-
-
-def test_a_payload_comes_in_the_middle_of_a_run():
-    axis = plant(toml("emps"), closed_form=False)
-    reference, loop = references(axis, range(1), duration_s=0.4, rate_hz=1000.0), described_controller(axis)
-    changed, plain = (
-        simulate(axis, loop, reference, NOTHING, later=later).q_true for later in (with_payload(axis, 30.0), None)
-    )
-    np.testing.assert_array_equal(changed[:, :201], plain[:, :201])
-    assert np.abs(changed - plain)[:, 240:].max() > 1e-6
 
 
 def test_a_payload_that_is_a_body_is_many_points():
@@ -298,15 +268,6 @@ def test_play_transmits_nothing_inside():
     assert inside.sum() == pytest.approx(np.sqrt(2 * 2e-4 / a) / 1e-4, abs=1)
     np.testing.assert_allclose(95.1089 * (0.6 * x[:, 1] + 0.4 * x[:, 3]), 50.0 * t, rtol=1e-9, atol=1e-9)
     assert x[-1, 2] > 0.1 * x[-1, 0]
-
-
-def test_a_stiff_coupling_is_none():
-    """The axis in its loop: with a load that follows at once, motion and commands are those of one mass, friction included."""
-    body = plant(toml("emps"))
-    axis, loop = references(body, range(1), duration_s=0.4, rate_hz=1000.0), described_controller(body)
-    stiff = two_mass(body, share=0.3, free_hz=300.0, damping=0.5)
-    one, two = (simulate(x, loop, axis, NOTHING, substeps=8).q for x in (body, stiff))
-    np.testing.assert_allclose(two, one, atol=3e-5)
 
 
 def test_friction_by_direction_and_near_standstill():
