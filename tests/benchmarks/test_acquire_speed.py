@@ -25,7 +25,6 @@ from acquisition.session.process import _record
 TEXT = bus_text(4, period_s=0.0011, interface="socketcan", channel="can0")
 TEXT = TEXT.replace("node = 1\n", 'node = 1\nrpdo = [{ objects = ["6040"] }]\n')
 DRIVES = 4
-PER_MS = 1 + 2 * DRIVES  # SYNC, a PDO from and to each drive
 SO_TIMESTAMPNS = 35
 RATE_HZ, SECONDS = 9_000, 60.0
 

@@ -12,7 +12,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, cast, get_args, get_type_hints
+from typing import Any, Literal, cast
 
 import msgspec
 import numpy as np
@@ -151,9 +151,9 @@ def without_settings(robot: Robot) -> Robot:
     return replace(robot, identification=type(robot.identification)())
 
 
-def timing_not_stated() -> str | None:
-    """The `effort_timing` of a recording that states none; None while the package has no value for it."""
-    return "unknown" if "unknown" in get_args(get_type_hints(Signals)["effort_timing"]) else None
+def timing_not_stated() -> str:
+    """The `effort_timing` of a recording that states none."""
+    return "unknown"
 
 
 @dataclass(frozen=True, kw_only=True)
