@@ -67,8 +67,6 @@ def test_terms_that_a_robot_has_are_recommended(name, cell, root, load):
             if terms != expected:
                 told = ", ".join("+".join(sorted(more)) or "-" for more in terms)
                 found[told] = found.get(told, 0) + 1
-    print(
-        f"\n{name}, root {root}, load {load}: exactly in {exact} of {RUNS}, all named in {all_named}; others {found or 'none'}",
-        flush=True,
-    )
+    case = f"{name}, {root=}, {load=}, {cell.coloured_noise_percent=}"
+    print(f"\n{case}: exactly in {exact} of {RUNS}, all named in {all_named}; others {found or 'none'}", flush=True)
     assert exact >= 0.95 * RUNS

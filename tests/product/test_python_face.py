@@ -164,8 +164,6 @@ def test_results_say_in_a_line_what_they_are(signals, by_iv):
     assert repr(recording) == (
         f"Recording(SCARA: {len(recording.samples)} samples at 1000 Hz, {sum(map(len, recording.frames.values()))} CAN frames)"
     )
-    loaded = identification.load_signals(str(REPLAY / "scara" / "session.mcap"))
-    assert repr(loaded).startswith("Signals(session.mcap: SCARA, ")
 
 
 class Page(html.parser.HTMLParser):
@@ -213,26 +211,11 @@ def test_a_notebook_shows_the_report_of_a_fit(signals):
         assert {" ".join(text.split()) for text in lines} <= {*page.texts}
 
 
-def test_the_lines_of_the_readme_run(tmp_path, monkeypatch, capsys):
-    section = (ROOT / "identification" / "README.md").read_text().split("## From Python\n")[1].split("\n## ")[0]
-    lines = re.findall(r"(?:^ {4}.*\n|^\n(?= {4}))+", section, flags=re.MULTILINE)
-    (block,) = (textwrap.dedent(part).strip() for part in lines if part.strip())
-    assert len([line for line in block.splitlines() if line]) <= 5
-    shutil.copy(REPLAY / "scara" / "session.mcap", tmp_path / "log.mcap")
-    shutil.copy(SCARA, tmp_path / "robot.toml")
-    monkeypatch.chdir(tmp_path)
-    exec(compile(block, "README", "exec"), {})
-    told = capsys.readouterr().out
-    assert told.startswith("Fit(SCARA, arrays, iv, converged, verdict trust: 8 parameters, ")
-    assert "'ZZ1R': " in told
-
-
 def test_a_fit_is_validated_on_another_recording(signals, by_iv, tmp_path):
     at_iv = by_iv.errors[-1].relative_error_percent
     assert identification.validate(by_iv, signals).relative_error_percent == pytest.approx(at_iv, rel=0.05)
-    other = identification.simulate_recording(
-        SCARA, tmp_path / "other.mcap", identification.Study(seed=9, duration_s=5.0)
-    )
+    study = identification.Study(seed=9, duration_s=5.0)
+    other = identification.simulate_recording(SCARA, tmp_path / "other.mcap", study)
     with pytest.raises(acquisition.BadInputError, match=r"other\.mcap: "):
         identification.simulate_recording(SCARA, tmp_path / "other.mcap")
     by_iv.to_json(tmp_path / "fit.json")
@@ -319,13 +302,6 @@ def test_a_robot_may_be_a_urdf(by_iv, tmp_path):
     assert fits[0].verdict == "trust"
 
 
-def test_several_recordings_are_drawn_one_by_one(signals, tmp_path):
-    halves = ([x[:2000], x[2000:]] for x in (signals.q, signals.effort))
-    fit = identification.fit(*halves, 1000.0, SCARA)
-    fit.write_rrd(tmp_path / "fit.rrd")
-    assert {path.name for path in tmp_path.iterdir()} == {"fit_1.rrd", "fit_2.rrd"}
-
-
 def test_references_and_studies_are_there_from_python(tmp_path):
     settings = identification.ExcitationSettings(periods=1, period_s=5.0, harmonics=3)
     identification.design_reference(SCARA, settings, noise=[0.1]).write(tmp_path / "ref.csv")
@@ -335,13 +311,19 @@ def test_references_and_studies_are_there_from_python(tmp_path):
     assert [run.number for run in runs] == [0]
 
 
-def test_examples_and_the_script_of_a_user_run(tmp_path, monkeypatch, capsys):
+def test_examples_the_lines_of_the_readme_and_the_script_of_a_user_run(tmp_path, monkeypatch, capsys):
     import mujoco
 
     shutil.copy(SCARA, tmp_path / "robot.toml")
     monkeypatch.chdir(tmp_path)
     assert doctest.testmod(identification) == (0, 7)
     assert doctest.testmod(acquisition) == (0, 2)
+    section = (ROOT / "identification" / "README.md").read_text().split("## From Python\n")[1].split("\n## ")[0]
+    (block,) = re.findall(r"(?:^ {4}.*\n|^\n(?= {4}))+", section, flags=re.MULTILINE)
+    exec(compile(textwrap.dedent(block), "README", "exec"), {})
+    told = capsys.readouterr().out
+    assert told.startswith("Fit(SCARA, arrays, iv, converged, verdict trust: 8 parameters, ")
+    assert "'ZZ1R': " in told
     for name in ("log.mcap", "report.html", "robot.xml"):
         (tmp_path / name).unlink()
     exec(compile(Path(__file__).with_name("user_script.py").read_text(), "user_script", "exec"), {})
@@ -409,7 +391,7 @@ def test_a_stored_fit_is_compared_and_exported_as_one_in_memory(by_iv, tmp_path)
     assert limits[0].split("model of")[0] == limits[1].split("model of")[0]
 
 
-def test_recordings_are_lists_of_arrays(signals):
+def test_recordings_are_lists_of_arrays(signals, tmp_path):
     both = slice(0, 2000), slice(2000, 4001)
     q, tau, q_ref = ([x[part] for part in both] for x in (signals.q, signals.effort, signals.q_ref))
     fit = identification.fit(q, tau, 1000.0, SCARA, q_ref)
@@ -417,6 +399,8 @@ def test_recordings_are_lists_of_arrays(signals):
     for one, k in zip(fit.recordings, range(2), strict=True):
         np.testing.assert_array_equal(one.problem.signals.q, q[k])
         np.testing.assert_array_equal(one.problem.signals.q_ref, q_ref[k])
+    fit.write_rrd(tmp_path / "fit.rrd")
+    assert {path.name for path in tmp_path.iterdir()} == {"fit_1.rrd", "fit_2.rrd"}
     slow = [q[0], q[1][::2]], [tau[0], tau[1][::2]], [1000.0, 500.0]
     rates = identification.fit(*slow, SCARA, method="wls", payload=[None, "2"]).recordings
     assert [one.problem.signals.sample_rate_hz for one in rates] == [1000.0, 500.0]
@@ -463,5 +447,3 @@ def test_one_error_has_the_words_of_who_asked(tmp_path, capsys):
     assert main(words.split()) == 1
     told = capsys.readouterr().err.replace("--period", "period_s").replace("--harmonics", "harmonics")
     assert told.endswith(f"{caught.value}\n")
-    with pytest.raises(acquisition.BadInputError, match=r"^payload = 'x': "):
-        identification.simulate_recording(SCARA, tmp_path / "log.mcap", payload="x")
