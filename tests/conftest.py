@@ -13,7 +13,6 @@ from acquisition.importing import import_tables
 from acquisition.robot import Robot, load_robot
 from identification.commands import main as identify
 from identification.model import InverseModel
-from identification.study import random_reference
 
 pytest_plugins = ["slow_tests"]
 # However long this machine takes for an example.
@@ -26,6 +25,15 @@ PROGRAMS = {"acquisition": ACQUIRE, "identification": IDENTIFY}
 # Of m, mx, my, mz, xx, xy, yy, xz, yz, zz, in the order XX, XY, XZ, YY, YZ, ZZ, MX, MY, MZ, M.
 FROM_PINOCCHIO = [4, 5, 7, 6, 8, 9, 1, 2, 3, 0]
 DATA = ROOT.parent / "shared" / "data"
+RECORDS = {"emps": ("DATA_EMPS.mat",), "tx40": ("pos_read_data.csv", "curr_data.csv")}
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    if not config.getoption("benchmark_enable", False):
+        skip = pytest.mark.skip(reason="a benchmark: run `pytest tests/benchmarks -s --benchmark-enable`")
+        for item in items:
+            if "benchmarks" in item.path.parts:
+                item.add_marker(skip)
 
 
 @pytest.fixture(autouse=True)
@@ -64,32 +72,23 @@ def whole(tmp_path_factory: pytest.TempPathFactory, robot: Robot) -> Path:
     return path
 
 
-@pytest.fixture(scope="session")
-def demand_tx40(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A dry run of the TX40 whose drives record one demand (6074h) a SYNC: robot.toml, ref.csv of 8 s, log.mcap."""
-    folder, robot = tmp_path_factory.mktemp("demands"), robot_named("tx40")
-    text = (REPLAY / "tx40" / "robot.toml").read_text()
-    (folder / "robot.toml").write_text(text.replace('actual = "6077"', 'reference = "6074"'))
-    q = random_reference(robot, duration_s=8.0, sample_rate_hz=500.0, seed=2)
-    rows, names = np.column_stack([np.arange(len(q)) / 500, q]), ",".join(joint.name for joint in robot.joints)
-    np.savetxt(folder / "ref.csv", rows, delimiter=",", header=f"time_s,{names}", comments="")
-    robot_toml, ref, log = (str(folder / name) for name in ("robot.toml", "ref.csv", "log.mcap"))
-    assert acquire(["record", robot_toml, "-o", log, "--track", ref, "--dry-run"]) == 0
-    return folder
+def imported(name: str, out: Path) -> Path:
+    """The real record of a robot as a recording."""
+    import_tables([DATA / name / part for part in RECORDS[name]], robot_named(name), REPLAY / name / "map.toml", out)
+    return out
+
+
+def imported_for_tests(name: str, factory: pytest.TempPathFactory) -> Path:
+    for part in RECORDS[name]:
+        needs_data(name, part)
+    return imported(name, factory.mktemp(name) / f"{name}.mcap")
 
 
 @pytest.fixture(scope="session")
 def emps(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The real EMPS record as a recording."""
-    out = tmp_path_factory.mktemp("emps") / "emps.mcap"
-    import_tables([needs_data("emps", "DATA_EMPS.mat")], robot_named("emps"), REPLAY / "emps" / "map.toml", out)
-    return out
+    return imported_for_tests("emps", tmp_path_factory)
 
 
 @pytest.fixture(scope="session")
 def tx40(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The real TX40 record as a recording."""
-    tables = [needs_data("tx40", name) for name in ("pos_read_data.csv", "curr_data.csv")]
-    out = tmp_path_factory.mktemp("tx40") / "tx40.mcap"
-    import_tables(tables, robot_named("tx40"), REPLAY / "tx40" / "map.toml", out)
-    return out
+    return imported_for_tests("tx40", tmp_path_factory)

@@ -29,11 +29,7 @@ ROBOT_TABLES = {
     "LowSpeed": "low_speed_percent",
     "PayloadFile": "[payload]",
 }
-BUS_TABLES = {
-    "BusFile": "[bus]",
-    "DriveFile": "[[bus.drive]]",
-    "PdoFile": "tpdo, rpdo",
-}
+BUS_TABLES = {"BusFile": "[bus]", "DriveFile": "[[bus.drive]]", "PdoFile": "tpdo, rpdo"}
 MAP_TABLES = {"TableMap": "top level", "Time": "[time]", "Quantity": "[position], [effort] and others"}
 HEAD = "Made by `tests/key_reference.py` from the types that read these files; do not edit."
 
@@ -125,14 +121,8 @@ def pages() -> dict[Path, str]:
     robot += [*key_tables(RobotFile, ROBOT_TABLES), "", "## Options of robot-identify", *option_table(IDENTIFY)]
     bus = ["# Reference: bus keys of robot.toml, map.toml, options of robot-acquire", "", HEAD, "", unstated]
     bus += ["", "## Bus keys of robot.toml", *key_tables(BusFile, BUS_TABLES)]
-    bus += [
-        "",
-        "## map.toml",
-        *key_tables(TableMap, MAP_TABLES),
-        "",
-        "## Options of robot-acquire",
-        *option_table(ACQUIRE),
-    ]
+    bus += ["", "## map.toml", *key_tables(TableMap, MAP_TABLES)]
+    bus += ["", "## Options of robot-acquire", *option_table(ACQUIRE)]
     texts = {"identification": robot, "acquisition": bus}
     return {ROOT / folder / "reference.md": "\n".join(lines) + "\n" for folder, lines in texts.items()}
 

@@ -5,15 +5,16 @@ The real record of the EMPS is not here (see replay_data/README.md); without it 
 
 import base64
 import os
+import sys
 import tempfile
 from pathlib import Path
 
-from browser import Browser, browser
-from conftest import DATA, REPLAY
+from conftest import DATA, REPLAY, imported
 
-from acquisition.importing import import_tables
-from acquisition.robot import load_robot
 from identification.commands import main
+
+sys.path.append(str(Path(__file__).with_name("identification") / "view"))
+from browser import Browser, browser
 
 EMPS, TX40 = (REPLAY / robot / "session.mcap" for robot in ("emps", "tx40"))
 NOISE = ",".join(f"{k}e-6" for k in range(2, 21, 2))  # m rms
@@ -55,10 +56,8 @@ def write_pictures() -> None:
     """Run the commands, and write the pictures."""
     with tempfile.TemporaryDirectory() as folder, browser() as window:
         os.chdir(folder)
-        record = DATA / "emps" / "DATA_EMPS.mat"
-        if record.exists():
-            robot = load_robot(REPLAY / "emps" / "robot.toml")
-            import_tables([record], robot, REPLAY / "emps" / "map.toml", Path("emps.mcap"))
+        if (DATA / "emps").exists():
+            imported("emps", Path("emps.mcap"))
         for name, ((command, log, *options), element, scale) in PICTURES.items():
             if Path(log).exists():
                 assert main([command, str(log), *options, "--report", "report.html"]) in (0, 3)

@@ -3,17 +3,10 @@
 Run with `pytest tests/benchmarks/test_consistent_rates.py -s --benchmark-enable`; it takes minutes.
 """
 
-import sys
-
-import pytest
 from physical_cases import lowest
 from random_arms import random_estimate
 
 from identification.estimation import consistent_parameters, one_thread
-
-pytestmark = pytest.mark.skipif(
-    "--benchmark-enable" not in sys.argv, reason="a benchmark: run `pytest tests/benchmarks -s --benchmark-enable`"
-)
 
 ARMS, TIMES_THE_NOISE = 1000, 10.0
 

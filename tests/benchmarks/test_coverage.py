@@ -5,15 +5,9 @@ bounds are those of 200 runs: with fewer the table is only printed, as the share
 """
 
 import os
-import sys
 
 import numpy as np
-import pytest
 from coverage_cases import ARM, AXES, HEADER, Coverage, covered
-
-pytestmark = pytest.mark.skipif(
-    "--benchmark-enable" not in sys.argv, reason="a benchmark: run `pytest tests/benchmarks -s --benchmark-enable`"
-)
 
 RUNS = int(os.environ.get("COVERAGE_RUNS", "200"))
 

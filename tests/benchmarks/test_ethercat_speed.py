@@ -1,23 +1,17 @@
 """Speed and memory of the import of EtherCAT captures. Run with `pytest tests/benchmarks -s --benchmark-enable`.
 
-The figures stand in acquire_speed.md. The bare loop reads the heads of packets and datagrams by `struct`, and stores nothing.
+The figures stand in acquire_speed.md.
 """
 
 import os
-import struct
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import made_up_ethercat as made_up
 import numpy as np
-import pytest
 from ethercat_robots import robot_text
 
-pytestmark = pytest.mark.skipif(
-    "--benchmark-enable" not in sys.argv, reason="a benchmark: run `pytest tests/benchmarks -s --benchmark-enable`"
-)
 MEGABYTES = int(os.environ.get("CAPTURE_MB", "200"))
 CYCLES = 10_000  # of a period of the motion
 MAX_BYTES = 0.3e9
@@ -48,29 +42,10 @@ def capture(path: Path, megabytes: int) -> None:
             records[:, :4] = (records[:, :4].copy().view("<u4") + CYCLES // 1000).view(np.uint8)
 
 
-def bare_loop(path: Path) -> int:
-    count, at = 0, 24
-    data = path.read_bytes()
-    head, datagram = struct.Struct("<IIII").unpack_from, struct.Struct("<BBIHH").unpack_from
-    while at + 16 <= len(data):
-        _, _, length, _ = head(data, at)
-        if data[at + 28 : at + 30] == b"\x88\xa4":
-            k, more = at + 32, True
-            while more:
-                _, _, _, size, _ = datagram(data, k)
-                k, more = k + 12 + (size & 0x7FF), size & 0x8000
-            count += 1
-        at += 16 + length
-    return count
-
-
 def test_import_of_a_large_capture(tmp_path):
     path, robot = tmp_path / "large.pcap", tmp_path / "robot.toml"
     capture(path, MEGABYTES)
     robot.write_text(robot_text())
-    begin = time.process_time()
-    frames = bare_loop(path) if MEGABYTES <= 200 else 0
-    bare_s = time.process_time() - begin
     command = [sys.executable, "-c", RUN, "import", path, "--robot", robot, "-o", tmp_path / "a.mcap"]
     text = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True).stdout
     print(f"\n{text}", end="")
@@ -79,7 +54,5 @@ def test_import_of_a_large_capture(tmp_path):
     rate = 2 * samples / cpu_s
     size = f"{path.stat().st_size / 1e6:.0f} MB"
     print(f"{size}: {rate:.0f} frames per CPU second with frames stored, peak {peak / 1e6:.0f} MB")
-    if frames:
-        print(f"bare loop: {frames / bare_s:.0f} frames per CPU second, {frames / bare_s / rate:.1f} times as many")
     assert peak < MAX_BYTES
     assert rate > 80_000

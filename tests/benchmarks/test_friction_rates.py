@@ -5,8 +5,7 @@ The table stands in friction_rates.md.
 """
 
 import os
-import sys
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -21,12 +20,8 @@ from independent_simulator import (
     simulate,
 )
 
-from identification.design import TermSet, select_friction
+from identification.design import select_friction
 from identification.regression import Overrides
-
-pytestmark = pytest.mark.skipif(
-    "--benchmark-enable" not in sys.argv, reason="a benchmark: run `pytest tests/benchmarks -s --benchmark-enable`"
-)
 
 RUNS = int(os.environ.get("FRICTION_RUNS", "10"))
 BATCH = 20  # recordings simulated side by side
@@ -36,50 +31,26 @@ SLOW = Imperfections(encoder_noise=1e-6, coloured_noise_percent=0.2)  # ten time
 NONE, ROOT, LOAD = frozenset(), frozenset({"root"}), frozenset({"load"})
 
 
-@dataclass(frozen=True, kw_only=True)
-class Case:
-    """A robot, root and load friction of its joints, and what its cell adds."""
-
-    robot: str
-    cell: Imperfections
-    root: tuple[float, ...] = (0.0, 0.0)
-    load: tuple[float, ...] = (0.0, 0.0)
-
-    @property
-    def terms(self) -> TermSet | None:
-        """What a choice should name; None for the usual terms alone."""
-        if not any((*self.root, *self.load)):
-            return None
-        return tuple((ROOT if r else NONE) | (LOAD if mu else NONE) for r, mu in zip(self.root, self.load, strict=True))
-
-
-CASES = {
-    "SCARA, no such friction, white": Case(robot="scara", cell=WHITE),
-    "SCARA, no such friction, AR(0.98)": Case(robot="scara", cell=COLOURED),
-    "SCARA, root at the shoulder, load 0.3 at the elbow, white": Case(
-        robot="scara", cell=WHITE, root=(0.6, 0.0), load=(0.0, 0.3)
-    ),
-    "SCARA, root and load 0.3 at the shoulder, load 0.3 at the elbow, white": Case(
-        robot="scara", cell=WHITE, root=(0.6, 0.0), load=(0.3, 0.3)
-    ),
-    "SCARA, root at the shoulder, load 0.3 at the elbow, AR(0.98) of 0.2 %": Case(
-        robot="scara", cell=SLOW, root=(0.6, 0.0), load=(0.0, 0.3)
-    ),
-    "EMPS, no such friction, white": Case(robot="emps", cell=WHITE),
-    "TX40, no such friction, white": Case(robot="tx40", cell=WHITE),
-}
-
-
-@pytest.mark.parametrize("name", CASES)
-def test_terms_that_a_robot_has_are_recommended(name, capsys):
+@pytest.mark.parametrize(
+    ("name", "cell", "root", "load"),
+    [
+        ("scara", WHITE, (0, 0), (0, 0)),
+        ("scara", COLOURED, (0, 0), (0, 0)),
+        ("scara", WHITE, (0.6, 0), (0, 0.3)),
+        ("scara", WHITE, (0.6, 0), (0.3, 0.3)),
+        ("scara", SLOW, (0.6, 0), (0, 0.3)),
+        ("emps", WHITE, (0,), (0,)),
+        ("tx40", WHITE, (0,), (0,)),
+    ],
+)
+def test_terms_that_a_robot_has_are_recommended(name, cell, root, load):
     """In 95 % of the recordings, those terms and no other."""
-    case = CASES[name]
-    toml = REPLAY / case.robot / "robot.toml"
+    toml = REPLAY / name / "robot.toml"
+    own = tuple((ROOT if r else NONE) | (LOAD if mu else NONE) for r, mu in zip(root, load, strict=True))
     body = plant(toml, smooth=0.002)  # friction of the package has no v0: next to no noise, more would be seen
-    if case.terms:
-        friction = replace(body.friction, root=np.array(case.root), load=np.array(case.load))
-        body = replace(body, friction=friction)
-    controller = designed_pd(body, 10.0, 1000.0) if case.robot == "tx40" else described_controller(body)
+    if any(own):
+        body = replace(body, friction=replace(body.friction, root=np.array(root), load=np.array(load)))
+    controller = designed_pd(body, 10.0, 1000.0) if name == "tx40" else described_controller(body)
     robot = description(toml)
     robot = replace(robot, identification=type(robot.identification)())  # the rules of the package
     known = Overrides() if robot.controller.sample_rate_hz else Overrides(torque_lag_s=-0.5 / controller.rate_hz)
@@ -87,15 +58,15 @@ def test_terms_that_a_robot_has_are_recommended(name, capsys):
     for first in range(0, RUNS, BATCH):
         seeds = range(3000 + first, 3000 + min(RUNS, first + BATCH))
         reference = references(body, seeds, duration_s=10.0, rate_hz=controller.rate_hz)
-        runs = simulate(body, controller, reference, case.cell, seed=first)
+        runs = simulate(body, controller, reference, cell, seed=first)
         for k in range(len(seeds)):
             choice = select_friction(runs.signals(robot, k), known)
-            terms, expected = choice.recommended.terms, case.terms or choice.usual.terms
+            terms, expected = choice.recommended.terms, own if any(own) else choice.usual.terms
             exact += terms == expected
-            all_named += all(own <= more for own, more in zip(expected, terms, strict=True))
+            all_named += all(of_robot <= more for of_robot, more in zip(expected, terms, strict=True))
             if terms != expected:
                 told = ", ".join("+".join(sorted(more)) or "-" for more in terms)
                 found[told] = found.get(told, 0) + 1
-    with capsys.disabled():
-        print(f"\n{name}: exactly in {exact} of {RUNS}, all named in {all_named}; others {found or 'none'}", flush=True)
+    case = f"{name}, {root=}, {load=}, {cell.coloured_noise_percent=}"
+    print(f"\n{case}: exactly in {exact} of {RUNS}, all named in {all_named}; others {found or 'none'}", flush=True)
     assert exact >= 0.95 * RUNS

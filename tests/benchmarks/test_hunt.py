@@ -7,16 +7,10 @@ trust: `trust` where one is. The table stands in hunt.md.
 """
 
 import os
-import sys
 from concurrent.futures import ProcessPoolExecutor
 
-import pytest
 from hunt import HEADER, NOISES, outcomes_of, outcomes_of_noise, row
 from hunt_kinds import BOTH, KINDS
-
-pytestmark = pytest.mark.skipif(
-    "--benchmark-enable" not in sys.argv, reason="a benchmark: run `pytest tests/benchmarks -s --benchmark-enable`"
-)
 
 RUNS = int(os.environ.get("HUNT_RUNS", "14"))
 NOISE_RUNS = int(os.environ.get("NOISE_RUNS", "16"))

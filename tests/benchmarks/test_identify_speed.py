@@ -18,10 +18,8 @@ from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
-import pytest
 from conftest import described_chi, robot_named
 
-import identification.methods.assess as assess
 from acquisition.recording import Header, RecordingWriter, sample_dtype
 from acquisition.robot import fourier_reference
 from identification.data import Work, load_signals
@@ -30,11 +28,6 @@ from identification.methods import Iteration, identify_iv, identify_ls
 from identification.model import InverseModel, base_parameters, described_parameters, direct_model
 from identification.regression import Overrides
 from identification.study import Study, run_study
-from identification.trust import Trust, trust_in
-
-pytestmark = pytest.mark.skipif(
-    "--benchmark-enable" not in sys.argv, reason="a benchmark: run `pytest tests/benchmarks -s --benchmark-enable`"
-)
 
 SAMPLES = 45_000
 
@@ -80,25 +73,23 @@ def ratio(run: Callable[[], object], beside: Callable[[], object], *, rounds: in
     return float(np.median(ratios)), float(np.median(floors))
 
 
-def test_regressor(capsys):
+def test_regressor():
     dynamics = InverseModel(robot_named("tx40"))
     base = base_parameters(dynamics)
     q, dq, ddq = np.random.default_rng(0).uniform(-3, 3, size=(3, SAMPLES, 6))
     found, floor_s = ratio(lambda: dynamics.series(q, dq, ddq, base.columns), floor(dynamics, q, dq, ddq))
-    with capsys.disabled():
-        print(f"\nregressor, {SAMPLES} x 6, 60 columns: {found:.2f} x the floor of {floor_s:.3f} s (bound 1.4)")
+    print(f"\nregressor, {SAMPLES} x 6, 60 columns: {found:.2f} x the floor of {floor_s:.3f} s (bound 1.4)")
 
 
-def test_fit_of_the_tx40_recording(tx40, capsys):
+def test_fit_of_the_tx40_recording(tx40):
     signals = load_signals(tx40)
     dynamics = InverseModel(signals.robot)
     q = np.ascontiguousarray(signals.q)
     found, floor_s = ratio(lambda: identify_ls(load_signals(tx40), Overrides()), floor(dynamics, q, q, q))
-    with capsys.disabled():
-        print(f"\nfit, MCAP to estimate: {found:.2f} x the floor of {floor_s:.3f} s (bound 5)")
+    print(f"\nfit, MCAP to estimate: {found:.2f} x the floor of {floor_s:.3f} s (bound 5)")
 
 
-def test_fit_with_all_friction_terms_beside_one_without(tx40, capsys):
+def test_fit_with_all_friction_terms_beside_one_without(tx40):
     """Load friction takes passes, and there are a third more parameters."""
     signals = load_signals(tx40)
     usual, every = (
@@ -106,11 +97,10 @@ def test_fit_with_all_friction_terms_beside_one_without(tx40, capsys):
         for terms in ((), ("asymmetric", "root", "load"))
     )
     found, fit_s = ratio(lambda: identify_ls(every, Overrides()), lambda: identify_ls(usual, Overrides()))
-    with capsys.disabled():
-        print(f"\nfit with all friction terms: {found:.2f} x the fit of {fit_s:.2f} s without (bound 1.5)")
+    print(f"\nfit with all friction terms: {found:.2f} x the fit of {fit_s:.2f} s without (bound 1.5)")
 
 
-def test_instrumental_variables_on_the_tx40_recording(tx40, capsys):
+def test_instrumental_variables_on_the_tx40_recording(tx40):
     signals = load_signals(tx40)
     dynamics = InverseModel(signals.robot)
     passes = len(identify_iv(signals, Overrides(), Iteration()).iv.passes)
@@ -118,23 +108,7 @@ def test_instrumental_variables_on_the_tx40_recording(tx40, capsys):
     found, floor_s = ratio(
         lambda: identify_iv(load_signals(tx40), Overrides(), Iteration()), floor_of_the_passes, rounds=5
     )
-    with capsys.disabled():
-        print(f"\niv, MCAP to estimate, {passes} passes: {found:.2f} x the floor of {floor_s:.3f} s (bound 1)")
-
-
-def test_the_trust_block_beside_the_fit(tx40, capsys):
-    """All tests of a fit, beside the fit by instruments that they are of."""
-    signals, seen = load_signals(tx40), []
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(assess, "trust_in", lambda evidence: seen.append(evidence) or trust_in(evidence))
-        identify_iv(signals, Overrides(), Iteration())
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(assess, "trust_in", lambda evidence: Trust(lines=()))
-        found, fit_s = ratio(
-            lambda: trust_in(replace(seen[0])), lambda: identify_iv(signals, Overrides(), Iteration()), rounds=5
-        )
-    with capsys.disabled():
-        print(f"\ntrust block: {found:.2f} x the fit by iv of {fit_s:.2f} s (bound 0.5)")
+    print(f"\niv, MCAP to estimate, {passes} passes: {found:.2f} x the floor of {floor_s:.3f} s (bound 1)")
 
 
 def hour_long_recording(path: Path, seconds: int = 3600) -> None:
@@ -169,7 +143,7 @@ def cpu_s(*command: object) -> float:
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
-def test_whole_processes_on_the_tx40_recording(tx40, capsys):
+def test_whole_processes_on_the_tx40_recording(tx40):
     """The command line from start to end, beside the imports that it cannot do without and the floor of its passes."""
     signals = load_signals(tx40)
     dynamics = InverseModel(signals.robot)
@@ -191,13 +165,12 @@ def test_whole_processes_on_the_tx40_recording(tx40, capsys):
     for _ in range(5):
         for name, run in cases.items():
             found[name].append(run())
-    with capsys.disabled():
-        for name, times in found.items():
-            print(f"\n{name}: {np.median(times):.2f} s of CPU", end="")
-        pairs = zip(found["fit by iv"], found["floor of the passes of iv"], strict=True)
-        print(
-            f"\nfit by iv, whole process: {np.median([a / b for a, b in pairs]):.2f} x the floor of its passes (bound 2.2)"
-        )
+    for name, times in found.items():
+        print(f"\n{name}: {np.median(times):.2f} s of CPU", end="")
+    pairs = zip(found["fit by iv"], found["floor of the passes of iv"], strict=True)
+    print(
+        f"\nfit by iv, whole process: {np.median([a / b for a, b in pairs]):.2f} x the floor of its passes (bound 2.2)"
+    )
 
 
 def timed(run: Callable[[], object]) -> float:
@@ -206,17 +179,16 @@ def timed(run: Callable[[], object]) -> float:
     return time.process_time() - start
 
 
-def test_study_runs(capsys):
+def test_study_runs():
     """Of each robot, beside the floor of bare `aba` at the steps of the simulated recording."""
     for name in ("emps", "tx40"):
         robot = robot_named(name)
         runs = run_study(robot, Study(runs=6), Work())
         times = [timed(partial(next, runs)) for _ in range(6)]
-        with capsys.disabled():
-            print(f"\nstudy run of {name}: {np.median(times):.2f} s of CPU", end="")
+        print(f"\nstudy run of {name}: {np.median(times):.2f} s of CPU", end="")
 
 
-def test_a_fit_of_one_hour(tmp_path, capsys):
+def test_a_fit_of_one_hour(tmp_path):
     path = tmp_path / "hour.mcap"
     hour_long_recording(path)
     dynamics = InverseModel(robot_named("tx40"))
@@ -226,6 +198,5 @@ def test_a_fit_of_one_hour(tmp_path, capsys):
     took_s = cpu_s(sys.executable, "-m", "identification", "fit", path, "--json", tmp_path / "fit.json")
     peak_gb = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1e6
     floor_s = 36 * 0.5 * (before_s + timed(bare))
-    with capsys.disabled():
-        print(f"\nfit of one hour at 1 kHz, 3.6 million samples x 6: peak {peak_gb:.2f} GB (bound 1)", end="")
-        print(f", {took_s / floor_s:.2f} x the floor of {floor_s:.1f} s (bound 3)")
+    print(f"\nfit of one hour at 1 kHz, 3.6 million samples x 6: peak {peak_gb:.2f} GB (bound 1)", end="")
+    print(f", {took_s / floor_s:.2f} x the floor of {floor_s:.1f} s (bound 3)")

@@ -1,13 +1,6 @@
 """Uneven times after `resample_hz`: the estimates of 100 runs inside their 95 % intervals."""
 
-import sys
-
-import pytest
 from jittered_time import covered
-
-pytestmark = pytest.mark.skipif(
-    "--benchmark-enable" not in sys.argv, reason="a benchmark: run `pytest tests/benchmarks -s --benchmark-enable`"
-)
 
 
 def test_estimates_from_uneven_times_stay_in_their_intervals(tmp_path):

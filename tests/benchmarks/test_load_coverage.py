@@ -7,7 +7,6 @@ Figures stand in friction_rates.md. Run with `LOAD_RUNS=20 pytest tests/benchmar
 """
 
 import os
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -22,10 +21,6 @@ from identification.methods import Iteration, identify_iv, identify_ls
 from identification.model import InverseModel, described_parameters
 from identification.regression import Overrides
 
-pytestmark = pytest.mark.skipif(
-    "--benchmark-enable" not in sys.argv, reason="a benchmark: run `pytest tests/benchmarks -s --benchmark-enable`"
-)
-
 RUNS = int(os.environ.get("LOAD_RUNS", "20"))
 EACH = 2  # recordings of a fit
 TERMS = frozenset({"root", "load"}), frozenset({"load"})
@@ -35,7 +30,7 @@ TERMS = frozenset({"root", "load"}), frozenset({"load"})
     ("noise", "in_loop", "lowest", "lowest_of_mu"),
     [(1e-6, True, 88, 80), (1e-5, True, 65, 0), (1e-5, False, 88, 80)],
 )
-def test_intervals_of_several_recordings_cover_the_truth(noise, in_loop, lowest, lowest_of_mu, capsys):
+def test_intervals_of_several_recordings_cover_the_truth(noise, in_loop, lowest, lowest_of_mu):
     toml = REPLAY / "scara" / "robot.toml"
     body = plant(toml, smooth=0.002)
     body = replace(body, friction=replace(body.friction, root=np.array([0.6, 0.0]), load=np.array([0.3, 0.3])))
@@ -63,12 +58,11 @@ def test_intervals_of_several_recordings_cover_the_truth(noise, in_loop, lowest,
             left_out += not {"mu1", "mu2"} < set(fit.estimate.names)
         covered, covered_mu = 100 * np.mean(inside), 100 * np.mean(of_mu)
         where = "in the loop" if in_loop else "in the recording alone"
-        with capsys.disabled():
-            print(
-                f"\n{RUNS} fits of {EACH} recordings by {method}, {1e6 * noise:g} µrad {where}: {covered:.1f} % inside, "
-                f"load {covered_mu:.1f} %, {left_out} without it",
-                flush=True,
-            )
+        print(
+            f"\n{RUNS} fits of {EACH} recordings by {method}, {1e6 * noise:g} µrad {where}: {covered:.1f} % inside, "
+            f"load {covered_mu:.1f} %, {left_out} without it",
+            flush=True,
+        )
         if RUNS >= 20:
             assert covered >= lowest
             assert covered_mu >= lowest_of_mu

@@ -6,7 +6,6 @@ import msgspec
 import numpy as np
 import pytest
 from conftest import REPLAY, robot_named
-from fits_of_records import ls_of
 from loops import simulate
 from made_up_buses import bus_of, bus_text, robot_of
 from scipy.interpolate import CubicSpline
@@ -17,13 +16,13 @@ from acquisition.recording import read_recording
 from acquisition.robot import DriveFile, load_robot, ripple_notes
 from acquisition.robot.bus import demand_ripple
 from acquisition.simulated import DrivenPlant, LoopGains, SimulatedDrives, cascaded_loops, describe_loops
-from acquisition.simulated.mechanism import JointwisePlant, cubic
+from acquisition.simulated.mechanism import JointwisePlant
 from identification.data import load_signals
 from identification.methods import fit_document, identify_ls
 from identification.model import InverseModel, direct_model
 from identification.regression import Overrides, make_settings
 from identification.simulation import Reference, described_robot, drive_loops, recorded_loop
-from identification.study import record_simulated_session, study_truth
+from identification.study import demo, record_simulated_session, study_truth
 
 BANDWIDTH_HZ, PERIOD_S, INERTIA = 10.0, 0.004, 2.0
 W = 2 * np.pi * BANDWIDTH_HZ
@@ -103,15 +102,6 @@ def test_an_actual_value_is_the_mean_of_the_period_before(smooth):
     assert lag == pytest.approx(0.5, abs=0.02)
 
 
-def test_the_reference_between_targets_is_continuous_in_position_and_speed():
-    first, last, travel = np.array([0.3]), np.array([-0.2]), np.array([0.1])
-    for share, way, speed in ((0.0, 0.0, 0.3), (1.0, 0.1, -0.2)):
-        assert cubic(share, travel, first, last) == (pytest.approx(way), pytest.approx(speed))
-    h = 1e-6
-    ways = [cubic(0.4 + d, travel, first, last)[0] for d in (-h, h)]
-    assert cubic(0.4, travel, first, last)[1] == pytest.approx((ways[1] - ways[0]) / (2 * h), rel=1e-6)
-
-
 def test_check_and_report_note_the_ripple_where_it_matters(monkeypatch):
     at_10_hz = bus_text(1).replace("bandwidth_hz = 5", "bandwidth_hz = 10")  # SYNC every 2 ms
 
@@ -121,16 +111,14 @@ def test_check_and_report_note_the_ripple_where_it_matters(monkeypatch):
 
     (text,) = notes_of(at_10_hz)
     assert "inertia may be off by 0.5 %" in text
-    for harmless in (
-        at_10_hz.replace("sync_period_s = 0.002", "sync_period_s = 0.001"),
-        at_10_hz.replace('reference = "6074"', 'actual = "6077"'),
-        at_10_hz.replace("bandwidth_hz = 10", ""),
-        at_10_hz[: at_10_hz.index("[bus]")],
-    ):
-        assert notes_of(harmless) == ()
-    names = ("6074", "6874:0", "6077", "30D0")
-    reports = {name: DriveFile(node=1, reference=name, counts_per_turn=1).reports_demand for name in names}
-    assert reports == {"6074": True, "6874:0": True, "6077": False, "30D0": False}
+    changes = (
+        ("period_s = 0.002", "period_s = 0.001"),
+        ('reference = "6074"', 'actual = "6077"'),
+        ("bandwidth_hz = 10", ""),
+    )
+    assert [notes_of(at_10_hz.replace(*change)) for change in changes] == [(), (), ()]
+    assert notes_of(at_10_hz[: at_10_hz.index("[bus]")]) == ()
+    assert DriveFile(node=1, reference="6874:0", counts_per_turn=1).reports_demand  # of a second axis
     monkeypatch.setattr(checking_module, "check_drives", lambda link, bus: [])
     monkeypatch.setattr(checking_module, "_positions", lambda robot, master: [])
     robot = robot_of(at_10_hz)
@@ -138,22 +126,18 @@ def test_check_and_report_note_the_ripple_where_it_matters(monkeypatch):
     assert [(f.found, f.ok) for f in found if f.subject == "effort"] == [(text, True)]
 
 
-def test_one_demand_a_sync_is_noted_in_the_report_and_no_warning(demand_tx40):
-    """The demo's drives record the mean since the SYNC before: no note either. Noise is 0, the ripple 0.5 % at most."""
-    signals = load_signals(demand_tx40 / "log.mcap")
-    fit, told = identify_ls(signals, Overrides(low_speed_percent=20.0)), "torque (6074) is read once per SYNC"
-    assert fit.warnings == ()
+def test_one_demand_a_sync_is_noted_in_the_report_and_no_warning():
+    signals = load_signals(REPLAY / "tx40" / "session.mcap")
+    drives = [msgspec.structs.replace(one, actual=None, reference="6074") for one in signals.robot.bus.drive]
+    robot = replace(signals.robot, bus=msgspec.structs.replace(signals.robot.bus, drive=drives))
+    signals = replace(signals, robot=robot)
+    fit, told = identify_ls(signals, Overrides()), "torque (6074) is read once per SYNC"
     assert [note[: len(told)] for note in fit.notes] == [told]
+    assert not [line for line in fit.warnings if "SYNC" in line]
     verdict = fit_document(signals, fit).sections[0]
     for section in (verdict, verdict.short):
         assert f"note: {fit.notes[0]}" in section.lines
     assert identify_ls(replace(signals, provenance="tables"), Overrides()).notes == ()
-    base, beta = study_truth(signals.robot)
-    for name in ("ZZ1R", "ZZ2R"):
-        i = base.names.index(name)
-        assert fit.estimate.beta[i] == pytest.approx(beta[i], rel=demand_ripple(10.0, 0.002))
-    demo = ls_of(REPLAY / "tx40" / "session.mcap")
-    assert (demo.notes, demo.warnings) == ((), ())
 
 
 def test_only_a_recording_of_simulated_drives_states_their_law():
@@ -171,19 +155,12 @@ def test_only_a_recording_of_simulated_drives_states_their_law():
     assert describe_loops(scara, loops) is scara
 
 
-@pytest.mark.parametrize(
-    ("controller", "told"),
-    [
-        ("bandwidth_hz = 10.0", False),  # as recorded
-        ("bandwidth_hz = 5.0", True),
-        ('bandwidth_hz = 10.0\nstructure = "pid"', True),
-    ],
-)
+@pytest.mark.parametrize(("controller", "told"), [("10.0", False), ("5.0", True), ('10.0\nstructure = "pid"', True)])
 def test_a_controller_that_a_dry_run_does_not_use_is_told(controller, told):
-    text = (REPLAY / "tx40" / "robot.toml").read_text()
-    recording, loop = REPLAY / "tx40" / "session.mcap", "[controller]\nbandwidth_hz = 10.0"
-    assert loop in text
-    signals = load_signals(recording, robot_of(text.replace(loop, f"[controller]\n{controller}")))
+    text, recording = (REPLAY / "tx40" / "robot.toml").read_text(), REPLAY / "tx40" / "session.mcap"
+    assert "\nbandwidth_hz = 10.0" in text
+    changed = robot_of(text.replace("\nbandwidth_hz = 10.0", f"\nbandwidth_hz = {controller}"))
+    signals = load_signals(recording, changed)
     assert signals.robot.controller == load_signals(recording).robot.controller
     warning = "session.mcap: the given [controller] is not used: the drives of a dry run have their own"
     assert (warning in make_settings(signals, Overrides()).warnings) == told
@@ -195,11 +172,10 @@ def test_a_pendulum_without_friction_keeps_its_energy(of_the_description):
     text = bus_text(1).replace("alpha_deg = 0", "alpha_deg = 90").replace("ratio = 50.0", "ratio = 1")
     text = text.replace("[controller]", "[parameters]\nZZ1 = 1.0\nMX1 = 5.0\n[controller]")
     text = text.replace('type = "revolute"', 'type = "revolute"\nfriction = []\nrotor_inertia = false')
-    one, zero = np.ones(1), np.zeros(1)
+    one, zero, energies = np.ones(1), np.zeros(1), []
     plant = JointwisePlant(one, zero, zero, 5.0 * 9.81 * one, slides=np.zeros(1, bool), position=zero)
     if of_the_description:
         plant, _ = described_robot(robot_of(text))
-    energies = []
     for _ in range(8000):
         plant.step(zero, np.zeros(1, bool), 0.0005)
         (q,), (dq,) = plant.state()
@@ -207,7 +183,7 @@ def test_a_pendulum_without_friction_keeps_its_energy(of_the_description):
     assert np.abs(energies).max() < 1e-3 * 5.0 * 9.81
 
 
-@pytest.mark.parametrize("period_s", [0.0007, 0.001, 0.003, 0.005, 0.007, 0.01])
+@pytest.mark.parametrize("period_s", [0.0007, 0.003, 0.01])
 def test_a_sync_period_of_the_plant_is_as_long_as_that_of_the_bus(period_s):
     """A mass with viscous and dry friction under a constant force F: v = F / Fv (1 - exp(-Fv t / M))."""
     robot, bus = robot_named("emps"), robot_named("scara").bus
@@ -220,35 +196,16 @@ def test_a_sync_period_of_the_plant_is_as_long_as_that_of_the_bus(period_s):
     assert speed == pytest.approx(50.0 / Fv * (1 - np.exp(-Fv * periods * period_s / M)), rel=2e-3)
 
 
-@pytest.fixture(scope="module")
-def dry_tx40(tmp_path_factory):
-    """Twelve seconds of the simulated TX40 without noise."""
-    robot, out = robot_named("tx40"), tmp_path_factory.mktemp("dry") / "a.mcap"
-    record_simulated_session(robot, "robot.toml", out, noise_percent=0.0)
-    return robot, out
-
-
-def test_a_dry_run_of_the_arm_without_noise_gives_its_parameters(dry_tx40):
-    """Rows faster than a fifth of the peak: nearer to a reversal joints stick, which no model of the fit has."""
-    robot, out = dry_tx40
-    fit = identify_ls(load_signals(out), Overrides(torque_lag_s=0.001, low_speed_percent=20.0))
-    base, beta = study_truth(robot)
-    assert fit.estimate.names == base.names
-    for name in ("ZZ1R", "ZZ2R"):
-        i = base.names.index(name)
-        assert fit.estimate.beta[i] == pytest.approx(beta[i], rel=1e-3)
-    inside = np.abs(fit.estimate.beta - beta) <= fit.intervals.half
-    assert inside.mean() > 0.85
-
-
-def test_the_described_law_moves_the_simulated_robot_as_the_drives_do(dry_tx40):
+def test_the_described_law_moves_the_simulated_robot_as_the_drives_do(tmp_path, monkeypatch):
     """The wrist is coupled: the law acts on motors. Without it a stand-in PD was 90 mrad off at joint 6."""
-    robot, out = dry_tx40
+    monkeypatch.setattr(demo, "DURATION_S", 2.0)
+    robot, out = robot_named("tx40"), tmp_path / "a.mcap"
+    record_simulated_session(robot, "robot.toml", out, noise_percent=0.0)
     recording = read_recording(out)
     samples, loop = recording.samples, recorded_loop(recording.robot)
     stamps = {e.text: e.stamp_ns for e in recording.events}
     start = int(np.searchsorted(samples["stamp_ns"], stamps["track"]))
-    q_ref, q = (samples[name][start : start + 2000] for name in ("reference", "position"))
+    q_ref, q = (samples[name][start : start + 1000] for name in ("reference", "position"))
     # A target is reached one SYNC after it is applied, the drive being a quarter of it ahead.
     path = CubicSpline(np.arange(len(q)) * 0.002 + 0.0015, q_ref)
     t_s = np.maximum(np.arange(4 * len(q)) * 0.0005, 0.0015)
@@ -258,3 +215,4 @@ def test_the_described_law_moves_the_simulated_robot_as_the_drives_do(dry_tx40):
     moved = simulate(model, loop, reference, start=(q[0], np.zeros(6)), bound=np.full(6, 1.0))
     assert moved.reason is None
     assert np.abs(moved.q[::4] - q)[250:].max() < 1e-3
+    assert np.ptp(q, axis=0).min() > 0.1

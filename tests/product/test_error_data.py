@@ -11,7 +11,6 @@ from acquisition.errors import BadInputError, RobotIdimError
 from acquisition.robot import load_robot
 from identification import fit
 from identification.data import load_signals
-from identification.simulation import described_robot
 
 
 def data_of(caught):
@@ -37,10 +36,9 @@ def test_of_a_guard_that_guards_nothing(tmp_path: Path, key, most, prismatic):
     table, name = key.split(".")
     text = bus_text(1)
     if prismatic:
-        text = text.replace("revolute", "prismatic").replace("acceleration_deg", "acceleration_m")
-        text = text.replace("position_deg", "position_m")
-        text = text.replace("speed_deg_s = 200", "speed_m_s = 2").replace(
-            "following_error_deg = 5", "following_error_m = 0.1"
+        text = text.replace("revolute", "prismatic").replace("_deg", "_m").replace("speed_m_s = 200", "speed_m_s = 2")
+        text = (
+            text.replace("error_m = 5", "error_m = 0.1").replace("alpha_m", "alpha_deg").replace("theta_m", "theta_deg")
         )
     lines = [line for line in text.splitlines() if not line.startswith(f"{name} =")]
     at = lines.index("[bus]" if table == "bus" else "[[joint]]") + 1
@@ -78,14 +76,3 @@ def test_the_default_method_gives_the_data_of_the_method_asked_for(change, key, 
     assert data_of(caught[0])[1:3] == (key, value)
     assert caught[0].value.expected or key == "parameters not excited"
     assert caught[0].value.place or key
-
-
-def test_of_what_cannot_be_simulated():
-    robot = load_signals(REPLAY / "scara" / "session.mcap").robot
-    with pytest.raises(BadInputError) as caught:
-        described_robot(replace(robot, parameters={"ZZ9": 0.061}))
-    expected = "such as XX1, XY1, XZ1 ... Fc2"
-    assert data_of(caught) == ("robot SCARA", "parameters.ZZ9", 0.061, expected)
-    assert str(caught.value) == (
-        f"robot SCARA: parameters.ZZ9 = 0.061: not a standard parameter of this robot: expected {expected}"
-    )

@@ -1,97 +1,50 @@
-"""From a URDF to a reference, and back to a model to simulate with: the five commands of the README on two arms.
-
-The URDFs are those of the package example-robot-data. The robot that is moved is known, so what comes out is compared with it.
-"""
+"""From a URDF to a reference, and back to a model to simulate with: the six commands of the README."""
 
 import json
+import re
+import shlex
 import shutil
+import subprocess
 from pathlib import Path
 
+import mujoco
 import numpy as np
-import pinocchio as pin
-import pytest
+from conftest import ACQUIRE, IDENTIFY, ROOT, described_chi
 from urdfs import packaged_urdf
 
-from acquisition.commands import main as acquire
 from acquisition.robot import load_robot
-from identification.commands import main as identify
 from identification.model import InverseModel
 
-ARMS = {
-    "ur5": ("ur5_robot.urdf", []),
-    "panda": ("panda.urdf", ["--joints", ",".join(f"panda_joint{j}" for j in range(1, 8))]),
-}
-UNSTATED = ["--acceleration", "8", "--following-error", "0.2", "--bandwidth-hz", "10", "--range", "2"]
 
-
-@pytest.fixture(scope="module", params=ARMS)
-def loop(request, tmp_path_factory):
-    """The folder after init, excite, record, fit and export."""
-    there = tmp_path_factory.mktemp(request.param)
-    shutil.copy(packaged_urdf(ARMS[request.param][0]), there / "arm.urdf")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(there)
-        assert identify(["init", "arm.urdf", *ARMS[request.param][1], *UNSTATED, "-o", "robot.toml"]) == 0
-        description = Path("robot.toml")
-        description.write_text(description.read_text().replace("\n#: ", "\n"))
-        series = ["--period", "4", "--harmonics", "5", "--periods", "1"]
-        assert identify(["excite", "robot.toml", *series, "-o", "ref.csv"]) == 0
-        assert acquire(["record", "robot.toml", "--dry-run", "--track", "ref.csv", "-o", "log.mcap"]) == 0
-        assert identify(["fit", "log.mcap", "--consistent", "--json", "fit.json"]) == 0
-        outputs = ["--urdf", "out.urdf", "--mjcf", "out.xml", "--toml", "out.toml"]
-        assert identify(["export", "fit.json", *outputs]) == 0
-    return there
-
-
-def torque(robot, states):
-    """Torque of the description's `[parameters]`."""
-    dynamics = InverseModel(robot)
-    return dynamics.regressor(*states) @ np.array([robot.parameters.get(name, 0.0) for name in dynamics.names])
-
-
-def states_of(robot, number=200):
-    rng = np.random.default_rng(5)
-    limits = np.array([(*joint.si("position"), joint.si("speed"), joint.si("acceleration")) for joint in robot.joints])
-    q = rng.uniform(limits[:, 0], limits[:, 1], (number, robot.n))
-    return q, rng.uniform(-1, 1, q.shape) * limits[:, 2], rng.uniform(-1, 1, q.shape) * limits[:, 3]
-
-
-def relative(error, of):
-    return np.linalg.norm(error, axis=0) / np.linalg.norm(of, axis=0)
-
-
-def test_the_exported_description_moves_as_the_robot_that_was_recorded(loop):
-    robot, exported = load_robot(loop / "robot.toml"), load_robot(loop / "out.toml")
+def test_the_six_commands_export_models_that_move_as_the_robot_that_was_recorded(tmp_path, monkeypatch, capsys):
+    """The robot that is moved is known, so what comes out is compared with it. A study simulates it."""
+    shutil.copy(packaged_urdf("ur5_robot.urdf"), tmp_path)
+    monkeypatch.chdir(tmp_path)
+    text = (ROOT / "identification" / "README.md").read_text()
+    section = text.split("\n## Your arm in MuJoCo in six commands\n")[1].split("\n## ")[0]
+    commands = re.findall(r"^ {4}(.*)$", section, flags=re.MULTILINE)
+    assert len(commands) == 6
+    programs = {program.name: program for program in (ACQUIRE, IDENTIFY)}
+    for command in commands:
+        program, *arguments = shlex.split(command, comments=True)
+        if program in programs:
+            assert programs[program].main(arguments) == 0, command
+        else:
+            subprocess.run([program, *arguments], check=True)
+    assert mujoco.MjModel.from_xml_path("new.xml").nv == 6
+    robot, exported = (load_robot(Path(name)) for name in ("robot.toml", "new.toml"))
     assert [joint.name for joint in exported.joints] == [joint.name for joint in robot.joints]
-    states = states_of(robot)
-    true = torque(robot, states)
-    assert relative(torque(exported, states) - true, true).max() < 0.03
-
-
-def test_the_exported_urdf_has_the_rigid_body_of_the_robot(loop):
-    """Read by pinocchio alone; the sum of what was fitted is the robot's, though no link need be."""
-    robot = load_robot(loop / "robot.toml")
-    rigid = {name: value for name, value in robot.parameters.items() if not name.startswith(("Ia", "Fv", "Fc"))}
-    dynamics, names = InverseModel(robot), [joint.name for joint in robot.joints]
-    model = pin.buildModelFromUrdf(str(loop / "out.urdf"))
-    data, order = model.createData(), [model.joints[model.getJointId(name)].idx_v for name in names]
-    q, dq, ddq = states_of(robot)
-    tau, zero = np.empty(q.shape), np.zeros(model.nv)
-    for k in range(len(q)):
-        at = [zero.copy() for _ in range(3)]
-        for x, given in zip(at, (q[k], dq[k], ddq[k]), strict=True):
-            x[order] = given
-        tau[k] = pin.rnea(model, data, *at)[order]
-    true = dynamics.regressor(q, dq, ddq) @ np.array([rigid.get(name, 0.0) for name in dynamics.names])
-    assert relative(tau - true, true).max() < 0.05
-
-
-def test_the_exported_description_is_simulated_and_studied(loop, monkeypatch, capsys):
-    monkeypatch.chdir(loop)
-    rate_hz = load_robot(loop / "out.toml").controller.sample_rate_hz or 500  # of the law that the fit found
-    short = ["--duration-s", "2", "--rate-hz", f"{rate_hz:g}"]
-    assert identify(["simulate", "out.toml", *short, "-o", "again.mcap"]) == 0
-    assert identify(["study", "out.toml", *short, "--runs", "1", "--json", "study.json"]) == 0
+    limits = np.array(
+        [(*joint.si("position"), joint.si("speed"), joint.si("acceleration")) for joint in robot.joints]
+    ).T
+    q, dq, ddq = np.random.default_rng(5).uniform((limits[0], *-limits[2:]), limits[1:], (200, 3, 6)).swapaxes(0, 1)
+    true, found = (
+        InverseModel(one).regressor(q, dq, ddq) @ described_chi(InverseModel(one)) for one in (robot, exported)
+    )
+    assert (np.linalg.norm(found - true, axis=0) / np.linalg.norm(true, axis=0)).max() < 0.03
+    capsys.readouterr()
+    short = ["new.toml", "--duration-s", "2", "--rate-hz", f"{exported.controller.sample_rate_hz or 500:g}"]
+    assert IDENTIFY.main(["study", *short, "--runs", "1", "--json", "study.json"]) == 0
     assert capsys.readouterr().err == ""
-    (run,) = json.loads((loop / "study.json").read_text())["runs"]
+    (run,) = json.loads(Path("study.json").read_text())["runs"]
     assert run["ls"]["error"] < 0.5

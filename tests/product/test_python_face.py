@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 import textwrap
+import warnings
 from dataclasses import replace
 from pathlib import Path
 from unittest.mock import ANY
@@ -35,7 +36,8 @@ def signals():
 
 @pytest.fixture(scope="module")
 def by_iv(signals):
-    return identification.fit(signals.q, signals.effort, 1000.0, SCARA, signals.q_ref)
+    with warnings.catch_warnings(action="error"):
+        return identification.fit(signals.q, signals.effort, 1000.0, SCARA, signals.q_ref)
 
 
 def test_importing_loads_no_library():
@@ -57,14 +59,13 @@ def test_what_is_named_is_there(package):
         module.nothing  # noqa: B018
 
 
-@pytest.mark.parametrize("method", ["wls", "ols"])
-def test_a_fit_of_arrays_is_that_of_the_same_signals(signals, method):
-    fit = identification.fit(signals.q, signals.effort, 1000.0, str(SCARA), method=method)
-    same = identification.identify_ls(
-        replace(signals, q_ref=None, effort_timing="unknown"), identification.Overrides(), method=method
+def test_a_fit_of_arrays_is_that_of_the_same_signals(signals):
+    fit = identification.fit(signals.q, signals.effort, 1000.0, str(SCARA), method="ols")
+    same = replace(signals, q_ref=None, effort_timing="unknown")
+    np.testing.assert_array_equal(
+        fit.beta, identification.identify_ls(same, identification.Overrides(), method="ols").beta
     )
-    np.testing.assert_array_equal(fit.beta, same.beta)
-    assert fit.method == method
+    assert fit.method == "ols"
 
 
 def test_a_fit_of_arrays_finds_the_true_parameters(signals, by_iv):
@@ -79,17 +80,23 @@ def test_a_fit_of_arrays_finds_the_true_parameters(signals, by_iv):
     assert asked.iv.reference == "surrogate"
 
 
-def test_arrays_stay_what_they_are(signals):
+def test_arrays_are_copied_and_tell_recordings_apart(signals):
     from identification.data import signals_from_arrays
 
-    q, tau = np.array(signals.q), signals.effort.tolist()
-    made = signals_from_arrays(q, tau, 1000.0, signals.robot, q)
-    q[:] = 0.0
-    np.testing.assert_array_equal(made.q, signals.q)
-    np.testing.assert_array_equal(made.effort, signals.effort)
-    np.testing.assert_allclose(made.t_s, np.arange(len(q)) / 1000.0)
-    other = signals_from_arrays(signals.q, signals.effort, 1000.0, signals.robot)
-    assert made.sha256 != other.sha256, "the reference is part of what was fitted"
+    def made(*others, **columns):
+        return signals_from_arrays(q, signals.effort.tolist(), 1000.0, signals.robot, *others, **columns)
+
+    q, ahead = np.array(signals.q), np.array(signals.effort)
+    one = made(q, feedforward=ahead)
+    digests = [made(*others, **columns).sha256 for others, columns in (((), {}), ((q,), {}), ((), {"feedforward": q}))]
+    digests.append(made(known_torque=q).sha256)
+    assert len({*digests}) == 4, "the same numbers under another name are another recording"
+    q[:] = ahead[:] = 0.0
+    np.testing.assert_array_equal(one.q, signals.q)
+    np.testing.assert_array_equal(one.q_ref, signals.q)
+    np.testing.assert_array_equal(one.effort, signals.effort)
+    np.testing.assert_array_equal(one.feedforward, signals.effort)
+    np.testing.assert_allclose(one.t_s, np.arange(len(q)) / 1000.0)
 
 
 @pytest.mark.parametrize(
@@ -102,21 +109,14 @@ def test_arrays_stay_what_they_are(signals):
         ({"q_ref": np.zeros((51, 2))}, "arrays", "q_ref.shape", (51, 2), "(50, 2), as q has"),
         ({"tau": np.full((50, 2), np.inf)}, "arrays", "effort[0]", [np.inf, np.inf], "finite numbers"),
         ({"sample_rate_hz": 0.0}, "arrays", "sample_rate_hz", 0.0, "a number above 0"),
-        ({"sample_rate_hz": -np.inf}, "arrays", "sample_rate_hz", -np.inf, "a number above 0"),
         ({"method": "ls"}, "", "method", "ls", "'iv', 'wls' or 'ols'"),
         ({"velocity": np.zeros((49, 2))}, "arrays", "velocity.shape", (49, 2), "(50, 2), as q has"),
         ({"known_torque": np.zeros((50, 1))}, "arrays", "known_torque.shape", (50, 1), "(N, 2), time first"),
         ({"feedforward": [[0, np.nan]] * 50}, "arrays", "feedforward[0]", ANY, "finite numbers"),
         ({"cutoff_hz": -1.0}, "", "cutoff_hz", -1.0, "a number from 0"),
-        ({"decimation": -1}, "", "decimation", -1, "a number from 0"),
         ({"low_speed_percent": np.inf}, "", "low_speed_percent", np.inf, "a number from 0"),
-        (
-            {"bandwidth_hz": 5.0, "robot": robot_named("scara")},
-            "",
-            "bandwidth_hz",
-            5.0,
-            "a URDF's path with it",
-        ),
+        ({"sample_rate_hz": 0.008}, "arrays", "sample_rate_hz", 0.008, "1 or more"),
+        ({"bandwidth_hz": 5.0, "robot": robot_named("scara")}, "", "bandwidth_hz", 5.0, "a URDF's path with it"),
         ({"bandwidth_hz": 5.0}, str(SCARA), "", None, "a URDF; robot.toml has a key for it"),
     ],
 )
@@ -126,50 +126,30 @@ def test_what_cannot_be_fitted_is_refused(change, place, key, value, expected):
         identification.fit(**{**given, **change})
     error = caught.value
     assert (error.place, error.key, error.value, error.expected) == (place, key, value, expected)
-    assert str(error).startswith(f"{place}: {key}" if place else key)
-    assert str(error).endswith(f": expected {expected}")
 
 
 def test_a_known_torque_is_explained_with_that_of_the_drives(signals):
     """One is taken off the drives' torque: the fit is the same if it is told, another if it is not."""
     known = np.sin(signals.t_s)[:, None] * [3.0, 1.0]
-    unshifted = msgspec.structs.replace(
-        signals.robot.identification, torque_lag_s="none"
-    )  # of the drives' torque alone
-    robot = replace(signals.robot, identification=unshifted)
     plain, told, untold = (
-        identification.fit(signals.q, tau, 1000.0, robot, method="wls", known_torque=k).beta
+        identification.fit(
+            signals.q, tau, 1000.0, signals.robot, method="wls", torque_lag_s="none", known_torque=k
+        ).beta
         for tau, k in ((signals.effort, None), (signals.effort - known, known), (signals.effort - known, None))
     )
     np.testing.assert_allclose(told, plain, rtol=1e-9)
     assert np.abs(untold / plain - 1).max() > 0.1
 
 
-def test_columns_beside_position_and_effort_are_copied_and_checked(signals):
-    from identification.data import signals_from_arrays
-
-    speed, ahead = np.gradient(signals.q, 1e-3, axis=0), np.array(signals.effort)
-    fit = identification.fit(
-        signals.q, signals.effort, 1000.0, SCARA, method="wls", velocity=0.8 * speed, feedforward=ahead
-    )
-    kept, before = fit.problem.signals, ahead.copy()
-    ahead[:] = 0.0
-    np.testing.assert_array_equal(kept.feedforward, before)
-    np.testing.assert_array_equal(kept.velocity, 0.8 * speed)
-    assert kept.known_torque is None
-    warnings = [text for text in fit.warnings if "velocity" in text]
-    assert [text.split(", ")[0] for text in warnings] == [
+def test_a_velocity_is_compared_with_the_derivative(signals):
+    arrays, speed = (signals.q, signals.effort, 1000.0, SCARA), np.gradient(signals.q, 1e-3, axis=0)
+    fit = identification.fit(*arrays, method="wls", velocity=0.8 * speed)
+    np.testing.assert_array_equal(fit.problem.signals.velocity, 0.8 * speed)
+    assert [text.split(", ")[0] for text in fit.warnings if "velocity" in text] == [
         f"recording: velocity of joint {name} = 0.8 x the derivative of its position" for name in ("shoulder", "elbow")
     ]
-    right = signals_from_arrays(signals.q, signals.effort, 1000.0, signals.robot, velocity=speed)
-    assert right.events == ()
     with pytest.raises(acquisition.BadInputError, match="arrays: velocity of joint shoulder = -1 x the derivative"):
-        signals_from_arrays(signals.q, signals.effort, 1000.0, signals.robot, velocity=-speed)
-    made = [
-        signals_from_arrays(signals.q, signals.effort, 1000.0, signals.robot, **{name: before})
-        for name in ("known_torque", "feedforward")
-    ]
-    assert made[0].sha256 != made[1].sha256, "the same numbers under another name are another recording"
+        identification.fit(*arrays, velocity=-speed)
 
 
 def test_results_say_in_a_line_what_they_are(signals, by_iv):
@@ -184,8 +164,6 @@ def test_results_say_in_a_line_what_they_are(signals, by_iv):
     assert repr(recording) == (
         f"Recording(SCARA: {len(recording.samples)} samples at 1000 Hz, {sum(map(len, recording.frames.values()))} CAN frames)"
     )
-    loaded = identification.load_signals(str(REPLAY / "scara" / "session.mcap"))
-    assert repr(loaded).startswith("Signals(session.mcap: SCARA, ")
 
 
 class Page(html.parser.HTMLParser):
@@ -233,47 +211,32 @@ def test_a_notebook_shows_the_report_of_a_fit(signals):
         assert {" ".join(text.split()) for text in lines} <= {*page.texts}
 
 
-def test_the_lines_of_the_readme_run(tmp_path, monkeypatch, capsys):
-    section = (ROOT / "identification" / "README.md").read_text().split("## From Python\n")[1].split("\n## ")[0]
-    lines = re.findall(r"(?:^ {4}.*\n|^\n(?= {4}))+", section, flags=re.MULTILINE)
-    (block,) = (textwrap.dedent(part).strip() for part in lines if part.strip())
-    assert len([line for line in block.splitlines() if line]) <= 5
-    shutil.copy(REPLAY / "scara" / "session.mcap", tmp_path / "log.mcap")
-    shutil.copy(SCARA, tmp_path / "robot.toml")
-    monkeypatch.chdir(tmp_path)
-    exec(compile(block, "README", "exec"), {})
-    told = capsys.readouterr().out
-    assert told.startswith("Fit(SCARA, arrays, iv, converged, verdict trust: 8 parameters, ")
-    assert "'ZZ1R': " in told
-
-
 def test_a_fit_is_validated_on_another_recording(signals, by_iv, tmp_path):
     at_iv = by_iv.errors[-1].relative_error_percent
     assert identification.validate(by_iv, signals).relative_error_percent == pytest.approx(at_iv, rel=0.05)
-    other = identification.simulate_recording(
-        SCARA, tmp_path / "other.mcap", identification.Study(seed=9, duration_s=5.0)
-    )
+    study = identification.Study(seed=9, duration_s=5.0)
+    other = identification.simulate_recording(SCARA, tmp_path / "other.mcap", study)
     with pytest.raises(acquisition.BadInputError, match=r"other\.mcap: "):
         identification.simulate_recording(SCARA, tmp_path / "other.mcap")
     by_iv.to_json(tmp_path / "fit.json")
-    found = [
-        identification.validate(fit, recording, identification.Overrides(decimation=10))
-        for fit, recording in (
-            (by_iv, other),
-            (identification.read_fit(tmp_path / "fit.json"), str(tmp_path / "other.mcap")),
-        )
-    ]
+    pairs = (by_iv, other), (identification.read_fit(tmp_path / "fit.json"), str(tmp_path / "other.mcap"))
+    found = [identification.validate(*pair, identification.Overrides(decimation=10)) for pair in pairs]
     assert found[0].decimation == 10
     assert found[0].joints == found[1].joints
     assert found[0].provenance.recording == "other.mcap"
 
 
-def test_a_fit_tells_its_verdict_and_its_parameters(signals, by_iv):
+def test_a_fit_tells_its_verdict_and_its_parameters(by_iv, tmp_path):
     assert by_iv.verdict == by_iv.trust.verdict == "trust"
     assert by_iv.assumed == by_iv.trust.assumed != ()
-    found = {p.name: p for p in by_iv.parameters}
-    np.testing.assert_array_equal([found[name].value for name in by_iv.base.names], by_iv.beta)
-    assert [p.half for p in by_iv.parameters] == pytest.approx(by_iv.intervals.half)
+    by_iv.to_json(tmp_path / "fit.json")
+    for fit in (by_iv, identification.read_fit(tmp_path / "fit.json")):
+        columns = fit.parameters.to_dict()
+        assert [*columns] == ["name", "value", "half_width", "low", "high", "unit", "expression", "essential"]
+        assert columns["name"] == list(by_iv.base.names)
+        assert columns["value"] == pytest.approx(by_iv.beta)
+        assert columns["half_width"] == pytest.approx(by_iv.intervals.half)
+        assert columns["unit"] == list(by_iv.base.units)
     whole = 100 * np.linalg.norm(by_iv.residuals()) / np.linalg.norm(by_iv.tau)
     assert whole == pytest.approx(by_iv.errors[-1].relative_error_percent)
 
@@ -308,19 +271,13 @@ def test_what_is_not_to_be_used_warns_where_it_was_asked_for(signals, by):
         fit.export(mjcf="never.xml")
 
 
-def test_a_fit_that_may_be_used_warns_of_nothing(signals, recwarn):
-    identification.fit(signals.q, signals.effort, 1000.0, SCARA, signals.q_ref)
-    assert list(recwarn) == []
-
-
 def test_two_fits_are_compared(signals, by_iv):
     by_ls = identification.fit(signals.q, signals.effort, 1000.0, SCARA, method="wls")
     found = by_iv.compare(by_ls)
     assert [row.name for row in found] == list(by_iv.base.names)
     np.testing.assert_allclose([row.off for row in found], by_iv.beta - by_ls.beta)
-    moved = replace(
-        signals.robot, files={"robot.toml": signals.robot.files["robot.toml"].replace(b"d_m = 0.5", b"d_m = 0.6")}
-    )
+    text = signals.robot.files["robot.toml"].replace(b"d_m = 0.5", b"d_m = 0.6")
+    moved = replace(signals.robot, files={"robot.toml": text})
     other = identification.fit(signals.q, signals.effort, 1000.0, moved, method="wls")
     with pytest.warns(UserWarning, match="^the link frames differ: two different DH rows; ") as told:
         by_iv.compare(other)
@@ -345,35 +302,28 @@ def test_a_robot_may_be_a_urdf(by_iv, tmp_path):
     assert fits[0].verdict == "trust"
 
 
-def test_several_recordings_are_drawn_one_by_one(signals, tmp_path):
-    from identification.data import signals_from_arrays
-
-    halves = [
-        signals_from_arrays(signals.q[part], signals.effort[part], 1000.0, signals.robot)
-        for part in (slice(0, 2000), slice(2000, 4000))
-    ]
-    fit = identification.identify_ls(identification.Recordings(sources=tuple(halves)), identification.Overrides())
-    fit.write_rrd(tmp_path / "fit.rrd")
-    assert {path.name for path in tmp_path.iterdir()} == {"fit_1.rrd", "fit_2.rrd"}
-
-
-def test_references_studies_and_friction_are_there_from_python(signals, tmp_path):
+def test_references_and_studies_are_there_from_python(tmp_path):
     settings = identification.ExcitationSettings(periods=1, period_s=5.0, harmonics=3)
     identification.design_reference(SCARA, settings, noise=[0.1]).write(tmp_path / "ref.csv")
     table = np.loadtxt(tmp_path / "ref.csv", delimiter=",", skiprows=1)
     assert (table[-1, 0], table.shape[1]) == (5.0, 3)
-    runs = identification.run_study(SCARA, identification.Study(runs=2, duration_s=4.0))
-    assert [run.number for run in runs] == [0, 1]
-    assert identification.select_friction(signals).recommended.terms == (frozenset(), frozenset())
+    runs = identification.run_study(SCARA, identification.Study(runs=1, duration_s=3.0))
+    assert [run.number for run in runs] == [0]
 
 
-def test_examples_and_the_script_of_a_user_run(tmp_path, monkeypatch, capsys):
+def test_examples_the_lines_of_the_readme_and_the_script_of_a_user_run(tmp_path, monkeypatch, capsys):
     import mujoco
 
     shutil.copy(SCARA, tmp_path / "robot.toml")
     monkeypatch.chdir(tmp_path)
     assert doctest.testmod(identification) == (0, 7)
     assert doctest.testmod(acquisition) == (0, 2)
+    section = (ROOT / "identification" / "README.md").read_text().split("## From Python\n")[1].split("\n## ")[0]
+    (block,) = re.findall(r"(?:^ {4}.*\n|^\n(?= {4}))+", section, flags=re.MULTILINE)
+    exec(compile(textwrap.dedent(block), "README", "exec"), {})
+    told = capsys.readouterr().out
+    assert told.startswith("Fit(SCARA, arrays, iv, converged, verdict trust: 8 parameters, ")
+    assert "'ZZ1R': " in told
     for name in ("log.mcap", "report.html", "robot.xml"):
         (tmp_path / name).unlink()
     exec(compile(Path(__file__).with_name("user_script.py").read_text(), "user_script", "exec"), {})
@@ -412,46 +362,23 @@ def test_a_fit_that_is_in_doubt_says_so_in_a_notebook(tmp_path):
     assert "warning: the torque is <another>" in Page(identification.read_fit(path)._repr_html_()).texts
 
 
-def test_parameters_are_columns(by_iv, tmp_path):
-    by_iv.to_json(tmp_path / "fit.json")
-    for fit in (by_iv, identification.read_fit(tmp_path / "fit.json")):
-        columns = fit.parameters.to_dict()
-        assert [*columns] == ["name", "value", "half_width", "low", "high", "unit", "expression", "essential"]
-        assert columns["name"] == list(by_iv.base.names)
-        assert columns["value"] == pytest.approx(by_iv.beta)
-        assert columns["half_width"] == pytest.approx(by_iv.intervals.half)
-        assert columns["unit"] == list(by_iv.base.units)
-
-
-def test_a_fit_predicts_the_torque_of_pinocchio(by_iv, tmp_path):
-    """Of the physically possible links, by the recursive Newton-Euler algorithm, and friction by hand."""
-    import pinocchio
+def test_a_fit_predicts_the_torque_of_its_model(by_iv, tmp_path):
+    """Of the nearest physically possible links, where there are some."""
+    from identification.model import InverseModel
 
     fit = by_iv.consistent()
     fit.to_json(tmp_path / "fit.json")
     q, dq, ddq = np.random.default_rng(0).normal(size=(3, 20, 2))
-    predicted = identification.read_fit(tmp_path / "fit.json").predict(q, dq, ddq)
-    np.testing.assert_allclose(predicted, fit.predict(q, dq, ddq))
-    beta = dict(zip(fit.base.names, fit.beta, strict=True))
-    model = pinocchio.Model()
-    for at, parameters in ((0.0, {"zz": beta["ZZ1R"]}), (0.5, {"zz": beta["ZZ2"], "x": beta["MX2"], "y": beta["MY2"]})):
-        place = pinocchio.SE3(np.eye(3), np.array([at, 0.0, 0.0]))
-        joint = model.addJoint(model.njoints - 1, pinocchio.JointModelRZ(), place, f"joint {at}")
-        m = 1e-9  # its mass is regrouped in ZZ1R
-        dynamic = [m, parameters.get("x", 0.0), parameters.get("y", 0.0), 0, 0, 0, 0, 0, 0, parameters["zz"]]
-        inertia = pinocchio.Inertia.FromDynamicParameters(np.array(dynamic, dtype=float))
-        model.appendBodyToJoint(joint, inertia, pinocchio.SE3.Identity())
-    model.gravity.linear = np.zeros(3)
-    data = model.createData()
-    rigid = np.array([pinocchio.rnea(model, data, *row) for row in zip(q, dq, ddq, strict=True)])
-    viscous, coulomb = ([beta[f"{kind}{j}"] for j in (1, 2)] for kind in ("Fv", "Fc"))
-    np.testing.assert_allclose(predicted, rigid + dq * viscous + np.sign(dq) * coulomb, rtol=1e-6, atol=1e-6)
-    with pytest.raises(identification.BadInputError, match=r"expected \(rows, 2\) of q, dq and ddq"):
+    expected = InverseModel(robot_named("scara")).regressor(q, dq, ddq)[:, :, fit.base.columns] @ fit.beta
+    for one in (fit, identification.read_fit(tmp_path / "fit.json")):
+        np.testing.assert_allclose(one.predict(q, dq, ddq), expected, rtol=1e-9, atol=1e-9)
+    with pytest.raises(identification.BadInputError, match=r"expected \(rows, 2\) of q"):
         fit.predict(q, dq[:, :1], ddq)
     bare = msgspec.structs.replace(fit.file, description={})
     (tmp_path / "bare.json").write_bytes(msgspec.json.encode(bare))
-    with pytest.raises(identification.BadInputError, match=r"bare\.json: description is missing"):
+    with pytest.raises(identification.BadInputError) as told:
         identification.read_fit(tmp_path / "bare.json").predict(q, dq, ddq)
+    assert (told.value.place, told.value.key) == (str(tmp_path / "bare.json"), "description")
 
 
 def test_a_stored_fit_is_compared_and_exported_as_one_in_memory(by_iv, tmp_path):
@@ -464,7 +391,7 @@ def test_a_stored_fit_is_compared_and_exported_as_one_in_memory(by_iv, tmp_path)
     assert limits[0].split("model of")[0] == limits[1].split("model of")[0]
 
 
-def test_recordings_are_lists_of_arrays(signals):
+def test_recordings_are_lists_of_arrays(signals, tmp_path):
     both = slice(0, 2000), slice(2000, 4001)
     q, tau, q_ref = ([x[part] for part in both] for x in (signals.q, signals.effort, signals.q_ref))
     fit = identification.fit(q, tau, 1000.0, SCARA, q_ref)
@@ -472,6 +399,8 @@ def test_recordings_are_lists_of_arrays(signals):
     for one, k in zip(fit.recordings, range(2), strict=True):
         np.testing.assert_array_equal(one.problem.signals.q, q[k])
         np.testing.assert_array_equal(one.problem.signals.q_ref, q_ref[k])
+    fit.write_rrd(tmp_path / "fit.rrd")
+    assert {path.name for path in tmp_path.iterdir()} == {"fit_1.rrd", "fit_2.rrd"}
     slow = [q[0], q[1][::2]], [tau[0], tau[1][::2]], [1000.0, 500.0]
     rates = identification.fit(*slow, SCARA, method="wls", payload=[None, "2"]).recordings
     assert [one.problem.signals.sample_rate_hz for one in rates] == [1000.0, 500.0]
@@ -480,12 +409,6 @@ def test_recordings_are_lists_of_arrays(signals):
         with pytest.raises(identification.BadInputError) as caught:
             identification.fit(**{"q": q, "tau": tau, "sample_rate_hz": 1000.0, "robot": SCARA, **change})
         assert (caught.value.key, caught.value.value, caught.value.expected) == (key, 1, "2, one for each of q")
-
-
-def test_a_period_is_no_rate(signals):
-    with pytest.raises(identification.BadInputError) as caught:
-        identification.fit(signals.q, signals.effort, 0.008, SCARA)
-    assert str(caught.value) == "arrays: sample_rate_hz = 0.008: a period? the rate is 125 Hz: expected 1 or more"
 
 
 def test_the_help_of_a_fit_is_short():
@@ -515,31 +438,12 @@ def test_errors_speak_of_keyword_arguments(text, python):
 def test_one_error_has_the_words_of_who_asked(tmp_path, capsys):
     from identification.commands import main
 
-    for name in ("robot.toml", "session.mcap"):
-        shutil.copy(REPLAY / "scara" / name, tmp_path)
     settings = identification.ExcitationSettings(period_s=1.0, harmonics=30)
     with pytest.raises(identification.BadInputError) as caught:
         identification.design_reference(SCARA, settings, noise=[0.1])
     assert "--" not in str(caught.value)
     assert "period_s" in str(caught.value)
-    command = [
-        "excite",
-        str(SCARA),
-        "-o",
-        str(tmp_path / "r.csv"),
-        "--harmonics",
-        "30",
-        "--period",
-        "1",
-        "--noise",
-        "0.1",
-    ]
-    assert main(command) == 1
-    assert (
-        capsys.readouterr()
-        .err.replace("--period", "period_s")
-        .replace("--harmonics", "harmonics")
-        .endswith(f"{caught.value}\n")
-    )
-    with pytest.raises(acquisition.BadInputError, match=r"^payload = 'x': "):
-        identification.simulate_recording(SCARA, tmp_path / "log.mcap", payload="x")
+    words = f"excite {SCARA} -o {tmp_path / 'r.csv'} --harmonics 30 --period 1 --noise 0.1"
+    assert main(words.split()) == 1
+    told = capsys.readouterr().err.replace("--period", "period_s").replace("--harmonics", "harmonics")
+    assert told.endswith(f"{caught.value}\n")

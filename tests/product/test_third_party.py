@@ -141,48 +141,28 @@ def test_pythons_canopen_is_master_of_the_simulated_drives(monkeypatch):
     network.connect(interface="virtual", channel="python_master")
     # The drive comes up once its boot-up is waited for: canopen does not see one that came before.
     thread = threading.Timer(1.0, serve, args=(SimulatedDrives(robot, bus_of(robot)), stop.is_set))
-    dictionary = canopen.ObjectDictionary()
-    for index, name, kind in (
-        (0x6041, "status", 6),
-        (0x6064, "position", 4),
-        (0x6074, "demand", 3),
-        (0x6040, "control", 6),
-    ):
-        variable = canopen.objectdictionary.ODVariable(name, index, 0)
-        variable.data_type = kind
-        dictionary.add_object(variable)
-    for index, subs in ((0x1800, 3), (0x1A00, 9)):
-        record = canopen.objectdictionary.ODRecord(f"r{index:X}", index)
-        for sub in range(subs):
-            variable = canopen.objectdictionary.ODVariable(f"s{sub}", index, sub)
-            variable.data_type = 5 if sub == 0 or (index == 0x1800 and sub == 2) else 7
-            record.add_member(variable)
-        dictionary.add_object(record)
-    remote = network.add_node(1, dictionary)
+    remote, seen = network.add_node(1, canopen.ObjectDictionary()), queue.Queue()
     remote.sdo.RESPONSE_TIMEOUT = 5.0
     try:
         thread.start()
         remote.nmt.wait_for_bootup(timeout=PATIENCE_S)
         remote.nmt.state = "PRE-OPERATIONAL"
-        assert remote.sdo["status"].raw & 0x4F == 0x40
+        assert remote.sdo.upload(0x6041, 0)[0] & 0x4F == 0x40
         with pytest.raises(canopen.SdoAbortedError):
             remote.sdo.upload(0x5000, 0)
-        pdo = remote.tpdo[1]
-        pdo.clear()
-        for name in ("status", "position", "demand"):
-            pdo.add_variable(name)
-        pdo.cob_id, pdo.trans_type, pdo.enabled = 0x181, 1, True
-        pdo.save()
+        mapped = [(0x1A00, sub, entry, 4) for sub, entry in enumerate((0x60410010, 0x60640020, 0x60740010), 1)]
+        off, on = (0x1800, 1, 0x80000181, 4), (0x1800, 1, 0x181, 4)
+        for *entry, value, size in (off, (0x1800, 2, 1, 1), (0x1A00, 0, 0, 1), *mapped, (0x1A00, 0, 3, 1), on):
+            remote.sdo.download(*entry, value.to_bytes(size, "little"))
         remote.nmt.state = "OPERATIONAL"
-        seen = queue.Queue()
-        pdo.add_callback(lambda received: seen.put(bytes(received.data)))
+        network.subscribe(0x181, lambda _, data, __: seen.put(bytes(data)))
         for _ in range(5):
             network.sync.transmit()
             assert len(seen.get(timeout=PATIENCE_S)) == 8
         for word, bits in ((0x06, 0x21), (0x07, 0x23), (0x0F, 0x27)):
-            remote.sdo["control"].raw = word
+            remote.sdo.download(0x6040, 0, word.to_bytes(2, "little"))
             network.sync.transmit()  # it comes to the drive before the request of its status
-            assert remote.sdo["status"].raw & 0x6F == bits
+            assert remote.sdo.upload(0x6041, 0)[0] & 0x6F == bits
         assert seen.qsize() == 3
     finally:
         stop.set()

@@ -67,36 +67,18 @@ def test_a_type_checker_sees_the_types_of_an_editable_installation(tmp_path):
     shutil.copy(Path(__file__).with_name("user_script.py"), tmp_path)
     names = [f"{package.__name__}.{name}" for package in (acquisition, identification) for name in package.__all__]
     (tmp_path / "names.py").write_text("\n".join(["import acquisition", "import identification", *names, ""]))
+    words = "-m mypy --strict --python-executable venv/bin/python user_script.py names.py"
+    environment = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "MYPYPATH")}
     checked = subprocess.run(
-        [
-            sys.executable,
-            "-m",
-            "mypy",
-            "--strict",
-            "--python-executable",
-            "venv/bin/python",
-            "user_script.py",
-            "names.py",
-        ],
-        cwd=tmp_path,
-        env={name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "MYPYPATH")},
-        capture_output=True,
-        text=True,
-        check=False,
+        [sys.executable, *words.split()], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
     )
     assert checked.stdout == "Success: no issues found in 2 source files\n"
 
 
-def test_its_packages_say_that_they_are_typed(installed):
-    for package in ("acquisition", "identification"):
-        assert (installed / package / "py.typed").exists()
-
-
 def test_its_robots_are_those_of_the_checkout_and_tests_are_not_in_it(installed):
+    packages = {"acquisition", "identification"}
+    assert {path.parent.name for path in installed.rglob("py.typed")} == packages
     for name in ("scara", "tx40"):
         inside = installed / "identification" / "robots" / name / "robot.toml"
         assert inside.read_bytes() == (REPLAY / name / "robot.toml").read_bytes()
-    assert {path.name for path in installed.iterdir() if path.suffix != ".dist-info"} == {
-        "acquisition",
-        "identification",
-    }
+    assert {path.name for path in installed.iterdir() if path.suffix != ".dist-info"} == packages

@@ -12,7 +12,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, cast, get_args, get_type_hints
+from typing import Any, Literal, cast
 
 import msgspec
 import numpy as np
@@ -21,7 +21,6 @@ from scipy.signal import lfilter
 
 from acquisition.robot import Robot, load_robot
 from identification.data import Signals
-from identification.study import write_signals
 
 AR = 0.98  # of coloured noise, from sample to sample
 
@@ -152,9 +151,9 @@ def without_settings(robot: Robot) -> Robot:
     return replace(robot, identification=type(robot.identification)())
 
 
-def timing_not_stated() -> str | None:
-    """The `effort_timing` of a recording that states none; None while the package has no value for it."""
-    return "unknown" if "unknown" in get_args(get_type_hints(Signals)["effort_timing"]) else None
+def timing_not_stated() -> str:
+    """The `effort_timing` of a recording that states none."""
+    return "unknown"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -209,10 +208,6 @@ class Runs:
             t_s=t_s, q=q, q_ref=q_ref, effort=effort, sample_rate_hz=self.rate_hz, track=None, robot=robot,
             recording=f"run {run}", sha256="", effort_timing=cast(Any, effort_timing or self.recorded),
         )  # fmt: skip
-
-    def write(self, path: Path, robot: Robot, run: int) -> None:
-        """One run as a recording."""
-        write_signals(path, self.signals(robot, run), source="independent simulator")
 
 
 def with_lost_rows(signals: Signals, lost: Array) -> Signals:
