@@ -115,12 +115,13 @@ class At(Through):
 
 @dataclass(kw_only=True)
 class SyncOfAnother(Through):
-    """Somebody else sends SYNC every 2 ms, for three seconds."""
+    """Somebody else sends SYNC every 2 ms."""
 
     next_ns: int = 1_050_000_000
+    ends_ns: int = 4_000_000_000
 
     def receive(self, until_ns):
-        if self.next_ns >= 4_000_000_000:
+        if self.next_ns >= self.ends_ns:
             return super().receive(until_ns)
         frame = super().receive(min(until_ns, self.next_ns))
         if frame is None and self.now_ns() >= self.next_ns:

@@ -1,7 +1,6 @@
 """Sessions on simulated drives: what they record, and that whatever goes wrong every drive ends disabled."""
 
 import pkgutil
-import re
 import shutil
 from collections import namedtuple
 from dataclasses import dataclass, field
@@ -20,7 +19,13 @@ from acquisition.recording import ERROR, SENT
 from acquisition.session import Stop, Task
 
 LISTENED_NS = 1_500_000_000  # simulated time begins at 1 s; half a second of listening
-TRACK, SHORT = Task(reference=swing(2)), Task(reference=swing(2, seconds=0.4, amplitude=0.02))
+PATH = swing(2, seconds=0.5, amplitude=0.1)
+TRACK = Task(reference=PATH)
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> DrySession:
+    return dry_session(tmp_path_factory.mktemp("finished") / "a.mcap", TRACK)
 
 
 def tracked(session: DrySession) -> np.ndarray:
@@ -29,8 +34,8 @@ def tracked(session: DrySession) -> np.ndarray:
     return samples[(samples["stamp_ns"] >= at["track"]) & (samples["stamp_ns"] < at["stop"])]
 
 
-def test_a_reference_is_tracked_and_recorded(tmp_path):
-    session = dry_session(tmp_path / "a.mcap", TRACK)
+def test_a_reference_is_tracked_and_recorded(finished):
+    session = finished
     assert (session.outcome.reason, session.outcome.fault, session.outcome.alarm) == ("finished", False, "")
     assert session.drives.states == [State.SWITCH_ON_DISABLED] * 2
     assert session.events("phase") == ["configure", "enable", "approach", "track", "stop", "disable"]
@@ -38,7 +43,7 @@ def test_a_reference_is_tracked_and_recorded(tmp_path):
     assert session.events("disabled") == ["every drive confirmed"]
     assert session.recorded.warnings == ()
     samples, at = tracked(session), session.phases
-    assert samples["reference"] == pytest.approx(swing(2), abs=2e-6)
+    assert samples["reference"] == pytest.approx(PATH, abs=2e-6)
     assert np.abs(samples["position"] - samples["reference"]).max() < 0.01
     assert (np.diff(session.recording.samples["stamp_ns"]) == 2_000_000).all()
     frames = session.frames
@@ -51,8 +56,8 @@ def test_a_reference_is_tracked_and_recorded(tmp_path):
     assert float(plans[1].split()[1]) == pytest.approx((at["stop"] - at["track"]) * 1e-9, abs=0.01)
 
 
-def test_runs_repeat_bit_for_bit(tmp_path):
-    a, b = (dry_session(tmp_path / name, TRACK).recording for name in ("a.mcap", "b.mcap"))
+def test_runs_repeat_bit_for_bit(finished, tmp_path):
+    a, b = finished.recording, dry_session(tmp_path / "b.mcap", TRACK).recording
     assert a.frames["test"].tobytes() == b.frames["test"].tobytes()
     assert a.samples.tobytes() == b.samples.tobytes()
     assert a.events == b.events
@@ -71,38 +76,35 @@ def test_nothing_moves_without_a_reference(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("fault", "reason"),
-    [
-        (Fault(kind="emergency", node=2, sync=300), r"node 2 \(motor_2\): emergency 0x2310"),
-        (Fault(kind="silent", node=1, sync=300), r"node 1 \(motor_1\): 3 SYNC not answered"),
-        (Fault(kind="reset", node=2, sync=300), r"node 2 \(motor_2\): has restarted"),
-        (Fault(kind="short", node=1, sync=300, count=3), "node 1 .*: 3 SYNC not answered"),
-        (Fault(kind="missing", node=1, sync=300, count=3), "node 1 .*: 3 SYNC not answered"),
-        (Fault(kind="stuck", node=2, sync=300), "joint_2: following error .* rad: expected 0.08727 at most"),
-    ],
+    ("kind", "node", "place"),
+    [("short", 1, "node 1 (motor_1): 3 SYNC not answered"), ("stuck", 2, "joint_2: following error")],
 )
-def test_a_fault_stops_all_joints_and_disables_every_drive(tmp_path, fault, reason):
-    session = dry_session(tmp_path / "a.mcap", TRACK, faults=[fault])
+def test_a_fault_stops_all_joints_and_disables_every_drive(tmp_path, kind, node, place):
+    session = dry_session(tmp_path / "a.mcap", TRACK, faults=[Fault(kind=kind, node=node, sync=250, count=3)])
     assert session.outcome.fault
-    assert re.search(reason, session.outcome.reason)
+    assert session.outcome.reason.startswith(place)
     assert session.events("fault") == [session.outcome.reason]
-    silent = fault.kind == "silent"
-    assert bool(session.outcome.unconfirmed) is silent
-    assert session.events("not disabled" if silent else "disabled")
+    assert session.events("disabled") == ["every drive confirmed"]
     assert session.recording.cut is False
     assert session.recorded.samples > 0
 
 
 @pytest.mark.parametrize(
-    ("kind", "count"), [("late", 1), ("missing", 1), ("missing", 2), ("duplicate", 1), ("short", 1)]
+    ("kinds", "counted"),
+    [
+        ({"late": 1}, {"late": 1}),
+        ({"missing": 2, "duplicate": 1, "short": 1}, {"missing": 3, "duplicate": 1, "short": 1}),  # a short one is none
+    ],
 )
-def test_a_bad_pdo_or_two_are_counted_and_the_session_goes_on(tmp_path, kind, count):
-    session = dry_session(tmp_path / "a.mcap", TRACK, faults=[Fault(kind=kind, node=1, sync=200, count=count)])
+def test_bad_pdos_are_counted_and_the_session_goes_on(tmp_path, kinds, counted):
+    faults = [Fault(kind=kind, node=1, sync=200 + 60 * k, count=kinds[kind]) for k, kind in enumerate(kinds)]
+    session = dry_session(tmp_path / "a.mcap", TRACK, faults=faults)
     assert session.outcome.reason == "finished"
-    assert any(f"{count} {kind}" in warning for warning in session.recorded.warnings)
-    assert session.recording.health[-1].counters[kind] == count
+    counters = session.recording.health[-1].counters
+    assert {kind: counters[kind] for kind in counted} == counted
+    assert all(any(f"{count} {kind}" in text for text in session.recorded.warnings) for kind, count in counted.items())
     gaps = int((np.diff(session.recording.samples["stamp_ns"]) != 2_000_000).sum())
-    assert gaps == (0 if kind == "late" else 1)  # the rows about it, whose order nothing proves
+    assert gaps == len(kinds.keys() - {"late"})  # the rows about it, whose order nothing proves
 
 
 @dataclass(kw_only=True)
@@ -114,17 +116,17 @@ class DeadBus(Through):
 
     def send(self, can_id, data):
         self.count += 1
-        if 1000 <= self.count < self.ends:
+        if 800 <= self.count < self.ends:
             raise RobotIdimError("bus: frame cannot be sent: transmit buffer full")
         super().send(can_id, data)
 
 
-@pytest.mark.parametrize("ends", [10**9, 1003])
+@pytest.mark.parametrize("ends", [10**9, 803])
 def test_a_bus_that_takes_no_frames(tmp_path, ends):
     session = dry_session(tmp_path / "a.mcap", TRACK, through=partial(DeadBus, ends=ends))
     assert "transmit buffer full" in session.outcome.reason
     # Where no command gets through any more, drives go into fault by themselves: SYNC has ended.
-    assert (not session.outcome.unconfirmed) is (ends == 1003)
+    assert (not session.outcome.unconfirmed) is (ends == 803)
     assert session.events("fault") == [session.outcome.reason]
 
 
@@ -136,17 +138,23 @@ NO_ACKNOWLEDGEMENT = "in acknowledgement; no acknowledgement: no other node rece
 @pytest.mark.parametrize(
     ("node", "which", "other", "reason"),
     [
-        (2, range(1, 3), NOT_OPERATIONAL, "finished"),  # from before START
         (2, range(1, 10**9), NOT_OPERATIONAL, "node 2 (motor_2): not operational 3 heartbeats after START (NMT state 127)"),
         (1, range(4, 5), NOT_OPERATIONAL, "node 1 (motor_1): left operational (NMT state 127)"),
-        (1, range(2, 3), None, "finished"),  # 0.2 s without one
         (1, range(2, 5), None, "node 1 (motor_1): heartbeat lost for 0.30 s"),
         (1, range(4, 5), ERROR_FRAME, f"bus: error frame: protocol: {NO_ACKNOWLEDGEMENT}"),
     ],
 )  # fmt: skip
 def test_heartbeats_that_are_others_or_are_lost(tmp_path, node, which, other, reason):
     session = dry_session(tmp_path / "a.mcap", TRACK, through=partial(Beats, node=node, which=which, other=other))
-    assert (session.outcome.reason, session.outcome.fault) == (reason, reason != "finished")
+    assert (session.outcome.reason, session.outcome.fault) == (reason, True)
+
+
+def test_heartbeats_from_before_start_and_one_that_is_lost_end_nothing(tmp_path):
+    def beats(link):
+        stale = Beats(link=link, node=2, which=range(1, 3), other=NOT_OPERATIONAL)
+        return Beats(link=stale, node=1, which=range(2, 3), other=None)
+
+    assert dry_session(tmp_path / "a.mcap", TRACK, through=beats).outcome.reason == "finished"
 
 
 @dataclass(kw_only=True)
@@ -177,22 +185,6 @@ def test_a_disk_nearly_full_ends_the_session_in_order(tmp_path, monkeypatch):
     assert session.recorded.samples > 0
 
 
-def test_a_recorder_that_cannot_write_stops_motion(tmp_path, monkeypatch):
-    from acquisition.recording import RecordingWriter
-
-    real, count = RecordingWriter.frames, [0]
-
-    def frames(self, channel, block):
-        count[0] += 1
-        if count[0] == 8:
-            raise RobotIdimError("a.mcap: cannot be written: No space left on device")
-        real(self, channel, block)
-
-    monkeypatch.setattr(RecordingWriter, "frames", frames)
-    session = dry_session(tmp_path / "a.mcap", TRACK)
-    assert "No space left" in session.outcome.reason
-
-
 @pytest.mark.parametrize("at", [0.028, 0.05, 0.3, 0.6])
 def test_a_stop_asked_for_is_slow_and_in_order(tmp_path, at):
     """At any time: while enabling, in the approach, while tracking."""
@@ -206,8 +198,11 @@ def test_a_stop_asked_for_is_slow_and_in_order(tmp_path, at):
     assert np.ptp(q[-20:]) < 1e-3
 
 
-@pytest.mark.parametrize("method", ["_enable", "_follow", "_hold", "_disable", "_positions"])
-@pytest.mark.parametrize("error", [RuntimeError("boom"), KeyboardInterrupt(), SystemExit(3)])
+@pytest.mark.parametrize(
+    ("method", "error"),
+    [("_enable", RuntimeError("boom")), ("_follow", KeyboardInterrupt()), ("_hold", SystemExit(3)),
+     ("_disable", RuntimeError("boom")), ("_positions", KeyboardInterrupt())],
+)  # fmt: skip
 def test_an_exception_in_any_phase(tmp_path, monkeypatch, method, error):
     place = f"acquisition.session.session._Session.{method}"
     real = pkgutil.resolve_name(place)
@@ -224,7 +219,7 @@ def test_an_exception_in_any_phase(tmp_path, monkeypatch, method, error):
             raise error
 
     monkeypatch.setattr(place, broken)
-    session = dry_session(tmp_path / "a.mcap", SHORT)
+    session = dry_session(tmp_path / "a.mcap", TRACK)
     assert session.raised is error
     assert session.events("fault")[0].startswith(type(error).__name__)
     assert session.events("disabled") == ["every drive confirmed"]
@@ -259,7 +254,6 @@ def test_a_description_that_disagrees_with_the_drive_or_the_task_is_refused_befo
         (swing(2, amplitude=2.0), 0, "position of joint_1 = 2.618 rad: expected -2.618 to 2.618"),
         (swing(2, seconds=0.2), 0, "speed of joint_1 = "),
         (swing(2)[100:], 0, "acceleration of joint_1"),  # it does not begin at rest
-        (swing(2)[:-100], 0, "acceleration of joint_1"),
         (swing(2), 2147480000, "counts: expected -2147483648 to 2147483647"),
     ],
 )
@@ -272,18 +266,21 @@ def test_a_reference_that_leaves_a_limit_is_refused_before_start(tmp_path, refer
     assert session.events("disabled") + session.events("not disabled") == []  # nothing is said of drives not addressed
 
 
-def test_sync_of_another_producer_is_followed(tmp_path):
-    robot = robot_of(bus_text(2, extra='sync_producer = "other"'))
+def test_sync_of_another_producer_is_followed_and_a_mode_in_the_pdo_stays_the_mode(tmp_path):
+    mapped = 'rpdo = [{ objects = ["6040", "6060", "607A"] }]'
+    robot = robot_of(bus_text(2, extra='sync_producer = "other"', drive=mapped))
     session = dry_session(tmp_path / "a.mcap", TRACK, robot=robot, through=SyncOfAnother)
     assert session.outcome.reason == "finished"
-    reference = tracked(session)["reference"]
-    assert reference[5:-5] == pytest.approx(swing(2)[5:-5], abs=0.01)
+    samples = tracked(session)
+    assert samples["reference"][5:-5] == pytest.approx(PATH[5:-5], abs=0.01)
+    assert np.ptp(samples["position"]) > 0.15
 
 
 def test_a_sync_that_ends_stops_motion(tmp_path):
     robot = robot_of(bus_text(2, extra='sync_producer = "other"'))
-    task = Task(reference=swing(2, seconds=4.0))
-    session = dry_session(tmp_path / "a.mcap", task, robot=robot, through=SyncOfAnother)
+    session = dry_session(
+        tmp_path / "a.mcap", TRACK, robot=robot, through=partial(SyncOfAnother, ends_ns=2_200_000_000)
+    )
     assert "no SYNC in 10 periods" in session.outcome.reason  # in motion: 20 ms
     assert not session.outcome.unconfirmed
 
@@ -317,10 +314,3 @@ def test_a_statusword_from_before_start_counts_for_nothing():
     assert (master.nodes[0].state, master.nodes[0].counts) == (State.OPERATION_ENABLED, 1000)
     master.start()
     assert (master.nodes[0].state, master.nodes[0].counts) == (None, None)
-
-
-def test_a_mode_in_the_pdo_stays_the_mode(tmp_path):
-    robot = robot_of(bus_text(2, drive='rpdo = [{ objects = ["6040", "6060", "607A"] }]'))
-    session = dry_session(tmp_path / "a.mcap", TRACK, robot=robot)
-    assert session.outcome.reason == "finished"
-    assert np.ptp(session.recording.samples["position"]) > 0.5
