@@ -243,6 +243,7 @@ def test_a_sync_may_be_late_by_three_periods_but_not_by_less_than_20_ms():
     bus = bus_of(robot_of(bus_text(1, period_s=0.01)))
     assert largest_delay_s(bus.file) == pytest.approx(0.03)
     assert largest_delay_s(bus_of(robot_of(bus_text(1))).file) == 0.02
+    assert largest_delay_s(bus_of(robot_of(bus_text(1, extra="late_sync_s = 0.005"))).file) == 0.005
     link = Answering()
     pace = Pace(Master(link, bus))
     pace.start()
