@@ -1,8 +1,5 @@
 """CiA 301 byte for byte: identifiers, SDO, PDO parameters, NMT, heartbeats, emergencies; every frame typed by hand."""
 
-import re
-
-import numpy as np
 import pytest
 from dry_sessions import Answering
 from made_up_buses import bus_of, bus_text, robot_of
@@ -68,16 +65,13 @@ def data(text: str) -> bytes:
     [
         (read_request(0x6041, 0), "40 41 60 00 00 00 00 00"),
         (read_request(0x1018, 4), "40 18 10 04 00 00 00 00"),
-        (write_request(0x6060, 0, 8, 1), "2F 60 60 00 08 00 00 00"),
         (write_request(0x60C2, 2, -3, 1), "2F C2 60 02 FD 00 00 00"),
         (write_request(0x6040, 0, 0x010F, 2), "2B 40 60 00 0F 01 00 00"),
         (write_request(0x2000, 1, 0x030201, 3), "27 00 20 01 01 02 03 00"),
         (write_request(0x607A, 0, -2, 4), "23 7A 60 00 FE FF FF FF"),
         (write_request(0x1800, 1, 0x80000185, 4), "23 00 18 01 85 01 00 80"),
-        (value_answer(0x6061, 0, 8, 1), "4F 61 60 00 08 00 00 00"),
         (value_answer(0x6041, 0, 0x1237, 2), "4B 41 60 00 37 12 00 00"),
         (value_answer(0x2000, 0, 0x030201, 3), "47 00 20 00 01 02 03 00"),
-        (value_answer(0x1000, 0, 0x00020192, 4), "43 00 10 00 92 01 02 00"),
         (value_answer(0x6064, 0, -5, 4), "43 64 60 00 FB FF FF FF"),
         (value_answer(0x60C2, 2, -4, 1), "4F C2 60 02 FC 00 00 00"),
         (written_answer(0x6040, 0), "60 40 60 00 00 00 00 00"),
@@ -145,12 +139,12 @@ def test_abort_codes_in_words(code):
 
 def test_answers_that_are_not_the_one_wanted():
     assert check_answer(answer_of(data("4B 41 60 00 37 12 00 00")), "value", 5, "x") == 0x1237
-    with pytest.raises(NoAnswerError, match="x: the drive answered written: expected value") as caught:
+    with pytest.raises(NoAnswerError) as unasked:
         check_answer(answer_of(data("60 41 60 00 00 00 00 00")), "value", 5, "x")
-    assert caught.value.node == 5
-    unknown = answer_of(data("80 41 60 00 01 00 00 FF"))
-    with pytest.raises(SdoAbortedError, match=re.escape("x: refused by the drive: abort (0xFF000001)")):
-        check_answer(unknown, "value", 5, "x")
+    assert (unasked.value.node, unasked.value.place, unasked.value.expected) == (5, "x", "value")
+    with pytest.raises(SdoAbortedError) as aborted:
+        check_answer(answer_of(data("80 41 60 00 01 00 00 FF")), "value", 5, "x")
+    assert (aborted.value.code, aborted.value.meaning) == (0xFF000001, "abort")
 
 
 # Identifiers and PDOs
@@ -164,35 +158,24 @@ def test_identifiers_of_the_predefined_connection_set(direction, expected):
     assert [usual_can_id(direction, number, 5) for number in (1, 2, 3, 4, 5)] == expected
 
 
-def frames_of(direction: str, pdo: Pdo) -> list[str]:
-    return [write_request(*write).hex(" ").upper() for write in configuration(direction, pdo)]
+TPDO = Pdo(number=1, can_id=0x185, entries=(STATUS, POSITION, TORQUE))
+RPDO = Pdo(number=3, can_id=0x405, entries=(ObjectEntry(index=0x6040, sub=0, type="U16"), INTERPOLATION))
 
 
-def test_a_tpdo_is_configured_byte_for_byte():
+@pytest.mark.parametrize(
+    ("direction", "pdo", "frames"),
+    [
+        ("tpdo", TPDO,
+         ["23 00 18 01 85 01 00 80", "2F 00 18 02 01 00 00 00", "2F 00 1A 00 00 00 00 00", "23 00 1A 01 10 00 41 60",
+          "23 00 1A 02 20 00 64 60", "23 00 1A 03 10 00 74 60", "2F 00 1A 00 03 00 00 00", "23 00 18 01 85 01 00 00"]),
+        ("rpdo", RPDO,
+         ["23 02 14 01 05 04 00 80", "2F 02 14 02 01 00 00 00", "2F 02 16 00 00 00 00 00", "23 02 16 01 10 00 40 60",
+          "23 02 16 02 08 02 C2 60", "2F 02 16 00 02 00 00 00", "23 02 14 01 05 04 00 00"]),
+    ],
+)  # fmt: skip
+def test_a_pdo_is_configured_byte_for_byte(direction, pdo, frames):
     """Off, at every SYNC, no objects, the objects, their number, on: CiA 301, 7.5.2.38."""
-    assert frames_of("tpdo", Pdo(number=1, can_id=0x185, entries=(STATUS, POSITION, TORQUE))) == [
-        "23 00 18 01 85 01 00 80",
-        "2F 00 18 02 01 00 00 00",
-        "2F 00 1A 00 00 00 00 00",
-        "23 00 1A 01 10 00 41 60",
-        "23 00 1A 02 20 00 64 60",
-        "23 00 1A 03 10 00 74 60",
-        "2F 00 1A 00 03 00 00 00",
-        "23 00 18 01 85 01 00 00",
-    ]
-
-
-def test_an_rpdo_is_configured_byte_for_byte():
-    control = ObjectEntry(index=0x6040, sub=0, type="U16")
-    assert frames_of("rpdo", Pdo(number=3, can_id=0x405, entries=(control, INTERPOLATION))) == [
-        "23 02 14 01 05 04 00 80",
-        "2F 02 14 02 01 00 00 00",
-        "2F 02 16 00 00 00 00 00",
-        "23 02 16 01 10 00 40 60",
-        "23 02 16 02 08 02 C2 60",
-        "2F 02 16 00 02 00 00 00",
-        "23 02 14 01 05 04 00 00",
-    ]
+    assert [write_request(*write).hex(" ").upper() for write in configuration(direction, pdo)] == frames
 
 
 TPDO_VALUES = {
@@ -226,40 +209,29 @@ def test_objects_in_pdos_by_their_bits():
     unknown = {(0x1800, 1): 0x185, (0x1A00, 0): 2, (0x1A00, 1): 0x20000120}
     (pdo,) = pdos_of("tpdo", unknown, {}, "x")
     assert pdo.entries == (ObjectEntry(index=0x2000, sub=1, type="U32"),)  # the second place is empty
-    for word, expected in (
-        (0x60640010, "6064:0 of 16 bits"),
-        (0x20000101, "2000:1 of 1 bits"),
-        (0x200001FF, "2000:1 of 255"),
-    ):
-        with pytest.raises(BadInputError, match=f"x: tpdo 1: {expected}.*: expected whole bytes of its own type"):
+    for word in (0x60640010, 0x20000101, 0x200001FF):
+        with pytest.raises(BadInputError) as caught:
             pdos_of("tpdo", unknown | {(0x1A00, 1): word}, KINDS, "x")
+        assert caught.value.expected == "whole bytes of its own type"
 
 
 def test_values_in_a_frame():
-    pdo = Pdo(number=1, can_id=0x185, entries=(STATUS, POSITION, TORQUE))
     values = {(0x6041, 0): 0x9237, (0x6064, 0): -5, (0x6074, 0): -300}
-    assert pdo.pack(values) == data("37 92 FB FF FF FF D4 FE")
-    assert pdo.unpack(data("37 92 FB FF FF FF D4 FE")) == values
-    assert pdo.unpack(data("37 92 01 02 03 04 FF 7F")) == {
-        (0x6041, 0): 0x9237,
-        (0x6064, 0): 0x04030201,
-        (0x6074, 0): 32767,
-    }
-    assert pdo.unpack(data("37 92 FB FF FF FF D4 FE 00")) == values  # what is beyond belongs to nobody
+    assert TPDO.pack(values) == data("37 92 FB FF FF FF D4 FE")
+    assert TPDO.unpack(data("37 92 FB FF FF FF D4 FE 00")) == values  # what is beyond belongs to nobody
+    large = {(0x6041, 0): 0x9237, (0x6064, 0): 0x04030201, (0x6074, 0): 32767}
+    assert TPDO.unpack(data("37 92 01 02 03 04 FF 7F")) == large
     with pytest.raises(BadInputError, match="PDO 0x185: 7 bytes: expected 8"):
-        pdo.unpack(data("37 92 FB FF FF FF D4"))
-    assert [pdo.offset(0x6041, 0), pdo.offset(0x6064, 0), pdo.offset(0x6074, 0)] == [0, 2, 6]
-    assert [pdo.offset(0x6064, 1), pdo.offset(0x6065, 0)] == [None, None]
-    assert (pdo.bits, pdo.length) == (64, 8)
+        TPDO.unpack(data("37 92 FB FF FF FF D4"))
+    assert [TPDO.offset(0x6041, 0), TPDO.offset(0x6064, 0), TPDO.offset(0x6074, 0)] == [0, 2, 6]
+    assert [TPDO.offset(0x6064, 1), TPDO.offset(0x6065, 0)] == [None, None]
+    assert (TPDO.bits, TPDO.length) == (64, 8)
 
 
 def test_bits_on_the_wire():
     """47 of frame and gap, 8 for each byte, and a stuffing bit for four of the 34 + 8 n - 1 that are stuffed."""
     assert [frame_bits(n) for n in range(9)] == [55, 65, 75, 85, 95, 105, 115, 125, 135]
-    pdos = [
-        Pdo(number=1, can_id=0x185, entries=(STATUS, POSITION, TORQUE)),
-        Pdo(number=1, can_id=0x205, entries=(POSITION,)),
-    ]
+    pdos = [TPDO, Pdo(number=1, can_id=0x205, entries=(POSITION,))]
     assert bus_load(pdos, bitrate=500_000, sync_period_s=0.002) == pytest.approx((55 + 135 + 95) / 1000)
 
 
@@ -473,20 +445,19 @@ def test_a_master_reads_and_writes(bus):
     master = Master(link, bus)
     assert master.read(5, 0x6041) == 0x1237
     master.write(5, 0x6040, 0, 6, 2)
-    with pytest.raises(SdoAbortedError, match=re.escape("node 5: object 1000:0: refused by the drive: general error")):
-        master.read(5, 0x1000)
-    with pytest.raises(NoAnswerError, match="node 5: object 1001:0: no answer in"):
-        master.read(5, 0x1001)
+    for index, kind in ((0x1000, SdoAbortedError), (0x1001, NoAnswerError)):
+        with pytest.raises(kind) as caught:
+            master.read(5, index)
+        assert (caught.value.node, caught.value.place) == (5, f"node 5: object {index:04X}:0")
     assert link.sent[:2] == [(0x605, data("40 41 60 00 00 00 00 00")), (0x605, data("2B 40 60 00 06 00 00 00"))]
 
 
 def test_nmt_and_sync_of_a_master(bus):
     link = Answering()
     master = Master(link, bus)
-    for command in (1, 2, 0x80, 0x81, 0x82):
-        master.nmt(command, 5)
+    master.nmt(0x81, 5)
     master.sync()
-    assert link.sent == [*((0, data(f"{command} 05")) for command in ("01", "02", "80", "81", "82")), (0x80, b"")]
+    assert link.sent == [(0, b"\x81\x05"), (0x80, b"")]
 
 
 @pytest.mark.parametrize(("text", "nmt", "booted"), [("00", 0, True), ("04", 4, False), ("05", 5, False), ("7F", 127, False),
@@ -515,4 +486,4 @@ def test_emergencies_and_pdos_as_a_master_takes_them(bus):
 
 def test_a_node_without_a_dictionary_has_the_usual_objects(node):
     assert {0x1000, 0x1001, 0x1017, 0x1018, 0x1400, 0x1600, 0x1800, 0x1A00} <= {index for index, _ in node.values}
-    assert np.array([node.values[first, 1] for first in (0x1400, 0x1403, 0x1800, 0x1803)]).tolist() == [1 << 31] * 4
+    assert [node.values[first, 1] for first in (0x1400, 0x1403, 0x1800, 0x1803)] == [1 << 31] * 4
