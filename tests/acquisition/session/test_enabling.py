@@ -34,7 +34,7 @@ def phase_of(session: DrySession, name: str) -> np.ndarray:
     return samples[(samples["stamp_ns"] >= at) & (samples["stamp_ns"] < then)]
 
 
-@pytest.mark.parametrize("late_s", [0.0, 2.0])
+@pytest.mark.parametrize("late_s", [0.0, 1.2])
 def test_an_arm_under_half_load_is_held_where_it_stood(tmp_path, late_s):
     late = [Fault(kind="slow", node=2, sync=1, count=round(late_s / 0.002))] if late_s else []
     session = dry_session(tmp_path / "a.mcap", TRACK, plant=loaded(0.5), faults=late)
@@ -45,7 +45,7 @@ def test_an_arm_under_half_load_is_held_where_it_stood(tmp_path, late_s):
     # The first drive has settled: none of its sag is left; the loop, of 5 Hz, needed some while the load came on.
     assert np.abs(stood[:, 0] - start[0]).max() * DEG < (0.001 if late_s else 0.02)
     if late_s:
-        assert len(enabling) > 1000
+        assert len(enabling) > 600
         assert 0.01 < np.abs(enabling["position"] - start).max() * DEG < 1.0
     # Held to the count, and no step when motion begins: the reference starts here, so the approach goes nowhere.
     for node in (1, 2):
@@ -126,11 +126,11 @@ def test_joints_that_run_away_while_enabled_are_stopped_before_they_have_moved_f
     assert (0x07 in words[0], 0x07 in words[1]) == (True, not late)
 
 
-@pytest.mark.parametrize(("extra", "watch_s"), [("", 0.2), ("enable_watch_s = 0.5", 0.5)])
+@pytest.mark.parametrize(("extra", "watch_s"), [("", 0.2), ("enable_watch_s = 0.1", 0.1)])
 def test_the_last_drive_enabled_is_watched_before_anything_moves(tmp_path, extra, watch_s):
     robot = robot_of(bus_text(2, extra=extra))
     late = [Fault(kind="slow", node=2, sync=1, count=100)]
-    session = dry_session(tmp_path / "a.mcap", TRACK, robot=robot, faults=late)
+    session = dry_session(tmp_path / "a.mcap", Task(reference=np.zeros((2, 2))), robot=robot, faults=late)
     frames = session.frames
     last = frames[(frames["can_id"] == 0x182) & (frames["data"][:, 0] == 0x37)]["time_ns"][0]
     assert (session.phases["approach"] - last) * 1e-9 == pytest.approx(watch_s, abs=0.005)

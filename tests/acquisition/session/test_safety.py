@@ -179,9 +179,6 @@ def test_what_is_refused_leaves_no_file(tmp_path):
     nowhere = robot_of(bus_text(1, interface="slcan", channel="/nowhere/adapter"))
     with pytest.raises(BusFaultError, match=r"bus: slcan .*: cannot be opened"):
         record(nowhere, "robot.toml", out, RecordOptions(duration_s=1.0), UserInterface())
-    with pytest.raises(BadInputError, match="track: lasts as long as its reference"):
-        record(nowhere, "robot.toml", out, RecordOptions(duration_s=1.0, track=tmp_path / "x.csv"), UserInterface())
-    assert not out.exists()
     far = tmp_path / "far.csv"
     far.write_text("time_s,joint_1\n0,0\n1,0.5\n2,9\n3,9\n")
     with pytest.raises(BadInputError, match=r"far.csv: .*position of joint_1"):
