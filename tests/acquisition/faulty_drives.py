@@ -3,8 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from acquisition.protocol import State
 from acquisition.robot import Bus, Robot
 from acquisition.simulated import DrivenPlant, SimulatedDrives
@@ -15,9 +13,8 @@ class Fault:
     """A fault of drive `node` from the `sync`-th SYNC that it answers (from 1), for `count` SYNCs.
 
     `emergency`: continuous over current (2310h); `reset`: it boots; `late`, `missing`, `duplicate`, `short`: its PDOs are;
-    `silent`: it sends nothing from then on; `stuck`: its joint stands still from then on; `slow`: it stays in switched on
-    when it is to be enabled; `deaf`: it neither answers SYNC nor applies the PDOs received before it; `clear`: the `bits` of
-    its statusword are 0.
+    `silent`: it sends nothing from then on; `slow`: it stays in switched on when it is to be enabled; `deaf`: it neither
+    answers SYNC nor applies the PDOs received before it; `clear`: the `bits` of its statusword are 0.
     """
 
     kind: str
@@ -43,8 +40,6 @@ class FaultyDrives(SimulatedDrives):
         self.silent: set[int] = set()
         self.late: list[tuple[int, int, bytes]] = []
         self._faults, self._answered = tuple(faults), [0] * robot.n
-        if any(fault.kind == "stuck" for fault in faults):
-            self.plant = _StuckPlant(self.plant, self)
 
     def receive(self, now_ns, can_id, data):
         return self._audible(super().receive(now_ns, can_id, data))
@@ -57,11 +52,6 @@ class FaultyDrives(SimulatedDrives):
         late = sorted((frame for frame in self.late if frame[0] <= now_ns), key=lambda frame: frame[0])
         self.late = [frame for frame in self.late if frame[0] > now_ns]
         return [frame[1:] for frame in late] + self._audible(super().advance(now_ns))
-
-    def stuck(self):
-        """Whether each drive's joint is stuck, (n,)."""
-        stuck = {f.node: f.sync for f in self._faults if f.kind == "stuck"}
-        return np.array([k >= stuck.get(n.drive.node, np.inf) for n, k in zip(self.nodes, self._answered, strict=True)])
 
     def _audible(self, sent):
         silent = [self.nodes[i].drive.node for i in self.silent]
@@ -98,17 +88,3 @@ class FaultyDrives(SimulatedDrives):
             elif kind == "short":
                 frames = [(can_id, data[:-1]) for can_id, data in frames]
         return before + frames
-
-
-@dataclass
-class _StuckPlant:
-    """A plant of which joints are stuck."""
-
-    plant: object
-    drives: FaultyDrives
-
-    def __getattr__(self, name):
-        return getattr(self.plant, name)
-
-    def step(self, effort, held, duration_s):
-        self.plant.step(effort, held | self.drives.stuck(), duration_s)

@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from dry_sessions import At, Beats, DrySession, SyncOfAnother, Through, connected, dry_session, swing
+from dry_sessions import At, Beats, DrySession, SyncOfAnother, Through, Unasked, connected, dry_session, swing
 from faulty_drives import Fault, FaultyDrives
 from made_up_buses import bus_of, bus_text, robot_of
 
@@ -76,20 +76,6 @@ def test_nothing_moves_without_a_reference(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("kind", "node", "place"),
-    [("short", 1, "node 1 (motor_1): 3 SYNC not answered"), ("stuck", 2, "joint_2: following error")],
-)
-def test_a_fault_stops_all_joints_and_disables_every_drive(tmp_path, kind, node, place):
-    session = dry_session(tmp_path / "a.mcap", TRACK, faults=[Fault(kind=kind, node=node, sync=250, count=3)])
-    assert session.outcome.fault
-    assert session.outcome.reason.startswith(place)
-    assert session.events("fault") == [session.outcome.reason]
-    assert session.events("disabled") == ["every drive confirmed"]
-    assert session.recording.cut is False
-    assert session.recorded.samples > 0
-
-
-@pytest.mark.parametrize(
     ("kinds", "counted"),
     [
         ({"late": 1}, {"late": 1}),
@@ -122,13 +108,11 @@ class DeadBus(Through):
         super().send(can_id, data)
 
 
-@pytest.mark.parametrize("ends", [10**9, 803])
-def test_a_bus_that_takes_no_frames(tmp_path, ends):
-    session = dry_session(tmp_path / "a.mcap", TRACK, through=partial(DeadBus, ends=ends))
+def test_on_a_bus_that_takes_no_frames_any_more_nothing_confirms(tmp_path):
+    """Drives go into fault by themselves: SYNC has ended."""
+    session = dry_session(tmp_path / "a.mcap", TRACK, through=partial(DeadBus, ends=10**9))
     assert "transmit buffer full" in session.outcome.reason
-    # Where no command gets through any more, drives go into fault by themselves: SYNC has ended.
-    assert (not session.outcome.unconfirmed) is (ends == 803)
-    assert session.events("fault") == [session.outcome.reason]
+    assert session.outcome.unconfirmed == (1, 2)
 
 
 NOT_OPERATIONAL = {"data": b"\x7f"}
@@ -136,26 +120,55 @@ ERROR_FRAME = {"can_id": 0x28, "flags": ERROR, "data": b"\0\0\0\x19"}
 NO_ACKNOWLEDGEMENT = "in acknowledgement; no acknowledgement: no other node receives, or the cable is open"
 
 
+def of(*faults: Fault) -> dict[str, object]:
+    return {"faults": faults}
+
+
+def beats(node: int, which: range, other: dict[str, object] | None) -> dict[str, object]:
+    return {"through": partial(Beats, node=node, which=which, other=other)}
+
+
+def disobedient(bit: int) -> dict[str, object]:
+    """A bit that is 0 at two SYNCs, then at three."""
+    return of(*(Fault(kind="clear", node=2, sync=sync, count=count, bits=bit) for sync, count in ((60, 2), (90, 3))))
+
+
+OTHER = {"robot": robot_of(bus_text(2, extra='sync_producer = "other"')), "through": SyncOfAnother}
+ENDED = {"through": partial(SyncOfAnother, ends_ns=2_200_000_000)}
+
+
 @pytest.mark.parametrize(
-    ("node", "which", "other", "reason"),
+    ("what", "reason"),
     [
-        (2, range(1, 10**9), NOT_OPERATIONAL, "node 2 (motor_2): not operational 3 heartbeats after START (NMT state 127)"),
-        (1, range(4, 5), NOT_OPERATIONAL, "node 1 (motor_1): left operational (NMT state 127)"),
-        (1, range(2, 5), None, "node 1 (motor_1): heartbeat lost for 0.30 s"),
-        (1, range(4, 5), ERROR_FRAME, f"bus: error frame: protocol: {NO_ACKNOWLEDGEMENT}"),
+        (of(Fault(kind="short", node=1, sync=250, count=3)), "node 1 (motor_1): 3 SYNC not answered"),
+        (beats(2, range(1, 10**9), NOT_OPERATIONAL),
+         "node 2 (motor_2): not operational 3 heartbeats after START (NMT state 127)"),
+        (beats(1, range(4, 5), NOT_OPERATIONAL), "node 1 (motor_1): left operational (NMT state 127)"),
+        (beats(1, range(2, 5), None), "node 1 (motor_1): heartbeat lost for 0.30 s"),
+        (beats(1, range(4, 5), ERROR_FRAME), f"bus: error frame: protocol: {NO_ACKNOWLEDGEMENT}"),
+        (disobedient(0x0200),
+         "node 2 (motor_2): does not take commands from the bus (statusword bit 9, remote, is 0) for 3 SYNC"),
+        (disobedient(0x1000), "node 2 (motor_2): does not follow its target (statusword bit 12 is 0) for 3 SYNC"),
+        ({"through": partial(Unasked, frames=[Frame(1_600_000_000, 0x80, b"")])}, "bus: another producer sends SYNC"),
+        (OTHER | ENDED, "bus: no SYNC in 10 periods: expected the other producer's; or sync_producer = 'recorder'"),
+        (OTHER | of(Fault(kind="missing", node=1, sync=300, count=4)), "node 1 (motor_1): 3 SYNC not answered"),
+        ({"through": partial(DeadBus, ends=803)}, "bus: frame cannot be sent: transmit buffer full"),
     ],
 )  # fmt: skip
-def test_heartbeats_that_are_others_or_are_lost(tmp_path, node, which, other, reason):
-    session = dry_session(tmp_path / "a.mcap", TRACK, through=partial(Beats, node=node, which=which, other=other))
+def test_what_ends_a_session_leaves_every_drive_disabled(tmp_path, what, reason):
+    session = dry_session(tmp_path / "a.mcap", TRACK, **what)
     assert (session.outcome.reason, session.outcome.fault) == (reason, True)
+    assert session.events("fault") == [reason]
+    assert session.events("disabled") == ["every drive confirmed"]
+    assert not session.recording.cut
 
 
 def test_heartbeats_from_before_start_and_one_that_is_lost_end_nothing(tmp_path):
-    def beats(link):
+    def through(link):
         stale = Beats(link=link, node=2, which=range(1, 3), other=NOT_OPERATIONAL)
         return Beats(link=stale, node=1, which=range(2, 3), other=None)
 
-    assert dry_session(tmp_path / "a.mcap", TRACK, through=beats).outcome.reason == "finished"
+    assert dry_session(tmp_path / "a.mcap", TRACK, through=through).outcome.reason == "finished"
 
 
 @dataclass(kw_only=True)
@@ -275,15 +288,6 @@ def test_sync_of_another_producer_is_followed_and_a_mode_in_the_pdo_stays_the_mo
     samples = tracked(session)
     assert samples["reference"][5:-5] == pytest.approx(PATH[5:-5], abs=0.01)
     assert np.ptp(samples["position"]) > 0.15
-
-
-def test_a_sync_that_ends_stops_motion(tmp_path):
-    robot = robot_of(bus_text(2, extra='sync_producer = "other"'))
-    session = dry_session(
-        tmp_path / "a.mcap", TRACK, robot=robot, through=partial(SyncOfAnother, ends_ns=2_200_000_000)
-    )
-    assert "no SYNC in 10 periods" in session.outcome.reason  # in motion: 20 ms
-    assert not session.outcome.unconfirmed
 
 
 @pytest.mark.parametrize(("reads", "fault"), [(3, False), (10_000, True)])
