@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from made_up_buses import bus_text, robot_of
 
-from acquisition.bus import Frame, Link, Receiver, WallClock, block_of, describe_step, links, open_bus, read_log
+from acquisition.bus import Frame, Link, Receiver, WallClock, block_of, describe_step, links, open_bus
 from acquisition.errors import BusFaultError, RefusedError
 from acquisition.recording import CAN_FD, ERROR, EXTENDED, FRAME, REMOTE_REQUEST, SENT, overview, read_recording
 from acquisition.robot import BusFile, DriveFile
@@ -348,31 +348,7 @@ def test_the_socket_under_a_bus_of_the_kernel_and_under_a_group():
     assert links.socket_of(SimpleNamespace()) is None
 
 
-# Logs and times
-
-
-def test_a_candump_by_hand(tmp_path):
-    path = tmp_path / "a.log"
-    path.write_text(
-        "(0.000001) can0 080#\n"
-        "(1.500000) can0 185#3712FBFFFFFFD4FE\n"
-        "(2.250000) can1 12345678#0102\n"
-        "(3.000000) can0 185#R\n"
-        "(4.000000) can0 20000080#\n"
-        "(5.000000) can0 185##1AABB\n"
-        "(6.000000) can0 000#0105\n"
-        "(2147483647.000000) can0 080#\n"
-    )
-    assert list(read_log(path)) == [
-        ("can0", Frame(1000, 0x080, b"", 0)),
-        ("can0", Frame(1_500_000_000, 0x185, bytes.fromhex("3712FBFFFFFFD4FE"), 0)),
-        ("can1", Frame(2_250_000_000, 0x12345678, b"\1\2", EXTENDED)),
-        ("can0", Frame(3_000_000_000, 0x185, b"", REMOTE_REQUEST)),
-        (None, Frame(4_000_000_000, 0, b"", ERROR)),
-        ("can0", None),
-        ("can0", Frame(6_000_000_000, 0, b"\1\5", 0)),
-        ("can0", Frame(2_147_483_647_000_000_000, 0x80, b"", 0)),
-    ]
+# Times
 
 
 @pytest.mark.parametrize("step_ns", [3_600_000_000_000, 60_000_000, -60_000_000])

@@ -15,7 +15,7 @@ from acquisition.simulated import LockStepLink
 from acquisition.simulated import node as simulated_supervision
 
 MS = 1_000_000
-TRACK = Task(reference=swing(2))
+TRACK = Task(reference=swing(2, seconds=0.5, amplitude=0.1))
 # 1016h:1 = 127 << 16 | 300 ms as an expedited SDO of four bytes (CiA 301, 7.2.4 and 7.5.2.17), and its removal.
 ASKED, REMOVED = bytes.fromhex("231610012c017f00"), bytes.fromhex("2316100100000000")
 
@@ -33,9 +33,8 @@ def test_a_tracking_session_is_supervised_from_start_to_disabled(tmp_path):
     assert max(b - a for a, b in itertools.pairwise(times)) <= 100 * MS
     assert set(times[:-2]) <= set(syncs.tolist())
     for node in (1, 2):
-        asked = frames[
-            (frames["can_id"] == 0x600 + node) & (frames["data"][:, 1] == 0x16) & (frames["data"][:, 0] == 0x23)
-        ]
+        written = (frames["data"][:, 0] == 0x23) & (frames["data"][:, 1] == 0x16)
+        asked = frames[(frames["can_id"] == 0x600 + node) & written]
         assert [d.tobytes() for d in asked["data"]] == [ASKED, REMOVED]
         removed_ns = asked["time_ns"][1]
         assert removed_ns >= session.recording.events[-1].stamp_ns - 100 * MS
@@ -63,12 +62,7 @@ def enabled(*, abort_connection: int = 1, supervised: bool = True) -> tuple[Lock
 
 @pytest.mark.parametrize(
     ("option", "state"),
-    [
-        (0, State.OPERATION_ENABLED),
-        (1, State.FAULT),
-        (2, State.SWITCH_ON_DISABLED),
-        (3, State.QUICK_STOP_ACTIVE),
-    ],
+    list(enumerate((State.OPERATION_ENABLED, State.FAULT, State.SWITCH_ON_DISABLED, State.QUICK_STOP_ACTIVE))),
 )
 def test_a_drive_reacts_to_a_lost_heartbeat_as_6007_says(monkeypatch, option, state):
     monkeypatch.setattr(simulated_supervision, "SYNC_LOST_NS", 3600 * 10**9)
@@ -107,17 +101,9 @@ def test_consumers_of_others_stay_as_they_are(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize(
     ("entries", "sub"),
-    [
-        ([], None),
-        ([0], 1),
-        ([5 << 16 | 100, 0], 2),
-        ([5 << 16 | 100, 5 << 16], 2),
-        ([0, 127 << 16 | 90], 2),
-        ([127 << 16, 0], 1),
-        ([5 << 16 | 100], None),
-        ([200 << 16 | 100], 1),
-    ],
-)
+    [([], None), ([0], 1), ([5 << 16 | 100, 0], 2), ([5 << 16 | 100, 5 << 16], 2), ([0, 127 << 16 | 90], 2),
+     ([127 << 16, 0], 1), ([5 << 16 | 100], None), ([200 << 16 | 100], 1)],
+)  # fmt: skip
 def test_a_free_entry(entries, sub):
     assert free_entry(entries, 127) == sub
 

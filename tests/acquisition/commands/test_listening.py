@@ -2,9 +2,12 @@
 
 import itertools
 import threading
+import time
+from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,11 +15,10 @@ from dry_sessions import Through, Unasked, connected, dry_session, findings, hea
 from made_up_buses import bus_of, bus_text, robot_of
 from virtual_buses import Ear, bus_file
 
-from acquisition.bus import Frame, Link, open_bus, service_of
+from acquisition.bus import Frame, open_link, service_of
 from acquisition.bus.frames import other_node, sign_of_master
 from acquisition.commands import main
 from acquisition.errors import BusFaultError, RefusedError, RobotIdimError
-from acquisition.protocol import State
 from acquisition.recording import EXTENDED, REMOTE_REQUEST, SENT, read_recording
 from acquisition.session import InlineLog, Stop, Task, replay, running
 from acquisition.simulated import LockStepLink, SimulatedDrives
@@ -36,21 +38,12 @@ def tracked(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 # Identifiers of CiA 301 written out; the drives are nodes 1 and 2, with TPDO 1 and RPDO 1 on the usual identifiers.
 SERVICES = [
-    (0x000, "NMT command", True),
-    (0x080, "SYNC", True),
-    (0x081, "emergency of node 1", False),
-    (0x181, "TPDO 1 of node 1", False),
-    (0x201, "RPDO 1 to node 1", True),
-    (0x303, "RPDO 2 to node 3", True),
-    (0x4FF, "TPDO 4 of node 127", False),
-    (0x57F, "RPDO 4 to node 127", True),
-    (0x581, "SDO answer of node 1", False),
-    (0x602, "SDO request to node 2", True),
-    (0x701, "heartbeat of node 1", False),
-    (0x77F, "heartbeat of node 127", True),
-    (0x700, "frame 0x700", False),
-    (0x690, "frame 0x690", False),
-]
+    (0x000, "NMT command", True), (0x080, "SYNC", True), (0x081, "emergency of node 1", False),
+    (0x181, "TPDO 1 of node 1", False), (0x201, "RPDO 1 to node 1", True), (0x303, "RPDO 2 to node 3", True),
+    (0x4FF, "TPDO 4 of node 127", False), (0x57F, "RPDO 4 to node 127", True), (0x581, "SDO answer of node 1", False),
+    (0x602, "SDO request to node 2", True), (0x701, "heartbeat of node 1", False), (0x77F, "heartbeat of node 127", True),
+    (0x700, "frame 0x700", False), (0x690, "frame 0x690", False),
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("can_id", "service", "master"), SERVICES)
@@ -81,15 +74,13 @@ rpdo = [{ objects = ["6040", "607A"], can_id = 0x181 }]""")))  # fmt: skip
 @pytest.mark.parametrize("can_id", [0x80, 0x83, 0x185, 0x585, 0x701, 0x705, 0x123])
 def test_replay_is_refused_whoever_is_heard(tracked, can_id, monkeypatch):
     file = bus_file(f"replay_{can_id:03X}")
-    somebody, ear = Link(open_bus(file, passive=False), passive=False), Ear(file.channel)
-    monkeypatch.setattr(running, "open_link", heard_at_once(partial(somebody.send, can_id, b"\x01")))
-    try:
+    ear = Ear(file.channel)
+    with closing(open_link(file, passive=False)) as somebody:
+        monkeypatch.setattr(running, "open_link", heard_at_once(partial(somebody.send, can_id, b"\x01")))
         with pytest.raises(RefusedError) as caught:
             replay(tracked, file, Stop())
-    finally:
-        somebody.close()
-    assert service_of(Frame(0, can_id, b"\x01"), 0x80) in str(caught.value)
-    assert "received: expected an idle bus; nothing was sent" in str(caught.value)
+    assert service_of(Frame(0, can_id, b"\x01"), 0x80) in caught.value.why
+    assert caught.value.expected == "an idle bus; nothing was sent"
     assert [frame.can_id for frame in ear.frames()] == [can_id]
 
 
@@ -126,36 +117,26 @@ def test_replay_begins_at_once_whatever_the_clock_of_the_recording_was(tracked, 
     assert stop.reason == ""
 
 
-def test_replay_stops_at_the_first_stranger(tracked):
-    """Drives that are switched on while it sends."""
-    file = bus_file("replay_met")
-    somebody, ear = Link(open_bus(file, passive=False), passive=False), Ear(file.channel)
+def test_replay_stops_at_the_first_stranger(tracked, monkeypatch):
+    """A drive that is switched on while it sends."""
+    sent: list[tuple[int, bytes]] = []
 
-    def meet() -> None:
-        heard = 0
-        while heard < 20:
-            heard += somebody.take(0.1) is not None
-        somebody.send(0x701, b"met")
+    def take(timeout_s: float) -> Frame | None:
+        time.sleep(timeout_s)
+        return Frame(0, 0x701, b"\0") if len(sent) == 20 else None
 
-    met = threading.Thread(target=meet)
-    met.start()
-    try:
-        with pytest.raises(RefusedError) as caught:
-            replay(tracked, file, Stop(), speed=0.5)
-    finally:
-        met.join()
-        somebody.close()
-    ids = [(frame.can_id, bytes(frame.data)) for frame in ear.frames()]
-    at = ids.index((0x701, b"met"))
-    assert at >= 20
-    assert len(ids) - at <= 10
-    assert caught.value.expected.startswith("an idle bus; ")
-    assert caught.value.expected.split()[3:] == [str(len(ids) - 1), "frames", "were", "sent"]
+    link = SimpleNamespace(take=take, send=lambda *frame: sent.append(frame), close=lambda: None)
+    monkeypatch.setattr(running, "open_link", lambda *_, **__: link)
+    with pytest.raises(RefusedError) as caught:
+        replay(tracked, bus_file(), Stop(), speed=1000.0)
+    assert len(sent) == 20
+    assert caught.value.expected == "an idle bus; 20 frames were sent"
 
 
 def test_replay_onto_hardware_must_be_asked_for(tracked):
-    with pytest.raises(RefusedError, match=r"interface = 'socketcan': hardware .* expected onto_bus"):
+    with pytest.raises(RefusedError) as caught:
         replay(tracked, bus_file("nowhere0", "socketcan"), Stop())
+    assert (caught.value.key, caught.value.value) == ("--interface", "socketcan")
     with pytest.raises(BusFaultError, match="nowhere0: cannot be opened"):
         replay(tracked, bus_file("nowhere0", "socketcan"), Stop(), onto_bus=True)
 
@@ -184,12 +165,11 @@ def test_a_device_that_is_not_listed_has_its_own_words_unless_there_is_another_m
     session = dry_session(tmp_path / "a.mcap", task, through=other_device())
     error = session.outcome.error
     assert (error.place, error.key, error.value) == ("bus", "other_nodes", ())
-    assert "a device that robot.toml does not describe, or a wrong node id" in str(error)
     assert "other_nodes = [5]" in error.expected
-    assert "master is active" not in str(error)
+    assert "master is active" not in error.why
     assert len(session.sent) == 0
     session = dry_session(tmp_path / "b.mcap", task, through=other_device(0x602))
-    assert "SDO request to node 2: another master is active" in session.outcome.reason
+    assert session.outcome.error.why == "SDO request to node 2: another master is active"
 
 
 @pytest.mark.parametrize("task", TASKS)
@@ -205,8 +185,6 @@ def test_a_session_beside_another_master_sends_nothing(tmp_path, task, can_id):
 
 @pytest.mark.parametrize("task", TASKS)
 def test_an_enabled_drive_without_a_master_is_left_as_it_is(tmp_path, task):
-    """Only SDO reads are sent; the way out is named."""
-
     @dataclass(kw_only=True)
     class Enabled(Through):
         def receive(self, until_ns):
@@ -216,11 +194,11 @@ def test_an_enabled_drive_without_a_master_is_left_as_it_is(tmp_path, task):
             return frame
 
     session = dry_session(tmp_path / "a.mcap", task, through=Enabled)
+    assert session.outcome.error.place == "node 1"
     assert session.outcome.reason.startswith("node 1: operation enabled before the session began")
     assert "`robot-acquire disable`" in session.outcome.reason
     assert session.sent["can_id"].tolist() == [0x601]
     assert session.sent["data"].tolist() == [[0x40, 0x41, 0x60, 0, 0, 0, 0, 0]]
-    assert session.drives.states == [State.SWITCH_ON_DISABLED] * 2
     assert not any(node.operational for node in session.drives.nodes)
     assert session.events("disabled") + session.events("not disabled") == []
 

@@ -25,7 +25,6 @@ from acquisition.protocol import (
     write_request,
     written_answer,
 )
-from acquisition.robot import Bus, Robot
 from acquisition.simulated import SimulatedDrives
 
 STATUS, POSITION, TORQUE = (
@@ -36,21 +35,12 @@ STATUS, POSITION, TORQUE = (
 INTERPOLATION = ObjectEntry(index=0x60C2, sub=2, type="I8")
 # What CiA 301 (table of SDO abort codes) says of the codes that have a text.
 ABORT_WORDS = {
-    0x05030000: "toggle bit",
-    0x05040000: "timed out",
-    0x05040001: "command specifier",
-    0x06010000: "access",
-    0x06010001: "read of a write-only",
-    0x06010002: "write to a read-only",
-    0x06020000: "object does not exist",
-    0x06040041: "cannot be mapped",
-    0x06040042: "PDO would be too long",
-    0x06070010: "length does not match",
-    0x06090011: "sub-index does not exist",
-    0x06090030: "value out of range",
-    0x08000000: "general error",
+    0x05030000: "toggle bit", 0x05040000: "timed out", 0x05040001: "command specifier", 0x06010000: "access",
+    0x06010001: "read of a write-only", 0x06010002: "write to a read-only", 0x06020000: "object does not exist",
+    0x06040041: "cannot be mapped", 0x06040042: "PDO would be too long", 0x06070010: "length does not match",
+    0x06090011: "sub-index does not exist", 0x06090030: "value out of range", 0x08000000: "general error",
     0x08000022: "state",
-}
+}  # fmt: skip
 
 
 def data(text: str) -> bytes:
@@ -253,19 +243,13 @@ def test_periods_that_60c2_cannot_say(period_s):
 # NMT, heartbeats, emergencies: a node as its master's frames move it
 
 
-@pytest.fixture
-def robot() -> Robot:
-    return robot_of(bus_text(1).replace("node = 1\n", "node = 5\n"))
+ROBOT = robot_of(bus_text(1).replace("node = 1\n", "node = 5\n"))
+BUS = bus_of(ROBOT)
 
 
 @pytest.fixture
-def bus(robot: Robot) -> Bus:
-    return bus_of(robot)
-
-
-@pytest.fixture
-def node(robot: Robot, bus: Bus):
-    return SimulatedDrives(robot, bus).nodes[0]
+def node():
+    return SimulatedDrives(ROBOT, BUS).nodes[0]
 
 
 def written(node, *frames: str) -> None:
@@ -275,17 +259,10 @@ def written(node, *frames: str) -> None:
 
 
 MAPPED = (
-    "23 00 14 01 05 02 00 80",
-    "2F 00 16 00 00 00 00 00",
-    "23 00 16 01 10 00 40 60",
-    "23 00 16 02 20 00 7A 60",
-    "2F 00 16 00 02 00 00 00",
-    "2F 00 14 02 01 00 00 00",
-    "23 00 14 01 05 02 00 00",
-    "23 00 1A 01 10 00 41 60",
-    "2F 00 1A 00 01 00 00 00",
-    "23 00 18 01 85 01 00 00",
-)
+    "23 00 14 01 05 02 00 80", "2F 00 16 00 00 00 00 00", "23 00 16 01 10 00 40 60", "23 00 16 02 20 00 7A 60",
+    "2F 00 16 00 02 00 00 00", "2F 00 14 02 01 00 00 00", "23 00 14 01 05 02 00 00", "23 00 1A 01 10 00 41 60",
+    "2F 00 1A 00 01 00 00 00", "23 00 18 01 85 01 00 00",
+)  # fmt: skip
 
 
 def commanded(node, control: str) -> str:
@@ -372,27 +349,22 @@ def test_a_node_is_enabled_stopped_quickly_and_reset_by_its_bits(node):
     node.apply()
     assert node.answers() == []
     node.receive(0x000, data("01 05"))
-    assert commanded(node, "00 00") == "50 02"  # switch on disabled
-    assert commanded(node, "0f 00") == "50 02"  # illegal there
-    assert commanded(node, "06 00") == "31 02"
-    assert commanded(node, "07 00") == "33 02"
-    assert commanded(node, "0f 00") == "37 12"
-    assert commanded(node, "02 00") == "17 02"  # quick stop active
-    assert commanded(node, "02 00") == "17 02"  # and it stays so
-    assert commanded(node, "0f 00") == "37 12"
-    assert commanded(node, "02 00") == "17 02"
-    assert commanded(node, "00 00") == "50 02"
+    for control, status in (
+        ("00 00", "50 02"),  # switch on disabled
+        ("0f 00", "50 02"),  # illegal there
+        ("06 00", "31 02"), ("07 00", "33 02"), ("0f 00", "37 12"),
+        ("02 00", "17 02"), ("02 00", "17 02"),  # quick stop active, and it stays so
+        ("0f 00", "37 12"), ("02 00", "17 02"), ("00 00", "50 02"),
+    ):  # fmt: skip
+        assert commanded(node, control) == status
     assert node.emergency(0x8700) == [(0x085, data("00 87 01 00 00 00 00 00"))]
     assert node.statusword & 0x4F == 0x0F
     node.tick()
-    assert commanded(node, "0f 00") == "18 02"  # fault
-    assert commanded(node, "80 00") == "50 02"
+    assert [commanded(node, control) for control in ("0f 00", "80 00")] == ["18 02", "50 02"]  # fault, reset
     node.emergency(0x2310)
     node.tick()
-    assert commanded(node, "80 00") == "18 02"  # bit 7 was not low in between: no rising edge
-    assert commanded(node, "8f 00") == "18 02"
-    assert commanded(node, "00 00") == "18 02"
-    assert commanded(node, "80 00") == "50 02"
+    # Bit 7 was not low in between: no rising edge.
+    assert [commanded(node, control) for control in ("80 00", "8f 00", "00 00", "80 00")] == ["18 02"] * 3 + ["50 02"]
 
 
 def test_what_leaves_operational_leaves_no_torque(node):
@@ -431,7 +403,7 @@ def test_an_rpdo_acts_at_sync_or_at_once_as_its_transmission_type_says(node):
 # The master
 
 
-def test_a_master_reads_and_writes(bus):
+def test_a_master_reads_and_writes():
     answers = {
         data("40 41 60 00 00 00 00 00"): [
             (0x586, data("4B 41 60 00 11 11 00 00")),  # of another node
@@ -442,7 +414,7 @@ def test_a_master_reads_and_writes(bus):
         data("40 00 10 00 00 00 00 00"): [(0x585, data("80 00 10 00 00 00 00 08"))],
     }
     link = Answering(lambda can_id, asked: answers.get(asked, []))
-    master = Master(link, bus)
+    master = Master(link, BUS)
     assert master.read(5, 0x6041) == 0x1237
     master.write(5, 0x6040, 0, 6, 2)
     for index, kind in ((0x1000, SdoAbortedError), (0x1001, NoAnswerError)):
@@ -452,9 +424,9 @@ def test_a_master_reads_and_writes(bus):
     assert link.sent[:2] == [(0x605, data("40 41 60 00 00 00 00 00")), (0x605, data("2B 40 60 00 06 00 00 00"))]
 
 
-def test_nmt_and_sync_of_a_master(bus):
+def test_nmt_and_sync_of_a_master():
     link = Answering()
-    master = Master(link, bus)
+    master = Master(link, BUS)
     master.nmt(0x81, 5)
     master.sync()
     assert link.sent == [(0, b"\x81\x05"), (0x80, b"")]
@@ -462,15 +434,15 @@ def test_nmt_and_sync_of_a_master(bus):
 
 @pytest.mark.parametrize(("text", "nmt", "booted"), [("00", 0, True), ("04", 4, False), ("05", 5, False), ("7F", 127, False),
                                                      ("FF", 127, False)])  # fmt: skip
-def test_heartbeats_as_a_master_takes_them(bus, text, nmt, booted):
-    master = Master(Answering(), bus)
+def test_heartbeats_as_a_master_takes_them(text, nmt, booted):
+    master = Master(Answering(), BUS)
     master.dispatch(Frame(0, 0x705, data(text)))
     master.dispatch(Frame(0, 0x706, data("04")))  # a node that is not ours
     assert (master.nodes[0].nmt, master.nodes[0].booted) == (nmt, booted)
 
 
-def test_emergencies_and_pdos_as_a_master_takes_them(bus):
-    master = Master(Answering(), bus)
+def test_emergencies_and_pdos_as_a_master_takes_them():
+    master = Master(Answering(), BUS)
     watch = master.nodes[0]
     master.dispatch(Frame(0, 0x086, data("10 23 01 00 00 00 00 00")))
     master.dispatch(Frame(0, 0x085, data("00 00 00 00 00 00 00 00")))  # no error any more

@@ -145,8 +145,8 @@ def test_no_command_leads_into_a_fault():
 
 def test_states_in_which_a_drive_gives_torque_and_modes_of_operation():
     """Those with the drive function enabled (CiA 402-2, table of the states' functions)."""
-    names = {"OPERATION_ENABLED", "QUICK_STOP_ACTIVE", "FAULT_REACTION_ACTIVE"}
-    assert {state.name for state in State if state not in DISABLED} == names
+    enabled = {State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE}
+    assert set(State) - DISABLED == enabled
     assert [(mode.name, mode.value) for mode in Mode] == [("CYCLIC_SYNCHRONOUS_POSITION", 8)]
 
 
