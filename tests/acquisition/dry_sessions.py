@@ -11,7 +11,7 @@ from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.bus import Frame, Link, Master, MasterLink, open_link
 from acquisition.commands.checking import Finding, check_drives
-from acquisition.protocol import DISABLED
+from acquisition.protocol import DISABLED, Command, Mode
 from acquisition.recording import FRAME, SENT, Block, Recording, read_recording
 from acquisition.robot import Bus, BusFile, Robot
 from acquisition.session import InlineLog, Outcome, RecordedSummary, Recorder, Stop, Task, run_active
@@ -142,6 +142,18 @@ def heard_at_once(send: Callable[[], object]) -> Callable[..., Link]:
     return opened
 
 
+class Moved:
+    """A plant of two joints that a test moves."""
+
+    q = np.zeros(2)
+
+    def state(self):
+        return self.q.copy(), np.zeros(2)
+
+    def prescribed_effort(self):
+        return np.zeros(2)
+
+
 class SlowAnswers(FaultyDrives):
     """Drives that answer an SDO request 60 to 100 ms late, once they are operational."""
 
@@ -236,6 +248,17 @@ def connected(
     robot = robot or robot_of(bus_text(2))
     run = LockStepLink(kind(robot, bus_of(robot), **how))
     return run, Master(run, run.drives.bus)
+
+
+def enable(master: Master, *, start: bool = True) -> None:
+    """Configure all drives and enable them by SDO."""
+    master.configure()
+    master.choose_mode(Mode.CYCLIC_SYNCHRONOUS_POSITION)
+    if start:
+        master.start()
+    for watch in master.nodes:
+        for command in (Command.SHUTDOWN, Command.SWITCH_ON, Command.ENABLE_OPERATION):
+            master.write(watch.drive.node, 0x6040, 0, command.controlword, 2)
 
 
 def findings(link: MasterLink, bus: Bus, subject: str = "", node: int | None = None) -> list[Finding]:

@@ -4,12 +4,12 @@ import itertools
 
 import msgspec
 import pytest
-from dry_sessions import at_boot, connected, dry_session, findings, swing
+from dry_sessions import at_boot, connected, dry_session, enable, findings, swing
 from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.bus import Master, MasterHeartbeat, second_stop, supervision_of
 from acquisition.bus.supervision import free_entry, timeout_ms
-from acquisition.protocol import Command, Mode, State
+from acquisition.protocol import State
 from acquisition.session import Task
 from acquisition.simulated import LockStepLink
 from acquisition.simulated import node as simulated_supervision
@@ -47,14 +47,10 @@ def enabled(*, abort_connection: int = 1, supervised: bool = True) -> tuple[Lock
     """Two drives in operation enabled, whose master has sent one heartbeat and now says nothing more."""
     run, master = connected(supervised=supervised)
     heartbeat = MasterHeartbeat(master)
-    master.configure()
-    master.choose_mode(Mode.CYCLIC_SYNCHRONOUS_POSITION)
     heartbeat.request()
-    master.start()
     for node in run.drives.nodes:
         node.values[0x6007, 0] = abort_connection
-        for command in (Command.SHUTDOWN, Command.SWITCH_ON, Command.ENABLE_OPERATION):
-            master.write(node.drive.node, 0x6040, 0, command.controlword, 2)
+    enable(master)
     master.sync()
     master.wait(run.now_ns() + MS)
     return run, master, heartbeat

@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from dry_sessions import Through, dry_session, say, swing
+from dry_sessions import Moved, Through, dry_session, say, swing
 from faulty_drives import Fault, FaultyDrives
 from made_up_buses import bus_text, robot_of
 
@@ -25,21 +25,15 @@ LIMIT = np.radians(200)  # rad/s
 BEGIN_S = 0.45  # after the brakes opened: in the track phase
 
 
-class Scripted:
+class Scripted(Moved):
     """Joint 2 goes where it likes once the brakes are open, whatever its drive does: `where(t)` rad after BEGIN_S."""
 
     def __init__(self, where: Callable[[float], float]) -> None:
-        self.where, self.t = where, 0.0
-
-    def state(self):
-        q = self.where(self.t - BEGIN_S) if self.t > BEGIN_S else 0.0
-        return np.array([0.0, q]), np.zeros(2)
-
-    def prescribed_effort(self):
-        return np.zeros(2)
+        self.where, self.t = where, -BEGIN_S
 
     def step(self, effort, held, duration_s):
         self.t += 0.0 if held.any() else duration_s
+        self.q = np.array([0.0, self.where(self.t) if self.t > 0 else 0.0])
 
 
 def there_and_back(height: float, speed: float) -> Callable[[float], float]:
@@ -89,17 +83,10 @@ def test_a_joint_beyond_a_limit_stops_and_one_just_inside_does_not(tmp_path, lim
         assert not session.outcome.unconfirmed
 
 
-class Obedient:
+class Obedient(Moved):
     """Joints that are at each SYNC where their drives were sent before the SYNC before."""
 
-    def __init__(self) -> None:
-        self.q, self.drives = np.zeros(2), None
-
-    def state(self):
-        return self.q.copy(), np.zeros(2)
-
-    def prescribed_effort(self):
-        return np.zeros(2)
+    drives: FaultyDrives
 
     def step(self, effort, held, duration_s):
         if not held.any():

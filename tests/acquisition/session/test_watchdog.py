@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 from busy_machine import SYNC_S, stalls, tried_again
-from dry_sessions import DrySession, SlowAnswers, Through, connected, dry_session
+from dry_sessions import DrySession, SlowAnswers, Through, connected, dry_session, enable
 from faulty_drives import Fault
 from made_up_buses import bus_of, bus_text, robot_of
 from session_processes import (
@@ -103,10 +103,7 @@ def test_drives_left_enabled_are_disabled_by_command(folder, capsys):
         robot = robot_of((folder / "robot.toml").read_text())
         with closing(open_link(bus_at(folder), passive=False)) as link:
             master = Master(link, bus_of(robot))
-            master.configure()
-            master.start()
-            for node_id, word in itertools.product((1, 2), (6, 7, 15)):
-                master.write(node_id, 0x6040, 0, word, 2)
+            enable(master)
             master.sync()
             master.wait(link.now_ns() + 1_000_000_000, for_answers=True)
             assert [master.state(drive) for drive in master.bus.drives] == [State.OPERATION_ENABLED] * 2
