@@ -15,7 +15,6 @@ from acquisition.errors import BusFaultError, RefusedError
 from acquisition.recording import CAN_FD, ERROR, EXTENDED, FRAME, REMOTE_REQUEST, SENT, overview, read_recording
 from acquisition.robot import BusFile, DriveFile
 from acquisition.session.recorder import Recorder
-from acquisition.simulated import LockStepLink
 
 
 def test_a_row_byte_for_byte():
@@ -251,27 +250,6 @@ def test_frames_that_a_group_gives_back_are_left_out_once_and_can_fd_is_for_the_
         assert [link.take(1.0).can_id for _ in ids] == ids
         assert link.take(0) is None
         assert [(frame.can_id, frame.flags) for frame in tapped if frame.flags & CAN_FD] == [(0x185, CAN_FD)]
-
-
-def test_simulated_time_stands_still_while_anybody_speaks():
-    """Others act at 5 ns of their own accord, three times; a frame has the time at which it comes."""
-    acts, tapped = [5, 5, 5], []
-
-    def advance(now_ns: int) -> list[tuple[int, bytes]]:
-        assert now_ns >= acts.pop(0)
-        return [(0x285, b"")]
-
-    others = SimpleNamespace(boot=lambda: [(0x185, b"")], due_ns=lambda: acts[0] if acts else None, advance=advance)
-    link = LockStepLink(others, tap=tapped.append)
-    link._time_ns = 0
-    times = []
-    while frame := link.receive(20):
-        times.append((frame.can_id, frame.time_ns))
-    assert times == [(0x185, 0), (0x285, 5), (0x285, 5), (0x285, 5)]
-    assert [(f.can_id, f.time_ns) for f in tapped] == times
-    assert link.now_ns() == 20
-    assert link.receive(10) is None
-    assert link.now_ns() == 20
 
 
 def test_drops_that_the_kernel_counts():

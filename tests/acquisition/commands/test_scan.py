@@ -4,17 +4,15 @@ import itertools
 import re
 import time
 from collections import Counter
-from contextlib import closing
 from dataclasses import dataclass, field
 
-import canopen
 import pytest
 from dry_sessions import Answering, Through, connected, swing
 from faulty_drives import FaultyDrives
 from made_up_buses import bus_of, bus_text, robot_of
 from virtual_buses import Ear, bus_file, served
 
-from acquisition.bus import Frame, Master, Uploads, open_link, scan_nodes
+from acquisition.bus import Frame, Master, Uploads, scan_nodes
 from acquisition.bus.uploads import upload_segments
 from acquisition.commands import main
 from acquisition.commands.checking import table
@@ -259,40 +257,6 @@ def test_a_server_that_aborts_the_long_upload_before_is_asked_again():
     again, _, drives = odd(1, long, Aborts)
     assert drives.aborted
     assert again == odd(1, long)[0]
-
-
-def test_pythons_canopen_as_a_node():
-    """An SDO server of others: an upload in segments, a size of its own, an object without a value, and none at all."""
-    dictionary, kinds = canopen.ObjectDictionary(), canopen.objectdictionary
-    for index, kind, value in (
-        (0x1000, kinds.UNSIGNED32, 0x20192),
-        (0x6041, kinds.UNSIGNED16, 0x21),
-        (0x6064, kinds.INTEGER32, -5),
-        (0x6502, kinds.UNSIGNED64, 0x80),
-        (0x6075, kinds.UNSIGNED32, None),
-        (0x6076, kinds.UNSIGNED16, 420),
-        (0x1008, kinds.VISIBLE_STRING, "Third Drive 24/5"),  # 16, 2 and 7 bytes
-        (0x1009, kinds.VISIBLE_STRING, "A7"),
-        (0x100A, kinds.VISIBLE_STRING, "v1.2.30"),
-    ):
-        variable = kinds.ODVariable(f"object {index:04X}", index)
-        variable.data_type, variable.value = kind, value
-        dictionary.add_object(variable)
-    network = canopen.Network()
-    network.connect(interface="virtual", channel="scan_canopen")
-    with closing(open_link(bus_file("scan_canopen"), passive=False)) as link:
-        network.create_node(9, dictionary)
-        nodes = scan_nodes(Uploads(link, bus_file()), OBJECTS, ARRAYS)
-    network.disconnect()
-    assert list(nodes) == [9]
-    for subject, shown in (
-        ("name, versions", '1008 "Third Drive 24/5", 1009 "A7", 100A "v1.2.30"'),
-        ("state", "6041 0x21 ready to switch on, 6064 -5"),
-        ("modes", "6502 (more than 4 bytes: expected 4)"),
-        ("rated mA, mN m", "6075 (abort (0x060A0023)), 6076 420 (2 bytes: expected 4)"),
-        ("limits", "607D:1 -, 607D:2 -, 607F -, 6080 -, 6085 -"),
-    ):
-        assert row(nodes, {}, subject, 9).found == shown
 
 
 def test_a_node_that_falls_silent_does_not_hold_up_the_scan():

@@ -105,15 +105,6 @@ def test_positions_of_a_motor_that_slides():
     assert codec.raw(np.array([0.25])).tolist() == [-249_700]
 
 
-def test_positions_of_several_motors_at_once():
-    codec = PositionCodec(
-        counts_per_unit=np.array([4096 / TURN, 1e6]), sign=np.array([-1, 1]), zero_counts=np.array([100, -7])
-    )
-    raw = np.array([[100, -7], [100 - 1024, 1_999_993]])
-    assert codec.si(raw) == pytest.approx(np.array([[0, 0], [TURN / 4, 2.0]]))
-    assert codec.raw(np.array([[0, 0], [TURN / 4, 2.0]])).tolist() == raw.tolist()
-
-
 @pytest.mark.parametrize(
     ("kind", "low", "high"),
     [("I8", -128, 127), ("I16", -32768, 32767), ("I32", -2147483648, 2147483647), ("U8", 0, 255), ("U16", 0, 65535),

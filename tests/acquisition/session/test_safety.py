@@ -44,16 +44,6 @@ def test_a_stop_before_anything_began(tmp_path, task):
     assert (session.outcome.reason, session.outcome.fault) == ("stopped by SIGTERM", False)
 
 
-def test_drives_that_were_configured_and_then_refused_are_disabled_and_asked(tmp_path):
-    robot, other = (
-        robot_of(bus_text(2)),
-        robot_of(bus_text(2).replace("rated_torque_nm = 0.42", "rated_torque_nm = 0.5")),
-    )
-    session = dry_session(tmp_path / "a.mcap", TRACK, robot=other, bus=bus_of(other), drives=bus_of(robot))
-    assert "expected 500 as robot.toml says" in session.outcome.reason
-    assert session.events("disabled") == ["every drive confirmed"]
-
-
 def test_check_shows_what_the_drive_holds_on_its_scale():
     eds = needs_data("eds", "nanotec_CL4-E-2-12.eds")
     text = bus_text(1, drive='dictionary = "drive.eds"').replace('reference = "6074"', 'actual = "6077"')
