@@ -4,8 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from dry_sessions import Moved, SlowAnswers, SyncOfAnother, Through, enable, say
-from faulty_drives import FaultyDrives
+from dry_sessions import FaultyDrives, Moved, SlowAnswers, SyncOfAnother, Through, enable, say
 from made_up_buses import bus_of, bus_text, robot_of
 
 import acquisition.bus.stopping as stopping

@@ -1,8 +1,7 @@
 """Two devices with one node id: `scan`, `check` and `record` say so before anything moves; late answers are none."""
 
 import pytest
-from dry_sessions import Unasked, connected, dry_session, findings, swing
-from faulty_drives import FaultyDrives
+from dry_sessions import FaultyDrives, Unasked, connected, dry_session, findings, swing
 from virtual_buses import bus_file
 
 from acquisition.bus import Frame, Uploads, scan_nodes

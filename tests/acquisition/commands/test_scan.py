@@ -7,8 +7,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 
 import pytest
-from dry_sessions import Answering, Through, connected, swing
-from faulty_drives import FaultyDrives
+from dry_sessions import Answering, FaultyDrives, Through, connected, swing
 from made_up_buses import bus_of, bus_text, robot_of
 from virtual_buses import Ear, bus_file, served
 

@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from dry_sessions import DrySession, at_boot, connected, dry_session, findings, swing
-from faulty_drives import Fault, FaultyDrives
+from dry_sessions import DrySession, Fault, FaultyDrives, at_boot, connected, dry_session, findings, swing
 from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.protocol import State

@@ -7,8 +7,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from dry_sessions import Moved, Through, dry_session, say, swing
-from faulty_drives import Fault, FaultyDrives
+from dry_sessions import Fault, FaultyDrives, Moved, Through, dry_session, say, swing
 from made_up_buses import bus_text, robot_of
 
 import acquisition.session.running as record_module

@@ -4,8 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from dry_sessions import DrySession, Through, at_boot, dry_session, findings
-from faulty_drives import FaultyDrives
+from dry_sessions import DrySession, FaultyDrives, Through, at_boot, dry_session, findings
 from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.protocol import State, quick_stop_ramp

@@ -16,7 +16,7 @@ import acquisition.session.logs as recorder_logs
 import acquisition.simulated.drives as dry_run_module
 from acquisition.bus import Frame, Master
 from acquisition.errors import BadInputError, BusFaultError, NoAnswerError, RobotIdimError
-from acquisition.protocol import Mode, write_request
+from acquisition.protocol import Mode, State, write_request
 from acquisition.robot import axis_of
 from acquisition.session import RecordOptions, Stop, Task, UserInterface, record, stop_on_signals
 from acquisition.simulated import SimulatedDrives, serve
@@ -174,3 +174,11 @@ def test_simulated_drives_beat_on_a_bus_that_is_never_quiet(monkeypatch):
     monkeypatch.setattr(dry_run_module, "open_link", lambda *_, **__: link)
     serve(SimulatedDrives(robot, bus_of(robot)), lambda: link.time_ns >= 1_300_000_000)
     assert link.sent.count((0x701, b"\x7f")) in (29, 30)  # one every 10 ms
+
+
+def test_a_statusword_from_before_start_counts_for_nothing():
+    _, master = connected()
+    master.dispatch(Frame(0, 0x181, bytes.fromhex("3702e8030000") + bytes(2)))
+    assert (master.nodes[0].state, master.nodes[0].counts) == (State.OPERATION_ENABLED, 1000)
+    master.start()
+    assert (master.nodes[0].state, master.nodes[0].counts) == (None, None)

@@ -8,8 +8,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from dry_sessions import At, Beats, DrySession, SyncOfAnother, Through, Unasked, connected, dry_session, swing
-from faulty_drives import Fault, FaultyDrives
+from dry_sessions import At, Beats, DrySession, Fault, FaultyDrives, SyncOfAnother, Through, Unasked, dry_session, swing
 from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.bus import Frame
@@ -314,11 +313,3 @@ def test_the_mode_is_awaited(tmp_path, reads, fault):
     else:
         assert session.outcome.reason == "finished"
         assert session.drives.asked == reads + 1
-
-
-def test_a_statusword_from_before_start_counts_for_nothing():
-    _, master = connected()
-    master.dispatch(Frame(0, 0x181, bytes.fromhex("3702e8030000") + bytes(2)))
-    assert (master.nodes[0].state, master.nodes[0].counts) == (State.OPERATION_ENABLED, 1000)
-    master.start()
-    assert (master.nodes[0].state, master.nodes[0].counts) == (None, None)

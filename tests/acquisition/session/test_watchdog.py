@@ -12,8 +12,7 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 from busy_machine import SYNC_S, stalls, tried_again
-from dry_sessions import DrySession, SlowAnswers, Through, connected, dry_session, enable
-from faulty_drives import Fault
+from dry_sessions import DrySession, Fault, SlowAnswers, Through, connected, dry_session, enable
 from made_up_buses import bus_of, bus_text, robot_of
 from session_processes import (
     PATIENCE_S,
