@@ -27,10 +27,9 @@ def targets(session: DrySession, node: int) -> np.ndarray:
 
 
 def phase_of(session: DrySession, name: str) -> np.ndarray:
-    names, stamps = list(session.phases), session.phases
-    at, then = stamps[name], stamps[names[names.index(name) + 1]]
-    samples = session.recording.samples
-    return samples[(samples["stamp_ns"] >= at) & (samples["stamp_ns"] < then)]
+    stamps, samples = session.phases, session.recording.samples
+    then = min(stamp for stamp in stamps.values() if stamp > stamps[name])
+    return samples[(samples["stamp_ns"] >= stamps[name]) & (samples["stamp_ns"] < then)]
 
 
 @pytest.mark.parametrize("late_s", [0.0, 1.2])
@@ -61,18 +60,16 @@ def test_a_target_follows_while_its_drive_is_not_enabled(tmp_path):
             if held[1]:
                 self._q[1] += 0.05 * duration_s  # 0.05 rad/s
 
-    robot = robot_of(bus_text(2))
     plant = loaded(0.0)
     plant.__class__ = Turned
     late = [Fault(kind="slow", node=2, sync=1, count=100)]
-    session = dry_session(tmp_path / "a.mcap", TRACK, plant=plant, faults=late, robot=robot)
+    session = dry_session(tmp_path / "a.mcap", TRACK, plant=plant, faults=late)
     assert session.outcome.reason == "finished"
     enabling = phase_of(session, "enable")["position"][:, 1]
     assert enabling[-1] - enabling[0] == pytest.approx(0.05 * 0.2, rel=0.1)
     # It is held at the last position that came before the drive said it was enabled.
-    sent = targets(session, 2)
-    scale = 50 * 65536 / (2 * np.pi)
-    assert sent[len(enabling) + 1] / scale == pytest.approx(enabling[-2], abs=2e-4)
+    held = targets(session, 2)[len(enabling) + 1] / (50 * 65536 / (2 * np.pi))
+    assert held == pytest.approx(enabling[-2], abs=2e-4)
 
 
 def test_motion_while_enabling_is_a_fault_beyond_its_limit(tmp_path):
@@ -83,18 +80,14 @@ def test_motion_while_enabling_is_a_fault_beyond_its_limit(tmp_path):
         late = [Fault(kind="slow", node=2, sync=1, count=100)]
         return dry_session(tmp_path / name, TRACK, robot=robot, plant=loaded(0.5), faults=late)
 
-    free = enabled("free.mcap", 1.0)
-    positions = phase_of(free, "enable")["position"]
+    positions = phase_of(enabled("free.mcap", 1.0), "enable")["position"]
     sag_deg = np.abs(positions - positions[0]).max() * DEG
     assert 0.1 < sag_deg < 1.0
     assert enabled("inside.mcap", 1.02 * sag_deg).outcome.reason == "finished"
-    beyond = enabled("beyond.mcap", 0.98 * sag_deg)
-    assert beyond.outcome.fault
-    error = beyond.outcome.error
+    error = enabled("beyond.mcap", 0.98 * sag_deg).outcome.error
     assert (error.place, error.key) == ("joint_1", "motion while drives were enabled")
     assert -0.98 * sag_deg / DEG > error.value > -1.2 * sag_deg / DEG
     assert error.expected == f"{0.98 * sag_deg / DEG:.4g} at most"
-    assert str(error) == beyond.outcome.reason
 
 
 class Runaway(JointwisePlant):
@@ -179,6 +172,5 @@ def test_a_fault_that_nobody_was_asked_about_is_not_reset(tmp_path, monkeypatch)
         return ()
 
     session = dry_session(tmp_path / "a.mcap", Task(reference=TRACK.reference, before_motion=asked))
-    assert session.outcome.error.place == "node 2 (motor_2)"
-    assert "went into fault" in session.outcome.reason
+    assert session.outcome.reason.startswith("node 2 (motor_2): went into fault")
     assert session.drives.states[1] is State.FAULT
