@@ -4,14 +4,14 @@ import itertools
 import threading
 import time
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from dry_sessions import Through, Unasked, connected, dry_session, findings, heard_at_once, swing
+from dry_sessions import Edited, Unasked, connected, dry_session, findings, heard_at_once, swing
 from made_up_buses import bus_of, bus_text, robot_of
 from virtual_buses import Ear, bus_file
 
@@ -183,15 +183,11 @@ def test_a_session_beside_another_master_sends_nothing(tmp_path, task, can_id):
 
 @pytest.mark.parametrize("task", TASKS)
 def test_an_enabled_drive_without_a_master_is_left_as_it_is(tmp_path, task):
-    @dataclass(kw_only=True)
-    class Enabled(Through):
-        def receive(self, until_ns):
-            frame = super().receive(until_ns)
-            if frame is not None and frame.can_id == 0x581:
-                return frame._replace(data=frame.data[:4] + b"\x37\x02\0\0")  # 6041h: operation enabled
-            return frame
+    def enabled(frame: Frame) -> Frame:
+        data = frame.data[:4] + b"\x37\x02\0\0" if frame.can_id == 0x581 else frame.data  # 6041h: operation enabled
+        return frame._replace(data=data)
 
-    session = dry_session(tmp_path / "a.mcap", task, through=Enabled)
+    session = dry_session(tmp_path / "a.mcap", task, through=partial(Edited, edit=enabled))
     assert session.outcome.error.place == "node 1"
     assert session.outcome.reason.startswith("node 1: operation enabled before the session began")
     assert "`robot-acquire disable`" in session.outcome.reason

@@ -33,12 +33,12 @@ def drives_of(text: str, **values: int) -> tuple[object, Master]:
 def test_joint_positions_in_words_by_hand():
     """65536 counts a turn and a ratio of 50: 409600 counts of node 1 are 6.25 turns of the motor, 45 degrees."""
     _, master = drives_of(bus_text(2), node_1=409_600, node_2=-819_200)
-    shown: list[list[str]] = []
-    robot = robot_of(bus_text(2))
+    robot, shown = robot_of(bus_text(2)), list[list[str]]()
     words = confirm_motion(robot, master, lambda words, faults: not shown.append(words))
     assert words == shown[0] == ["joint_1 = 45.00 deg", "joint_2 = -90.00 deg"]
-    with pytest.raises(RefusedError, match=r"joint angles not confirmed \(joint_1 = 45.00 deg, joint_2"):
+    with pytest.raises(RefusedError) as caught:
         confirm_motion(robot, master, lambda words, faults: False)
+    assert caught.value.what == "motion"
     assert position_words(robot_named("emps"), np.array([0.25]))[0].endswith(" = 0.25000 m")
 
 
@@ -73,8 +73,7 @@ def test_yes_answers_for_the_joint_angles_alone(tmp_path, monkeypatch, options, 
 
     monkeypatch.setattr("acquisition.session.record", run)
     monkeypatch.setattr("sys.stdin", open(os.devnull))  # noqa: SIM115
-    command = ["record", str(tmp_path / "robot.toml"), "-o", str(tmp_path / "a.mcap"), "--track", "ref.csv"]
-    assert main([*command, *options]) == 1
+    assert main(["record", str(tmp_path / "robot.toml"), "-o", "a.mcap", "--track", "ref.csv", *options]) == 1
     ((given, answer),) = asked
     assert answer is moves
     assert (given.reset_faults, given.unsupervised_drives) == ("--reset-faults" in options, False)
@@ -141,17 +140,15 @@ def test_nothing_is_written_before_somebody_agrees(tmp_path):
 
 def test_without_a_terminal_and_without_yes_nothing_begins(tmp_path, capsys, monkeypatch):
     (tmp_path / "robot.toml").write_text(bus_text(2, interface="socketcan", channel="none0"))
-    reference = tmp_path / "ref.csv"
-    reference.write_text("time_s,joint_1,joint_2\n0,0,0\n0.1,0,0\n")
-    command = ["record", str(tmp_path / "robot.toml"), "-o", str(tmp_path / "a.mcap"), "--track", str(reference)]
+    (tmp_path / "ref.csv").write_text("time_s,joint_1,joint_2\n0,0,0\n0.1,0,0\n")
+    monkeypatch.chdir(tmp_path)
+    command = ["record", "robot.toml", "-o", "a.mcap", "--track", "ref.csv"]
     monkeypatch.setattr("sys.stdin", open(os.devnull))  # noqa: SIM115
     assert main(command) == 1
     assert "nobody can confirm the joint positions: expected a terminal, or --yes" in capsys.readouterr().err
     assert main([*command, "--yes"]) == 1  # it gets as far as the bus
     assert "none0: cannot be opened" in capsys.readouterr().err
     assert not (tmp_path / "a.mcap").exists()
-    assert main([*command, "--dry-run"]) == 0
-    capsys.readouterr()
 
 
 def test_the_same_path_slowly(tmp_path):

@@ -1,5 +1,6 @@
 """Sessions on simulated drives: what they record, and that whatever goes wrong every drive ends disabled."""
 
+import itertools
 import pkgutil
 import shutil
 from collections import namedtuple
@@ -8,7 +9,18 @@ from functools import partial
 
 import numpy as np
 import pytest
-from dry_sessions import At, Beats, DrySession, Fault, FaultyDrives, SyncOfAnother, Through, Unasked, dry_session, swing
+from dry_sessions import (
+    At,
+    DrySession,
+    Edited,
+    Fault,
+    FaultyDrives,
+    SyncOfAnother,
+    Through,
+    Unasked,
+    dry_session,
+    swing,
+)
 from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.bus import Frame
@@ -124,7 +136,15 @@ def of(*faults: Fault) -> dict[str, object]:
 
 
 def beats(node: int, which: range, other: dict[str, object] | None) -> dict[str, object]:
-    return {"through": partial(Beats, node=node, which=which, other=other)}
+    """Of the heartbeats of a node that say operational, those in `which`, from 1, are other frames, or are lost."""
+    count = itertools.count(1)
+
+    def edit(frame: Frame) -> Frame | None:
+        if (frame.can_id, frame.data) != (0x700 + node, b"\x05") or next(count) not in which:
+            return frame
+        return None if other is None else frame._replace(**other)
+
+    return {"through": partial(Edited, edit=edit)}
 
 
 def disobedient(bit: int) -> dict[str, object]:
@@ -163,11 +183,11 @@ def test_what_ends_a_session_leaves_every_drive_disabled(tmp_path, what, reason)
 
 
 def test_heartbeats_from_before_start_and_one_that_is_lost_end_nothing(tmp_path):
-    def through(link):
-        stale = Beats(link=link, node=2, which=range(1, 3), other=NOT_OPERATIONAL)
-        return Beats(link=stale, node=1, which=range(2, 3), other=None)
-
-    assert dry_session(tmp_path / "a.mcap", TRACK, through=through).outcome.reason == "finished"
+    stale, lost = beats(2, range(1, 3), NOT_OPERATIONAL), beats(1, range(2, 3), None)
+    session = dry_session(
+        tmp_path / "a.mcap", TRACK, through=lambda link: lost["through"](link=stale["through"](link=link))
+    )
+    assert session.outcome.reason == "finished"
 
 
 @dataclass(kw_only=True)
