@@ -4,27 +4,10 @@ import pytest
 from dry_sessions import Answering
 from made_up_buses import bus_of, bus_text, robot_of
 
+from acquisition import protocol
 from acquisition.bus import Frame, Master
 from acquisition.errors import BadInputError, NoAnswerError, SdoAbortedError
-from acquisition.protocol import (
-    ObjectEntry,
-    Pdo,
-    State,
-    abort_answer,
-    answer_of,
-    bus_load,
-    check_answer,
-    configuration,
-    frame_bits,
-    interpolation_period,
-    pdos_of,
-    read_request,
-    request_of,
-    usual_can_id,
-    value_answer,
-    write_request,
-    written_answer,
-)
+from acquisition.protocol import ObjectEntry, State, answer_of, pdos_of, value_answer, write_request
 from acquisition.simulated import SimulatedDrives
 
 STATUS, POSITION, TORQUE = (
@@ -53,8 +36,8 @@ def data(text: str) -> bytes:
 @pytest.mark.parametrize(
     ("frame", "expected"),
     [
-        (read_request(0x6041, 0), "40 41 60 00 00 00 00 00"),
-        (read_request(0x1018, 4), "40 18 10 04 00 00 00 00"),
+        (protocol.read_request(0x6041, 0), "40 41 60 00 00 00 00 00"),
+        (protocol.read_request(0x1018, 4), "40 18 10 04 00 00 00 00"),
         (write_request(0x60C2, 2, -3, 1), "2F C2 60 02 FD 00 00 00"),
         (write_request(0x6040, 0, 0x010F, 2), "2B 40 60 00 0F 01 00 00"),
         (write_request(0x2000, 1, 0x030201, 3), "27 00 20 01 01 02 03 00"),
@@ -64,8 +47,8 @@ def data(text: str) -> bytes:
         (value_answer(0x2000, 0, 0x030201, 3), "47 00 20 00 01 02 03 00"),
         (value_answer(0x6064, 0, -5, 4), "43 64 60 00 FB FF FF FF"),
         (value_answer(0x60C2, 2, -4, 1), "4F C2 60 02 FC 00 00 00"),
-        (written_answer(0x6040, 0), "60 40 60 00 00 00 00 00"),
-        (abort_answer(0x2000, 7, "sub-index does not exist"), "80 00 20 07 11 00 09 06"),
+        (protocol.written_answer(0x6040, 0), "60 40 60 00 00 00 00 00"),
+        (protocol.abort_answer(0x2000, 7, "sub-index does not exist"), "80 00 20 07 11 00 09 06"),
     ],
 )
 def test_sdo_frames_made(frame, expected):
@@ -92,7 +75,7 @@ def test_sdo_frames_made(frame, expected):
     ],
 )
 def test_sdo_requests_read(text, kind, key, value):
-    found = request_of(data(text))
+    found = protocol.request_of(data(text))
     assert (found.kind, (found.index, found.sub), found.data) == (kind, key, data(value))
 
 
@@ -121,19 +104,19 @@ def test_sdo_answers_read(text, kind, key, value):
 def test_abort_codes_in_words(code):
     answer = answer_of(data("80 00 20 00") + code.to_bytes(4, "little"))
     with pytest.raises(SdoAbortedError) as caught:
-        check_answer(answer, "value", 5, "node 5: object 2000:0")
+        protocol.check_answer(answer, "value", 5, "node 5: object 2000:0")
     assert (caught.value.node, caught.value.index, caught.value.code) == (5, 0x2000, code)
     assert ABORT_WORDS[code] in caught.value.meaning
     assert str(caught.value) == f"node 5: object 2000:0: refused by the drive: {caught.value.meaning} (0x{code:08X})"
 
 
 def test_answers_that_are_not_the_one_wanted():
-    assert check_answer(answer_of(data("4B 41 60 00 37 12 00 00")), "value", 5, "x") == 0x1237
+    assert protocol.check_answer(answer_of(data("4B 41 60 00 37 12 00 00")), "value", 5, "x") == 0x1237
     with pytest.raises(NoAnswerError) as unasked:
-        check_answer(answer_of(data("60 41 60 00 00 00 00 00")), "value", 5, "x")
+        protocol.check_answer(answer_of(data("60 41 60 00 00 00 00 00")), "value", 5, "x")
     assert (unasked.value.node, unasked.value.place, unasked.value.expected) == (5, "x", "value")
     with pytest.raises(SdoAbortedError) as aborted:
-        check_answer(answer_of(data("80 41 60 00 01 00 00 FF")), "value", 5, "x")
+        protocol.check_answer(answer_of(data("80 41 60 00 01 00 00 FF")), "value", 5, "x")
     assert (aborted.value.code, aborted.value.meaning) == (0xFF000001, "abort")
 
 
@@ -145,11 +128,11 @@ def test_answers_that_are_not_the_one_wanted():
     [("tpdo", [0x185, 0x285, 0x385, 0x485, None]), ("rpdo", [0x205, 0x305, 0x405, 0x505, None])],
 )
 def test_identifiers_of_the_predefined_connection_set(direction, expected):
-    assert [usual_can_id(direction, number, 5) for number in (1, 2, 3, 4, 5)] == expected
+    assert [protocol.usual_can_id(direction, number, 5) for number in (1, 2, 3, 4, 5)] == expected
 
 
-TPDO = Pdo(number=1, can_id=0x185, entries=(STATUS, POSITION, TORQUE))
-RPDO = Pdo(number=3, can_id=0x405, entries=(ObjectEntry(index=0x6040, sub=0, type="U16"), INTERPOLATION))
+TPDO = protocol.Pdo(number=1, can_id=0x185, entries=(STATUS, POSITION, TORQUE))
+RPDO = protocol.Pdo(number=3, can_id=0x405, entries=(ObjectEntry(index=0x6040, sub=0, type="U16"), INTERPOLATION))
 
 
 @pytest.mark.parametrize(
@@ -165,7 +148,7 @@ RPDO = Pdo(number=3, can_id=0x405, entries=(ObjectEntry(index=0x6040, sub=0, typ
 )  # fmt: skip
 def test_a_pdo_is_configured_byte_for_byte(direction, pdo, frames):
     """Off, at every SYNC, no objects, the objects, their number, on: CiA 301, 7.5.2.38."""
-    assert [write_request(*write).hex(" ").upper() for write in configuration(direction, pdo)] == frames
+    assert [write_request(*write).hex(" ").upper() for write in protocol.configuration(direction, pdo)] == frames
 
 
 TPDO_VALUES = {
@@ -180,7 +163,7 @@ KINDS = {(0x6041, 0): "U16", (0x60C2, 2): "I8", (0x6064, 0): "I32", (0x6077, 0):
 
 
 def test_pdos_out_of_a_drives_parameters():
-    expected = Pdo(number=2, can_id=0x285, entries=(STATUS, INTERPOLATION, POSITION))
+    expected = protocol.Pdo(number=2, can_id=0x285, entries=(STATUS, INTERPOLATION, POSITION))
     assert pdos_of("tpdo", TPDO_VALUES, KINDS, "x") == (expected,)
     assert pdos_of("rpdo", TPDO_VALUES, KINDS, "x") == ()
     of_29_bits = pdos_of("tpdo", TPDO_VALUES | {(0x1801, 1): 0x20000285}, KINDS, "x")
@@ -220,9 +203,9 @@ def test_values_in_a_frame():
 
 def test_bits_on_the_wire():
     """47 of frame and gap, 8 for each byte, and a stuffing bit for four of the 34 + 8 n - 1 that are stuffed."""
-    assert [frame_bits(n) for n in range(9)] == [55, 65, 75, 85, 95, 105, 115, 125, 135]
-    pdos = [TPDO, Pdo(number=1, can_id=0x205, entries=(POSITION,))]
-    assert bus_load(pdos, bitrate=500_000, sync_period_s=0.002) == pytest.approx((55 + 135 + 95) / 1000)
+    assert [protocol.frame_bits(n) for n in range(9)] == [55, 65, 75, 85, 95, 105, 115, 125, 135]
+    pdos = [TPDO, protocol.Pdo(number=1, can_id=0x205, entries=(POSITION,))]
+    assert protocol.bus_load(pdos, bitrate=500_000, sync_period_s=0.002) == pytest.approx((55 + 135 + 95) / 1000)
 
 
 @pytest.mark.parametrize(
@@ -231,13 +214,13 @@ def test_bits_on_the_wire():
      (0.000125, (125, -6))],
 )  # fmt: skip
 def test_the_interpolation_period_of_60c2(period_s, expected):
-    assert interpolation_period(period_s) == expected
+    assert protocol.interpolation_period(period_s) == expected
 
 
 @pytest.mark.parametrize("period_s", [0.256, 0.0003333, 1e-7])
 def test_periods_that_60c2_cannot_say(period_s):
     with pytest.raises(BadInputError, match=r"bus.sync_period_s = .*60C2"):
-        interpolation_period(period_s)
+        protocol.interpolation_period(period_s)
 
 
 # NMT, heartbeats, emergencies: a node as its master's frames move it

@@ -4,21 +4,9 @@ import itertools
 
 import pytest
 
+from acquisition import protocol
 from acquisition.errors import BusFaultError, RobotIdimError
-from acquisition.protocol import (
-    AUTOMATIC,
-    BITS,
-    DISABLED,
-    EFFORT_OBJECTS,
-    STANDARD,
-    TRANSITIONS,
-    Command,
-    Mode,
-    State,
-    command_of,
-    state_of,
-    toward,
-)
+from acquisition.protocol import STANDARD, TRANSITIONS, Command, Mode, State, command_of, state_of, toward
 
 # Statusword 6041h, bits 7 to 0; x: either. The bits 8 to 15 belong to no state. Then what to command next on the way up to
 # operation enabled and down to switch on disabled, out of the diagram of the standard; "-": the drive goes on by itself.
@@ -122,7 +110,7 @@ def test_each_command_in_each_state():
 
 def test_what_a_drive_does_by_itself():
     """Transitions 1 and 14; 0 and 13 have no state of their own to come from."""
-    assert AUTOMATIC == {
+    assert protocol.AUTOMATIC == {
         State.NOT_READY_TO_SWITCH_ON: State.SWITCH_ON_DISABLED,
         State.FAULT_REACTION_ACTIVE: State.FAULT,
     }
@@ -146,7 +134,7 @@ def test_no_command_leads_into_a_fault():
 def test_states_in_which_a_drive_gives_torque_and_modes_of_operation():
     """Those with the drive function enabled (CiA 402-2, table of the states' functions)."""
     enabled = {State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE}
-    assert set(State) - DISABLED == enabled
+    assert set(State) - protocol.DISABLED == enabled
     assert [(mode.name, mode.value) for mode in Mode] == [("CYCLIC_SYNCHRONOUS_POSITION", 8)]
 
 
@@ -161,11 +149,11 @@ def test_types_and_sizes_of_the_standard_objects():
     needed = "1017 6040 6041 6060 6061 6064 606C 6074 6075 6076 6077 6078 607A"
     assert {(int(index, 16), 0) for index in needed.split()} <= set(STANDARD)
     assert {(0x60C2, 1), (0x60C2, 2)} <= set(STANDARD)
-    assert BITS == {"I8": 8, "I16": 16, "I32": 32, "U8": 8, "U16": 16, "U32": 32}
+    assert protocol.BITS == {"I8": 8, "I16": 16, "I32": 32, "U8": 8, "U16": 16, "U32": 32}
 
 
 def test_effort_objects_of_the_standard_and_of_vendors():
-    found = {(index, kind, rule) for (index, _), (kind, rule, _) in EFFORT_OBJECTS.items()}
+    found = {(index, kind, rule) for (index, _), (kind, rule, _) in protocol.EFFORT_OBJECTS.items()}
     assert found == {
         (0x6074, "I16", "per mille of rated torque"),
         (0x6077, "I16", "per mille of rated torque"),

@@ -9,18 +9,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from dry_sessions import (
-    At,
-    DrySession,
-    Edited,
-    Fault,
-    FaultyDrives,
-    SyncOfAnother,
-    Through,
-    Unasked,
-    dry_session,
-    swing,
-)
+from dry_sessions import At, Edited, Fault, FaultyDrives, SyncOfAnother, Through, Unasked, dry_session, swing
 from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.bus import Frame
@@ -35,11 +24,11 @@ TRACK = Task(reference=PATH)
 
 
 @pytest.fixture(scope="module")
-def finished(tmp_path_factory: pytest.TempPathFactory) -> DrySession:
+def finished(tmp_path_factory):
     return dry_session(tmp_path_factory.mktemp("finished") / "a.mcap", TRACK)
 
 
-def tracked(session: DrySession) -> np.ndarray:
+def tracked(session) -> np.ndarray:
     """The samples of the track phase."""
     samples, at = session.recording.samples, session.phases
     return samples[(samples["stamp_ns"] >= at["track"]) & (samples["stamp_ns"] < at["stop"])]

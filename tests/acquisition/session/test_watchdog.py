@@ -14,18 +14,7 @@ import pytest
 from busy_machine import SYNC_S, stalls, tried_again
 from dry_sessions import DrySession, Fault, SlowAnswers, Through, connected, dry_session, enable
 from made_up_buses import bus_of, bus_text, robot_of
-from session_processes import (
-    PATIENCE_S,
-    bus_at,
-    drives,
-    folder,
-    frames_of,
-    port,
-    states_of,
-    texts,
-    tracking,
-    wait_for,
-)
+from session_processes import PATIENCE_S, bus_at, drives, folder, frames_of, port, states_of, texts, tracking, wait_for
 
 import acquisition.session.process as process_module
 from acquisition.bus import Master, open_link
