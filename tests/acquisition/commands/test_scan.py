@@ -94,9 +94,6 @@ def test_nothing_but_a_read_can_be_sent(can_id, frame):
     assert link.sent == []
 
 
-MASTERS = [(0x000, b"\x01\x00"), (0x080, b""), (0x605, bytes(8)), (0x201, bytes(6))]
-
-
 @dataclass(kw_only=True)
 class Sudden(Through):
     """Sends one frame as soon as `after` frames were sent; holds it until the scan receives again, as a socket does."""
@@ -123,7 +120,10 @@ WRONG = "error frame: no acknowledgement.*bitrate"
 @pytest.mark.parametrize(
     ("frame", "after", "told", "for_good"),
     [
-        *((Frame(0, *master), 0, "during a scan; nothing was sent", "another master is active") for master in MASTERS),
+        *(
+            (Frame(0, *master), 0, "during a scan; nothing was sent", "another master is active")
+            for master in ((0x000, b"\x01\x00"), (0x080, b""), (0x605, bytes(8)), (0x201, bytes(6)))
+        ),
         *((Frame(0, 0x80, b""), after, BEGUN, "another master is active") for after in (1, 60, 127, 128, 150, 200)),
         *((Frame(0, 0x701, b"", REMOTE_REQUEST), after, BEGUN, "another master is active") for after in (1, 150)),
         *((Frame(0, 0x20, bytes(8), ERROR), after, WRONG, WRONG) for after in (0, 30, 140)),
@@ -392,12 +392,12 @@ def test_track_refuses_what_is_not_filled_in(scanned, tmp_path, capsys, monkeypa
 
 def test_only_marks_in_bus_count():
     marked = "[controller] # FILL IN\nbandwidth_hz = 5 # FILL IN"
-    text = bus_text(1).replace("[controller]\nbandwidth_hz = 5", marked)
+    text = (
+        bus_text(1).replace("[controller]\nbandwidth_hz = 5", marked) + "\n[parameters] # FILL IN\nM1 = 1 # FILL IN\n"
+    )
     assert lines_to_fill_in(robot_of(text)) == []
-    below = "\n[parameters] # FILL IN\nM1 = 1 # FILL IN\n"
-    text = text.replace("node = 1", "node = 1 # FILL IN") + below
-    number = next(n for n, line in enumerate(text.splitlines(), 1) if "node = 1" in line)
-    assert lines_to_fill_in(robot_of(text)) == [number]
+    number = text[: text.index("node = 1")].count("\n") + 1
+    assert lines_to_fill_in(robot_of(text.replace("node = 1", "node = 1 # FILL IN"))) == [number]
 
 
 @pytest.mark.parametrize(

@@ -153,12 +153,9 @@ def test_a_pdo_is_configured_byte_for_byte(direction, pdo, frames):
 
 TPDO_VALUES = {
     (0x1801, 1): 0x40000285,  # bit 30: no remote requests
-    (0x1A01, 0): 3,
-    (0x1A01, 1): 0x60410010,
-    (0x1A01, 2): 0x60C20208,
-    (0x1A01, 3): 0x60640020,
+    (0x1A01, 0): 3, (0x1A01, 1): 0x60410010, (0x1A01, 2): 0x60C20208, (0x1A01, 3): 0x60640020,
     (0x1A01, 4): 0x60770010,  # beyond the number of objects
-}
+}  # fmt: skip
 KINDS = {(0x6041, 0): "U16", (0x60C2, 2): "I8", (0x6064, 0): "I32", (0x6077, 0): "I16"}
 
 

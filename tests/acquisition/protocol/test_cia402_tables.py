@@ -24,13 +24,9 @@ ROWS = [line.split() for line in STATES.strip().splitlines()]
 STATUSWORDS = {row[0]: row[1] for row in ROWS}
 # Controlword 6040h, bits 7 to 0. "Disable operation" has the bits of "switch on".
 CONTROLWORDS = {
-    "SHUTDOWN": "0xxxx110",
-    "SWITCH_ON": "0xxx0111",
-    "ENABLE_OPERATION": "0xxx1111",
-    "DISABLE_VOLTAGE": "0xxxxx0x",
-    "QUICK_STOP": "0xxxx01x",
-    "FAULT_RESET": "1xxxxxxx",
-}
+    "SHUTDOWN": "0xxxx110", "SWITCH_ON": "0xxx0111", "ENABLE_OPERATION": "0xxx1111", "DISABLE_VOLTAGE": "0xxxxx0x",
+    "QUICK_STOP": "0xxxx01x", "FAULT_RESET": "1xxxxxxx",
+}  # fmt: skip
 # Number, from, command, to. 12 is by command here; a drive may also do it by itself, as 605Ah says.
 DIAGRAM = """
  2  SWITCH_ON_DISABLED  SHUTDOWN          READY_TO_SWITCH_ON

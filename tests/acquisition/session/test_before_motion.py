@@ -22,17 +22,11 @@ from acquisition.session.running import _before_motion as before_motion
 from acquisition.session.timing import Pace, largest_delay_s, refuse_jitter
 
 
-def drives_of(text: str, **values: int) -> tuple[object, Master]:
-    """A dry run of a description, with positions of the drives in counts."""
-    run, master = connected(robot_of(text))
-    for node in run.drives.nodes:
-        node.values[0x6064, 0] = values.get(f"node_{node.drive.node}", 0)
-    return run, master
-
-
 def test_joint_positions_in_words_by_hand():
     """65536 counts a turn and a ratio of 50: 409600 counts of node 1 are 6.25 turns of the motor, 45 degrees."""
-    _, master = drives_of(bus_text(2), node_1=409_600, node_2=-819_200)
+    run, master = connected()
+    for node, counts in zip(run.drives.nodes, (409_600, -819_200), strict=True):
+        node.values[0x6064, 0] = counts
     robot, shown = robot_of(bus_text(2)), list[list[str]]()
     words = confirm_motion(robot, master, lambda words, faults: not shown.append(words))
     assert words == shown[0] == ["joint_1 = 45.00 deg", "joint_2 = -90.00 deg"]
@@ -43,7 +37,7 @@ def test_joint_positions_in_words_by_hand():
 
 
 def test_a_reset_of_faults_is_asked_together_with_the_joint_angles():
-    robot, (run, master), shown = robot_of(bus_text(2)), drives_of(bus_text(2)), list[list[str]]()
+    robot, (run, master), shown = robot_of(bus_text(2)), connected(robot_of(bus_text(2))), list[list[str]]()
     run.drives.nodes[1].emergency(0x8611)
     for _ in range(2):
         run.drives.nodes[1].tick()
@@ -92,7 +86,7 @@ def test_yes_answers_for_the_joint_angles_alone(tmp_path, monkeypatch, options, 
     ],
 )
 def test_drives_that_do_not_supervise_themselves_are_no_go_for_motion(values, missing, refused):
-    robot, (run, master) = robot_of(bus_text(2)), drives_of(bus_text(2))
+    robot, (run, master) = robot_of(bus_text(2)), connected(robot_of(bus_text(2)))
     node = run.drives.nodes[1]
     node.values = {key: value for key, value in (node.values | values).items() if key[0] not in missing}
     ready = partial(before_motion, robot, master, confirm=lambda words, faults: True)
@@ -111,7 +105,7 @@ def test_drives_that_do_not_supervise_themselves_are_no_go_for_motion(values, mi
 @pytest.mark.parametrize("name", ["6041.8", "2000:1", "6041.15", "2000.3"])
 def test_a_drive_that_is_not_homed_moves_nothing(name):
     text = bus_text(2, drive=f'homed = "{name}"')
-    run, master = drives_of(text)
+    run, master = connected(robot_of(text))
     robot = robot_of(text)
     assert confirm_motion(robot, master, lambda words, faults: True)  # a simulated drive is homed
     node = run.drives.nodes[1]
