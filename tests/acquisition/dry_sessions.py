@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from made_up_buses import bus_of, bus_text, robot_of
 
-from acquisition.bus import Frame, Link, Master, MasterLink, open_link
+from acquisition.bus import Frame, Master, MasterLink
 from acquisition.commands.checking import Finding, check_drives
 from acquisition.protocol import DISABLED, Command, Mode, State
 from acquisition.recording import FRAME, SENT, Block, Recording, read_recording
-from acquisition.robot import Bus, BusFile, Robot
+from acquisition.robot import Bus, Robot
 from acquisition.session import InlineLog, Outcome, RecordedSummary, Recorder, Stop, Task, run_active
 from acquisition.simulated import DrivenPlant, LockStepLink, SimulatedDrives, cascaded_loops
 from acquisition.simulated.mechanism import Plant, rated_motor_effort, typical_inertia
@@ -120,17 +120,6 @@ class SyncOfAnother(Through):
             self.link.send(0x80, b"")
             return Frame(self.now_ns(), 0x80, b"")
         return frame
-
-
-def heard_at_once(send: Callable[[], object]) -> Callable[..., Link]:
-    """An `open_link` after which somebody sends before anything else happens."""
-
-    def opened(*file: BusFile, **how: bool) -> Link:
-        link = open_link(*file, **how)
-        send()
-        return link
-
-    return opened
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -248,7 +237,7 @@ class DrySession:
     drives: SimulatedDrives
     recorded: RecordedSummary
     recording: Recording
-    announced: tuple[Outcome, ...] = ()
+    announced: tuple[Outcome, ...]
 
     def events(self, kind: str) -> list[str]:
         return [e.text for e in self.recording.events if e.kind == kind]

@@ -11,7 +11,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from dry_sessions import Edited, Unasked, connected, dry_session, findings, heard_at_once, swing
+from dry_sessions import Edited, Unasked, connected, dry_session, findings, swing
 from made_up_buses import bus_of, bus_text, robot_of
 from virtual_buses import Ear, bus_file
 
@@ -75,8 +75,9 @@ rpdo = [{ objects = ["6040", "607A"], can_id = 0x181 }]""")))  # fmt: skip
 def test_replay_is_refused_whoever_is_heard(tracked, can_id, monkeypatch):
     file = bus_file(f"replay_{can_id:03X}")
     ear = Ear(file.channel)
-    with closing(open_link(file, passive=False)) as somebody:
-        monkeypatch.setattr(running, "open_link", heard_at_once(partial(somebody.send, can_id, b"\x01")))
+    with closing(open_link(file, passive=False)) as somebody, closing(open_link(file, passive=False)) as ours:
+        somebody.send(can_id, b"\x01")
+        monkeypatch.setattr(running, "open_link", lambda *_, **__: ours)
         with pytest.raises(RefusedError) as caught:
             replay(tracked, file, Stop())
     assert service_of(Frame(0, can_id, b"\x01"), 0x80) in caught.value.why
