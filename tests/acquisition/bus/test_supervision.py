@@ -138,8 +138,7 @@ def test_supervision_in_words(values, missing, expected):
     node = run.drives.nodes[0]
     node.types |= {(0x1029, 1): "U8", (0x1400, 5): "U16"}
     node.values |= {(0x1029, 1): 1, (0x1400, 5): 0} | values
-    for key in [key for key in node.values if key[0] in missing]:
-        del node.values[key]
+    node.values = {key: value for key, value in node.values.items() if key[0] not in missing}
     shown = [" = ".join(pair) for pair in supervision_of(master, master.bus.drives[0])]
     assert any(expected in line for line in shown)
 
@@ -148,11 +147,10 @@ def test_check_shows_it_and_where_there_is_no_second_stop():
     run, master = connected()
     (reaction,) = findings(run, master.bus, "reaction 6007", 2)
     assert reaction.found.startswith("1: fault")
-    file = master.bus.file
-    assert second_stop(file).startswith("the recorder's process stops the drives")
-
-    slcan = msgspec.structs.replace(file, interface="slcan")
-    assert second_stop(slcan).startswith("none: slcan opens once only")
+    assert second_stop(master.bus.file).startswith("the recorder's process stops the drives")
+    assert second_stop(msgspec.structs.replace(master.bus.file, interface="slcan")).startswith(
+        "none: slcan opens once only"
+    )
 
 
 def test_a_simulated_drive_stops_at_its_own_following_error():

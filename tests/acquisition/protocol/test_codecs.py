@@ -8,10 +8,8 @@ from acquisition.protocol import EffortCodec, ObjectEntry, PositionCodec, satura
 from acquisition.robot import Drive
 
 TURN = 2 * np.pi
-TORQUE, OF_FORCE = (
-    'reference = "6074"\nrated_torque_nm =',
-    'reference_rule = "per mille of rated force"\nrated_force_n =',
-)
+TORQUE = 'reference = "6074"\nrated_torque_nm ='
+OF_FORCE = 'reference_rule = "per mille of rated force"\nrated_force_n ='
 
 
 def direct(index: int, kind: str, rule: str = "") -> str:
@@ -39,9 +37,7 @@ EFFORTS = {
 
 
 def drive_of(keys: str, unit: str = "N m", counts: str = "counts_per_turn = 65536") -> Drive:
-    text = bus_text(1).replace(
-        'reference = "6074"\nrated_torque_nm = 0.42\ncounts_per_turn = 65536', f"{keys}\n{counts}"
-    )
+    text = bus_text(1).replace(f"{TORQUE} 0.42\ncounts_per_turn = 65536", f"{keys}\n{counts}")
     text = text.replace('effort_unit = "N m"', f'effort_unit = "{unit}"')
     if unit == "N":
         text = text.replace('"revolute"', '"prismatic"').replace("counts_per_turn", "counts_per_m")
