@@ -100,7 +100,10 @@ def test_info_tells_times_from_the_first_sample_and_pads_no_line(tmp_path, capsy
     for name in ("sample", "frame"):
         with RecordingWriter(tmp_path / name, header(robot_named("scara"))) as writer:
             writer.event(start_ns - 22_000_000, "phase", "configure")
-            writer.frames("can0", frames) if name == "frame" else writer.samples(samples)
+            if name == "frame":
+                writer.frames("can0", frames)
+            else:
+                writer.samples(samples)
             writer.event(start_ns + 12_218_000_000, "end", text)
         assert main(["info", str(tmp_path / name)]) == 0
         lines = (printed := capsys.readouterr().out).splitlines()
@@ -113,42 +116,30 @@ def test_info_tells_times_from_the_first_sample_and_pads_no_line(tmp_path, capsy
         assert json.loads(capsys.readouterr().out)["first_ns"] == start_ns
 
 
-def test_known_errors_are_one_line_and_leave_nothing(folder, capsys):
-    (folder / "old.mcap").write_bytes(b"old")
-    (folder / "bad.csv").write_text("1,2,3,4\n1,2,3,x\n")
-    before, a = sorted(folder.iterdir()), {name: str(folder / name) for name in ("a.csv", "map.toml", "a.mcap", "out")}
-    recording = ["import", a["a.mcap"], "-o", a["out"]]
-    for arguments, told in (
-        (import_command(folder, folder / "none" / "log.mcap"), "No such file"),
-        (import_command(folder, folder), "found a folder or a device"),
-        (["info", str(folder / "a\nb.mcap")], "a b.mcap: cannot be read"),
-        ([*recording[:2], *recording[1:]], "a second recording: expected one"),
-        ([*recording, "--payload", "2"], "--payload = '2': expected none"),
-        (["import", a["a.csv"], "--map", a["map.toml"], *recording[2:]], "--robot is missing: expected the robot's"),
-        (["import", str(folder / "bad.csv"), *import_command(folder, folder / "old.mcap")[2:], "--overwrite"],
-         "line 2: column 4 = 'x'"),
-    ):  # fmt: skip
-        assert told in refused(capsys, arguments)
-    assert sorted(folder.iterdir()) == before
-    assert (folder / "old.mcap").read_bytes() == b"old"
-
-
-def test_sessions_that_cannot_begin_are_one_line(tmp_path, capsys):
-    robot, there = tmp_path / "robot.toml", tmp_path / "there.mcap"
-    robot.write_text(bus_text(2, channel="nobody"))
-    there.write_bytes(b"x")
-    before = sorted(tmp_path.iterdir())
-    second, out = ("--duration", "1"), ("-o", str(tmp_path / "a.mcap"))
-    for arguments, expected in (
-        (["record", str(robot), "-o", str(there), "--dry-run", *second], "already exists"),
-        (["record", str(robot), *out, "--passive", "--dry-run"], "--passive: sends nothing"),
-        (["record", str(robot), *out, "--duration", "0"], "--duration = 0.0: expected more than 0"),
-        (["record", str(REPLAY / "emps" / "robot.toml"), *out], "bus is missing"),
-        (["record", str(robot), "-o", str(tmp_path / "no" / "a.mcap"), *second], "cannot be written: No such file"),
-        (["replay", str(there), "--interface", "virtual", "--channel", "x"], "is not an MCAP file"),
+def test_known_errors_are_one_line_and_leave_nothing(folder, capsys, monkeypatch):
+    monkeypatch.chdir(folder)
+    Path("old.mcap").write_bytes(b"old")
+    Path("bad.csv").write_text("1,2,3,4\n1,2,3,x\n")
+    Path("robot.toml").write_text(bus_text(2, channel="nobody"))
+    before, of_robot = sorted(folder.iterdir()), ["--robot", str(SCARA), "--map", "map.toml"]
+    for command, told in (
+        (["import", "a.csv", *of_robot, "-o", "none/log.mcap"], "No such file"),
+        (["import", "a.csv", *of_robot, "-o", str(folder)], "found a folder or a device"),
+        (["info", "a\nb.mcap"], "a b.mcap: cannot be read"),
+        (["import", "a.mcap", "a.mcap", "-o", "out"], "a second recording: expected one"),
+        (["import", "a.mcap", "-o", "out", "--payload", "2"], "--payload = '2': expected none"),
+        (["import", "a.csv", "--map", "map.toml", "-o", "out"], "--robot is missing: expected the robot's"),
+        (["import", "bad.csv", *of_robot, "-o", "old.mcap", "--overwrite"], "line 2: column 4 = 'x'"),
+        (["record", "robot.toml", "-o", "old.mcap", "--dry-run", "--duration", "1"], "already exists"),
+        (["record", "robot.toml", "-o", "out", "--passive", "--dry-run"], "--passive: sends nothing"),
+        (["record", "robot.toml", "-o", "out", "--duration", "0"], "--duration = 0.0: expected more than 0"),
+        (["record", str(REPLAY / "emps" / "robot.toml"), "-o", "out"], "bus is missing"),
+        (["record", "robot.toml", "-o", "none/a.mcap", "--duration", "1"], "cannot be written: No such file"),
+        (["replay", "old.mcap", "--interface", "virtual", "--channel", "x"], "is not an MCAP file"),
     ):
-        assert expected in refused(capsys, arguments)
-    assert sorted(tmp_path.iterdir()) == before
+        assert told in refused(capsys, command)
+    assert sorted(folder.iterdir()) == before
+    assert Path("old.mcap").read_bytes() == b"old"
 
 
 def test_inputs_are_not_replaced(folder, capsys):
