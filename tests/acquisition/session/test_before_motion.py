@@ -1,7 +1,7 @@
 """What is asked before anything moves: homed, joint positions agreed, SYNC in step; and the same path slowly."""
 
-import dataclasses
 import gc
+import itertools
 import os
 import resource
 from functools import partial
@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import robot_named
-from dry_sessions import Answering, Through, connected, dry_session, findings, swing
+from dry_sessions import Answering, connected, dry_session, findings, swing
 from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.bus import Master, confirm_motion, position_words
@@ -163,10 +163,7 @@ REF = Path("ref.csv")
 @pytest.mark.parametrize(
     ("options", "place", "expected"),
     [
-        *(
-            ({"track": REF, "speed": speed}, "--speed", "more than 0, and 1 at most")
-            for speed in (0, -0.5, 1.5, np.nan)
-        ),
+        *(({"track": REF, "speed": x}, "--speed", "more than 0, and 1 at most") for x in (0, -0.5, 1.5, np.nan)),
         ({"speed": 0.5}, "--speed", "--track with it"),
         ({"track": REF, "duration_s": 1.0}, "--track", "no --duration"),
     ],
@@ -198,22 +195,11 @@ def test_what_is_granted_is_given_back(monkeypatch):
         assert "SCHED_FIFO is not permitted" in granted.words
 
 
-@dataclasses.dataclass(kw_only=True)
-class Late(Through):
-    """A machine that wakes up late by turns: 0 and `late_ns`."""
-
-    late_ns: int = 0
-    turn: bool = False
-
-    def receive(self, until_ns):
-        self.turn = not self.turn
-        return super().receive(until_ns + (self.late_ns if self.turn else 0))
-
-
 def test_jitter_that_would_be_a_fault_in_motion_is_refused(monkeypatch):
     """Intervals of 5 ± 4 ms by turns have a standard deviation of 4 ms, and three of them are 12 ms."""
-    run, master = connected(robot_of(bus_text(1, period_s=0.005)))
-    master.link = Late(link=run, late_ns=4_000_000)
+    (run, master), late_ns = connected(robot_of(bus_text(1, period_s=0.005))), itertools.cycle((4_000_000, 0))
+    receive = run.receive
+    monkeypatch.setattr(run, "receive", lambda until_ns: receive(until_ns + next(late_ns)))
     monkeypatch.setattr(timing, "largest_delay_s", lambda _: 0.0121)
     found = refuse_jitter(master)
     assert (found.sd_s, found.worst_s) == (pytest.approx(0.004, rel=1e-3), pytest.approx(0.004))

@@ -56,9 +56,12 @@ def disabled_by_the_recorder(recording: Recording) -> bool:
     return confirmed and all(states(recording, k)[-1][1] is State.SWITCH_ON_DISABLED for k in (1, 2))
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+@pytest.mark.parametrize(
+    ("number", "silent"),
+    [(signal.SIGKILL, "the session's process is gone"), (signal.SIGSTOP, "no sign of life from the session for 0.3 s")],
+)
 @tried_again
-def test_drives_without_supervision_of_their_own_are_stopped(folder, number):
+def test_drives_without_supervision_of_their_own_are_stopped(folder, number, silent):
     out = folder / "log.mcap"
     with drives(folder, "--unsupervised"), stalls() as worst:
         with tracking(folder, out, "--unsupervised-drives") as session:
@@ -79,9 +82,6 @@ def test_drives_without_supervision_of_their_own_are_stopped(folder, number):
         assert last_target_ns(recording) == last_ns  # who wakes up enables nothing
         assert {state for t, state in states(recording, 1) if t > last_ns + 10**9} <= {State.SWITCH_ON_DISABLED}
         assert states_of(folder) == [State.SWITCH_ON_DISABLED] * 2
-    silent = (
-        "the session's process is gone" if number is signal.SIGKILL else "no sign of life from the session for 0.3 s"
-    )
     assert f"{silent}: the recorder's process stopped the drives" in texts(recording, "fault")
     assert len(recording.samples) > 0
 
