@@ -18,7 +18,10 @@ cd {root}
 touch {folder}/begun
 {python} -m acquisition emulate {folder}/robot.toml --duration 100 2> {folder}/drives.txt &
 until grep -q "nodes 1, 2" {folder}/drives.txt; do sleep 0.2; done
-{python} -m acquisition record {folder}/robot.toml -o {folder}/log.mcap --duration 2 > {folder}/told.txt 2>&1
+for k in 1 2 3; do
+  rm -f {folder}/log.mcap
+  {python} -m acquisition record {folder}/robot.toml -o {folder}/log.mcap --duration 3 > {folder}/told.txt 2>&1 && break
+done
 """
 
 
@@ -26,7 +29,7 @@ def test_a_session_over_the_kernels_can(tmp_path: Path) -> None:
     if not UML.exists() or shutil.which("linux.uml") is None:
         pytest.skip("no User-Mode Linux: Debian's user-mode-linux and ../shared/tools/uml_can.sh give a kernel vcan")
     # One slow processor for master, drives and recorder together: a test of the socket, not of speed.
-    text = bus_text(2, period_s=0.05, interface="socketcan", channel="vcan0", extra="heartbeat_s = 1.0")
+    text = bus_text(2, period_s=0.1, interface="socketcan", channel="vcan0", extra="heartbeat_s = 1.0")
     (tmp_path / "robot.toml").write_text(text)
     job = tmp_path / "job.sh"
     job.write_text(JOB.format(root=ROOT, python=sys.executable, folder=tmp_path))
@@ -37,7 +40,7 @@ def test_a_session_over_the_kernels_can(tmp_path: Path) -> None:
     recording = read_recording(tmp_path / "log.mcap")
     frames = recording.frames["vcan0"]
     syncs = int((frames["can_id"] == 0x80).sum())
-    assert 20 <= syncs <= 41  # never faster than asked for; a machine that stalls leaves some out
+    assert 15 <= syncs <= 31  # never faster than asked for; a machine that stalls leaves some out
     for node in (1, 2):
         assert syncs - 3 <= (frames["can_id"] == 0x180 + node).sum() <= syncs  # the last ones may lack
     sent = frames["can_id"][(frames["flags"] & SENT) != 0]
