@@ -296,13 +296,10 @@ def test_how_a_bus_is_opened(monkeypatch, keys, passive, expected):
             send(message(), 0.1)
 
 
-@pytest.mark.parametrize(
-    "error", [can.CanInitializationError("no such device"), OSError("no such device"), ImportError]
-)
+@pytest.mark.parametrize("error", [can.CanInitializationError, OSError, ImportError])
 def test_a_bus_that_cannot_be_opened_is_told(monkeypatch, error):
-    monkeypatch.setattr(can, "Bus", raising(error))
-    why = "ImportError" if error is ImportError else "no such device"
-    with pytest.raises(BusFaultError, match=f"bus: pcan PCAN_USBBUS1: cannot be opened: {why}"):
+    monkeypatch.setattr(can, "Bus", raising(error()))
+    with pytest.raises(BusFaultError, match="bus: pcan PCAN_USBBUS1: cannot be opened: "):
         open_bus(bus_file(interface="pcan", channel="PCAN_USBBUS1"), passive=False)
 
 
