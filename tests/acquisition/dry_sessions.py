@@ -6,14 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from faulty_drives import Fault, FaultyDrives
 from made_up_buses import bus_of, bus_text, robot_of
 
-from acquisition.bus import Frame, Link, Master, MasterLink, open_link
+from acquisition.bus import Frame, Master, MasterLink
 from acquisition.commands.checking import Finding, check_drives
-from acquisition.protocol import DISABLED
+from acquisition.protocol import DISABLED, Command, Mode, State
 from acquisition.recording import FRAME, SENT, Block, Recording, read_recording
-from acquisition.robot import Bus, BusFile, Robot
+from acquisition.robot import Bus, Robot
 from acquisition.session import InlineLog, Outcome, RecordedSummary, Recorder, Stop, Task, run_active
 from acquisition.simulated import DrivenPlant, LockStepLink, SimulatedDrives, cascaded_loops
 from acquisition.simulated.mechanism import Plant, rated_motor_effort, typical_inertia
@@ -79,24 +78,16 @@ class Unasked(Through):
 
 
 @dataclass(kw_only=True)
-class Beats(Through):
-    """Of the heartbeats of a node that say operational, those in `which`, from 1, are other frames, or are lost."""
+class Edited(Through):
+    """Frames come as `edit` makes them, or are lost where it makes None of them."""
 
-    node: int
-    which: range
-    other: dict[str, object] | None
-    count: int = 0
+    edit: Callable[[Frame], Frame | None]
 
     def receive(self, until_ns):
         while True:
             frame = super().receive(until_ns)
-            if frame is None or (frame.can_id, frame.data) != (0x700 + self.node, b"\x05"):
+            if frame is None or (frame := self.edit(frame)) is not None:
                 return frame
-            self.count += 1
-            if self.count not in self.which:
-                return frame
-            if self.other is not None:
-                return frame._replace(**self.other)
 
 
 @dataclass(kw_only=True)
@@ -115,12 +106,13 @@ class At(Through):
 
 @dataclass(kw_only=True)
 class SyncOfAnother(Through):
-    """Somebody else sends SYNC every 2 ms, for three seconds."""
+    """Somebody else sends SYNC every 2 ms."""
 
     next_ns: int = 1_050_000_000
+    ends_ns: int = 4_000_000_000
 
     def receive(self, until_ns):
-        if self.next_ns >= 4_000_000_000:
+        if self.next_ns >= self.ends_ns:
             return super().receive(until_ns)
         frame = super().receive(min(until_ns, self.next_ns))
         if frame is None and self.now_ns() >= self.next_ns:
@@ -130,15 +122,98 @@ class SyncOfAnother(Through):
         return frame
 
 
-def heard_at_once(send: Callable[[], object]) -> Callable[..., Link]:
-    """An `open_link` after which somebody sends before anything else happens."""
+@dataclass(frozen=True, kw_only=True)
+class Fault:
+    """A fault of drive `node` from the `sync`-th SYNC that it answers (from 1), for `count` SYNCs.
 
-    def opened(*file: BusFile, **how: bool) -> Link:
-        link = open_link(*file, **how)
-        send()
-        return link
+    `emergency`: continuous over current (2310h); `reset`: it boots; `late`, `missing`, `duplicate`, `short`: its PDOs are;
+    `silent`: it sends nothing from then on; `slow`: it stays in switched on when it is to be enabled; `deaf`: it neither
+    answers SYNC nor applies the PDOs received before it; `clear`: the `bits` of its statusword are 0.
+    """
 
-    return opened
+    kind: str
+    node: int
+    sync: int
+    count: int = 1
+    bits: int = 0
+
+
+class FaultyDrives(SimulatedDrives):
+    """Drives with `faults`; those in `silent`, by index, send nothing; frames in `late` (time, identifier, data) come late."""
+
+    def __init__(
+        self,
+        robot: Robot,
+        bus: Bus,
+        mechanism: DrivenPlant | None = None,
+        faults: Sequence[Fault] = (),
+        *,
+        supervised: bool = True,
+    ) -> None:
+        super().__init__(robot, bus, mechanism, supervised=supervised)
+        self.silent: set[int] = set()
+        self.late: list[tuple[int, int, bytes]] = []
+        self._faults, self._answered = tuple(faults), [0] * robot.n
+
+    def receive(self, now_ns, can_id, data):
+        return self._audible(super().receive(now_ns, can_id, data))
+
+    def due_ns(self):
+        due = [due_ns for due_ns, _, _ in self.late] + [super().due_ns()]
+        return min((t for t in due if t is not None), default=None)
+
+    def advance(self, now_ns):
+        late = sorted((frame for frame in self.late if frame[0] <= now_ns), key=lambda frame: frame[0])
+        self.late = [frame for frame in self.late if frame[0] > now_ns]
+        return [frame[1:] for frame in late] + self._audible(super().advance(now_ns))
+
+    def _audible(self, sent):
+        silent = [self.nodes[i].drive.node for i in self.silent]
+        return [(can_id, data) for can_id, data in sent if can_id & 0x7F not in silent]
+
+    def _answer(self, i, now_ns):
+        self._answered[i] += 1
+        node, k = self.nodes[i], self._answered[i]
+        acting = [f for f in self._faults if f.node == node.drive.node and f.sync <= k < f.sync + f.count]
+        kinds = [fault.kind for fault in acting]
+        node.values[node.drive.status.index, 0] &= ~sum(fault.bits for fault in acting if fault.kind == "clear")
+        if "deaf" in kinds:
+            return []
+        was = node.state
+        frames = super()._answer(i, now_ns)
+        if was is State.SWITCHED_ON and node.state is State.OPERATION_ENABLED and "slow" in kinds:
+            node.state = was
+        before = []
+        for kind in kinds:
+            if kind == "emergency":
+                before += node.emergency(0x2310)  # continuous over current
+            elif kind == "silent":
+                self.silent.add(i)
+            elif kind == "reset":
+                return node.boot()
+            elif kind == "late":
+                late_ns = now_ns + round(1.1 * self.bus.period_ns)
+                self.late += [(late_ns, can_id, data) for can_id, data in frames]
+                frames = []
+            elif kind == "missing":
+                frames = []
+            elif kind == "duplicate":
+                frames = frames * 2
+            elif kind == "short":
+                frames = [(can_id, data[:-1]) for can_id, data in frames]
+        return before + frames
+
+
+class Moved:
+    """A plant of two joints that a test moves."""
+
+    q = np.zeros(2)
+
+    def state(self):
+        return self.q.copy(), np.zeros(2)
+
+    def prescribed_effort(self):
+        return np.zeros(2)
 
 
 class SlowAnswers(FaultyDrives):
@@ -162,7 +237,7 @@ class DrySession:
     drives: SimulatedDrives
     recorded: RecordedSummary
     recording: Recording
-    announced: tuple[Outcome, ...] = ()
+    announced: tuple[Outcome, ...]
 
     def events(self, kind: str) -> list[str]:
         return [e.text for e in self.recording.events if e.kind == kind]
@@ -235,6 +310,17 @@ def connected(
     robot = robot or robot_of(bus_text(2))
     run = LockStepLink(kind(robot, bus_of(robot), **how))
     return run, Master(run, run.drives.bus)
+
+
+def enable(master: Master, *, start: bool = True) -> None:
+    """Configure all drives and enable them by SDO."""
+    master.configure()
+    master.choose_mode(Mode.CYCLIC_SYNCHRONOUS_POSITION)
+    if start:
+        master.start()
+    for watch in master.nodes:
+        for command in (Command.SHUTDOWN, Command.SWITCH_ON, Command.ENABLE_OPERATION):
+            master.write(watch.drive.node, 0x6040, 0, command.controlword, 2)
 
 
 def findings(link: MasterLink, bus: Bus, subject: str = "", node: int | None = None) -> list[Finding]:

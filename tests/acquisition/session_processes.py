@@ -8,17 +8,18 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
-from busy_machine import SYNC_LOST_S, SYNC_S, slow_bus_text
+from busy_machine import SYNC_LOST_S, slow_bus_text
 from conftest import ROOT
-from made_up_buses import robot_of
+from made_up_buses import bus_of, robot_of
 
-from acquisition.bus import open_link
+from acquisition.bus import Master, open_link
 from acquisition.errors import RobotIdimError
+from acquisition.protocol import State
 from acquisition.recording import FRAME, Block, Recording, read_recording
 from acquisition.robot import BusFile
 
@@ -51,33 +52,21 @@ def port() -> Iterator[int]:
 
 @pytest.fixture
 def folder(tmp_path: Path, port: int) -> Path:
-    """A description on a bus of its own, and a reference; skips where there is no multicast on loopback.
-
-    `check.toml` differs in its SYNC only, of which a check measures 200 periods.
-    """
-    channel = f"239.74.163.2:{port}"
-    text = slow_bus_text(2, channel=channel)
-    (tmp_path / "robot.toml").write_text(text)
-    (tmp_path / "check.toml").write_text(text.replace(f"sync_period_s = {SYNC_S}", "sync_period_s = 0.002"))
+    """A description on a bus of its own, and a reference; skips where there is no multicast on loopback."""
+    (tmp_path / "robot.toml").write_text(slow_bus_text(2, channel=f"239.74.163.2:{port}"))
     bus = bus_at(tmp_path)
     try:
         a, b = open_link(bus, passive=False), open_link(bus, passive=True)
     except RobotIdimError as error:
         pytest.skip(f"no multicast on this machine: {error}")
-    try:
+    with closing(a), closing(b):
         a.send(0x123, b"x")
-        until = time.time_ns() + 5 * 10**9
-        frame = b.receive(until)
-        if frame is None:
+        if b.receive(time.time_ns() + 5 * 10**9) is None:
             pytest.skip("no multicast on loopback here: a route to 239.0.0.0/8 on lo may be needed")
-    finally:
-        a.close()
-        b.close()
     t = np.arange(0, 6.001, 0.004)
     q = 0.3 * (1 - np.cos(2 * np.pi * t / 6))
-    np.savetxt(
-        tmp_path / "ref.csv", np.column_stack([t, q, q]), delimiter=",", header="time_s,joint_1,joint_2", comments=""
-    )
+    rows = np.column_stack([t, q, q])
+    np.savetxt(tmp_path / "ref.csv", rows, delimiter=",", header="time_s,joint_1,joint_2", comments="")
     return tmp_path
 
 
@@ -128,9 +117,7 @@ def output_of(process: "subprocess.Popen[str]", number: signal.Signals | None = 
 
 
 def wait_for(
-    path: Path,
-    done: Callable[[Recording], bool],
-    process: "subprocess.Popen[str] | None" = None,
+    path: Path, done: Callable[[Recording], bool], process: "subprocess.Popen[str] | None" = None
 ) -> Recording:
     """Read the recording that grows at `path` until it is as wanted; `process` is not to end before."""
     until, size = time.monotonic() + PATIENCE_S, 0
@@ -192,10 +179,11 @@ def listening(folder: Path, description: str, out: Path) -> Iterator["subprocess
         end(listener, signal.SIGTERM)
 
 
-def checked(folder: Path) -> str:
-    """What a check tells of the drives; how evenly this machine could send SYNC is left to the machine."""
-    output, _ = acquire(folder, "check", str(folder / "check.toml")).communicate(timeout=PATIENCE_S)
-    return output
+def states_of(folder: Path) -> list[State]:
+    """The states of the drives, asked when nobody else asks."""
+    bus = bus_of(robot_of((folder / "robot.toml").read_text()))
+    with closing(open_link(bus.file, passive=False)) as link:
+        return [Master(link, bus).state(drive) for drive in bus.drives]
 
 
 def texts(recording: Recording, kind: str) -> list[str]:

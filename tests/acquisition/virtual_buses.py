@@ -28,9 +28,9 @@ class Ear:
 
 
 @contextmanager
-def served(channel: str, n: int, text: str = "") -> Iterator[None]:
-    """Simulated drives in real time: `n`, nodes from 1, or those of `text`."""
-    robot, stop, booted = robot_of(text or bus_text(n, channel=channel)), threading.Event(), threading.Event()
+def served(channel: str, n: int) -> Iterator[None]:
+    """`n` simulated drives in real time, nodes from 1."""
+    robot, stop, booted = robot_of(bus_text(n, channel=channel)), threading.Event(), threading.Event()
     drives = SimulatedDrives(robot, bus_of(robot))
     thread = threading.Thread(target=serve, args=(drives, stop.is_set, booted.set), daemon=True)
     thread.start()

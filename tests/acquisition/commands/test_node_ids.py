@@ -1,38 +1,14 @@
 """Two devices with one node id: `scan`, `check` and `record` say so before anything moves; late answers are none."""
 
-from contextlib import ExitStack
-
 import pytest
-from dry_sessions import Unasked, connected, dry_session, findings, swing
-from faulty_drives import FaultyDrives
-from made_up_buses import bus_text
-from virtual_buses import bus_file, served
+from dry_sessions import FaultyDrives, Unasked, connected, dry_session, findings, swing
+from virtual_buses import bus_file
 
 from acquisition.bus import Frame, Uploads, scan_nodes
-from acquisition.commands import main
 from acquisition.commands.scanning import ARRAYS, OBJECTS
 from acquisition.errors import RefusedError
 from acquisition.protocol import State, abort_answer, read_request
 from acquisition.session import Task
-
-
-def test_two_drives_with_one_node_id_on_a_bus(tmp_path, capsys):
-    """Two simulated drives in real time, each of them node 1."""
-    robot, toml, log = tmp_path / "robot.toml", tmp_path / "bus.toml", tmp_path / "log.mcap"
-    robot.write_text(bus_text(1, channel="node_ids"))
-    scan = ["scan", "--interface", "virtual", "--channel", "node_ids", "--toml", str(toml)]
-    for count, said in ((2, "two devices answer as node 1"), (1, "")):
-        for command in (scan, ["check", str(robot)], ["record", str(robot), "-o", str(log), "--duration", "0.2"]):
-            with ExitStack() as drives:
-                for _ in range(count):
-                    drives.enter_context(served("node_ids", 1))
-                main(command)
-            shown = "".join(capsys.readouterr())
-            assert ("two devices" in shown) == bool(said)
-            assert said in shown
-        if count == 2:
-            assert not toml.exists()
-            log.unlink()
 
 
 class Twice(FaultyDrives):

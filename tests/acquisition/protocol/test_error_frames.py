@@ -9,9 +9,7 @@ from acquisition.protocol import error_frame_words
     ("can_id", "data", "words"),
     [
         (0x001, "0000000000000000", "a frame could not be sent in time"),
-        (0x002, "0000000000000000", "arbitration lost"),
         (0x002, "0b00000000000000", "arbitration lost: at bit 11"),
-        (0x004, "0000000000000000", "controller"),
         (0x004, "0001000000000000", "controller: receive overflow"),
         (0x004, "0002000000000000", "controller: transmit overflow"),
         (0x004, "000c000000000000", "controller: warning level of receive errors, warning level of transmit errors"),
@@ -24,7 +22,6 @@ from acquisition.protocol import error_frame_words
         (0x008, "0000080800000000", "protocol: dominant bit could not be sent, in checksum"),
         (0x008, "0000700200000000",
          "protocol: recessive bit could not be sent, overload, active error announced, in identifier bits 28 to 21"),
-        (0x010, "0000000004000000", "transceiver: CAN_H no wire"),
         (0x010, "0000000075000000", "transceiver: CAN_H short to battery, CAN_L short to ground"),
         (0x010, "0000000080000000", "transceiver: CAN_L short to CAN_H"),
         (0x020, "0000000000000000", "no acknowledgement: no other node receives, or the cable is open"),

@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from dry_sessions import DrySession, at_boot, connected, dry_session, findings, swing
-from faulty_drives import Fault, FaultyDrives
+from dry_sessions import DrySession, Fault, FaultyDrives, at_boot, connected, dry_session, findings, swing
 from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.protocol import State
@@ -28,13 +27,12 @@ def targets(session: DrySession, node: int) -> np.ndarray:
 
 
 def phase_of(session: DrySession, name: str) -> np.ndarray:
-    names, stamps = list(session.phases), session.phases
-    at, then = stamps[name], stamps[names[names.index(name) + 1]]
-    samples = session.recording.samples
-    return samples[(samples["stamp_ns"] >= at) & (samples["stamp_ns"] < then)]
+    stamps, samples = session.phases, session.recording.samples
+    then = min(stamp for stamp in stamps.values() if stamp > stamps[name])
+    return samples[(samples["stamp_ns"] >= stamps[name]) & (samples["stamp_ns"] < then)]
 
 
-@pytest.mark.parametrize("late_s", [0.0, 2.0])
+@pytest.mark.parametrize("late_s", [0.0, 1.2])
 def test_an_arm_under_half_load_is_held_where_it_stood(tmp_path, late_s):
     late = [Fault(kind="slow", node=2, sync=1, count=round(late_s / 0.002))] if late_s else []
     session = dry_session(tmp_path / "a.mcap", TRACK, plant=loaded(0.5), faults=late)
@@ -45,7 +43,7 @@ def test_an_arm_under_half_load_is_held_where_it_stood(tmp_path, late_s):
     # The first drive has settled: none of its sag is left; the loop, of 5 Hz, needed some while the load came on.
     assert np.abs(stood[:, 0] - start[0]).max() * DEG < (0.001 if late_s else 0.02)
     if late_s:
-        assert len(enabling) > 1000
+        assert len(enabling) > 600
         assert 0.01 < np.abs(enabling["position"] - start).max() * DEG < 1.0
     # Held to the count, and no step when motion begins: the reference starts here, so the approach goes nowhere.
     for node in (1, 2):
@@ -62,18 +60,16 @@ def test_a_target_follows_while_its_drive_is_not_enabled(tmp_path):
             if held[1]:
                 self._q[1] += 0.05 * duration_s  # 0.05 rad/s
 
-    robot = robot_of(bus_text(2))
     plant = loaded(0.0)
     plant.__class__ = Turned
     late = [Fault(kind="slow", node=2, sync=1, count=100)]
-    session = dry_session(tmp_path / "a.mcap", TRACK, plant=plant, faults=late, robot=robot)
+    session = dry_session(tmp_path / "a.mcap", TRACK, plant=plant, faults=late)
     assert session.outcome.reason == "finished"
     enabling = phase_of(session, "enable")["position"][:, 1]
     assert enabling[-1] - enabling[0] == pytest.approx(0.05 * 0.2, rel=0.1)
     # It is held at the last position that came before the drive said it was enabled.
-    sent = targets(session, 2)
-    scale = 50 * 65536 / (2 * np.pi)
-    assert sent[len(enabling) + 1] / scale == pytest.approx(enabling[-2], abs=2e-4)
+    held = targets(session, 2)[len(enabling) + 1] / (50 * 65536 / (2 * np.pi))
+    assert held == pytest.approx(enabling[-2], abs=2e-4)
 
 
 def test_motion_while_enabling_is_a_fault_beyond_its_limit(tmp_path):
@@ -84,18 +80,14 @@ def test_motion_while_enabling_is_a_fault_beyond_its_limit(tmp_path):
         late = [Fault(kind="slow", node=2, sync=1, count=100)]
         return dry_session(tmp_path / name, TRACK, robot=robot, plant=loaded(0.5), faults=late)
 
-    free = enabled("free.mcap", 1.0)
-    positions = phase_of(free, "enable")["position"]
+    positions = phase_of(enabled("free.mcap", 1.0), "enable")["position"]
     sag_deg = np.abs(positions - positions[0]).max() * DEG
     assert 0.1 < sag_deg < 1.0
     assert enabled("inside.mcap", 1.02 * sag_deg).outcome.reason == "finished"
-    beyond = enabled("beyond.mcap", 0.98 * sag_deg)
-    assert beyond.outcome.fault
-    error = beyond.outcome.error
+    error = enabled("beyond.mcap", 0.98 * sag_deg).outcome.error
     assert (error.place, error.key) == ("joint_1", "motion while drives were enabled")
     assert -0.98 * sag_deg / DEG > error.value > -1.2 * sag_deg / DEG
     assert error.expected == f"{0.98 * sag_deg / DEG:.4g} at most"
-    assert str(error) == beyond.outcome.reason
 
 
 class Runaway(JointwisePlant):
@@ -126,11 +118,11 @@ def test_joints_that_run_away_while_enabled_are_stopped_before_they_have_moved_f
     assert (0x07 in words[0], 0x07 in words[1]) == (True, not late)
 
 
-@pytest.mark.parametrize(("extra", "watch_s"), [("", 0.2), ("enable_watch_s = 0.5", 0.5)])
+@pytest.mark.parametrize(("extra", "watch_s"), [("", 0.2), ("enable_watch_s = 0.1", 0.1)])
 def test_the_last_drive_enabled_is_watched_before_anything_moves(tmp_path, extra, watch_s):
     robot = robot_of(bus_text(2, extra=extra))
     late = [Fault(kind="slow", node=2, sync=1, count=100)]
-    session = dry_session(tmp_path / "a.mcap", TRACK, robot=robot, faults=late)
+    session = dry_session(tmp_path / "a.mcap", Task(reference=np.zeros((2, 2))), robot=robot, faults=late)
     frames = session.frames
     last = frames[(frames["can_id"] == 0x182) & (frames["data"][:, 0] == 0x37)]["time_ns"][0]
     assert (session.phases["approach"] - last) * 1e-9 == pytest.approx(watch_s, abs=0.005)
@@ -180,6 +172,5 @@ def test_a_fault_that_nobody_was_asked_about_is_not_reset(tmp_path, monkeypatch)
         return ()
 
     session = dry_session(tmp_path / "a.mcap", Task(reference=TRACK.reference, before_motion=asked))
-    assert session.outcome.error.place == "node 2 (motor_2)"
-    assert "went into fault" in session.outcome.reason
+    assert session.outcome.reason.startswith("node 2 (motor_2): went into fault")
     assert session.drives.states[1] is State.FAULT

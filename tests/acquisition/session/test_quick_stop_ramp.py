@@ -1,101 +1,69 @@
 """The ramp of a quick stop: read before motion, shown by check, refused where it is too slow, and let finish."""
 
-from dataclasses import dataclass
-
 import numpy as np
 import pytest
-from dry_sessions import DrySession, Through, dry_session, findings
-from faulty_drives import FaultyDrives
+from dry_sessions import Through, at_boot, connected, dry_session, findings
 from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.protocol import State, quick_stop_ramp
 from acquisition.session import Stop, Task
-from acquisition.simulated import LockStepLink, SimulatedDrives
 
 LIMIT = 2.0  # rad/s² of each joint
 TEXT = bus_text(2).replace("acceleration_deg_s2 = 4000", f"acceleration_deg_s2 = {np.degrees(LIMIT)}")
 ROBOT = robot_of(TEXT.replace("[-150, 150]", "[-260, 260]"))  # wide enough for a path from the middle on
 COUNTS = 50 * 65536 / (2 * np.pi)  # of a motor per rad of its joint
 SPEED = 2.15  # rad/s at which the stop begins
+REST = Task(reference=np.zeros((2, 2)))
 
 
-def path() -> np.ndarray:
-    """Both joints up to 2.2 rad/s and down again, within their limits."""
-    t = np.arange(0, 4.0, 0.002)
-    speed = np.interp(t, [0, 1.2, 2.0, 3.2], [0, 2.2, 2.2, 0])
-    return np.repeat(np.cumsum(speed)[:, None] * 0.002, 2, axis=1)
+def with_objects(patch: pytest.MonkeyPatch, objects: dict[int, int]) -> None:
+    at_boot(patch, lambda node: node.values.update({(index, 0): value for index, value in objects.items()}))
 
 
-def stopped(file, objects: dict[int, int]) -> tuple[DrySession, list[tuple[float, State, float]]]:
-    """A quick stop in full motion, of drives with these objects: time, state of a drive and speed of its joint since."""
-    stop, seen = Stop(), []
+def test_a_quick_stop_takes_its_own_time_and_is_not_cut_at_speed(tmp_path, monkeypatch):
+    """Both joints go up to 2.2 rad/s; they stop by 2 rad/s² (605Ah = 5: 6084h)."""
+    stop, seen = Stop(), list[tuple[float, State, float]]()  # time, state of a drive, speed of its joint since the stop
 
-    class Set(FaultyDrives):
-        def __init__(self, *arguments, **named):
-            super().__init__(*arguments, **named)
-            for node in self.nodes:
-                node.values |= {(index, 0): value for index, value in objects.items()}
-                node.initial = dict(node.values)
-            Watching.drives = self
-
-    @dataclass(kw_only=True)
     class Watching(Through):
         def receive(self, until_ns):
-            frame, speed = super().receive(until_ns), self.drives.plant.state()[1]
-            stop.at_once |= bool(speed.min() > SPEED)
-            stop.reason = "stopped by SIGINT" if stop.at_once else ""
+            frame, drives = super().receive(until_ns), self.link.drives
+            stop.at_once |= bool(drives.plant.state()[1].min() > SPEED)
             if stop.at_once:
-                seen.append((self.now_ns() * 1e-9, self.drives.states[0], float(speed[0])))
+                stop.reason = "stopped by SIGINT"
+                seen.append((self.now_ns() * 1e-9, drives.states[0], float(drives.plant.state()[1][0])))
             return frame
 
-    session = dry_session(file, Task(reference=path()), robot=ROBOT, through=Watching, stop=stop, simulated=Set)
-    return session, seen
-
-
-@pytest.mark.parametrize(
-    ("ramp", "objects"),
-    [
-        (1.0, {0x605A: 2, 0x6085: round(COUNTS), 0x6084: 1}),
-        (2.0, {0x605A: 5, 0x6084: round(2 * COUNTS), 0x6085: 1}),
-        (5.0, {0x605A: 6, 0x6085: round(5 * COUNTS), 0x6084: 1}),
-    ],
-)
-def test_a_quick_stop_takes_its_own_time_and_is_not_cut_at_speed(tmp_path, ramp, objects):
-    session, seen = stopped(tmp_path / "a.mcap", objects)
+    with_objects(monkeypatch, {0x605A: 5, 0x6084: round(2 * COUNTS), 0x6085: 1})
+    speed = np.interp(np.arange(0, 4.0, 0.002), [0, 1.2, 2.0, 3.2], [0, 2.2, 2.2, 0])
+    task = Task(reference=np.repeat(np.cumsum(speed)[:, None] * 0.002, 2, axis=1))
+    session = dry_session(tmp_path / "a.mcap", task, robot=ROBOT, through=Watching, stop=stop)
     assert session.outcome.reason == "stopped by SIGINT, then again: quick stop"
     assert not session.outcome.unconfirmed
     active = [t for t, state, _ in seen if state is State.QUICK_STOP_ACTIVE]
     off_s, _, speed = next(item for item in seen if item[0] > active[-1] and item[1] is State.SWITCH_ON_DISABLED)
     assert abs(speed) < 0.1 * SPEED
-    assert 0.9 * SPEED / ramp < off_s - active[0] < SPEED / ramp + 0.1
+    assert 0.9 * SPEED / 2.0 < off_s - active[0] < SPEED / 2.0 + 0.1
 
 
-def test_a_quick_stop_below_half_the_acceleration_limit_is_refused(tmp_path):
-    objects = {0x605A: 2, 0x6085: round(0.98 * COUNTS)}
-    session, _ = stopped(tmp_path / "a.mcap", objects)
+def test_a_quick_stop_below_half_the_acceleration_limit_is_refused(tmp_path, monkeypatch):
+    for share, ok in ((1.0, True), (0.98, False)):
+        with_objects(monkeypatch, {0x605A: 2, 0x6085: round(share * COUNTS)})
+        run, master = connected(ROBOT)
+        (found,) = findings(run, master.bus, "quick stop", 2)
+        assert found.ok == ok
+        words = f"{np.degrees(share):.4g} deg/s², {np.radians(200) / share:.3g} s from the speed limit to rest"
+        assert found.found.startswith(f"quick stop ramp {words}")
+    session = dry_session(tmp_path / "a.mcap", REST, robot=ROBOT)
     error = session.outcome.error
     assert error.place == "node 1 (motor_1)"
     assert error.expected == "57.3 at least for --track, half the acceleration limit"
     assert not any(np.isin(session.frames["can_id"], [0x201, 0x202]))
-    for share, ok in ((0.98, False), (1.0, True)):
-        drives = SimulatedDrives(ROBOT, bus_of(ROBOT))
-        for node in drives.nodes:
-            node.values[0x6085, 0] = node.initial[0x6085, 0] = round(share * COUNTS)
-        run = LockStepLink(drives)
-        (found,) = findings(run, bus_of(ROBOT), "quick stop", 2)
-        assert found.ok == ok
-        words = f"{np.degrees(share):.4g} deg/s², {np.radians(200) / share:.3g} s from the speed limit to rest"
-        assert found.found.startswith(f"quick stop ramp {words}")
 
 
-def test_an_unknown_ramp_is_noted(tmp_path):
-    session, seen = stopped(tmp_path / "a.mcap", {0x605A: 7})
-    notes = session.events("mark")
-    assert [note.partition(": voltage")[0] for note in notes] == [
-        f"node {k} (motor_{k}): quick stop ramp unknown" for k in (1, 2)
-    ]
-    active = [t for t, state, _ in seen if state is State.QUICK_STOP_ACTIVE]
-    assert active[-1] - active[0] == pytest.approx(0.05, abs=0.006)  # not 5 % slower: off
+def test_an_unknown_ramp_is_noted(tmp_path, monkeypatch):
+    with_objects(monkeypatch, {0x605A: 7})
+    notes = [note.partition(": voltage")[0] for note in dry_session(tmp_path / "a.mcap", REST).events("mark")]
+    assert notes == [f"node {k} (motor_{k}): quick stop ramp unknown" for k in (1, 2)]
 
 
 @pytest.mark.parametrize(

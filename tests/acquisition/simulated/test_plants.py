@@ -1,12 +1,16 @@
 """What simulated drives move, against closed forms."""
 
+from importlib.metadata import EntryPoints
+
 import numpy as np
 import pytest
-from made_up_buses import bus_text, robot_of
+from conftest import REPLAY, robot_named
+from made_up_buses import bus_of, bus_text, robot_of
 
+import acquisition.simulated.mechanism as mechanism_module
 from acquisition.errors import BadInputError
 from acquisition.recording import sample_dtype
-from acquisition.simulated import TablePlant, middle_of_range
+from acquisition.simulated import TablePlant, driven_plant, middle_of_range
 from acquisition.simulated.mechanism import JointwisePlant, typical_inertia, typical_plant
 
 FREE, HELD = np.zeros(1, bool), np.ones(1, bool)
@@ -62,9 +66,8 @@ def test_friction_stops_a_joint_and_does_not_turn_it_round():
 
 def test_a_brake_holds():
     plant = joint(load=5.0)
-    after(plant, 20.0, 0.1)
-    q, _ = plant.state()
-    assert after(plant, 20.0, 0.1, HELD) == (q[0], 0.0)
+    q, _ = after(plant, 20.0, 0.1)
+    assert after(plant, 20.0, 0.1, HELD) == (q, 0.0)
 
 
 def test_a_typical_plant_by_hand():
@@ -90,33 +93,48 @@ def test_a_typical_plant_by_hand():
 
 
 def test_a_typical_plant_of_a_robot_that_states_no_limits():
-    text = bus_text(1)
-    for line in ("position_deg = [-150, 150]", "speed_deg_s = 200", "acceleration_deg_s2 = 4000"):
-        text = text.replace(line, "")
-    robot = robot_of(text)
+    stated = ("position_deg", "speed_deg_s", "acceleration_deg_s2")
+    robot = robot_of("\n".join(line for line in bus_text(1).split("\n") if not line.startswith(stated)))
     assert typical_inertia(robot, np.array([0.42])) == pytest.approx([10.5 / 10])
     assert middle_of_range(robot).tolist() == [0.0]
     plant = typical_plant(robot, np.array([0.42]), load_share=0.0)
-    for _ in range(200):
-        plant.step(np.array([0.1 * 21]), FREE, 0.5)
-    assert plant.state()[1] == pytest.approx([1.0])  # rad/s, where a twentieth of 21 N m is viscous
+    assert after(plant, 0.1 * 21, 100.0, steps=200)[1] == pytest.approx(1.0)  # rad/s: a twentieth of 21 N m is viscous
 
 
 def test_a_table_goes_by_its_rate():
     """Rows every 10 ms; time is rounded to the nearest row; the last row stays."""
     samples = np.zeros(4, sample_dtype(1, reference=False))
     samples["position"][:, 0], samples["effort"][:, 0] = [1.0, 3.0, 4.0, 4.5], [10.0, 20.0, 30.0, 40.0]
-    plant = TablePlant(samples, 100.0)
+    plant, seen = TablePlant(samples, 100.0), []
     with pytest.raises(BadInputError, match="holds no samples"):
         TablePlant(samples[:0], 100.0)
-    seen = []
     for _ in range(10):
         (q, dq), effort = plant.state(), plant.prescribed_effort()
         seen.append((q[0], round(float(dq[0]), 9), effort[0]))
+        q[0] = effort[0] = 7.0  # the table is not handed out
         plant.step(np.array([99.0]), HELD, 0.004)
     rows = [(1.0, 200.0, 10.0), (3.0, 100.0, 20.0), (4.0, 50.0, 30.0), (4.5, 0.0, 40.0)]
     assert seen == [rows[k] for k in (0, 0, 1, 1, 2, 2, 2, 3, 3, 3)]
-    plant.state()[0][0] = 7.0
-    plant.prescribed_effort()[0] = 7.0
-    assert samples["position"][3, 0] == 4.5  # the table is not handed out
-    assert samples["effort"][3, 0] == 40.0
+
+
+def test_without_parameters_or_dynamics_a_stand_in_with_weight_moves(monkeypatch):
+    robot = robot_of(bus_text(2))
+    made = driven_plant(robot, bus_of(robot))
+    assert made.warning.startswith("simulated as independent joints with a gravity-like load")
+    assert "robot.toml has no [parameters]" in made.warning
+    free = np.zeros(2, bool)
+    for _ in range(50):
+        made.plant.step(np.zeros(2), free, 0.001)
+    # Level joints fall with (0.3 - 0.05) of the rated effort; half of that effort accelerates them by 4000 deg/s².
+    fallen = 0.5 * (0.25 / 0.5) * np.radians(4000) * 0.05**2
+    assert made.plant.state()[0] == pytest.approx([-fallen] * 2, rel=0.05)
+    monkeypatch.setattr(mechanism_module, "entry_points", lambda **_: EntryPoints())
+    scara = robot_named("scara")
+    alone = driven_plant(scara, bus_of(scara))
+    assert "no installed package offers the robot's dynamics (entry points robot_idim.plants)" in alone.warning
+
+
+def test_parameters_that_describe_no_robot_are_refused_in_one_line():
+    robot = robot_of((REPLAY / "scara" / "robot.toml").read_text().replace("ZZ2 = 0.061", "ZZ2 = -1000.0"))
+    with pytest.raises(BadInputError, match="cannot be simulated: the inertia matrix is not positive"):
+        driven_plant(robot, bus_of(robot))
