@@ -7,7 +7,7 @@ the ends; MATLAB's own edge rule, used for published digits, is an option.
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -153,8 +153,8 @@ def _decimated(x: Array, r: int) -> Array:
     rows = _fast_size(-(-(lead + N + reach) // r))
     extended = np.empty((*x.shape[:-1], rows * r))
     extended[..., lead : lead + N] = x
-    # Odd reflection at the end of a line through the last samples: the weights give its value there.
-    line = np.linalg.pinv(np.c_[np.ones(near), np.arange(near)])[0]
+    # Odd reflection at the end of a line through the last samples.
+    line = _line(near)
     first, last = x[..., :near] @ line, x[..., : -near - 1 : -1] @ line
     begin, end = lead - min(reach, N - 1), lead + N + min(reach, N - 1)
     extended[..., begin:lead] = 2 * first[..., None] - x[..., lead - begin : 0 : -1]
@@ -170,6 +170,12 @@ def _decimated(x: Array, r: int) -> Array:
         folded[..., 0] += above[..., 0].conj() * (start > 0)
     first = (lead + first_row) // r
     return np.asarray(np.fft.irfft(folded, rows)[..., first : first + -(-N // r)] / r)
+
+
+@lru_cache
+def _line(near: int) -> Array:
+    """Weights (near,) of samples in the value, at the first one, of the line through them."""
+    return np.asarray(np.linalg.pinv(np.c_[np.ones(near), np.arange(near)])[0])
 
 
 @lru_cache
@@ -207,7 +213,7 @@ class _Filter:
     def warp(self) -> float:
         return float(np.tan(0.5 * np.pi * self.cutoff))
 
-    @property
+    @cached_property
     def reach(self) -> int:
         """Samples in which the slowest pole decays."""
         p = self.poles * self.warp

@@ -128,14 +128,13 @@ def _cause(evidence: FitData) -> str:
     )
 
     def left(of_motion: Array, of_torque: Array) -> float:
-        (q, dq, ddq), shares = (x @ of_motion for x in (states.q, states.dq, states.ddq)), 0.0
+        q, dq, ddq = (x @ of_motion for x in (states.q, states.dq, states.ddq))
         tau, rigid = recorded @ of_torque, links.torques_of_links(q, dq, ddq)
-        for j, moves in enumerate((counts @ np.abs(of_motion) > 0).T):
-            others = np.linalg.qr(np.c_[ddq[:, j], dq[:, j], np.sign(dq[:, j]), np.ones(len(q))][moves])[0]
-            both = np.c_[tau[:, j] - rigid[:, j], tau[:, j]][moves]
-            share, whole = ((both - others @ (others.T @ both)) ** 2).sum(axis=0)
-            shares += float(np.log(np.clip(share / (whole + 1e-300), MIN_LEFT, 1.0)))
-        return shares
+        moves = (counts @ np.abs(of_motion) > 0).T[..., None]
+        others = np.linalg.qr(np.stack([ddq.T, dq.T, np.sign(dq.T), np.ones_like(q.T)], axis=2) * moves)[0]
+        both = np.stack([(tau - rigid).T, tau.T], axis=2) * moves
+        share, whole = ((both - others @ (others.swapaxes(1, 2) @ both)) ** 2).sum(axis=1).T
+        return float(np.log(np.clip(share / (whole + 1e-300), MIN_LEFT, 1.0)).sum())
 
     found = [(left(same, same) - MIN_CAUSE, "")]
     for a, b in combinations(range(len(names)), 2):
