@@ -6,6 +6,7 @@ A command's module is imported when the command is chosen, and `run` imports the
 
 import argparse
 import errno
+import gc
 import io
 import os
 import re
@@ -68,6 +69,7 @@ class Program:
     def main(self, arguments: Sequence[str] | None = None) -> int:
         """Run the command in `arguments` (default: those of the process); return one of `STATUSES`."""
         given = sys.argv[1:] if arguments is None else arguments
+        gc.set_threshold(50_000)  # imports and tables make many objects that stay
 
         def command() -> int | None:
             # No option before the command takes a value.
