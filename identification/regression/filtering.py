@@ -22,7 +22,9 @@ CHEBYSHEV_RIPPLE_DB = 0.05
 MAX_PASS = 13  # a decimation by more is made in several passes
 MAX_ALIAS = 1e-3  # of the amplitude in the passband: most that may fold into it
 MIN_RESPONSE = 1e-14  # of an input: below rounding
-_IN_CACHE = 120_000  # numbers that are filtered at a time: with their spectra they fit in the second cache, twice as fast
+_IN_CACHE = (
+    120_000  # numbers that are filtered at a time: with their spectra they fit in the second cache, twice as fast
+)
 
 
 def lowpass(x: Array, cutoff_hz: float, sample_rate_hz: float) -> Array:

@@ -127,9 +127,11 @@ def _cause(evidence: FitData) -> str:
         *(x[states.rows] for x in (evidence.observed.tau, evidence.observed.counts)),
     )
 
+    as_recorded = links.torques_of_links(states.q, states.dq, states.ddq)
+
     def left(of_motion: Array, of_torque: Array) -> float:
         q, dq, ddq = (x @ of_motion for x in (states.q, states.dq, states.ddq))
-        tau, rigid = recorded @ of_torque, links.torques_of_links(q, dq, ddq)
+        tau, rigid = recorded @ of_torque, as_recorded if of_motion is same else links.torques_of_links(q, dq, ddq)
         moves = (counts @ np.abs(of_motion) > 0).T[..., None]
         others = np.linalg.qr(np.stack([ddq.T, dq.T, np.sign(dq.T), np.ones_like(q.T)], axis=2) * moves)[0]
         both = np.stack([(tau - rigid).T, tau.T], axis=2) * moves
