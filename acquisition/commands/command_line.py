@@ -92,7 +92,7 @@ class Program:
 
 
 def _keep_memory() -> None:
-    """Freed memory stays for the next arrays, and garbage, of which imports make none, is looked for seldom: a tenth of a fit."""
+    """Freed memory stays for the next arrays; garbage is looked for seldom, since imports make none. A tenth of a fit."""
     gc.set_threshold(50_000)
     with suppress(AttributeError, OSError, TypeError):  # of glibc alone
         for option, size in ((-3, 32 << 20), (-1, 64 << 20)):  # M_MMAP_THRESHOLD, M_TRIM_THRESHOLD

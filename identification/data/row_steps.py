@@ -6,9 +6,7 @@ import numpy as np
 
 from ..arrays import Array
 
-MIN_DEVIATIONS = (
-    10.0  # of steps about their neighbours: smaller steps cannot be distinguished from double or zero steps
-)
+MIN_DEVIATIONS = 10.0  # of steps about their neighbours: smaller ones are not told from double or zero steps
 MAX_ERROR = 0.15  # of a step: largest distance from a multiple
 MAX_DIFFERENCE = 0.25  # of a step: of three of four neighbours from their median (of two next to a missing row)
 QUANTUM_DEVIATION = 0.41  # standard deviation of the step between two rounded positions, in quanta
@@ -65,10 +63,7 @@ def _count(q: Array) -> tuple[Array, Array]:
     weight = np.divide(1.0, deviation, out=np.zeros_like(m), where=deviation > 0)
     # All joints together: a row that is missing is missing for all of them.
     size = np.linalg.norm(m * weight, axis=1)
-    none, once, twice = (
-        np.einsum("kij,kij->ki", off, off) < (MAX_DIFFERENCE * size) ** 2
-        for off in ((around - k * m) * weight for k in (0, 1, 2))
-    )
+    none, once, twice = (np.linalg.norm((around - k * m) * weight, axis=2) < MAX_DIFFERENCE * size for k in (0, 1, 2))
     alike = (once.sum(axis=0) >= 3) | ((once.sum(axis=0) == 2) & (none | once | twice).all(axis=0))
     moving = (size > MIN_DEVIATIONS) & alike
     ratio = np.divide((x * m * weight**2).sum(axis=1), size**2, out=np.ones(rows), where=moving)

@@ -121,10 +121,8 @@ def position_noise_line(problem: Problem, method: Method, ls: LeastSquares, *, a
         widths, percents = np.nan_to_num(off / half, posinf=np.inf), np.nan_to_num(100 * off / np.abs(beta))
     matters = (widths > MAX_BIAS) & (percents > MAX_BIAS_PERCENT)
     worst = int(np.argmax(np.where(matters, widths, -1.0) if matters.any() else widths))
-    value, text = (
-        float(widths[worst]),
-        f"moves {names[worst]} by {widths[worst]:.2g} half-widths ({percents[worst]:.2g} %)",
-    )
+    value = float(widths[worst])
+    text = f"moves {names[worst]} by {value:.2g} half-widths ({percents[worst]:.2g} %)"
     if matters.any():
         text = f"{text} or more: {ADVICE}"
         return TrustLine(NAME, "caution", text, value, finding="least squares biased by position noise")

@@ -19,7 +19,7 @@ from ..estimation import SPANS, SpanFactors, Spans, System, one_thread
 from ..model import BaseParameters, InverseModel, direct_model
 from .filtering import Decimation
 from .load import LoadFriction, load_friction
-from .motion import Motion, smoothly
+from .motion import Motion, smooth
 from .problem import Problem, RowBlock, motion_blocks, motion_of_block, row_blocks
 from .weights import refuse_standing_joints, sample_weights, weighted, weights_at
 
@@ -27,7 +27,6 @@ _MAX_NUMBERS = 4_000_000  # of W in rows; above, its spans are reduced to their 
 _MAX_NUMBERS_OF_ALL = 16_000_000  # the same of all recordings of a fit
 REDUCED, HELD = 0.0, math.inf  # most numbers of a recording: always reduced, or never
 MAX_BLOCKS_KEPT = 8  # whose torque by the last parameters is kept
-_FILTERED = 1_000_000  # numbers of the series filtered at a time, to limit memory
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -244,9 +243,9 @@ def torque_of_model(problem: Problem, motion: Motion, beta: Array) -> Array:
 def predicted_torque(
     motion: Motion, dynamics: InverseModel, base: BaseParameters, beta: Array, stride: int = 1
 ) -> Array:
-    """Torque (N, n) of the inverse dynamic model along a motion, undecimated: IDM(q, dq, ddq) beta; links' as `smoothly`."""
+    """Torque (N, n) of the inverse dynamic model along a motion, undecimated: IDM(q, dq, ddq) beta; links' as `smooth`."""
     model = direct_model(dynamics, base.standard_parameters(beta))
-    rigid = smoothly(model.torques_of_links, motion, stride)
+    rigid = smooth(model.torques_of_links, motion, stride)
     return model.torque(motion.q, motion.dq, motion.ddq, rigid=rigid)
 
 
@@ -290,10 +289,7 @@ def _decimated(
         parts = [part * w[entries[:, 0], span] for part, span in zip(parts, spans, strict=True)]
         W[entries[:, 0], entries[:, 1]] = decimation.filtered_strided(*parts)
     entries, (series,) = _series(motion, dynamics, base, np.flatnonzero(~links), (slice(None),))
-    size = max(1, _FILTERED // N)
-    for k in range(0, len(entries), size):
-        group = slice(k, k + size)
-        W[entries[group, 0], entries[group, 1]] = decimation.filtered(w[entries[group, 0]] * series[group])
+    W[entries[:, 0], entries[:, 1]] = decimation.filtered(w[entries[:, 0]] * series)
     return W
 
 

@@ -11,16 +11,7 @@ from acquisition.robot import Joint
 
 from ..arrays import Array
 from ..model import DirectModel, JointTerm, direct_model, inertia_unit, torque_of_links
-from ..regression import (
-    Decimation,
-    Motion,
-    Problem,
-    differentiate,
-    fast_for_lag,
-    predicted_torque,
-    smoothly,
-    weights_at,
-)
+from ..regression import Decimation, Motion, Problem, differentiate, fast_for_lag, predicted_torque, smooth, weights_at
 
 MIN_T = 5.0  # deviations, above chance
 MIN_TAKEN_PERCENT = 2.0  # of the residual's square
@@ -120,7 +111,7 @@ class Candidates:
         """
         w, places, stride = weights_at(problem, motion.t_s), self.places[0], decimation.factor // SAMPLES_A_ROW
         drives = self._drives(problem, motion, decimation.factor // DRIVES_A_ROW)
-        # Near reversals, friction that rises smoothly looks like a lag.
+        # Near reversals, friction that rises smooth looks like a lag.
         fast = fast_for_lag(problem, motion, decimation, self.sliding)
         found = np.zeros((len(w), places.max() + 2, decimation.rows(len(motion.t_s))))
         for place, (term, acts, torque) in zip(places, self._torques(problem, motion, drives, stride), strict=True):
@@ -152,7 +143,7 @@ class Candidates:
         chi[base.columns] = self.beta
         links = direct_model(idm, np.where(idm.of_links, chi, 0.0))
         value = {s.name: chi[c] for c, s in enumerate(idm.sources) if isinstance(s, JointTerm)}
-        of_links = smoothly(partial(_of_links, links), x, stride)
+        of_links = smooth(partial(_of_links, links), x, stride)
         tau, by_position = of_links[..., 0], of_links[..., 1:]
         load = np.abs(tau)
         weighs = n > 1 and max(np.abs(tau).max(), np.abs(by_position).max()) > 1e-9  # N m
@@ -195,7 +186,7 @@ class Candidates:
             if (turned := np.cross(axis, np.array(robot.gravity))).any():
                 advice = "level the base, or set gravity_m_s2"
                 term = MissingTerm(kind=TILT, where=f"about {about}", unit="rad", advice=advice)
-                yield term, np.ones(n), smoothly(partial(_gravity, links, turned), x, stride)
+                yield term, np.ones(n), smooth(lambda q, *_, g=turned: links.gravity(q, g), x, stride)
         for along in idm.coulomb_directions:
             j = int(np.flatnonzero(along)[-1])
             if "root" not in joints[j].terms:
@@ -224,10 +215,6 @@ def _of_links(links: DirectModel, q: Array, dq: Array, ddq: Array) -> Array:
     """The links' torque along a motion, and its derivatives by the positions: (N, n, 1 + n)."""
     tau, slopes = torque_of_links(links, (q, dq, ddq))
     return np.concatenate([tau[..., None], slopes[0]], axis=2)
-
-
-def _gravity(links: DirectModel, along: Array, q: Array, *_: Array) -> Array:
-    return links.gravity(q, along)
 
 
 def _to_describe(joint: Joint, term: str, otherwise: str) -> str:
