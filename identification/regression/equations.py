@@ -289,7 +289,9 @@ def _decimated(
         parts = [part * w[entries[:, 0], span] for part, span in zip(parts, spans, strict=True)]
         W[entries[:, 0], entries[:, 1]] = decimation.filtered_strided(*parts)
     entries, (series,) = _series(motion, dynamics, base, np.flatnonzero(~links), (slice(None),))
-    W[entries[:, 0], entries[:, 1]] = decimation.filtered(w[entries[:, 0]] * series)
+    for x, j in zip(series, entries[:, 0], strict=True):
+        x *= w[j]
+    W[entries[:, 0], entries[:, 1]] = decimation.filtered(series)
     return W
 
 
