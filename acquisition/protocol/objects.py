@@ -2,7 +2,6 @@
 
 import configparser
 import io
-import logging
 import re
 import warnings
 from collections.abc import Mapping
@@ -253,6 +252,8 @@ def load_dictionary(data: bytes, place: str, node: int) -> ObjectDictionary:
     `data` is the file's content, `node` replaces `$NODEID`. Raises `BadInputError` with `place`, the file's name, and the
     line: the file cannot be read, holds an entry twice, or holds no objects.
     """
+    import logging
+
     import canopen
     from canopen import objectdictionary
 

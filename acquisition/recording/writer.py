@@ -14,14 +14,12 @@ import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from importlib import metadata as packages
 from itertools import combinations
 from pathlib import Path
 from typing import Any, Self
 
 import msgspec
 import numpy as np
-from mcap.writer import Writer
 
 from ..arrays import Array
 from ..errors import Place
@@ -111,6 +109,8 @@ def metadata_crc(metadata: Mapping[str, str]) -> str:
 
 
 def _software() -> str:
+    from importlib import metadata as packages
+
     versions = [f"python {platform.python_version()}"]
     for name in ("robot-idim", "numpy", "mcap", "rosbags"):
         try:
@@ -147,6 +147,8 @@ class RecordingWriter:
     """
 
     def __init__(self, path: Path, header: Header) -> None:
+        from mcap.writer import Writer
+
         self._messages = _JointStates()  # slow to make, so not while frames arrive
         self._robot, self._place = header.robot, str(path)
         self._layout: np.dtype[np.void] | None = None

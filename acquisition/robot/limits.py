@@ -86,10 +86,11 @@ def check_recorded_positions(robot: Robot, stamp_s: Array, q: Array, place: str)
     Raises `BadInputError` with `place`, joint, time, value, limit and the remedy, if a position exceeds its limits by over
     half the joint's range, or a joint is over three times as fast as its limit; noise of samples is subtracted.
     """
-    overshoots, at = [], Place(place)
+    overshoots, at, step_s = [], Place(place), np.diff(stamp_s)
+    step_s = np.maximum(step_s, np.median(step_s)) if len(step_s) else step_s
     for joint, x in zip(robot.joints, q.T, strict=True):
         overshoots += _position(joint, stamp_s, x, at)
-        overshoots += _speed(joint, stamp_s, x, at)
+        overshoots += _speed(joint, stamp_s, step_s, x, at)
     turning = [
         (np.degrees(x), j.si("position")) for x, j in zip(q.T, robot.joints, strict=True) if j.type == "revolute"
     ]
@@ -171,14 +172,12 @@ def _position(joint: Joint, stamp_s: Array, x: Array, place: Place) -> list[str]
     place.refuse(text=text, expected=f"a position within them: {causes}, or {joint.key('position')} of robot.toml")
 
 
-def _speed(joint: Joint, stamp_s: Array, x: Array, place: Place) -> list[str]:
+def _speed(joint: Joint, stamp_s: Array, step_s: Array, x: Array, place: Place) -> list[str]:
     stated = joint.si("speed")
     most = MAX_SPEED_RATIO * stated if stated is not None else MAX_UNSTATED_SPEED[joint.type]
     step = np.abs(np.diff(x))
     if len(step) < 4:
         return []
-    step_s = np.diff(stamp_s)
-    step_s = np.maximum(step_s, np.median(step_s))
     # White noise of deviation d has fourth differences of deviation sqrt(70) d, and their median is 0.67 of that; motion hardly
     # contributes to them.
     noise = float(np.median(np.abs(np.diff(x, n=4)))) / (0.6745 * math.sqrt(70))

@@ -7,7 +7,6 @@ of the unloaded robot. It raises `BadInputError` where the description cannot be
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib.metadata import entry_points
 from typing import Protocol
 
 import numpy as np
@@ -197,6 +196,8 @@ def driven_plant(robot: Robot, bus: Bus, payload: Payload | None = None) -> Driv
     """
     if not robot.parameters:
         return _independent_joints(robot, bus, "robot.toml has no [parameters]")
+    from importlib.metadata import entry_points
+
     plants = list(entry_points(group=GROUP))
     if not plants:
         return _independent_joints(

@@ -6,9 +6,7 @@ import numpy as np
 
 from ..arrays import Array
 
-MIN_DEVIATIONS = (
-    10.0  # of steps about their neighbours: smaller steps cannot be distinguished from double or zero steps
-)
+MIN_DEVIATIONS = 10.0  # of steps about their neighbours: smaller ones are not told from double or zero steps
 MAX_ERROR = 0.15  # of a step: largest distance from a multiple
 MAX_DIFFERENCE = 0.25  # of a step: of three of four neighbours from their median (of two next to a missing row)
 QUANTUM_DEVIATION = 0.41  # standard deviation of the step between two rounded positions, in quanta
@@ -52,7 +50,8 @@ def _count(q: Array) -> tuple[Array, Array]:
     if rows < _BLOCK_ROWS // 4:
         return np.zeros(4, dtype=int), np.zeros((n, 3), dtype=int)
     around = np.stack([steps[k : k + rows] for k in (0, 1, 3, 4)])
-    x, m = steps[2 : 2 + rows], np.median(around, axis=0)
+    low, high = (of(around[:2], around[2:]) for of in (np.minimum, np.maximum))
+    x, m = steps[2 : 2 + rows], 0.5 * (np.maximum(*low) + np.minimum(*high))  # the median of four
     rounding = ROUNDING * np.abs(q).max(axis=0)
     change = np.abs(np.diff(steps[2 : 3 + rows], axis=0))  # at least a quantum if positions are rounded
     scatter, quantum = (

@@ -1,8 +1,6 @@
 """Tasks on workers by joblib; results come in the order of the tasks, so that sums over them are the same to the last bit."""
 
-from asyncio import CancelledError
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import BrokenExecutor
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -18,6 +16,9 @@ class Work(NamedTuple):
         """The result for each tuple of positional arguments; an error of a task is raised in place of its result."""
         if (on := self.workers) == 1:
             return (yield from (function(*task) for task in tasks))
+        from asyncio import CancelledError
+        from concurrent.futures import BrokenExecutor
+
         from joblib import Parallel, delayed
 
         how = _cluster(on) if isinstance(on, str) else {"backend": "loky", "n_jobs": on, "inner_max_num_threads": 1}
@@ -30,6 +31,8 @@ class Work(NamedTuple):
 
 def _cluster(address: str) -> dict[str, Any]:
     try:
+        from concurrent.futures import BrokenExecutor
+
         from distributed import get_client
         from joblib._dask import DaskDistributedBackend
 

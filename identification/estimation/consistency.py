@@ -24,11 +24,8 @@ GAMMA_X = 1e-6  # times gamma: only a barrier; full weight would bias friction a
 MATRIX_WEIGHT = 100.0  # times GAMMA_X, of the log det of a matrix: less is lost in rounding
 MAX_DECREMENT = 1e-6  # Newton decrement: half its square is about the distance to the optimum
 MAX_STEPS = 40  # some twenty are usual
-MAX_SOFTENING, MAX_FACTOR, MIN_FACTOR = (
-    1e8,
-    100.0,
-    1.02,
-)  # of covariances, for optima out of direct reach; of its reduction in one step
+MAX_SOFTENING = 1e8  # of covariances, for optima out of direct reach
+MAX_FACTOR, MIN_FACTOR = 100.0, 1.02  # of its reduction in one step
 MAX_BOUNDARY_SHARE = 0.95  # of the way to the boundary in one step
 MIN_SINGULAR_VALUE = 1e-14  # of the largest singular value
 MIN_RELATIVE_DEVIATION = 1e-5  # of a parameter's value; with less the barrier is lost in rounding

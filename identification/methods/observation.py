@@ -121,10 +121,8 @@ def position_noise_line(problem: Problem, method: Method, ls: LeastSquares, *, a
         widths, percents = np.nan_to_num(off / half, posinf=np.inf), np.nan_to_num(100 * off / np.abs(beta))
     matters = (widths > MAX_BIAS) & (percents > MAX_BIAS_PERCENT)
     worst = int(np.argmax(np.where(matters, widths, -1.0) if matters.any() else widths))
-    value, text = (
-        float(widths[worst]),
-        f"moves {names[worst]} by {widths[worst]:.2g} half-widths ({percents[worst]:.2g} %)",
-    )
+    value = float(widths[worst])
+    text = f"moves {names[worst]} by {value:.2g} half-widths ({percents[worst]:.2g} %)"
     if matters.any():
         text = f"{text} or more: {ADVICE}"
         return TrustLine(NAME, "caution", text, value, finding="least squares biased by position noise")
@@ -158,7 +156,8 @@ def _noise_like(problem: Problem) -> Array:
     seen = np.flatnonzero(np.fft.rfftfreq(len(used), 1 / fs) > max(1.5 * (settings.cutoff_hz or 0.0), fs / 8))
     bands = [band for band in np.array_split(seen, BANDS) if len(band)]
     level = np.array([np.median(power[band], axis=0) for band in bands]) / np.log(2)  # of an exponential distribution
-    shapes = np.array([[1 / np.mean(1 - 2 * phi * cosine[band] + phi**2) for band in bands] for phi in CORRELATIONS])
+    phi, of_band = CORRELATIONS[:, None], np.array([cosine[band].mean() for band in bands])
+    shapes = 1 / (1 - 2 * phi * of_band + phi**2)
     off = np.log(np.maximum(level, 1e-300))[None] - np.log(shapes)[:, :, None]  # (correlations, bands, n)
     best = off.std(axis=1).argmin(axis=0)
     size = np.exp(0.5 * off.mean(axis=1)[best, np.arange(q.shape[1])])

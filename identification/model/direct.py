@@ -92,12 +92,14 @@ class DirectModel:
         still = np.zeros(q.shape)
         return self.offset + (self.torques_of_links(q, still, still, along) if along.any() else still)
 
-    def torque(self, q: Array, dq: Array, ddq: Array, dq_sign: Array | None = None) -> Array:
-        """Torque (N, n) along a motion q, dq, ddq (N, n).
+    def torque(
+        self, q: Array, dq: Array, ddq: Array, dq_sign: Array | None = None, rigid: Array | None = None
+    ) -> Array:
+        """Torque (N, n) along a motion q, dq, ddq (N, n); `rigid` (N, n) that of the links, where it is known.
 
         `dq_sign` (N, n), such as a reference without noise, gives the signs of friction instead of dq.
         """
-        rigid = self.torques_of_links(q, dq, ddq)
+        rigid = self.torques_of_links(q, dq, ddq) if rigid is None else rigid
         u = (dq if dq_sign is None else dq_sign) @ self.directions.T
         sliding = self.up * (u > 0) - self.down * (u < 0)
         if self.shapes:

@@ -111,8 +111,6 @@ def _add_urdf_shapes(dynamics: InverseModel, geometry: Any, find: Find, missing:
                 shape.geometry.buildConvexHull(True, "Qt")
                 shape.geometry = shape.geometry.convex
     except (RuntimeError, ValueError) as error:
-        problem, expected = (
-            f"a collision shape cannot be read: {error}",
-            "one that coal reads, or capsules in robot.toml",
-        )
+        problem = f"a collision shape cannot be read: {error}"
+        expected = "one that coal reads, or capsules in robot.toml"
         raise BadInputError(problem, place=f"robot {dynamics.robot.name}: URDF", expected=expected) from error

@@ -31,6 +31,7 @@ from .motion import (
     later,
     motion_between,
     sampled_at,
+    smooth,
 )
 from .payload import payload_of
 from .problem import Problem, RowBlock, make_problem, row_blocks

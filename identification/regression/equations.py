@@ -19,7 +19,7 @@ from ..estimation import SPANS, SpanFactors, Spans, System, one_thread
 from ..model import BaseParameters, InverseModel, direct_model
 from .filtering import Decimation
 from .load import LoadFriction, load_friction
-from .motion import Motion
+from .motion import Motion, smooth
 from .problem import Problem, RowBlock, motion_blocks, motion_of_block, row_blocks
 from .weights import refuse_standing_joints, sample_weights, weighted, weights_at
 
@@ -27,7 +27,6 @@ _MAX_NUMBERS = 4_000_000  # of W in rows; above, its spans are reduced to their 
 _MAX_NUMBERS_OF_ALL = 16_000_000  # the same of all recordings of a fit
 REDUCED, HELD = 0.0, math.inf  # most numbers of a recording: always reduced, or never
 MAX_BLOCKS_KEPT = 8  # whose torque by the last parameters is kept
-_FILTERED = 1_000_000  # numbers of the series filtered at a time, to limit memory
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -237,13 +236,17 @@ def torque_of_model(problem: Problem, motion: Motion, beta: Array) -> Array:
     if (found := kept.get(key)) is None or found[0] != beta.tobytes():
         if len(kept) > MAX_BLOCKS_KEPT:
             kept.clear()
-        kept[key] = beta.tobytes(), predicted_torque(motion, problem.model, problem.base, beta)
+        kept[key] = beta.tobytes(), predicted_torque(motion, problem.model, problem.base, beta, _stride(problem) // 2)
     return kept[key][1]
 
 
-def predicted_torque(motion: Motion, dynamics: InverseModel, base: BaseParameters, beta: Array) -> Array:
-    """Torque (N, n) of the inverse dynamic model along a motion, undecimated: IDM(q, dq, ddq) beta."""
-    return direct_model(dynamics, base.standard_parameters(beta)).torque(motion.q, motion.dq, motion.ddq)
+def predicted_torque(
+    motion: Motion, dynamics: InverseModel, base: BaseParameters, beta: Array, stride: int = 1
+) -> Array:
+    """Torque (N, n) of the inverse dynamic model along a motion, undecimated: IDM(q, dq, ddq) beta; links' as `smooth`."""
+    model = direct_model(dynamics, base.standard_parameters(beta))
+    rigid = smooth(model.torques_of_links, motion, stride)
+    return model.torque(motion.q, motion.dq, motion.ddq, rigid=rigid)
 
 
 def columns_of_arm(
@@ -286,10 +289,9 @@ def _decimated(
         parts = [part * w[entries[:, 0], span] for part, span in zip(parts, spans, strict=True)]
         W[entries[:, 0], entries[:, 1]] = decimation.filtered_strided(*parts)
     entries, (series,) = _series(motion, dynamics, base, np.flatnonzero(~links), (slice(None),))
-    size = max(1, _FILTERED // N)
-    for k in range(0, len(entries), size):
-        group = slice(k, k + size)
-        W[entries[group, 0], entries[group, 1]] = decimation.filtered(w[entries[group, 0]] * series[group])
+    for x, j in zip(series, entries[:, 0], strict=True):
+        x *= w[j]
+    W[entries[:, 0], entries[:, 1]] = decimation.filtered(series)
     return W
 
 
@@ -307,10 +309,16 @@ def columns_of_block(problem: Problem, at: RowBlock, beta: Array | None, motion:
     """[W E Y] (n, b + m + 1, rows) of the rows of a block, W and Y about `beta` (b,) if it is given."""
     motion = motion_of_block(problem, at) if motion is None else motion
     decimation = problem.settings.decimator
-    # Beside columns that are not strided, such as those of drives, strided ones are not exact enough.
-    full = problem.needs_drives or load_friction(problem.model, problem.base) is not None
-    stride = 1 if full else decimation.stride_behind(problem.settings.cutoff_hz, problem.signals.sample_rate_hz)
-    W, D_beta = columns_of_arm(problem, motion, decimation, beta=beta, stride=stride)
+    W, D_beta = columns_of_arm(problem, motion, decimation, beta=beta, stride=_stride(problem))
     Y = decimation.filtered(weights_at(problem, motion.t_s) * motion.tau.T) + D_beta
     E = [torque_of_drives(problem, motion.t_s, motion.tau, decimation)] if problem.needs_drives else []
     return np.concatenate([W, *E, Y[:, None]], axis=1)[..., at.inside]
+
+
+def _stride(problem: Problem) -> int:
+    """Stride at which what links need is computed along the measured motion."""
+    # Beside columns that are not strided, such as those of drives, strided ones are not exact enough.
+    if problem.needs_drives or load_friction(problem.model, problem.base) is not None:
+        return 1
+    settings = problem.settings
+    return settings.decimator.stride_behind(settings.cutoff_hz, problem.signals.sample_rate_hz)

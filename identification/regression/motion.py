@@ -1,6 +1,7 @@
 """Joint motion and torque on one time grid; the low-passed motion of a recording."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -92,9 +93,12 @@ def sampled_at(at: Array, x: Array) -> Array:
 def on_spline(at: Array, c: Array) -> Array:
     """The cubic spline of coefficients c (N + 3, n) at places (K,) from 0 to N - 1."""
     i = at.astype(np.intp)
-    u = (at - i)[:, None]
-    weights = ((1 - u) ** 3, 4 - 6 * u**2 + 3 * u**3, 1 + 3 * u + 3 * u**2 - 3 * u**3, u**3)
-    return np.asarray(sum(weight * c[i + k] for k, weight in enumerate(weights)) / 6)
+    return np.asarray(sum(weight * c[i + k] for k, weight in enumerate(_spline_weights((at - i)[:, None]))))
+
+
+def _spline_weights(u: Array) -> list[Array]:
+    """Of four coefficients, by the place from 0 to 1 between samples."""
+    return [w / 6 for w in ((1 - u) ** 3, 4 - 6 * u**2 + 3 * u**3, 1 + 3 * u + 3 * u**2 - 3 * u**3, u**3)]
 
 
 def spline_coefficients(x: Array) -> Array:
@@ -112,6 +116,20 @@ def spline_coefficients(x: Array) -> Array:
     for k in range(-far, far + 1):
         c += pole ** abs(k) * whole[beyond - 1 + k : beyond - 1 + k + N]
     return np.asarray(np.sqrt(3.0) * c)
+
+
+def smooth(f: Callable[..., Array], motion: Motion, stride: int) -> Array:
+    """f(q, dq, ddq) (N, ...) along a smooth motion: computed at every `stride`-th sample, on a cubic spline between them."""
+    stride = max(1, stride)
+    last = (len(motion.q) - 1) // stride * stride
+    if stride == 1 or last == 0:
+        return f(motion.q, motion.dq, motion.ddq)
+    at = np.r_[0:last:stride, last : len(motion.q)]
+    x, count = f(motion.q[at], motion.dq[at], motion.ddq[at]), last // stride
+    c = spline_coefficients(x[: count + 1].reshape(count + 1, -1))
+    knots = np.stack([c[k : k + count] for k in range(4)]).reshape(4, -1)
+    between = (np.array(_spline_weights(np.arange(stride) / stride)).T @ knots).reshape(stride, count, -1)
+    return np.concatenate([between.swapaxes(0, 1).reshape(last, *x.shape[1:]), x[count:]])
 
 
 def later(x: Array, by: float) -> Array:

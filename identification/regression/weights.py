@@ -158,7 +158,9 @@ def _ramped(moves: NDArray[np.bool_], L: int) -> Array:
         return np.ones(len(moves))
     if L == 0 or moves.all():
         return moves.astype(float)
-    inner = ~_nearby(~moves, L)
-    window = np.hanning(2 * L + 3)[1:-1]
-    w = np.convolve(np.pad(inner, L, mode="edge").astype(float), window / window.sum(), mode="valid")
-    return np.where(moves, np.minimum(w, 1.0), 0.0)
+    inner, window = np.pad(~_nearby(~moves, L), L, mode="edge").astype(float), np.hanning(2 * L + 3)[1:-1]
+    window, steps = window / window.sum(), np.zeros(len(inner) + 2 * L)
+    for k in np.flatnonzero(edges := np.diff(inner)):
+        steps[k : k + 2 * L + 1] += edges[k] * window
+    w = np.cumsum(np.r_[inner[: 2 * L + 1] @ window, steps[2 * L : 2 * L + len(moves) - 1]])
+    return np.where(moves, np.clip(w, 0.0, 1.0), 0.0)

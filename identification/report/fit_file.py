@@ -4,7 +4,6 @@ Independent of the methods, so that reading a file does not load them.
 """
 
 import math
-from importlib.metadata import version
 from os import PathLike
 from pathlib import Path
 from typing import Annotated, Literal
@@ -135,6 +134,8 @@ class DirectModelResidual(msgspec.Struct, frozen=True, kw_only=True):
 
 def versions() -> dict[str, str]:
     """Versions, by package, of this program and of those that its numbers depend on."""
+    from importlib.metadata import version
+
     return {name: version(name) for name in ("robot-idim", "numpy", "scipy", "pin")}
 
 

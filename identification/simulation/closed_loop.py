@@ -5,13 +5,12 @@ the group `robot_idim.plants` that dry runs use.
 """
 
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.robot import Payload, Robot
-from acquisition.simulated import SUBSTEPS, LoopGains, cascaded_loops, middle_of_range
 
 from ..arrays import Array
 from ..errors import BadInputError
@@ -27,6 +26,9 @@ from ..model import (
     why_not_positive,
 )
 from .control_law import Control, ControlLaw, LoneControl, Reference, recorded_loop
+
+if TYPE_CHECKING:
+    from acquisition.simulated import LoopGains
 
 STICTION = 1e-3  # of a direction's speed scale: Coulomb friction builds up linearly below this speed
 MAX_MODE_PASSES = 8  # to find the directions that stick; nearly always one or two suffice
@@ -273,13 +275,15 @@ class RigidBodyPlant:
             self._q, self._dq = middle + 0.5 * self._step_s * after, after
 
 
-def described_robot(robot: Robot, payload: Payload | None = None) -> tuple[RigidBodyPlant, LoopGains]:
+def described_robot(robot: Robot, payload: Payload | None = None) -> tuple[RigidBodyPlant, "LoopGains"]:
     """The plant of `robot-acquire record --dry-run`, with the description's `[parameters]` and a payload, and loops for the
     inertias of the robot without it, as those of real drives.
 
     The robot is at rest in the middle of its ranges. Raises `BadInputError` if the parameters are not of this robot, its
     inertia matrix is not positive, the payload's frame is not on its last link, or `[parameters]` are not in kg and N m.
     """
+    from acquisition.simulated import SUBSTEPS, middle_of_range
+
     if payload is not None and not robot.gain_known:
         expected = "drive gains of the motors: in A or V a mass has no weight"
         raise BadInputError(place=f"robot {robot.name}", key="payload", value=str(payload), expected=expected)
@@ -307,8 +311,10 @@ def described_robot(robot: Robot, payload: Payload | None = None) -> tuple[Rigid
     return plant, drive_loops(robot, inertias(M))
 
 
-def drive_loops(robot: Robot, J: Array) -> LoopGains:
+def drive_loops(robot: Robot, J: Array) -> "LoopGains":
     """The law of simulated drives: the description's, or cascaded loops of its bandwidth for joint inertias J (n,)."""
+    from acquisition.simulated import LoopGains, cascaded_loops
+
     law = recorded_loop(robot)
     # Computed torque needs a model, which drives do not have.
     if law is None or law.computed_torque:

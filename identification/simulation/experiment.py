@@ -108,11 +108,8 @@ class Experiment:
 
     def _set_instants(self, step_hz: float) -> None:
         """Choose the largest stride that `step_hz` allows; refuse a sample rate that does not fit the recording."""
-        settings, fs, recording = (
-            self.problem.settings,
-            self.problem.signals.sample_rate_hz,
-            self.problem.signals.recording,
-        )
+        settings, signals = self.problem.settings, self.problem.signals
+        fs, recording = signals.sample_rate_hz, signals.recording
         divisors = [m for m in range(1, settings.decimation + 1) if settings.decimation % m == 0]
         self.stride = max((m for m in divisors if fs / m >= step_hz), default=1)
         used = settings.stop - settings.start

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,7 @@ from acquisition.robot import Joint
 
 from ..arrays import Array
 from ..model import DirectModel, JointTerm, direct_model, inertia_unit, torque_of_links
-from ..regression import Decimation, Motion, Problem, differentiate, fast_for_lag, predicted_torque, weights_at
+from ..regression import Decimation, Motion, Problem, differentiate, fast_for_lag, predicted_torque, smooth, weights_at
 
 MIN_T = 5.0  # deviations, above chance
 MIN_TAKEN_PERCENT = 2.0  # of the residual's square
@@ -21,6 +21,7 @@ STRIBECK, ASYMMETRIC, OFFSET, SPRING = "Stribeck friction", "asymmetric friction
 ROOT, LOAD, TILT, LAG, DRIFT = "root friction", "load friction", "tilt of gravity", "lag", "drift"
 ROTOR, ZERO, CLOCKS = "rotor", "zero", "clock drift"
 SAMPLES_A_ROW = 4  # at which the torque of the links is computed: smooth, and low-passed to half a sample a row
+DRIVES_A_ROW = 20  # the same for the torque of the model, whose rate counts in the intervals
 SELECT_TERMS = "run `robot-identify friction`"
 
 
@@ -108,10 +109,10 @@ class Candidates:
         """(n, k + 1, rows) torque per unit of the terms along a motion, weighted and decimated; last the rate of the drives'
         torque, per second.
         """
-        w, places, drives = weights_at(problem, motion.t_s), self.places[0], self._drives(problem, motion)
-        # Near reversals, friction that rises smoothly looks like a lag.
+        w, places, stride = weights_at(problem, motion.t_s), self.places[0], decimation.factor // SAMPLES_A_ROW
+        drives = self._drives(problem, motion, decimation.factor // DRIVES_A_ROW)
+        # Near reversals, friction that rises smooth looks like a lag.
         fast = fast_for_lag(problem, motion, decimation, self.sliding)
-        stride = max(1, decimation.factor // SAMPLES_A_ROW)
         found = np.zeros((len(w), places.max() + 2, decimation.rows(len(motion.t_s))))
         for place, (term, acts, torque) in zip(places, self._torques(problem, motion, drives, stride), strict=True):
             for j in np.flatnonzero(acts):
@@ -121,9 +122,10 @@ class Candidates:
         found[:, -1] = decimation.filtered(w * self._rate(motion, drives).T)
         return found
 
-    def _drives(self, problem: Problem, x: Motion) -> Array:
+    def _drives(self, problem: Problem, x: Motion, stride: int) -> Array:
         """The drives' torque (N, n) along a motion: the model's less the known one."""
-        drives, known = predicted_torque(x, problem.model, problem.base, self.beta), problem.signals.known_torque
+        drives = predicted_torque(x, problem.model, problem.base, self.beta, stride if problem.settings.filtered else 1)
+        known = problem.signals.known_torque
         if known is None or not len(known):
             return drives
         return drives - known[np.rint(x.t_s * problem.signals.sample_rate_hz).astype(np.intp)]
@@ -141,7 +143,8 @@ class Candidates:
         chi[base.columns] = self.beta
         links = direct_model(idm, np.where(idm.of_links, chi, 0.0))
         value = {s.name: chi[c] for c, s in enumerate(idm.sources) if isinstance(s, JointTerm)}
-        tau, by_position = _along(links, x, stride)
+        of_links = smooth(partial(_of_links, links), x, stride)
+        tau, by_position = of_links[..., 0], of_links[..., 1:]
         load = np.abs(tau)
         weighs = n > 1 and max(np.abs(tau).max(), np.abs(by_position).max()) > 1e-9  # N m
         fs, settings, each = problem.signals.sample_rate_hz, problem.settings, np.eye(n)
@@ -183,7 +186,7 @@ class Candidates:
             if (turned := np.cross(axis, np.array(robot.gravity))).any():
                 advice = "level the base, or set gravity_m_s2"
                 term = MissingTerm(kind=TILT, where=f"about {about}", unit="rad", advice=advice)
-                yield term, np.ones(n), links.gravity(x.q, along=turned)
+                yield term, np.ones(n), smooth(lambda q, *_, g=turned: links.gravity(q, g), x, stride)
         for along in idm.coulomb_directions:
             j = int(np.flatnonzero(along)[-1])
             if "root" not in joints[j].terms:
@@ -208,18 +211,10 @@ class Candidates:
                 yield term, 0.01 * each[j], drives
 
 
-def _along(links: DirectModel, x: Motion, stride: int) -> tuple[Array, Array]:
-    """The links' torque (N, n) along a motion, and its derivatives (N, n, n) by the positions, the last axis.
-
-    They are computed at every `stride`-th sample, and lie on straight lines between.
-    """
-    at = np.unique(np.r_[0 : len(x.q) : stride, len(x.q) - 1])
-    tau, slopes = torque_of_links(links, (x.q[at], x.dq[at], x.ddq[at]))
-    series = np.concatenate([tau[..., None], slopes[0]], axis=2)
-    upper = np.clip(np.searchsorted(at, np.arange(len(x.q))), 1, len(at) - 1)
-    share = ((np.arange(len(x.q)) - at[upper - 1]) / (at[upper] - at[upper - 1]))[:, None, None]
-    every = (1 - share) * series[upper - 1] + share * series[upper]
-    return every[..., 0], every[..., 1:]
+def _of_links(links: DirectModel, q: Array, dq: Array, ddq: Array) -> Array:
+    """The links' torque along a motion, and its derivatives by the positions: (N, n, 1 + n)."""
+    tau, slopes = torque_of_links(links, (q, dq, ddq))
+    return np.concatenate([tau[..., None], slopes[0]], axis=2)
 
 
 def _to_describe(joint: Joint, term: str, otherwise: str) -> str:

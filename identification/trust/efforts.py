@@ -36,10 +36,11 @@ def signs_and_order_test(evidence: FitData) -> TrustLine | None:
     problem = problem.until(min(s.stop, s.start + most)).corrected(
         s.known_lag.value_s
     )  # a lag found has the mistake in it
-    factors = _factors(problem, one)
+    decimated = _decimated(problem)
+    factors = _factors(problem, decimated, one)
     finding, error, least, with_it = "", 0.0, np.inf, _error(factors, one)
     for mistake, motor, A, B in _mistakes(problem):
-        tried = _error(factors if B is None else _factors(problem, B), A)
+        tried = _error(factors if B is None else _factors(problem, decimated, B), A)
         score = tried / (MAX_RATIO if motor is None or not brakes[motor] else MAX_RATIO_OF_BRAKE)
         if score < min(least, with_it) and ((A if B is None else B.T @ A) * power).sum() > 0:
             finding, error, least = mistake, tried, score
@@ -65,19 +66,25 @@ def _mistakes(problem: Problem) -> Iterator[tuple[str, int | None, Array, Array 
         yield f"the position of {motor.name} has the wrong sign", m, one, np.linalg.solve(robot.R, S @ robot.R)
 
 
-def _factors(problem: Problem, B: Array) -> Array:
-    """QR factors (n, k, b + n + 1) of each joint's rows, positions mapped by B: columns, all drives' torques, the known one.
-
-    Columns are of the decimated motion, not decimated themselves: ten times as fast, and as good for errors of this size.
+def _decimated(problem: Problem) -> tuple[list[Array], Array]:
+    """The decimated motion q, dq, ddq (rows, n) from the zeros, and by joint (n, rows, n + 1) all drives' torques and the known
+    one. Columns are of this motion, not decimated themselves: ten times as fast, and as good for errors of this size.
     """
-    signals, s, zero = problem.signals, problem.settings, problem.signals.robot.zero
+    signals, s = problem.signals, problem.settings
     motion = problem.motion.between(s.start, s.stop, s.cutoff_hz)
-    q, dq, ddq = (s.decimator.filtered(x.T).T / s.decimator.gain for x in (motion.q - zero, motion.dq, motion.ddq))
-    W = problem.model.regressor(q @ B.T + zero, dq @ B.T, ddq @ B.T)[..., problem.base.columns].transpose(1, 0, 2)
+    moved = [
+        s.decimator.filtered(x.T).T / s.decimator.gain for x in (motion.q - signals.robot.zero, motion.dq, motion.ddq)
+    ]
     known = np.zeros_like(signals.q) if signals.known_torque is None else signals.known_torque
     drives, known = (s.decimator.filtered(x[s.start : s.stop].T) for x in (signals.effort, known))
+    return moved, np.array([np.c_[drives.T, of_joint] for of_joint in known])
+
+
+def _factors(problem: Problem, decimated: tuple[list[Array], Array], B: Array) -> Array:
+    """QR factors (n, k, b + n + 1) of each joint's rows, positions mapped by B: columns, and torques of `decimated`."""
+    (q, dq, ddq), torques = [x @ B.T for x in decimated[0]], decimated[1]
+    W = problem.model.regressor(q + problem.signals.robot.zero, dq, ddq)[..., problem.base.columns].transpose(1, 0, 2)
     share = sample_weights(problem).of_rows.T[..., None]
-    torques = [np.c_[drives.T, of_joint] for of_joint in known]
     return np.asarray(np.linalg.qr(share * np.concatenate([W, torques], axis=2), mode="r"))
 
 

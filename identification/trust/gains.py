@@ -13,10 +13,8 @@ from .lines import Figure, TrustLine
 MAX_HALF_PERCENT = 10.0  # of a gain; with more it is not determined
 MAX_USABLE_PERCENT = 50.0  # the same of the best gain; with more no gain is usable
 MAX_SCATTERS = 3.0  # of the catalogue's own: by more the described gains are all off by one factor
-LEAST_FACTOR, SURE_FACTOR = (
-    1.1,
-    1.6,
-)  # no smaller one is reported; a larger one where 3 deviations of the median show it
+LEAST_FACTOR = 1.1  # no smaller one is reported
+SURE_FACTOR = 1.6  # a larger one is reported where 3 deviations of the median show it
 MAX_OFF_ONE_PERCENT = 2.0  # of gains that are 1 N m/A, by themselves or with their ratio
 
 

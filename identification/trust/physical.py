@@ -215,10 +215,8 @@ def consistent_test(evidence: FitData) -> TrustLine:
         nearest = nearest_consistent(problem.model, problem.base, beta, covariance[np.ix_(first, first)], power)
     except NoFitError as error:
         return TrustLine("consistent", "cannot tell", error.args[0])
-    moves, bound = (
-        np.abs(nearest.deviations) / evidence.intervals.reach,
-        chi_squared_quantile(CONSISTENT_LEVEL, len(names)),
-    )
+    moves = np.abs(nearest.deviations) / evidence.intervals.reach
+    bound = chi_squared_quantile(CONSISTENT_LEVEL, len(names))
     text = f"the nearest physical robot is at chi² = {nearest.chi_squared:.3g} ({len(names)} parameters), "
     text += f"{names[int(moves.argmax())]} moved by {moves.max():.2g} half-widths of its interval"
     if nearest.chi_squared > bound:

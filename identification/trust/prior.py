@@ -20,14 +20,9 @@ from .fit_data import FitData
 from .held_out import Predict, held_out_parts, held_out_test
 from .lines import Figure, TrustLine
 
-MIN_FACTOR, MAX_FACTOR, MAX_SPREAD = (
-    0.5,
-    2.0,
-    1.5,
-)  # of a joint's torque over that of the prior's links; of equal factors
-MIN_EXPLAINED = (
-    0.25  # of a joint's square, without what is not of links, for its factor to be one of the prior's torque
-)
+MIN_FACTOR, MAX_FACTOR = 0.5, 2.0  # of a joint's torque over that of the prior's links
+MAX_SPREAD = 1.5  # of equal factors
+MIN_EXPLAINED = 0.25  # of a joint's square, without what is not of links, for its factor to be one of the prior's
 MIN_ALIKE = 0.9  # the same; below, other causes than a factor are looked for
 MIN_LEFT = 0.01  # smallest share of a joint's square left by the prior's links that counts
 MIN_CAUSE = 1.5  # fall of the sum of the logarithms of these shares by which a cause is named
@@ -122,20 +117,19 @@ def _cause(evidence: FitData) -> str:
     beta += payload.values(evidence.estimate) * problem.base.links if payload else 0.0
     links = direct_model(problem.model, problem.base.standard_parameters(beta))
     names = [joint.name for joint in problem.signals.robot.joints]
-    same, recorded, counts = (
-        np.eye(len(names)),
-        *(x[states.rows] for x in (evidence.observed.tau, evidence.observed.counts)),
-    )
+    recorded, counts = (x[states.rows] for x in (evidence.observed.tau, evidence.observed.counts))
+    same = np.eye(len(names))
+
+    as_recorded = links.torques_of_links(states.q, states.dq, states.ddq)
 
     def left(of_motion: Array, of_torque: Array) -> float:
-        (q, dq, ddq), shares = (x @ of_motion for x in (states.q, states.dq, states.ddq)), 0.0
-        tau, rigid = recorded @ of_torque, links.torques_of_links(q, dq, ddq)
-        for j, moves in enumerate((counts @ np.abs(of_motion) > 0).T):
-            others = np.linalg.qr(np.c_[ddq[:, j], dq[:, j], np.sign(dq[:, j]), np.ones(len(q))][moves])[0]
-            both = np.c_[tau[:, j] - rigid[:, j], tau[:, j]][moves]
-            share, whole = ((both - others @ (others.T @ both)) ** 2).sum(axis=0)
-            shares += float(np.log(np.clip(share / (whole + 1e-300), MIN_LEFT, 1.0)))
-        return shares
+        q, dq, ddq = (x @ of_motion for x in (states.q, states.dq, states.ddq))
+        tau, rigid = recorded @ of_torque, as_recorded if of_motion is same else links.torques_of_links(q, dq, ddq)
+        moves = (counts @ np.abs(of_motion) > 0).T[..., None]
+        others = np.linalg.qr(np.stack([ddq.T, dq.T, np.sign(dq.T), np.ones_like(q.T)], axis=2) * moves)[0]
+        both = np.stack([(tau - rigid).T, tau.T], axis=2) * moves
+        share, whole = ((both - others @ (others.swapaxes(1, 2) @ both)) ** 2).sum(axis=1).T
+        return float(np.log(np.clip(share / (whole + 1e-300), MIN_LEFT, 1.0)).sum())
 
     found = [(left(same, same) - MIN_CAUSE, "")]
     for a, b in combinations(range(len(names)), 2):

@@ -7,7 +7,6 @@ import pytest
 from conftest import REPLAY, robot_named
 from made_up_buses import bus_of, bus_text, robot_of
 
-import acquisition.simulated.mechanism as mechanism_module
 from acquisition.errors import BadInputError
 from acquisition.recording import sample_dtype
 from acquisition.simulated import TablePlant, driven_plant, middle_of_range
@@ -128,7 +127,7 @@ def test_without_parameters_or_dynamics_a_stand_in_with_weight_moves(monkeypatch
     # Level joints fall with (0.3 - 0.05) of the rated effort; half of that effort accelerates them by 4000 deg/s².
     fallen = 0.5 * (0.25 / 0.5) * np.radians(4000) * 0.05**2
     assert made.plant.state()[0] == pytest.approx([-fallen] * 2, rel=0.05)
-    monkeypatch.setattr(mechanism_module, "entry_points", lambda **_: EntryPoints())
+    monkeypatch.setattr("importlib.metadata.entry_points", lambda **_: EntryPoints())
     scara = robot_named("scara")
     alone = driven_plant(scara, bus_of(scara))
     assert "no installed package offers the robot's dynamics (entry points robot_idim.plants)" in alone.warning

@@ -5,7 +5,7 @@ import pytest
 from scipy import interpolate, signal
 
 from identification.errors import BadInputError, NoFitError
-from identification.regression import Decimation, differentiate, forward_backward_3db_hz, sampled_at
+from identification.regression import Decimation, Motion, differentiate, forward_backward_3db_hz, sampled_at, smooth
 from identification.regression.filtering import decimate, decimation_passes, decimation_reach, lowpass, lowpass_reach
 from identification.regression.motion import later, motion_between
 
@@ -187,3 +187,19 @@ def test_samples_later_are_the_same_block_by_block(monkeypatch, by):
     wanted = sampled_at(np.arange(1000) + by, x)
     monkeypatch.setattr("identification.regression.motion.BLOCK_SAMPLES", 300)
     np.testing.assert_allclose(later(x, by), wanted, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("samples", [3, 1000, 1007])
+def test_what_a_smooth_motion_needs_is_computed_at_strides_and_lies_on_a_spline_between(samples):
+    t_s, asked = np.arange(samples) / 1000, []
+    q = np.sin(2 * np.pi * 5 * t_s)[:, None] * [1.0, 2.0]
+    motion = Motion(t_s=t_s, q=q, dq=q, ddq=q, tau=q)
+
+    def twice(q, dq, ddq):
+        asked.append(len(q))
+        return np.stack([q + dq, ddq], axis=2)
+
+    found, exact = smooth(twice, motion, 5), twice(q, q, q)
+    assert asked[0] <= samples / 5 + 5
+    np.testing.assert_allclose(found, exact, atol=1e-3)  # at an end the spline is straight
+    np.testing.assert_allclose(found[20:-20], exact[20:-20], atol=2e-5)
