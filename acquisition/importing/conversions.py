@@ -25,10 +25,10 @@ from ..recording import (
     rewrite,
     written_by_master,
 )
-from ..robot import Payload, Robot, check_recorded_positions, resolve
+from ..robot import Bus, Payload, Robot, check_recorded_positions, resolve
 from ..session import RecordedSummary, write_decoded
 from .captures import is_capture
-from .ethercat import MAPPING_NOTE, capture_header, import_capture
+from .ethercat import MAPPING_NOTE, import_capture
 from .time_base import ImportSummary
 
 
@@ -52,20 +52,17 @@ def import_recording(path: Path, out: Path, robot: Robot | None = None, place: s
     recording = read_recording(path)
     if recording.cut and robot is None:
         return _repair(recording, path, out)
+    robot, place = robot or recording.robot, place or f"{path}: robot.toml"
+    notes = {**recording.metadata, "decoded_from": recording.sha256}
     if recording.capture:
-        robot = robot or recording.robot
-        bus, notes = (
-            resolve(robot, place or f"{path}: robot.toml"),
-            {**recording.metadata, "decoded_from": recording.sha256},
-        )
-        header = capture_header(robot, bus, notes.get("source", ""), notes)
+        bus = resolve(robot, place)
+        header = replace(recording.header, notes=notes, **_bus_header(robot, bus))
         return import_capture(BytesIO(recording.capture), header, bus, Place(str(path)), out)
     if not recording.frames:
         Place(str(path)).refuse(text="holds no frames and is not cut off", expected="a recording of drives")
     frames = max(recording.frames.values(), key=len)
-    decoded = _decode_checked(frames, robot or recording.robot, str(path), place or f"{path}: robot.toml")
-    notes = {**recording.metadata, "decoded_from": recording.sha256}
-    header, end_ns = replace(recording.header, notes=notes, **_bus_header(decoded)), int(frames["time_ns"][-1])
+    decoded, end_ns = _decode_checked(frames, robot, str(path), place), int(frames["time_ns"][-1])
+    header = replace(recording.header, notes=notes, **_bus_header(robot, decoded.bus))
     # Warnings are those of the decoding before.
     rewrite(recording, header, out, lambda writer: decoded.write(writer, end_ns), without="warning")
     return _summarize(decoded, out)
@@ -127,7 +124,8 @@ def import_log(
     """
     if is_capture(log):
         bus, notes = resolve(robot, place), {MAPPING_NOTE: " ".join(mapping)}
-        header = capture_header(robot, bus, f"EtherCAT capture {log.name}", notes, payload)
+        about = _bus_header(robot, bus)
+        header = Header(source=f"EtherCAT capture {log.name}", payload=payload, notes=notes, **about)
         with log.open("rb") as file:
             return import_capture(file, header, bus, Place(str(log)), out)
     frames, left_out = _select_interface(log, robot)
@@ -135,7 +133,7 @@ def import_log(
     decoded = _decode_checked(frames, robot, str(log), place)
     decoded = replace(decoded, warnings=left_out + decoded.warnings)
     notes = {"left_out": "; ".join(left_out)} if left_out else {}
-    header = Header(source=f"log {log.name}", payload=payload, notes=notes, **_bus_header(decoded))
+    header = Header(source=f"log {log.name}", payload=payload, notes=notes, **_bus_header(robot, decoded.bus))
     with atomic_write(out) as partial, RecordingWriter(partial, header) as writer:
         writer.frames("log", frames)
         decoded.write(writer, int(frames["time_ns"][-1]))
@@ -174,14 +172,13 @@ def _decode_checked(frames: Block, robot: Robot, name: str, place: str) -> Decod
     return replace(decoded, warnings=decoded.warnings + warnings)
 
 
-def _bus_header(decoded: Decoded) -> dict[str, Any]:
+def _bus_header(robot: Robot, bus: Bus) -> dict[str, Any]:
     """The fields of a header that describe the drives."""
-    file = decoded.bus.file
     return {
-        "robot": decoded.robot,
-        "sample_rate_hz": 1.0 / file.sync_period_s,
-        "effort_provenance": decoded.bus.provenance,
-        "effort_timing": file.effort_timing,
+        "robot": robot,
+        "sample_rate_hz": 1.0 / bus.file.sync_period_s,
+        "effort_provenance": bus.provenance,
+        "effort_timing": bus.file.effort_timing,
     }
 
 

@@ -1,6 +1,6 @@
 """Imports a capture of an EtherCAT bus in operation: frames → joint samples at the times of cycles. Nothing is ever sent."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
@@ -10,7 +10,7 @@ from ..arrays import Array, Ints
 from ..errors import Place
 from ..files import atomic_write, field_of, release_pages
 from ..recording import Block, Header, RecordingWriter, in_parts, joint_samples, minimum_ahead, refuse_period
-from ..robot import Bus, Payload, Robot, check_recorded_efforts, check_recorded_positions
+from ..robot import Bus, check_recorded_efforts, check_recorded_positions
 from .captures import PCAP_HEAD, packets
 from .process_data import AT_ONCE, MARGIN, MAX_OFF, Bools, ProcessData, parse_mapping
 from .time_base import ImportSummary
@@ -68,27 +68,12 @@ def _period_ns(time_ns: Ints) -> float:
     return period
 
 
-def capture_header(
-    robot: Robot, bus: Bus, source: str, notes: Mapping[str, str], payload: Payload | None = None
-) -> Header:
-    """The header of a recording of a capture; of `notes` `MAPPING_NOTE` has the mapping that is stated."""
-    return Header(
-        robot=robot,
-        sample_rate_hz=1.0 / bus.file.sync_period_s,
-        source=source,
-        effort_provenance=bus.provenance,
-        effort_timing=bus.file.effort_timing,
-        payload=payload,
-        notes=notes,
-    )
-
-
 def import_capture(file: BinaryIO, header: Header, bus: Bus, at: Place, out: Path) -> ImportSummary:
     """Write the recording `out` from a capture (pcap, pcapng) of an EtherCAT bus in operation.
 
     Parameters
     ----------
-    header : as of `capture_header`: the robot, and a stated mapping where the capture begins after the mapping.
+    header : of the recording; of its notes `MAPPING_NOTE` has a stated mapping where the capture begins after the mapping.
     bus : the robot's drives, by their EtherCAT stations.
     at : the file.
 
