@@ -294,9 +294,8 @@ class Master:
                 if dictionary is None or (index, 0) in dictionary.entries:
                     raw = self.read(drive.node, index)
                     if raw != rated:
-                        found.append(
-                            f"node {drive.node}: rated value ({index:04X}:0) = {raw}: expected {rated} as robot.toml says"
-                        )
+                        place = f"node {drive.node}: rated value ({index:04X}:0)"
+                        found.append(f"{place} = {raw}: expected {rated} as robot.toml says")
         return found
 
 

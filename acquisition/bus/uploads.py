@@ -120,9 +120,8 @@ def upload_segments(master: Master, node: int, index: int) -> Transfer:
     """The value whose upload has begun with an answer of kind `other`, or an abort. Raises as `Master.upload`."""
     data = b""
     for k in range(64):  # 448 bytes
-        answer = master.exchange(
-            node, bytes((0x60 | (k & 1) << 4,)).ljust(8, b"\0"), f"node {node}"
-        )  # with the toggle bit
+        request = bytes((0x60 | (k & 1) << 4,)).ljust(8, b"\0")  # with the toggle bit
+        answer = master.exchange(node, request, f"node {node}")
         if answer[0] >> 5:
             return answer_of(answer)
         master.unanswered[node] -= 1

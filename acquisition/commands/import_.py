@@ -123,9 +123,8 @@ def _propose(options: argparse.Namespace, robot: "Robot | None") -> bool:
         effort = '"N m" --torque-sensor' if sensors else "A --ratio R --drive-gain K" if '"A"' in text else "UNIT"
         print(f"without a robot.toml: robot-identify init ARM.urdf --effort {effort} -o robot.toml")
     if robot is None or missing:
-        print(
-            one_line(f"next: robot-acquire import {table} --robot {options.robot or 'robot.toml'} -o {options.output}")
-        )
+        described = options.robot or "robot.toml"
+        print(one_line(f"next: robot-acquire import {table} --robot {described} -o {options.output}"))
     return robot is None or bool(missing)
 
 

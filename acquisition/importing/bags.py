@@ -316,9 +316,8 @@ class _Parts:
         _refuse_infinite("position", arrays["position"], self._joints, self.place)
         warnings = ["headers have no stamps: times are those of reception, which jitter more"] if received else []
         if self.publishers > 1:
-            warnings.append(
-                f"{topic} has {self.publishers} publishers (connections or QoS profiles): record it with one"
-            )
+            publishers = f"{self.publishers} publishers (connections or QoS profiles)"
+            warnings.append(f"{topic} has {publishers}: record it with one")
         if self._others:
             warnings.append(f"{self._others} messages without any of the joints are left out")
         return np.array(self._received, dtype=np.int64) if received else stamps, received, arrays, warnings

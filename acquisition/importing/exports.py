@@ -19,10 +19,8 @@ def export_csv(path: Path, out: Path, warn: Callable[[str], None] = lambda text:
     """
     samples, robot = _samples(path, warn)
     fields = [field for field in samples.dtype.names or () if field != "stamp_ns"]
-    names = [
-        "time_s",
-        *(f"{j.name}_{field}_{_unit(robot, field, i)}" for field in fields for i, j in enumerate(robot.joints)),
-    ]
+    joints = list(enumerate(robot.joints))
+    names = ["time_s", *(f"{j.name}_{field}_{_unit(robot, field, i)}" for field in fields for i, j in joints)]
     start_ns = samples["stamp_ns"][0]
     columns = (
         np.column_stack([(part["stamp_ns"] - start_ns) * 1e-9, *(part[field] for field in fields)])

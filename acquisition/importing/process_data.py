@@ -134,11 +134,8 @@ class ProcessData:
                     names = listed([f"{index:04X}:{sub}" for index, sub in inputs])
                     self._place.refuse(text=text, expected=f"one of {names} in robot.toml")
                 end, commands = address + size, (LRD, LRW) if back else (LWR, LRW)
-                parts = [
-                    p
-                    for p in self._seen
-                    if p[0] in commands and p[1] <= address and end <= p[1] + p[2] and p[3] == back
-                ]
+                parts = [part for part in self._seen if part[0] in commands and part[3] == back]
+                parts = [part for part in parts if part[1] <= address and end <= part[1] + part[2]]
                 if size and parts:
                     part = max(parts, key=self._seen.__getitem__)
                     kind = f"<{entry.type[0].lower()}{size}"

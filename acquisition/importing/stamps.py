@@ -9,10 +9,7 @@ MIN_GAP_STEP = 1.5  # periods: a longer step is a gap with missing rows
 MIN_ROUGHNESS_RATIO = 2.0  # of errors of time by stamps to those by row numbers: above it there is a warning
 MIN_SCATTER = 0.02  # periods: stamps that scatter less are not checked
 MAX_REMAINING_STEP = 3.0  # periods: no row is left out if a longer step would remain
-MIN_STAMP_ERROR, MIN_STAMP_DEVIATIONS = (
-    0.05,
-    6.0,
-)  # periods, standard deviations: rows above both are left out
+MIN_STAMP_ERROR, MIN_STAMP_DEVIATIONS = 0.05, 6.0  # periods, standard deviations: rows above both are left out
 MAX_EVEN_DEVIATION = 1e-3  # of a period: steps as uniform as this have no wrong stamp
 MAX_REGULAR_DEVIATION = 0.25  # of a period: stamps between such steps are wrong by a period at most
 MIN_QUANTA = 3.0  # of the position, that a joint moves in the time by which a stamp is wrong
@@ -74,9 +71,8 @@ def rows_in_time(time_s: Array, q: Array) -> NDArray[np.bool_]:
         deviations = np.abs(error_s) * np.sqrt(information) / size * np.median(size)
         late = (deviations > MIN_STAMP_DEVIATIONS) & (np.abs(error_s) > MIN_STAMP_ERROR * period)
         between = t[3:-1] - t[1:-3]
-        regular = (
-            np.maximum(np.abs(steps[1:-2] - period), np.abs(steps[2:-1] - period)) < MAX_REGULAR_DEVIATION * period
-        )
+        deviation = np.abs(steps - period)
+        regular = np.maximum(deviation[1:-2], deviation[2:-1]) < MAX_REGULAR_DEVIATION * period
         uneven = np.abs(steps / period - np.rint(steps / period)) > MAX_EVEN_DEVIATION
         late &= (between < MAX_REMAINING_STEP * period) & (np.abs(error_s) < np.where(regular, period, between))
         late &= uneven[:-3] | uneven[1:-2] | uneven[2:-1] | uneven[3:]

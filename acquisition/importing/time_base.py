@@ -51,9 +51,8 @@ class TimeReport:
     @property
     def text(self) -> str:
         """The report in one line."""
-        shortest, longest, period, jitter = (
-            f"{1e3 * x:.4g}" for x in (self.shortest_s, self.longest_s, self.period_s, self.jitter_s)
-        )
+        times = (self.shortest_s, self.longest_s, self.period_s, self.jitter_s)
+        shortest, longest, period, jitter = (f"{1e3 * x:.4g}" for x in times)
         parts = [f"{self.clock} of {self.rows} rows: steps {shortest} to {longest} ms, median {period} ms"]
         parts.append(f"jitter sd {jitter} ms")
         parts.append(f"{self.gaps} gaps, {self.missing} rows missing" if self.gaps else "no gaps")
@@ -164,12 +163,11 @@ def rows_to_interpolate(
     k = int(np.argmax(steps))
     if steps[k] > (largest_gap_periods + 0.5) * report.period_s:
         after_s, periods = time_s[k] - time_s[0], steps[k] / report.period_s
-        place.refuse(
-            "time",
-            expected=f"{largest_gap_periods:g} periods of {report.period_s:.6g} s at most; import the parts before and after "
-            "it separately, or set time.largest_gap_periods",
-            text=f"a gap of {steps[k]:.6g} s after {after_s:.6g} s, {periods:.1f} periods",
+        found = f"a gap of {steps[k]:.6g} s after {after_s:.6g} s, {periods:.1f} periods"
+        expected = (
+            f"{largest_gap_periods:g} periods of {report.period_s:.6g} s at most; import the parts before and after "
         )
+        place.refuse("time", expected=f"{expected}it separately, or set time.largest_gap_periods", text=found)
     return time_s, parts, replace(report, off=int((~in_time).sum()))
 
 
@@ -180,11 +178,9 @@ def _drop_repeated_rows(
     steps = np.diff(time_s)
     if (steps < 0).any():
         row = int(np.argmax(steps < 0))
-        place.refuse(
-            f"row {row + 2}",
-            expected="growing times of one source: not two publishers, a clock that was set or a counter that wrapped",
-            text=f"time runs backwards: {time_s[row + 1]:.9g} s after {time_s[row]:.9g} s",
-        )
+        found = f"time runs backwards: {time_s[row + 1]:.9g} s after {time_s[row]:.9g} s"
+        expected = "growing times of one source: not two publishers, a clock that was set or a counter that wrapped"
+        place.refuse(f"row {row + 2}", expected=expected, text=found)
     same = np.flatnonzero(steps == 0)
     for name, x in parts.items():
         differ = (x[same + 1] != x[same]).any(axis=1)

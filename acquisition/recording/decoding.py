@@ -211,9 +211,8 @@ def decode(frames: Block, robot: Robot, bus: Bus, place: str, *, max_missing: fl
     )
     if answers.missing_share > max_missing and max(count.missing for count in counts) > MAX_MISSING_COUNT:
         text = f"{answers.missing_share:.1%} of the PDOs of a drive are missing"
-        Place(place).refuse(
-            text=text, expected=f"{max_missing:.0%} at most: it is uncertain which PDOs belong together"
-        )
+        expected = f"{max_missing:.0%} at most: it is uncertain which PDOs belong together"
+        Place(place).refuse(text=text, expected=expected)
     answered = answers.answered
     if len(answered) < 2:
         Place(place).refuse(text=f"{len(answered)} SYNC answered by all drives", expected="many")
@@ -286,11 +285,10 @@ def _targets(traffic: Traffic, sync_rows: Rows, index_of: Ints, answered: Rows, 
 def refuse_period(measured_s: float, stated_s: float, place: str, what: str = "SYNC") -> None:
     """Refuse a period other than the described one: rates and filters are computed from the description."""
     if abs(measured_s / stated_s - 1) > MAX_PERIOD_ERROR:
-        Place(place).refuse(
-            text=f"{what} came every {measured_s * 1e3:.4g} ms; bus.sync_period_s = {stated_s:g} in robot.toml",
-            expected=f"{measured_s:.3g}; correct robot.toml and import again, a recording by "
-            "`robot-acquire import LOG.mcap --robot CORRECTED.toml -o OUT.mcap`",
-        )
+        text = f"{what} came every {measured_s * 1e3:.4g} ms; bus.sync_period_s = {stated_s:g} in robot.toml"
+        command = "`robot-acquire import LOG.mcap --robot CORRECTED.toml -o OUT.mcap`"
+        expected = f"{measured_s:.3g}; correct robot.toml and import again, a recording by {command}"
+        Place(place).refuse(text=text, expected=expected)
 
 
 def _warnings(counts: Sequence[PdoCount], lost: int, clock: SyncTimes, bus: Bus, answered: Rows) -> list[str]:
@@ -309,9 +307,8 @@ def _warnings(counts: Sequence[PdoCount], lost: int, clock: SyncTimes, bus: Bus,
             f"{(at_s[longest + 1] - at_s[longest]) * 1e3:.4g} ms at {at_s[longest]:.4g} s"
         )
     elif clock.jitter_s[1] > 0.5 * nominal_s:
-        texts.append(
-            f"a SYNC came {clock.jitter_s[1] * 1e3:.3g} ms off its time: more than half a period of {nominal_s * 1e3:g} ms"
-        )
+        off = f"a SYNC came {clock.jitter_s[1] * 1e3:.3g} ms off its time"
+        texts.append(f"{off}: more than half a period of {nominal_s * 1e3:g} ms")
     if lost:
         texts.append(f"{lost} SYNC were answered but not recorded")
     missing = int(answered[-1] - answered[0] + 1 - len(answered))

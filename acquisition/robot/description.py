@@ -325,6 +325,5 @@ class RobotFile(TomlTable, frozen=True):
             self.refuse("motor_matrix", matrix, "an invertible matrix")
         for i, row in enumerate(matrix):
             if row[i] == 0:  # names such as Ia2 and gains are by joint, so each joint needs its own motor
-                self.refuse(
-                    f"motor_matrix[{i}]", list(row), f"motor {i + 1} to turn joint {i + 1}: order the motors so"
-                )
+                expected = f"motor {i + 1} to turn joint {i + 1}: order the motors so"
+                self.refuse(f"motor_matrix[{i}]", list(row), expected)

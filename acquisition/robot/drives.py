@@ -127,10 +127,8 @@ def refuse_out_of_range(path: Array, robot: Robot, bus: Bus, place: str) -> None
             inside = (np.rint(counts) >= low) & (np.rint(counts) <= high)  # NaN is neither
             if not inside.all():
                 k = int(np.argmin(inside))
-                at, key = (
-                    Place(f"{place}: at {k * bus.file.sync_period_s:.4g} s"),
-                    f"target of node {drive.node} ({drive.name})",
-                )
+                at = Place(f"{place}: at {k * bus.file.sync_period_s:.4g} s")
+                key = f"target of node {drive.node} ({drive.name})"
                 at.refuse(key, float(counts[k]), f"{low} to {high}", shown=f"{counts[k]:.10g} counts")
 
 

@@ -74,9 +74,8 @@ def fourier_reference(
                 scale[j] = min(scale[j], limit / np.abs(peak[:, j]).max())
     scale *= share
     center = middle - scale * (q.max(axis=0) + q.min(axis=0)) / 2
-    return FourierReference(
-        period_s=period_s, center=center, sine=sine * scale[:, None], cosine=cosine * scale[:, None]
-    )
+    sine, cosine = (x * scale[:, None] for x in (sine, cosine))
+    return FourierReference(period_s=period_s, center=center, sine=sine, cosine=cosine)
 
 
 APPROACH_SHARE = 0.1  # of each joint's speed and acceleration limit
@@ -156,9 +155,8 @@ def approach(start: Array, end: Array, robot: Robot, period_s: float) -> Array:
     speed = np.array([joint.si("speed") for joint in robot.joints]) * APPROACH_SHARE
     acceleration = np.array([joint.si("acceleration") for joint in robot.joints]) * APPROACH_SHARE
     # Largest speed and acceleration of 10 x³ - 15 x⁴ + 6 x⁵ over one second: 1.875 and 5.774.
-    duration_s = max(
-        0.2, float(np.max(1.875 * distance / speed)), float(np.max(np.sqrt(5.774 * distance / acceleration)))
-    )
+    least_s = np.maximum(1.875 * distance / speed, np.sqrt(5.774 * distance / acceleration))
+    duration_s = float(least_s.max(initial=0.2))
     x = np.linspace(0.0, 1.0, int(np.ceil(duration_s / period_s)) + 1)[:, None]
     q: Array = start + (end - start) * (10 * x**3 - 15 * x**4 + 6 * x**5)
     return q

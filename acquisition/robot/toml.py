@@ -42,9 +42,8 @@ def parse_toml(text: bytes, kind: type[T], place: str) -> T:
     file = Place(place)
     longest = max(map(len, text.splitlines()), default=0)
     if len(text) > MAX_TOML_BYTES or longest > MAX_LINE_BYTES:
-        file.refuse(
-            text=f"{len(text)} bytes, a line of {longest}", expected=f"{MAX_TOML_BYTES} and {MAX_LINE_BYTES} at most"
-        )
+        expected = f"{MAX_TOML_BYTES} and {MAX_LINE_BYTES} at most"
+        file.refuse(text=f"{len(text)} bytes, a line of {longest}", expected=expected)
     try:
         data = tomllib.loads(text.decode("utf-8"))
         _refuse_nonfinite(data, "", file)

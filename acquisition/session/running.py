@@ -100,9 +100,8 @@ def record(
             operator.show(status, left_s)
 
         log.on_status = show
-        with (
-            real_time_scheduling() if isinstance(log, ProcessLog) else nullcontext() as granted
-        ):  # after the recorder has started
+        # After the recorder has started.
+        with real_time_scheduling() if isinstance(log, ProcessLog) else nullcontext() as granted:
             if granted is not None and isinstance(log, ProcessLog):
                 log.event(link.now_ns(), "mark", f"SYNC loop: {granted.words}")
                 log.granted(granted.counters)
@@ -118,9 +117,8 @@ def _task_of(robot: Robot, period_s: float, options: RecordOptions, operator: Us
     if options.track is not None and options.duration_s is not None:
         raise BadInputError("lasts as long as its reference", place="--track", expected="no --duration")
     if options.track is None and options.speed != 1.0:
-        raise BadInputError(
-            "applies to a reference only", key="--speed", value=options.speed, expected="--track with it"
-        )
+        problem = "applies to a reference only"
+        raise BadInputError(problem, key="--speed", value=options.speed, expected="--track with it")
     if not 0 < options.speed <= 1:
         raise BadInputError(key="--speed", value=options.speed, expected="more than 0, and 1 at most")
     if options.track is None:

@@ -270,9 +270,8 @@ class _Session:
                 return
             yield order
         watched = round(self._bus.file.enable_watch_s / self._period_s)
-        yield from itertools.takewhile(
-            lambda _: not self._stop.reason, itertools.repeat(_enabled_at(self._held), watched)
-        )
+        held = itertools.repeat(_enabled_at(self._held), watched)
+        yield from itertools.takewhile(lambda _: not self._stop.reason, held)
         self._motion.enabling = False
 
     def _follow(self, path: Array) -> Iterator[Orders]:

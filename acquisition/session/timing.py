@@ -157,9 +157,8 @@ def sync_jitter(master: Master) -> Jitter:
         first = len(master.sync_times)
         for _ in range(count):
             if not master.wait_for_sync(link.now_ns() + MAX_ABSENT_PERIODS * period_ns):
-                raise BusFaultError(
-                    f"no SYNC in {MAX_ABSENT_PERIODS} periods", place="bus", expected="the other producer's"
-                )
+                text = f"no SYNC in {MAX_ABSENT_PERIODS} periods"
+                raise BusFaultError(text, place="bus", expected="the other producer's")
         times = master.sync_times[first:]
     deviation_s = np.abs(np.diff(times) - period_ns) * 1e-9
     return Jitter(

@@ -199,9 +199,8 @@ def driven_plant(robot: Robot, bus: Bus, payload: Payload | None = None) -> Driv
         return _independent_joints(robot, bus, "robot.toml has no [parameters]")
     plants = list(entry_points(group=GROUP))
     if not plants:
-        return _independent_joints(
-            robot, bus, f"no installed package offers the robot's dynamics (entry points {GROUP})"
-        )
+        reason = f"no installed package offers the robot's dynamics (entry points {GROUP})"
+        return _independent_joints(robot, bus, reason)
     try:
         plant_of: PlantOf = plants[0].load()
     except (ImportError, AttributeError) as error:

@@ -100,9 +100,8 @@ def sources(options: argparse.Namespace) -> list["RecordingFile"]:
             expected = f"NAME=KG[@X,Y,Z], NAME=none or NAME=unknown with a NAME of {', '.join(names[1::2])}"
             raise BadInputError(key="--payload", value=text, expected=expected)
         payloads[name] = payload
-    return [
-        RecordingFile.at(path, robot, payloads.get(path.name, payloads.get(path.stem))) for path in options.recordings
-    ]
+    paths = options.recordings
+    return [RecordingFile.at(path, robot, payloads.get(path.name, payloads.get(path.stem))) for path in paths]
 
 
 def add_work(parser: argparse.ArgumentParser) -> None:

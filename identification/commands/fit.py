@@ -95,9 +95,8 @@ def run(options: argparse.Namespace) -> int:
     finally:  # print the fit even if a file cannot be written
         print_results(document, everything=options.all)
     if options.report:
-        print_results(
-            f"open the report: {options.report} in {'a browser' if options.report.suffix == '.html' else 'an editor'}"
-        )
+        viewer = "a browser" if options.report.suffix == ".html" else "an editor"
+        print_results(f"open the report: {options.report} in {viewer}")
     else:
         print_results(f"report with charts: --report {options.recordings[0].stem}.html")
     if pictures:

@@ -52,9 +52,8 @@ def run(options: argparse.Namespace) -> int:
         stored, recordings, notes = read_fit(options.fit), [], []
         consistent = methods.consistent_fit(stored, place) if options.consistent else None
         for path, source in zip(options.recordings, sources(options), strict=True):
-            signals, lines = methods.signals_as_fitted(
-                source.load(), path, stored, place, chosen=options.robot is not None
-            )
+            chosen = options.robot is not None
+            signals, lines = methods.signals_as_fitted(source.load(), path, stored, place, chosen=chosen)
             overrides, of_lag = methods.stored_settings(stored, signals, from_options(Overrides, options))
             recordings.append((signals, overrides))
             notes += lines + of_lag

@@ -134,12 +134,10 @@ def _grid(stamps: NDArray[np.int64], nominal_hz: float, path: Path) -> tuple[Arr
     bad = np.flatnonzero((steps <= 0) | (steps > (MAX_GAP + 0.5) * max(period, 1.0)))
     if bad.size:
         k = int(bad[0])
-        raise BadInputError(
-            f"{bad.size} gap(s), the first after {1e-9 * (stamps[k] - stamps[0]):.4f} s: a step of {steps[k] * 1e-6:.3f} ms",
-            place=str(path),
-            key="samples",
-            expected=f"{period * 1e-6:.3f} ms throughout, and at most {MAX_GAP:g} times that",
-        )
+        problem = f"{bad.size} gap(s), the first after {1e-9 * (stamps[k] - stamps[0]):.4f} s"
+        problem += f": a step of {steps[k] * 1e-6:.3f} ms"
+        expected = f"{period * 1e-6:.3f} ms throughout, and at most {MAX_GAP:g} times that"
+        raise BadInputError(problem, place=str(path), key="samples", expected=expected)
     since = np.asarray(stamps - stamps[0], dtype=np.float64)
     whole = steps.max() <= 1.5 * period or len(stamps) < 3
     if whole:

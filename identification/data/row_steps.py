@@ -6,9 +6,7 @@ import numpy as np
 
 from ..arrays import Array
 
-MIN_DEVIATIONS = (
-    10.0  # of steps about their neighbours: smaller steps cannot be distinguished from double or zero steps
-)
+MIN_DEVIATIONS = 10.0  # of steps about their neighbours: smaller steps are no different from double or zero ones
 MAX_ERROR = 0.15  # of a step: largest distance from a multiple
 MAX_DIFFERENCE = 0.25  # of a step: of three of four neighbours from their median (of two next to a missing row)
 QUANTUM_DEVIATION = 0.41  # standard deviation of the step between two rounded positions, in quanta
@@ -69,9 +67,8 @@ def _count(q: Array) -> tuple[Array, Array]:
     moving = (size > MIN_DEVIATIONS) & alike
     ratio = np.divide((x * m * weight**2).sum(axis=1), size**2, out=np.ones(rows), where=moving)
     multiple = np.rint(ratio)
-    extra = np.where(
-        (np.abs(ratio - multiple) < MAX_ERROR) & (multiple >= 0) & (multiple <= MAX_MULTIPLE), multiple - 1, 0
-    )
+    is_multiple = (np.abs(ratio - multiple) < MAX_ERROR) & (multiple >= 0) & (multiple <= MAX_MULTIPLE)
+    extra = np.where(is_multiple, multiple - 1, 0)
     odd = extra != 0
     group = np.cumsum(odd & ~np.concatenate([[False], odd[:-1]]))[odd]  # of neighbours that compensate each other
     net = np.bincount(group, extra[odd])

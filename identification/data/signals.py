@@ -99,9 +99,8 @@ class Signals:
             if array is not None:
                 if not np.isfinite(array).all():
                     row = int(np.argwhere(~np.isfinite(array))[0, 0])
-                    raise BadInputError(
-                        place=self.recording, key=f"{name}[{row}]", value=array[row].tolist(), expected="finite numbers"
-                    )
+                    key, value = f"{name}[{row}]", array[row].tolist()
+                    raise BadInputError(place=self.recording, key=key, value=value, expected="finite numbers")
                 array.flags.writeable = False
                 release_pages(array)
 

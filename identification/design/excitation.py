@@ -196,13 +196,11 @@ def _refuse_fast(robot: Robot, settings: ExcitationSettings, place: str) -> None
     if highest_hz > max_hz * (1 + 1e-9):
         count = math.floor(max_hz * settings.period_s + 1e-9)
         ways = f"--harmonics {count} or fewer, or " if count >= MIN_HARMONICS else ""
-        raise BadInputError(
-            f"the highest harmonic of {highest_hz:.4g} Hz is above a third of the bandwidth of {bandwidth_hz:g} Hz",
-            place=place,
-            key="harmonics",
-            value=settings.harmonics,
-            expected=f"{ways}--period {math.ceil(100 * settings.harmonics / max_hz) / 100:g} or longer",
+        ways += f"--period {math.ceil(100 * settings.harmonics / max_hz) / 100:g} or longer"
+        problem = (
+            f"the highest harmonic of {highest_hz:.4g} Hz is above a third of the bandwidth of {bandwidth_hz:g} Hz"
         )
+        raise BadInputError(problem, place=place, key="harmonics", value=settings.harmonics, expected=ways)
 
 
 def _refuse_rest(limits: Limits, place: str) -> None:
@@ -215,11 +213,9 @@ def _refuse_rest(limits: Limits, place: str) -> None:
         worst = (most - 3 * n) % len(effort.names)
         held = limits.coulomb[worst] + used[most] * limits.allowed[worst]
         name = limits.names[most].removeprefix("effort of ")
-        raise BadInputError(
-            f"{name} needs {held:.4g} {effort.units[worst]} to leave rest in the middle of the ranges",
-            place=place,
-            expected=f"at most {100 * limits.share:g} % of the effort limit of {effort.limits[worst]:.4g}",
-        )
+        problem = f"{name} needs {held:.4g} {effort.units[worst]} to leave rest in the middle of the ranges"
+        expected = f"at most {100 * limits.share:g} % of the effort limit of {effort.limits[worst]:.4g}"
+        raise BadInputError(problem, place=place, expected=expected)
 
 
 def _warnings(limits: Limits, obstacles: Obstacles, mus: Sequence[str]) -> tuple[str, ...]:
@@ -272,12 +268,9 @@ def excitation_document(excitation: Excitation) -> Document:
         f"torque from {e.beta_from}" if known else "torque unknown",
     )
     if e.payload is not None:
-        gains = (
-            f"{m.name} ±{x:.2g} %" if x < 100 else f"{m.name} not" for m, x in zip(e.robot.motors, e.gains, strict=True)
-        )
-        lines += (
-            f"drive gains by a run without and a run with {e.payload}: {', '.join(gains)}; expected by this noise",
-        )
+        pairs = zip(e.robot.motors, e.gains, strict=True)
+        gains = ", ".join(f"{m.name} ±{x:.2g} %" if x < 100 else f"{m.name} not" for m, x in pairs)
+        lines += (f"drive gains by a run without and a run with {e.payload}: {gains}; expected by this noise",)
     intervals = Section(title="expected intervals", table=expected, lines=lines)
     n, percents = e.robot.n, [Number(100 * float(x), ".1f") for x in e.used]
     efforts = dict(zip(e.limits.names[3 * n : len(e.used)], percents[3 * n :], strict=True))
@@ -285,10 +278,8 @@ def excitation_document(excitation: Excitation) -> Document:
         (joint.name, *percents[j : 3 * n : n], efforts.pop(f"effort of joint {joint.name}", ""))
         for j, joint in enumerate(e.robot.joints)
     ]
-    table += [
-        (name.removeprefix("effort of ").removeprefix("joint "), "", "", "", percent)
-        for name, percent in efforts.items()
-    ]
+    for name, percent in efforts.items():
+        table.append((name.removeprefix("effort of ").removeprefix("joint "), "", "", "", percent))
     apart: tuple[str, ...] = ()
     if e.nearest is not None:
         apart = (f"nearest: {e.nearest[1]}, {e.nearest[0]:.3f} m apart",)

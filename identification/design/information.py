@@ -120,10 +120,8 @@ def loads_of(
     """
     payload = knowledge.payload
     if payload is not None and (knowledge.beta is None or not model.robot.gain_known):
-        problem, expected = (
-            "its torque is unknown without parameters and drive gains",
-            "--fit or [parameters], and drive_gain",
-        )
+        problem = "its torque is unknown without parameters and drive gains"
+        expected = "--fit or [parameters], and drive_gain"
         raise BadInputError(problem, place=place, key="--payload", value=payload.text, expected=expected)
     if knowledge.beta is None:
         return ()

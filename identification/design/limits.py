@@ -41,9 +41,8 @@ class Series:
         """The series with the coefficients x (n, K)."""
         H = self.harmonics
         sine, cosine = self._null_spaces
-        return FourierReference(
-            period_s=self.period_s, center=x[:, 0], sine=x[:, 1:H] @ sine.T, cosine=x[:, H:] @ cosine.T
-        )
+        sines, cosines = x[:, 1:H] @ sine.T, x[:, H:] @ cosine.T
+        return FourierReference(period_s=self.period_s, center=x[:, 0], sine=sines, cosine=cosines)
 
     def coefficients(self, reference: FourierReference) -> Array:
         """x (n, K) of a reference that is such a series."""
@@ -127,10 +126,8 @@ class Limits:
 
     def shares_and_slopes(self, motion: Motion) -> tuple[Array, Array]:
         """The shares (N, L), and derivatives (3, N, m, n) of the m shares of efforts by q, dq and ddq."""
-        scaled, slopes = (
-            self.effort.directions / self.allowed[:, None],
-            [np.zeros((3, len(motion[0]), 0, self.robot.n))],
-        )
+        scaled = self.effort.directions / self.allowed[:, None]
+        slopes = [np.zeros((3, len(motion[0]), 0, self.robot.n))]
         for model in self.models:
             links = torque_of_links(model, motion)
             tau, by_joint = torque_without_sliding(model, motion, links)

@@ -190,12 +190,9 @@ def _parameters(chain: Chain, robot: Robot) -> Iterator[str]:
     for j, joint in enumerate(chain.joints):
         mass = values[j, LINK.index("M")]
         if not mass > 0:
-            raise BadInputError(
-                place=f"{chain.place}: joint {joint.name!r}",
-                key=f"mass of link {joint.child!r} and those fixed to it",
-                value=float(mass),
-                expected="more than 0: an <inertial> in one of them",
-            )
+            at, key = f"{chain.place}: joint {joint.name!r}", f"mass of link {joint.child!r} and those fixed to it"
+            expected = "more than 0: an <inertial> in one of them"
+            raise BadInputError(place=at, key=key, value=float(mass), expected=expected)
         yield f"# {one_line(', '.join(chain.rigid[j][:8]))}{' ...' if len(chain.rigid[j]) > 8 else ''}"
         for name, value in (*zip(LINK, values[j], strict=True), ("Fv", joint.damping), ("Fc", joint.friction)):
             if abs(value) > _MAX_ROUNDING:

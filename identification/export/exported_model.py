@@ -70,14 +70,9 @@ def split_parameters(model: InverseModel, chi: Array, place: str) -> ExportedMod
     for matrix, first, text in requirements(model, shaped=False):
         lowest = float(np.linalg.eigvalsh(matrix @ chi)[0])
         if lowest < -MIN_EIGENVALUE:
-            raise BadInputError(
-                "generates energy, and simulators do not check it",
-                place=place,
-                key=text,
-                value=lowest,
-                shown=f"{lowest:.4g} {first.unit}",
-                expected="0 or more: a new fit with --consistent",
-            )
+            problem, shown = "generates energy, and simulators do not check it", f"{lowest:.4g} {first.unit}"
+            expected = "0 or more: a new fit with --consistent"
+            raise BadInputError(problem, place=place, key=text, value=lowest, shown=shown, expected=expected)
     return _of_axes(model, chi, links)
 
 

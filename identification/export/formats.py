@@ -243,9 +243,8 @@ def make_urdf(model: InverseModel) -> str:
         element = ET.SubElement(root, "joint", name=joint.name, type=kind)
         ET.SubElement(element, "parent", link=names[model.parents[j]])
         ET.SubElement(element, "child", link=names[j + 1])
-        ET.SubElement(
-            element, "origin", xyz=format_numbers(*origins[j]), rpy=format_numbers(*roll_pitch_yaw(rotations[j]))
-        )
+        rpy = format_numbers(*roll_pitch_yaw(rotations[j]))
+        ET.SubElement(element, "origin", xyz=format_numbers(*origins[j]), rpy=rpy)
         ET.SubElement(element, "axis", xyz=format_numbers(*axes[j]))
         low, high = limits or (-UNLIMITED, UNLIMITED)
         stated = {} if kind == "continuous" else {"lower": low, "upper": high}

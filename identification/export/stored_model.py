@@ -77,9 +77,8 @@ def _make_consistent(stored: FitFile, model: InverseModel, place: str) -> tuple[
     left_out = {p.name: p.sigma for p in stored.left_out or ()}
     missing = [name for name in base.names if name not in shared and name not in left_out]
     if missing or values.shape != (len(names), len(names)):
-        raise BadInputError(
-            place=place, key="covariance", value=", ".join(missing[:5]) or None, expected="one row per parameter"
-        )
+        value = ", ".join(missing[:5]) or None
+        raise BadInputError(place=place, key="covariance", value=value, expected="one row per parameter")
     # of parameters of single recordings the mean, as in `stored_beta`
     mean = np.array([[(own == name) / shared.count(own) for own in shared] for name in base.names])
     covariance = np.diag([left_out.get(name, 0.0) ** 2 for name in base.names]) + mean @ values @ mean.T

@@ -100,9 +100,8 @@ def in_amperes(robot: Robot, gains: Sequence[float]) -> Robot:
     text, each = robot.files["robot.toml"].decode(), iter(gains)
     text = re.sub("effort_unit = .*", lambda _: f'drive_gain = {next(each):.4g}\ndrive_gain_unit = "N m/A"', text)
     text = re.sub('reference = "6074"|actual = "6077"', 'actual = "6078"', text)
-    text = re.sub(
-        r"rated_torque_nm = ([\d.]+)", lambda found: f"rated_current_a = {float(found[1]) / RATED_NM_PER_A:.4g}", text
-    )
+    rated = r"rated_torque_nm = ([\d.]+)"
+    text = re.sub(rated, lambda found: f"rated_current_a = {float(found[1]) / RATED_NM_PER_A:.4g}", text)
     return robot_from_files({**robot.files, "robot.toml": text.encode()}, f"{robot.name} in A")
 
 

@@ -143,9 +143,8 @@ def sensitivity_document(recording: str, fits: Sequence[VariedFit]) -> Document:
         "parameters; own: in half-widths of the variant's own interval of the method",
         "position noise is added to the recording, after the control loop; start: inertias of the first pass",
     )
-    moves_table = Table(
-        columns=heads + columns("at", numbers=("own", "passes")) + columns("iv ended"), rows=tuple(rows)
-    )
+    heads += columns("at", numbers=("own", "passes")) + columns("iv ended")
+    moves_table = Table(columns=heads, rows=tuple(rows))
     whole = columns("parameter", "changed", "to", numbers=("LS", "±95%", "IV", "±95%"))
     table = Table(columns=whole, rows=tuple(values))
     sections = Section(table=moves_table, lines=lines), Section(title="values", table=table, short=Section())

@@ -95,9 +95,8 @@ def random_reference(
     """
     samples = duration_s * sample_rate_hz
     if not MIN_SAMPLES <= samples <= MAX_SAMPLES:
-        raise BadInputError(
-            f"{duration_s:g} s at {sample_rate_hz:g} Hz: {samples:g} samples; expected {MIN_SAMPLES} to {MAX_SAMPLES}"
-        )
+        found = f"{duration_s:g} s at {sample_rate_hz:g} Hz: {samples:g} samples"
+        raise BadInputError(f"{found}; expected {MIN_SAMPLES} to {MAX_SAMPLES}")
     t_s = np.arange(round(samples) + 1) / sample_rate_hz
     return periodic_reference(robot, duration_s=duration_s, seed=seed, period_s=period_s).at(t_s)[0]
 
@@ -116,10 +115,8 @@ def closed_loop(
         if noise.position or noise.encoder_step:  # the PD estimates the speed
             loop = replace(loop, velocity_estimate="backward_difference")
     if abs(loop.period_s * sample_rate_hz - 1) > 1e-9:
-        raise BadInputError(
-            f"robot {robot.name}: controller.sample_rate_hz = {1 / loop.period_s:g}: expected {sample_rate_hz:g}, the "
-            "rate of the simulated recording"
-        )
+        found, expected = f"{1 / loop.period_s:g}", f"{sample_rate_hz:g}, the rate of the simulated recording"
+        raise BadInputError(f"robot {robot.name}: controller.sample_rate_hz = {found}: expected {expected}")
     dq = differentiate(q_ref, sample_rate_hz)
     fastest = np.abs(dq @ model.directions.T).max(axis=0, initial=0.0)
     white = np.random.default_rng([seed, _POSITION]).standard_normal(q_ref.shape)
@@ -153,9 +150,8 @@ def write_signals(path: Path, signals: Signals, *, source: str, noise: Noise | N
     given = {"position": signals.q, "effort": signals.effort, "reference": signals.q_ref}
     given |= {name: getattr(signals, name) for name in OPTIONAL}
     columns = {name: values for name, values in given.items() if values is not None}
-    samples = np.empty(
-        len(signals.q), sample_dtype(signals.robot.n, reference="reference" in columns, optional=columns)
-    )
+    layout = sample_dtype(signals.robot.n, reference="reference" in columns, optional=columns)
+    samples = np.empty(len(signals.q), layout)
     samples["stamp_ns"] = np.round(signals.t_s * 1e9)
     for name, values in columns.items():
         samples[name] = values

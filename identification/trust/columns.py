@@ -141,13 +141,10 @@ def _scored(
         moved = (bread @ (Q.T @ C))[: len(counts)] * g
         moves = np.nan_to_num(np.abs(moved) / evidence.intervals.half[:, None]) * counts[:, None]
         t = np.where(sigma > 0, g / sigma, 0.0)
-        seen = np.maximum(
-            (MIN_T + MARGIN_T) * sigma, np.sqrt(0.01 * MIN_TAKEN_PERCENT * whole) / np.linalg.norm(apart, axis=0)
-        )
-    taken, noticed = (
-        100 * (1 - np.einsum("rk,rk->k", with_term, with_term) / whole),
-        np.where(independent, seen, np.inf),
-    )
+        large = np.sqrt(0.01 * MIN_TAKEN_PERCENT * whole) / np.linalg.norm(apart, axis=0)
+        seen = np.maximum((MIN_T + MARGIN_T) * sigma, large)
+    taken = 100 * (1 - np.einsum("rk,rk->k", with_term, with_term) / whole)
+    noticed = np.where(independent, seen, np.inf)
     names = ("value", "t", "taken_percent", "moves", "noticed")
     figures = np.transpose([g, t, taken, moves.max(axis=0), noticed]).tolist()
     every = (replace(term, **dict(zip(names, of, strict=True))) for term, of in zip(terms, figures, strict=True))

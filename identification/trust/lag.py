@@ -131,8 +131,6 @@ def _line(evidence: FitData, lag: Lag) -> TrustLine:
             delay, off = lag.delay_s[0] * fs, lag.delay_s[1] * fs
             text += f"; it acts {delay:.2f} ± {off:.2f} samples after the command"
             if delay < -MAX_EARLY_SAMPLES - off:
-                level, text = (
-                    "caution",
-                    f"{text}, which is impossible: check sample_rate_hz of [controller] and time stamps",
-                )
+                level = "caution"
+                text += ", which is impossible: check sample_rate_hz of [controller] and time stamps"
     return TrustLine("lag", level, text, late, figures=figures, unit="samples")

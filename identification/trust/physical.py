@@ -177,9 +177,8 @@ def _gravity_findings(evidence: FitData) -> list[Finding]:
         return []
     system = evidence.observed.system
     # Gravity changes slowly: with the weights of the rows it is nearly that of the weighted samples.
-    gravity = dict(
-        zip(problem.base.names, (evidence.observed.share[..., None] * at_rest).transpose(2, 1, 0), strict=True)
-    )
+    weighted = (evidence.observed.share[..., None] * at_rest).transpose(2, 1, 0)
+    gravity = dict(zip(problem.base.names, weighted, strict=True))
     weighs = [i for i, name in enumerate(system.names) if name in gravity and gravity[name].any()]
     G = np.array([gravity[system.names[i]].ravel() for i in weighs]).reshape(len(weighs), -1).T
     # The small R factor has the same column products as the rows.
@@ -215,10 +214,8 @@ def consistent_test(evidence: FitData) -> TrustLine:
         nearest = nearest_consistent(problem.model, problem.base, beta, covariance[np.ix_(first, first)], power)
     except NoFitError as error:
         return TrustLine("consistent", "cannot tell", error.args[0])
-    moves, bound = (
-        np.abs(nearest.deviations) / evidence.intervals.reach,
-        chi_squared_quantile(CONSISTENT_LEVEL, len(names)),
-    )
+    moves = np.abs(nearest.deviations) / evidence.intervals.reach
+    bound = chi_squared_quantile(CONSISTENT_LEVEL, len(names))
     text = f"the nearest physical robot is at chi² = {nearest.chi_squared:.3g} ({len(names)} parameters), "
     text += f"{names[int(moves.argmax())]} moved by {moves.max():.2g} half-widths of its interval"
     if nearest.chi_squared > bound:

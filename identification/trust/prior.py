@@ -20,14 +20,9 @@ from .fit_data import FitData
 from .held_out import Predict, held_out_parts, held_out_test
 from .lines import Figure, TrustLine
 
-MIN_FACTOR, MAX_FACTOR, MAX_SPREAD = (
-    0.5,
-    2.0,
-    1.5,
-)  # of a joint's torque over that of the prior's links; of equal factors
-MIN_EXPLAINED = (
-    0.25  # of a joint's square, without what is not of links, for its factor to be one of the prior's torque
-)
+MIN_FACTOR, MAX_FACTOR = 0.5, 2.0  # of a joint's torque over that of the prior's links
+MAX_SPREAD = 1.5  # of equal factors
+MIN_EXPLAINED = 0.25  # of a joint's square, without what is not of links, for its factor to be of the prior's torque
 MIN_ALIKE = 0.9  # the same; below, other causes than a factor are looked for
 MIN_LEFT = 0.01  # smallest share of a joint's square left by the prior's links that counts
 MIN_CAUSE = 1.5  # fall of the sum of the logarithms of these shares by which a cause is named
@@ -122,10 +117,8 @@ def _cause(evidence: FitData) -> str:
     beta += payload.values(evidence.estimate) * problem.base.links if payload else 0.0
     links = direct_model(problem.model, problem.base.standard_parameters(beta))
     names = [joint.name for joint in problem.signals.robot.joints]
-    same, recorded, counts = (
-        np.eye(len(names)),
-        *(x[states.rows] for x in (evidence.observed.tau, evidence.observed.counts)),
-    )
+    same = np.eye(len(names))
+    recorded, counts = (x[states.rows] for x in (evidence.observed.tau, evidence.observed.counts))
 
     def left(of_motion: Array, of_torque: Array) -> float:
         (q, dq, ddq), shares = (x @ of_motion for x in (states.q, states.dq, states.ddq)), 0.0

@@ -44,8 +44,8 @@ Lines = dict[str, tuple[Color, float]]  # level lines of a plot by name
 def follow_recording(path: Path, fit: Path | None, out: Path | None, warn: Callable[[str], None]) -> None:
     """Show the recording at `path` until it is whole, in a viewer on this machine, or written to `out`.
 
-    With `fit`, its JSON file, also the residual torque. `warn` gets warnings, one line each. Raises `BadInputError` or
-    `BadInputError` where the recording cannot be followed any more: it is gone, replaced, cut, or not written.
+    With `fit`, its JSON file, also the residual torque. `warn` gets warnings, one line each. Raises `BadInputError`
+    where the recording cannot be followed any more: it is gone, replaced, cut, or not written.
     """
     follower = RecordingFollower(path)
     residual = None if fit is None else Residual(read_fit(fit), str(fit), follower.robot)
@@ -154,9 +154,8 @@ class LivePage:
             time_s = 1e-9 * (event.stamp_ns - self._first_ns)
             self._recording.set_time("time", duration=time_s)
             level = "WARN" if event.kind in ("fault", "warning", "not disabled") else "INFO"
-            self._recording.log(
-                "events", rr.TextLog(shown_text(f"{time_s:.2f} s {event.kind}: {event.text}"), level=level)
-            )
+            text = shown_text(f"{time_s:.2f} s {event.kind}: {event.text}")
+            self._recording.log("events", rr.TextLog(text, level=level))
         for health in follower.health:
             self._losses = {name: health.counters.get(name, 0.0) for name in _LOSSES}
             self._last_ns = max(self._last_ns, health.stamp_ns)
@@ -213,9 +212,8 @@ class LivePage:
                 title = {"position": "q"}.get(name, name)
                 sign = "" if name == "position" else "±"
                 told = [f"{key} {sign}{value:.3g}" for key, (_, value) in levels[j].items() if key[0] != "-"]
-                title = shown_text(
-                    f"{title} {joint.name} {', '.join(told)} [{unit}]"
-                )  # of six joints each has 30 letters
+                # Of six joints each has 30 letters.
+                title = shown_text(f"{title} {joint.name} {', '.join(told)} [{unit}]")
                 legend = rrb.PlotLegend(visible=False)
                 origin = f"{name}/{j + 1}"
                 views.append(rrb.TimeSeriesView(origin=origin, name=title, time_ranges=[window], plot_legend=legend))

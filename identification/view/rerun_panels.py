@@ -40,10 +40,9 @@ def write_rrd(path: Path, picture: Picture) -> None:
         recording.log("report", rr.TextDocument(shown_text(report), media_type="text/markdown"), static=True)
         text, tabs = [rrb.TextDocumentView(origin="report", name="report")], []
         for page in picture.pages:
-            views = {
-                key: [view for panel in group if (view := _show(recording, panel))]
-                for key, group in page.groups.items()
-            }
+            views = dict[str, list[Any]]()
+            for key, group in page.groups.items():
+                views[key] = [view for panel in group if (view := _show(recording, panel))]
             if any(views.values()):
                 tabs.append(_arrange(page, views, text))
                 text = []  # stands beside the first page
