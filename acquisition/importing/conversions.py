@@ -35,19 +35,9 @@ from .time_base import ImportSummary
 def import_recording(path: Path, out: Path, robot: Robot | None = None, place: str = "") -> ImportSummary:
     """Write a recording again: samples decoded from its frames, and everything before the cut if it was cut off.
 
-    Without `robot`, samples of a cut recording are copied if there are no frames, or if these do not decode.
-
-    Parameters
-    ----------
-    path : the recording.
-    out : the new one, with the same frames and events; written whole or not at all.
-    robot : a corrected description; None: that of the recording.
-    place : the name of the description in errors.
-
-    Raises
-    ------
-    BadInputError
-        There are no frames, or they do not decode with these drives.
+    Without `robot`, a corrected description with the name `place` in errors, samples of a cut recording are copied if there
+    are no frames, or if these do not decode. `out`, with the same frames and events, is written whole or not at all. Raises
+    `BadInputError`: there are no frames, or they do not decode with these drives.
     """
     recording = read_recording(path)
     if recording.cut and robot is None:
@@ -107,20 +97,11 @@ def is_log(path: Path) -> bool:
 def import_log(
     log: Path, out: Path, robot: Robot, place: str, payload: Payload | None = None, mapping: Sequence[str] = ()
 ) -> ImportSummary:
-    """Write the recording `out` from another tool's CAN log, or an EtherCAT capture with the stated `mapping`.
+    """Write the recording `out`, whole or not at all, from another tool's CAN log, or an EtherCAT capture with this `mapping`.
 
-    Parameters
-    ----------
-    log : candump, ASC, BLF or TRC. If it has several interfaces, the frames of `bus.channel` are used.
-    out : written whole or not at all.
-    robot : its drives decode the frames.
-    place : the name of the description in errors.
-    payload : what the robot carried.
-
-    Raises
-    ------
-    BadInputError
-        The log cannot be read, none of its frames are of the described interface, or they do not decode.
+    `log`: candump, ASC, BLF or TRC; if it has several interfaces, the frames of `bus.channel` are used. The drives of `robot`,
+    whose description has the name `place` in errors, decode the frames; `payload` is what it carried. Raises `BadInputError`:
+    the log cannot be read, none of its frames are of the described interface, or they do not decode.
     """
     if is_capture(log):
         bus, notes = resolve(robot, place), {MAPPING_NOTE: " ".join(mapping)}

@@ -71,21 +71,10 @@ def _period_ns(time_ns: Ints) -> float:
 def import_capture(file: BinaryIO, header: Header, bus: Bus, at: Place, out: Path) -> ImportSummary:
     """Write the recording `out` from a capture (pcap, pcapng) of an EtherCAT bus in operation.
 
-    Parameters
-    ----------
-    header : of the recording; of its notes `MAPPING_NOTE` has a stated mapping where the capture begins after the mapping.
-    bus : the robot's drives, by their EtherCAT stations.
-    at : the file.
-
-    Returns
-    -------
     One row for each cycle with full working counters: rad or m, and N m or N (A or V if no drive gain is known), at the
     joints, at the times of whole periods; `reference` is the target of the cycle before. Frames are kept in the recording.
-
-    Raises
-    ------
-    BadInputError
-        The file is no capture, or it has no process data that come back, no mapping, or another period.
+    Of the notes of `header`, `MAPPING_NOTE` has a stated mapping where the capture begins after the mapping. Raises
+    `BadInputError`: the file is no capture, or it has no process data that come back, no mapping, or another period.
     """
     robot, warnings = header.robot, list[str]()
     process, head = ProcessData(bus, parse_mapping(header.notes.get(MAPPING_NOTE, "").split()), at), PCAP_HEAD
@@ -118,10 +107,7 @@ def import_capture(file: BinaryIO, header: Header, bus: Bus, at: Place, out: Pat
 
 
 def _chosen(rows: Block, chosen: Ints, stamp_ns: Ints, has_reference: bool) -> Iterator[Block]:
-    """Chosen rows with their stamps, some at a time.
-
-    The target of a row is that of the cycle before, which the drive had when it sampled.
-    """
+    """Chosen rows with their stamps, some at a time; a row's target is that of the cycle before, which the drive then had."""
     for first in range(0, len(chosen), AT_ONCE):
         some = chosen[first : first + AT_ONCE]
         found = rows[some]

@@ -105,10 +105,7 @@ class ProcessData:
         return rows
 
     def _find_fields(self) -> dict[Part, Fields]:
-        """Where the drives' objects are, by the mapping in the capture or the stated one; empty if not yet known.
-
-        A drive is in its `station`, or in the next slave that has its position.
-        """
+        """Where the drives' objects are, each in its `station` or the next slave with its position; empty if not yet known."""
         found, targets, self._why = dict[Part, Fields](), dict[Part, Fields](), "no mapping of inputs is in it"
         try:
             objects = self._objects()
@@ -213,10 +210,7 @@ class ProcessData:
         return int(np.flatnonzero(count > _MIN_SHARE * len(rows))[-1])
 
     def _undoubled(self, rows: Block) -> tuple[Block, Ints]:
-        """Rows of a part, but those whose stamps others contradict, and those that repeat the one before within half a period.
-
-        Second, the packets of those that repeat.
-        """
+        """Rows without those whose stamps others contradict or that repeat one within half a period; packets of the latter."""
         time_ns, again = rows["time_ns"], np.abs(np.diff(rows["time_ns"])) < self._bus.period_ns // 2
         for name in rows.dtype.names[3:] if rows.dtype.names else ():
             again &= rows[name][1:] == rows[name][:-1]

@@ -59,18 +59,10 @@ class TableMap(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 def import_tables(
     tables: Sequence[Path], robot: Robot, map_path: Path, out: Path, payload: Payload | None = None
 ) -> ImportSummary:
-    """Write the recording `out` from tables.
+    """Write the recording `out` from CSV or MAT tables; nothing is written where `BadInputError` is raised.
 
-    Parameters
-    ----------
-    tables : CSV or MAT files.
-    map_path : `map.toml`, which assigns columns, units and sides (motor or joint), and says how times are read.
-    payload : what the robot carried.
-
-    Raises
-    ------
-    BadInputError
-        With `place` (file), `key`, `value` and `expected`; nothing is written then.
+    The file `map_path` assigns columns, units and sides (motor or joint), and says how times are read; `payload`: what the
+    robot carried.
     """
     place = Place(str(map_path))
     try:

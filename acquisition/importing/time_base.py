@@ -276,16 +276,10 @@ class ImportSummary:
 
 
 def write_samples(header: Header, grid: GridValues, warnings: Sequence[str], place: str, out: Path) -> ImportSummary:
-    """Check samples and write them as the recording `out`, whole or not at all.
+    """Check the samples of a grid and write them as the recording `out`, whole or not at all, with `warnings`.
 
-    Parameters
-    ----------
-    header : the robot, the origin of the samples, and the notes of the grid on their times.
-    grid : values by the names of a sample's fields.
-    warnings : written into the recording.
-    place : the files, for errors.
-
-    Raises `BadInputError` for impossible stamps, positions or speeds.
+    Parts of the grid have the names of a sample's fields; `place` names the files in errors. Raises `BadInputError` for
+    impossible stamps, positions or speeds.
     """
     robot, parts, stamps = header.robot, grid.parts, grid.stamps_ns(place)
     t_s = (stamps - stamps[0]) * np.float64(1e-9)

@@ -155,26 +155,12 @@ def joint_samples(raw: Iterable[Block], robot: Robot, bus: Bus) -> Iterator[Bloc
 
 
 def decode(frames: Block, robot: Robot, bus: Bus, place: str, *, max_missing: float = MAX_MISSING_SHARE) -> Decoded:
-    """Joint samples from the raw frames of one CAN channel.
+    """Joint samples from the raw frames (m,) of one CAN channel, rows of `FRAME` in the order in which they were received.
 
-    Parameters
-    ----------
-    frames : (m,) rows of `FRAME` in the order in which they were received.
-    robot : from motors to joints.
-    bus : the drives: their PDOs (CiA 301), position counts (6064h or as described) and effort object, with its rule.
-    place : the file or session, in errors.
-    max_missing : share of the PDOs of a drive that may be missing.
-
-    Returns
-    -------
     One sample for each SYNC whose answers by all drives are known: rad or m, and N m or N (A or V if no drive gain is known),
-    at the joints; with `reference` if all drives received targets (607Ah or as described).
-
-    Raises
-    ------
-    BadInputError
-        With `place`: there is no SYNC, a drive never answered, too many PDOs are missing, fewer than two samples remain, or the
-        SYNC period is not that of the description.
+    at the joints; with `reference` if all drives received targets (607Ah or as described). At most the share `max_missing`
+    of the PDOs of a drive may be missing; `place` is the file or session. Raises `BadInputError`: there is no SYNC, a drive
+    never answered, too many PDOs are missing, fewer than two samples remain, or the SYNC period is not the described one.
     """
     traffic = Traffic(frames)
     sync_rows = traffic.rows_of(bus.file.sync_can_id)

@@ -174,10 +174,7 @@ def refuse_counts(robot: Robot, i: int, file: DriveFile, at: Place) -> None:
 
 
 def axis_of(drive: Drive) -> int:
-    """Offset of a drive's control and status objects from 6040h and 6041h: a multiple of 800h (CiA 402-2), 0 for one axis.
-
-    Raises `BadInputError` if they are not of one axis.
-    """
+    """Offset of a drive's control and status objects from 6040h and 6041h, of one axis: a multiple of 800h (CiA 402-2)."""
     axis = drive.control.index - CONTROLWORD
     if axis % AXIS or drive.status.index - STATUSWORD != axis or drive.control.sub or drive.status.sub:
         problem = f"control {drive.control} and status {drive.status}"
@@ -191,10 +188,7 @@ def axis_index(drive: Drive, index: int) -> int:
 
 
 def check_carriers(bus: Bus) -> None:
-    """Refuse PDOs to the drives without the objects that tracking needs, or with others: these would be set to 0.
-
-    Raises `BadInputError` with the node and the object.
-    """
+    """Refuse PDOs to the drives without the objects that tracking needs, or with others: these would be set to 0."""
     for drive in bus.drives:
         at = Place(f"node {drive.node}")
         mode = f"{MODE_OF_OPERATION + axis_of(drive):04X}:0"

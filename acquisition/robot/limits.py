@@ -111,10 +111,7 @@ def check_recorded_efforts(robot: Robot, effort: Array) -> tuple[str, ...]:
 
 
 def check_recorded_velocities(robot: Robot, q: Array, v: Array, rate_hz: float, place: str) -> tuple[str, ...]:
-    """Warnings about recorded speeds v (N, n) that differ from the derivative of positions q (N, n), rad or m, at `rate_hz`.
-
-    Raises `BadInputError` if their unit or sign is wrong.
-    """
+    """Warnings about speeds v (N, n) unlike the derivative of q (N, n), rad or m; wrong units and signs are refused."""
     h = 1 / rate_hz
     travelled = np.concatenate([np.zeros((1, q.shape[1])), np.cumsum(0.5 * h * (v[1:] + v[:-1]), axis=0)])
     step = max(1, round(SPEED_WINDOW_S / h))

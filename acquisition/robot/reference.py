@@ -116,10 +116,7 @@ def table_reference(path: Path, robot: Robot, period_s: float, speed: float = 1.
 
 
 def check_limits(q: Array, robot: Robot, period_s: float, place: str) -> None:
-    """Refuse a path (N, n) from rest to rest, rad or m, that leaves the position, speed or acceleration limits of a joint.
-
-    Raises `BadInputError` with `place`, time, joint, value and limit; also if a joint states no limit.
-    """
+    """Refuse a path (N, n) from rest to rest, rad or m, that leaves limits of position, speed or acceleration, or has none."""
     for i, joint in enumerate(robot.joints):
         for quantity in ("position", "speed", "acceleration", "following_error"):
             if joint.si(quantity) is None:

@@ -32,8 +32,7 @@ Entry = Callable[[str, str], ObjectEntry]  # from a key of the description and a
 def resolve(robot: Robot, place: str, traffic: Mapping[int, Values] | None = None) -> Bus:
     """The drives of `robot` with their PDOs and codecs.
 
-    `traffic` are values that another master wrote, by node and (index, sub), for drives with `mapping = "traffic"`. Raises
-    `BadInputError` with `place`, key, value and what was expected.
+    `traffic` are values that another master wrote, by node and (index, sub), for drives with `mapping = "traffic"`.
     """
     if robot.bus is None:
         Place(place).refuse("bus", None, "its drives: remove `#: ` in robot.toml, or `init --bus`")

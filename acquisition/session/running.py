@@ -236,10 +236,8 @@ def replay(path: Path, file: BusFile, stop: Stop, *, speed: float = 1.0, onto_bu
     """Send the frames that the drives of a recording sent, and its SYNCs, in their order and with their timing.
 
     Commands are never sent. `file` is the bus to send on, `speed` a factor on the recorded speed, and `onto_bus` allows
-    interfaces with hardware. Returns the number of frames sent.
-
-    Raises `RobotIdimError`: `speed` or the interface is refused, the recording holds no frames of drives, a frame of another
-    node is received before or between the frames sent, or the bus accepts no frames.
+    interfaces with hardware. Returns the number of frames sent. Raises `RobotIdimError`: `speed` or the interface is refused,
+    the recording holds no frames of drives, another node sends before or between these frames, or the bus accepts none.
     """
     if not speed > 0:
         raise BadInputError(key="--speed", value=speed, expected="more than 0")

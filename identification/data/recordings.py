@@ -233,10 +233,7 @@ class Recordings:
 
 
 def check_one_robot(recordings: Sequence[Signals]) -> None:
-    """Refuse recordings of different robots, or the same recording twice.
-
-    Raises `BadInputError` with the recording, the joint or motor, the value, and that of the first recording.
-    """
+    """Refuse recordings of different robots, or the same recording twice."""
     first, seen = recordings[0], {recordings[0].sha256: recordings[0].recording}
     for other in recordings[1:]:
         if other.sha256 and other.sha256 in seen:

@@ -124,8 +124,7 @@ def excite(
 ) -> Excitation:
     """An exciting reference that makes the base parameters as identifiable as possible within the limits.
 
-    Raises `BadInputError`: where the limits leave no reference, or the drives would not follow it. Raises
-    `BadInputError`: where the drives cannot represent its positions.
+    Raises `BadInputError` where the limits leave no reference, the drives would not follow it or cannot represent it.
     """
     _refuse_fast(robot, settings, place)
     model = InverseModel(robot)

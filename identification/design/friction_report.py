@@ -90,10 +90,7 @@ def set_text(robot: Robot, terms: TermSet) -> str:
 
 
 def write_friction(path: Path, choice: TermChoice) -> None:
-    """Put the recommended terms into the description at `path`, which is that of the choice; lines without use become comments.
-
-    Raises `BadInputError`: where the layout prevents replacing lines; the file is not changed.
-    """
+    """Put the recommended terms into the description at `path`, that of the choice; lines without use become comments."""
     values = dict[str, dict[str, Any]]()
     for joint, terms in zip(choice.robot.joints, choice.described.values(), strict=True):
         unused = ["viscous", "coulomb", "offset", *([] if "stribeck" in terms else [joint.key("stribeck_speed")])]

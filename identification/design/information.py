@@ -114,10 +114,7 @@ def prior_information(
 def loads_of(
     model: InverseModel, base: BaseParameters, knowledge: PriorInformation, place: str
 ) -> tuple[DirectModel, ...]:
-    """The robot with its parameters, then the same with the payload; empty without parameters.
-
-    Raises `BadInputError` for a payload whose torque cannot be known.
-    """
+    """The robot with its parameters, then the same with the payload, which needs them; empty without parameters."""
     payload = knowledge.payload
     if payload is not None and (knowledge.beta is None or not model.robot.gain_known):
         problem = "its torque is unknown without parameters and drive gains"
@@ -159,10 +156,7 @@ def rows_per_s(robot: Robot) -> float:
 
 
 def earlier_information(base: BaseParameters, noise: Array, recordings: Sequence[Signals]) -> Array:
-    """Sum of W'W / s² (b, b) over the rows of earlier recordings; `base` without load friction.
-
-    Raises `BadInputError` if a recording's robot has other base parameters, or it cannot be fitted.
-    """
+    """Sum of W'W / s² (b, b) over the rows of earlier recordings of the same robot; `base` without load friction."""
     M = np.zeros((base.b, base.b))
     for signals in recordings:
         problem = make_problem(signals, Overrides())

@@ -169,12 +169,10 @@ def _sides(shares: Array) -> Array:
 
 
 def limits_of(robot: Robot, models: Sequence[DirectModel], share: float, place: str) -> Limits:
-    """The limits of a robot, of which a reference may use a `share` in (0, 1].
+    """The limits of a robot, of which a reference may use a `share` in (0, 1]; `place` names the description in errors.
 
-    The torque is limited by each of the `models`, with the same friction; `place` names the description in errors.
-
-    Raises `BadInputError`: where a joint states no limit, or friction alone needs more than a joint's or motor's
-    effort.
+    The torque is limited by each of the `models`, with the same friction. Raises `BadInputError` where a joint states no
+    limit, or friction alone needs more than a joint's or motor's effort.
     """
     for i, joint in enumerate(robot.joints):
         for kind, tail in zip(KINDS, ("", "_s", "_s2"), strict=True):

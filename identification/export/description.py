@@ -27,10 +27,7 @@ def robot_of_chain(chain: Chain) -> Robot:
 
 
 def read_robot(path: Path, joints: Sequence[str] = (), options: Mapping[str, Sequence[float]] | None = None) -> Robot:
-    """The robot of a robot.toml; of a URDF with `joints` as of `read_chain` and `options` as of `Chain.with_options`.
-
-    Raises `BadInputError`: as of these, or joints and options with a robot.toml. `BadInputError`: as of `load_robot`.
-    """
+    """The robot of a robot.toml; of a URDF with `joints` as of `read_chain` and `options` as of `Chain.with_options`."""
     if is_urdf(path):
         return robot_of_chain(read_chain(path, joints).with_options(options or {}))
     for option in (*(["--joints"] if joints else []), *(options or {})):
@@ -57,8 +54,7 @@ def describe(chain: Chain, urdf: str, bus: str = "") -> str:
 
     The text loads without changes; `bus` stands for the example drives: the text of `[bus]`. `urdf` is the path relative to its
     folder. `[parameters]` has the links' inertials in the frames of `InverseModel`, fixed and locked links lumped into their
-    carrier; damping as Fv and friction as Fc.
-    Raises `BadInputError`: a URDF that does not load, a joint that moves no mass.
+    carrier; damping as Fv and friction as Fc. Raises `BadInputError`: a URDF that does not load, a joint that moves no mass.
     """
     head = "\n".join([*_head(chain, urdf), *(line for j in range(len(chain.joints)) for line in _joint(chain, j))])
     head += "\n".join(_motors_and_controller(chain))

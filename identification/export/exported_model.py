@@ -56,10 +56,8 @@ def split_parameters(model: InverseModel, chi: Array, place: str) -> ExportedMod
     """Split the standard parameters chi (p,) of a model into links and axes.
 
     Ia and Fv of a joint include the share of a motor that turns with it (Ia5 of the TX40 includes Ia6): it is subtracted here.
-    The rest may be negative if the joints that share the motor together dissipate energy.
-
-    Raises `BadInputError`, since simulators do not check: a link is no physical body, a rotor inertia is negative, or
-    friction generates energy. `place` names the parameters' file.
+    The rest may be negative if the joints that share the motor together dissipate energy. Raises `BadInputError`, with the
+    parameters' file `place`, since simulators do not check: impossible links, negative rotors, friction that generates energy.
     """
     links = chi[link_columns(model)]
     for j, link in enumerate(links):

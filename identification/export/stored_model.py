@@ -39,10 +39,7 @@ def distrust(stored: FitFile, place: str) -> list[str]:
 
 
 def model_of_fit(stored: FitFile, place: str) -> tuple[ExportedModel, tuple[str, ...]]:
-    """The robot of a fit, by the fit's own description and drive gains, with all standard parameters; lines on their origin.
-
-    Raises `BadInputError`: a fit in A or V, without a description or a covariance, or with impossible parameters.
-    """
+    """The robot of a fit, by its own description and drive gains, with all standard parameters; lines on their origin."""
     stored, of_gains = with_gains(stored, place)
     stored, of_law = with_law(stored, place)
     robot = stored_robot(stored, place)

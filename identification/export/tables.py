@@ -11,10 +11,7 @@ from ..errors import BadInputError
 
 
 def replace_in_tables(text: str, kind: str, values: Mapping[str, Mapping[str, Any]], place: str) -> str:
-    """A description with these values, by key, in the [[kind]] tables of these names; a key for None becomes a comment.
-
-    Raises `BadInputError` where a table is not found, or not written with one key a line.
-    """
+    """A description with these values, by key, in the [[kind]] tables of these names; a key for None becomes a comment."""
     now, written = tomllib.loads(text), set()
     made, *tables = re.split(rf"(?m)^([ \t]*\[\[[ \t]*{kind}[ \t]*\]\][ \t]*(?:#.*)?)$", text)
     for own, header, table in zip(now[kind], tables[::2], tables[1::2], strict=False):  # headers and what follows them

@@ -74,10 +74,7 @@ def _have_expressions(*sets: ParameterSet) -> bool:
 
 
 def _partners(a: ParameterSet, b: ParameterSet) -> dict[str, str]:
-    """Names in `b` by the names in `a` of the same parameters.
-
-    A recording's own parameter matches that of the same recording, or else the shared one.
-    """
+    """Names in `b` of the parameters in `a`; a recording's own is that of the same recording, or else the shared one."""
     if not _have_expressions(a, b):
         return {name: name for name in a.parameters if name in b.parameters}
     named = {(value.expression, name.partition("@")[2]): name for name, value in b.parameters.items()}
@@ -107,10 +104,7 @@ def difference_lines(a: ParameterSet, b: ParameterSet, rows: list[Difference]) -
 def comparison_document(
     a: ParameterSet, b: ParameterSet, warnings: tuple[str, ...] = (), *, prior: bool = False
 ) -> Document:
-    """A comparison as a report, with `warnings`; in short the largest differences in sigma. With a `prior` b, also a over b.
-
-    Raises `BadInputError`: as `differences` does.
-    """
+    """A comparison as a report with `warnings`, in short the largest differences in sigma; with a `prior` b, also a over b."""
     section, rows = comparison_section(a, b), differences(a, b)
     if prior:
         both = [(row, row.a.value / row.b.value if row.b.value else None) for row in rows if row.a and row.b]
@@ -161,10 +155,7 @@ def comparison_file(a: ParameterSet, b: ParameterSet) -> ComparisonFile:
 
 
 def frame_lines(a: FitFile, b: FitFile, labels: tuple[str, str]) -> list[str]:
-    """One line if the link frames of two fits differ, else none.
-
-    Equal names then denote different quantities. `labels` name the two fits.
-    """
+    """One line if the link frames of two fits, named by `labels`, differ: equal names then mean different quantities."""
     if not a.description or not b.description:
         return []
     frames = [_frames(fit.description, label) for fit, label in zip((a, b), labels, strict=True)]

@@ -43,10 +43,7 @@ def record_simulated_session(
     """Record a session: simulated drives track a random exciting reference with the robot of `[parameters]`.
 
     `noise_percent` is the noise of the torque, of each joint's rms. The drives are those of `robot`; the recording has
-    `described`, by default the same.
-
-    Raises `BadInputError` or `BadInputError`: if the description lacks `[bus]` or values, or the session
-    fails.
+    `described`, by default the same. Raises `BadInputError`: a description without `[bus]` or values, a failed session.
     """
     if robot.bus is None:
         raise BadInputError(place=place, key="[bus]", value=None, expected="the drives to simulate")
@@ -106,10 +103,7 @@ def in_amperes(robot: Robot, gains: Sequence[float]) -> Robot:
 
 
 def truth_document(robot: str, fits: Sequence[Fit], true: Array) -> Document:
-    """Estimates next to the true values of a simulated recording.
-
-    Each has the half-width of its 95 % interval, and its error in half-widths.
-    """
+    """Estimates, half-widths of their 95 % intervals, and errors in these, next to the true values of a simulated recording."""
     halves = [fit.intervals.half for fit in fits]
     rows: list[Row] = []
     for i, name in enumerate(fits[0].base.names):

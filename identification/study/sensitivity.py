@@ -56,10 +56,7 @@ class VariedFit:
 
 
 def vary(source: RecordingFile, noises: Sequence[float] | None, work: Work) -> list[VariedFit]:
-    """The fit by the rules, and a fit per variant; `noises` of the position are in rad or m rms, None by the travel.
-
-    Raises `BadInputError`: the recording cannot be fitted by the rules.
-    """
+    """The fit by the rules, and one per variant; `noises` of the position are in rad or m rms, None by the travel."""
     signals = source.load()
     robot, decimation = signals.robot, make_settings(signals, Overrides()).decimation
     if noises is None:

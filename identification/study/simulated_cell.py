@@ -140,10 +140,7 @@ def closed_loop(
 
 
 def write_signals(path: Path, signals: Signals, *, source: str, noise: Noise | None = None) -> None:
-    """Write simulated signals as a recording, whole or not at all.
-
-    `source` is their origin, shown by `info`; `noise` that of the simulation, for the metadata.
-    """
+    """Write simulated signals of a `source` as a recording, whole or not at all; `noise`: of the simulation, for metadata."""
     provenance, notes = "simulated joint torque", {"simulated": "true"}
     if noise is not None:
         provenance, notes["cell"] = f"{provenance}, the mean of the control periods before and after", noise.text

@@ -162,10 +162,7 @@ def _inertia_findings(
 
 
 def _gravity_findings(evidence: FitData) -> list[Finding]:
-    """Whether a model without gravity fits better, if the axes are not all vertical; not for reduced rows.
-
-    Gravity-compensated efforts cause that.
-    """
+    """Whether a model without gravity fits better, as for compensated efforts, unless axes are vertical or rows reduced."""
     problem, idm, columns = evidence.problem, evidence.problem.model, evidence.problem.base.columns
     if evidence.observed.reduced:
         return []
