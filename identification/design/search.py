@@ -187,7 +187,9 @@ class _Search:
         """Shares, their slopes, and the samples of their peaks; those of the last z are cached."""
         if self._last is None or not np.array_equal(self._last[0], z):
             shares, slopes = self._problem.limits.shares_and_slopes(self._motion_at(z))
-            self._last = z.copy(), shares, slopes, _peaks(shares)
+            windows = np.abs(shares).reshape(-1, SAMPLES_PER_WINDOW, shares.shape[1])
+            peaks = windows.argmax(axis=1) + SAMPLES_PER_WINDOW * np.arange(len(windows))[:, None]
+            self._last = z.copy(), shares, slopes, peaks  # where each limit is used most in each window
         return self._last[1:]
 
     def _slack(self, z: Array) -> Array:
@@ -199,12 +201,6 @@ class _Search:
         signs = (self._tight * np.sign(np.take_along_axis(shares, peaks, axis=0))).ravel()
         J = self._problem.limits.jacobian(slopes, self._basis, peaks)
         return np.asarray(-signs[:, None] * J * self._unit.ravel())
-
-
-def _peaks(shares: Array) -> NDArray[np.intp]:
-    """Samples (N / SAMPLES_PER_WINDOW, L) at which each limit is used most in each window."""
-    windows = np.abs(shares).reshape(-1, SAMPLES_PER_WINDOW, shares.shape[1])
-    return np.asarray(windows.argmax(axis=1) + SAMPLES_PER_WINDOW * np.arange(len(windows))[:, None])
 
 
 def shrink(

@@ -137,7 +137,11 @@ def read_chain(path: Path, names: Sequence[str] = ()) -> Chain:
     except OSError as error:
         raise BadInputError(f"cannot be read: {error.strerror}", place=str(path)) from error
     tree = _Tree(text, str(path))
-    chain = _check_names(tree, names) if names else _find_longest(tree)
+    for i, name in enumerate(names):
+        if name not in tree.movable or name in names[:i]:
+            expected = f"one of {listed(tree.movable)}, each once"
+            raise BadInputError(place=tree.place, key="--joints", value=name, expected=expected)
+    chain = list(names) or _find_longest(tree)
     for name in dict.fromkeys(joint for last in chain for joint in tree.path(last)):
         kind = tree.joints[name].get("type")
         if kind in ("floating", "planar"):
@@ -261,14 +265,6 @@ def _find_longest(tree: _Tree) -> list[str]:
         problem = f"{len(last)} chains of {most} joints each, which end at {listed(last)}"
         raise BadInputError(problem, place=tree.place, expected="--joints with the joints of one chain")
     return chains[last[0]]
-
-
-def _check_names(tree: _Tree, names: Sequence[str]) -> list[str]:
-    for i, name in enumerate(names):
-        if name not in tree.movable or name in names[:i]:
-            expected = f"one of {listed(tree.movable)}, each once"
-            raise BadInputError(place=tree.place, key="--joints", value=name, expected=expected)
-    return list(names)
 
 
 def _describe_locked(tree: _Tree, name: str) -> str:

@@ -237,8 +237,10 @@ def make_urdf(model: InverseModel) -> str:
         ends = [origin for origin, parent in zip(origins, model.parents, strict=True) if parent == k]
         for end in ends or [np.zeros(3)]:
             _draw(link, end)
-    for j, (joint, effort) in enumerate(zip(robot.joints, _efforts(robot), strict=True)):
-        limits = joint.si("position")
+    found = effort_limits(robot)
+    efforts = dict(zip(found.names, found.limits, strict=True)) if robot.gain_known else {}  # N m or N
+    for j, joint in enumerate(robot.joints):
+        limits, effort = joint.si("position"), efforts.get(f"joint {joint.name}", joint.si("effort") or UNLIMITED)
         kind = "prismatic" if joint.type == "prismatic" else "continuous" if limits is None else "revolute"
         element = ET.SubElement(root, "joint", name=joint.name, type=kind)
         ET.SubElement(element, "parent", link=names[model.parents[j]])
@@ -252,13 +254,6 @@ def make_urdf(model: InverseModel) -> str:
         ET.SubElement(element, "limit", {name: format_numbers(value) for name, value in stated.items()})
     ET.indent(root)
     return f'<?xml version="1.0"?>\n{ET.tostring(root, encoding="unicode")}\n'
-
-
-def _efforts(robot: Robot) -> list[float]:
-    """Maximum effort of each joint, N m or N."""
-    found = effort_limits(robot)
-    known = dict(zip(found.names, found.limits, strict=True)) if robot.gain_known else {}
-    return [known.get(f"joint {joint.name}", joint.si("effort") or UNLIMITED) for joint in robot.joints]
 
 
 def roll_pitch_yaw(R: Array) -> tuple[float, float, float]:

@@ -138,7 +138,8 @@ class LivePage:
         self._target: Array | None = None  # of the last row
         self._laid_out: bool | None = None  # with the target
         self._warned, self.over = False, False
-        self._levels = {"error": _error_limits(robot), "effort": _effort_levels(robot), "position": _ranges(robot)}
+        errors = [_band("stop", RED, joint.si("following_error")) for joint in robot.joints]
+        self._levels = {"error": errors, "effort": _effort_levels(robot), "position": _ranges(robot)}
         if residual is not None:
             self._levels["residual"] = [_band("band", ORANGE, half) for half in residual.band]
 
@@ -246,10 +247,6 @@ class LivePage:
         text, hidden = shown_text("   |   ".join(words)), rr.Radius.ui_points(0.1)
         label = rr.Points2D([(700.0, -9.0)], labels=text, colors=LIGHT, radii=hidden, show_labels=True)
         self._recording.log("state/text", label, static=True)
-
-
-def _error_limits(robot: Robot) -> list[Lines]:
-    return [_band("stop", RED, joint.si("following_error")) for joint in robot.joints]
 
 
 def _ranges(robot: Robot) -> list[Lines]:

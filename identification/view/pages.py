@@ -41,9 +41,13 @@ def draw_fit(signals: Signals, fit: Fit, *, truth: Array | None = None) -> Pictu
     document = fit_document(signals, fit).followed_by(*more)
     torque, residual = curves.row_plots(signals.robot, fit.t_s, fit.tau, fit.tau_predicted)
     overview, *of_signals = _signal_pages(signals, fit.settings, fit, residual)
+    moving = [error.moving_relative_error_percent or 0.0 for error in fit.errors[:-1]]
+    j = moving.index(max(moving))
+    unit = signals.robot.effort_units[j]
+    largest = f"torque of {signals.robot.joints[j].name}, which has the largest error [{unit}]"
     return Picture(
         name=f"{signals.robot.name}, {signals.recording}, {fit.method.upper()}",
-        first=_largest(signals, torque, fit),
+        first=replace(torque[j], title=largest),
         document=document,
         pages=(
             overview,
@@ -55,14 +59,6 @@ def draw_fit(signals: Signals, fit: Fit, *, truth: Array | None = None) -> Pictu
         ),
         sha256={one.problem.signals.recording: one.problem.signals.sha256 for one in fit.recordings},
     )
-
-
-def _largest(signals: Signals, torque: Sequence[Plot], fit: Fit) -> Plot:
-    """The plot of the joint with the largest error."""
-    errors = [error.moving_relative_error_percent or 0.0 for error in fit.errors[:-1]]
-    j = errors.index(max(errors))
-    text = f"torque of {signals.robot.joints[j].name}, which has the largest error [{signals.robot.effort_units[j]}]"
-    return replace(torque[j], title=text)
 
 
 def draw_friction(before: Fit, after: Fit, document: Document) -> Picture:

@@ -50,7 +50,8 @@ def excitation_scene(excitation: Excitation) -> Scene:
 
 def _scene(dynamics: InverseModel, robots: list[Moving], q: Array, title: str) -> Scene:
     """Robots in a picture centred on the motion q (N, n)."""
-    up = _up(dynamics)
+    against = -dynamics.robot.gravity
+    up = against / np.linalg.norm(against) if against.any() else np.array([0.0, 0.0, 1.0])
     places, _ = dynamics.placements(q[:: max(1, len(q) // 100)])
     points = np.concatenate([np.zeros((1, 3)), places.reshape(-1, 3)])
     target = 0.5 * (points.min(axis=0) + points.max(axis=0))
@@ -112,10 +113,3 @@ def _write_mesh(content: bytes, suffix: str) -> Path | None:
 @cache
 def _folder() -> TemporaryDirectory[str]:
     return TemporaryDirectory(prefix="robot-idim-meshes-")
-
-
-def _up(dynamics: InverseModel) -> Array:
-    """The direction opposite to gravity; the base's z without gravity."""
-    g = dynamics.robot.gravity
-    size = float(np.linalg.norm(g))
-    return -g / size if size > 0 else np.array([0.0, 0.0, 1.0])
