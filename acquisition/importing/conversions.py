@@ -105,8 +105,7 @@ def import_log(
     """
     if is_capture(log):
         bus, notes = resolve(robot, place), {MAPPING_NOTE: " ".join(mapping)}
-        about = _bus_header(robot, bus)
-        header = Header(source=f"EtherCAT capture {log.name}", payload=payload, notes=notes, **about)
+        header = Header(source=f"EtherCAT capture {log.name}", payload=payload, notes=notes, **_bus_header(robot, bus))
         with log.open("rb") as file:
             return import_capture(file, header, bus, Place(str(log)), out)
     frames, left_out = _select_interface(log, robot)

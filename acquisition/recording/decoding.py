@@ -241,8 +241,7 @@ def _wraps(traffic: Traffic, bus: Bus, rows_of: Mapping[Pdo, Rows], stamps: Ints
     for drive in bus.drives:
         carrier = drive.carrier(drive.position, "tpdo")
         assert carrier is not None  # `resolve` refuses drives without one
-        raw = traffic.integers(rows_of[carrier], carrier, drive.position)
-        wraps = unwrap(raw, drive.position.bits)[1]
+        wraps = unwrap(traffic.integers(rows_of[carrier], carrier, drive.position), drive.position.bits)[1]
         if len(wraps):
             first_s = (stamps[wraps[0]] - stamps[0]) * 1e-9
             yield (

@@ -125,8 +125,7 @@ def _mean_of_run(values: Array, run: Ints) -> Array | float:
     """The mean of each value's run."""
     if not run[-1]:
         return float(values.mean())
-    means: Array = (np.bincount(run, values) / np.maximum(np.bincount(run), 1))[run]
-    return means
+    return np.asarray((np.bincount(run, values) / np.maximum(np.bincount(run), 1))[run])
 
 
 def _slope(index: Array, since: Array, run: Ints) -> float:

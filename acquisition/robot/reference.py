@@ -152,11 +152,9 @@ def approach(start: Array, end: Array, robot: Robot, period_s: float) -> Array:
     speed = np.array([joint.si("speed") for joint in robot.joints]) * APPROACH_SHARE
     acceleration = np.array([joint.si("acceleration") for joint in robot.joints]) * APPROACH_SHARE
     # Largest speed and acceleration of 10 x³ - 15 x⁴ + 6 x⁵ over one second: 1.875 and 5.774.
-    least_s = np.maximum(1.875 * distance / speed, np.sqrt(5.774 * distance / acceleration))
-    duration_s = float(least_s.max(initial=0.2))
+    duration_s = float(np.maximum(1.875 * distance / speed, np.sqrt(5.774 * distance / acceleration)).max(initial=0.2))
     x = np.linspace(0.0, 1.0, int(np.ceil(duration_s / period_s)) + 1)[:, None]
-    q: Array = start + (end - start) * (10 * x**3 - 15 * x**4 + 6 * x**5)
-    return q
+    return np.asarray(start + (end - start) * (10 * x**3 - 15 * x**4 + 6 * x**5))
 
 
 def follow(path: Array, robot: Robot, period_s: float, stopping: Callable[[], bool]) -> Iterator[Array]:
@@ -179,5 +177,4 @@ def _between(path: Array, at: float) -> Array:
     """Row of a path at a fractional index, by linear interpolation."""
     k = min(int(at), len(path) - 2) if len(path) > 1 else 0
     then = path[min(k + 1, len(path) - 1)]
-    q: Array = path[k] + (at - k) * (then - path[k])
-    return q
+    return np.asarray(path[k] + (at - k) * (then - path[k]))

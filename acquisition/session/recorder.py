@@ -168,8 +168,7 @@ class Recorder:
 def write_decoded(writer: RecordingWriter, frames: Block, robot: Robot, stamp_ns: int, place: str) -> RecordedSummary:
     """Decode frames and write samples, counters and warnings, or the reason why there are no samples."""
     try:
-        bus = resolve(robot, place, written_by_master(frames))
-        decoded = decode(frames, robot, bus, place)
+        decoded = decode(frames, robot, resolve(robot, place, written_by_master(frames)), place)
     except BadInputError as error:
         writer.event(stamp_ns, "warning", f"{NO_SAMPLES}{error.args[0]}")
         return RecordedSummary(frames=len(frames), samples=0, warnings=(), no_samples=error.args[0])

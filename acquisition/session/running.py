@@ -96,8 +96,7 @@ def record(
         whole_s = task.duration_s if task.reference is None else len(task.reference) * bus.file.sync_period_s
 
         def show(status: Status, now_ns: int) -> None:
-            left_s = None if whole_s is None else max(0.0, whole_s - (now_ns - started_ns) * 1e-9)
-            operator.show(status, left_s)
+            operator.show(status, None if whole_s is None else max(0.0, whole_s - (now_ns - started_ns) * 1e-9))
 
         log.on_status = show
         # After the recorder has started.

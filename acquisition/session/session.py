@@ -269,8 +269,7 @@ class _Session:
             if self._stop.reason:
                 return
             yield order
-        watched = round(self._bus.file.enable_watch_s / self._period_s)
-        held = itertools.repeat(_enabled_at(self._held), watched)
+        held = itertools.repeat(_enabled_at(self._held), round(self._bus.file.enable_watch_s / self._period_s))
         yield from itertools.takewhile(lambda _: not self._stop.reason, held)
         self._motion.enabling = False
 
@@ -278,8 +277,7 @@ class _Session:
         """Orders that keep drives enabled at the joint targets of `path` (N, n)."""
         for q in follow(path, self._robot, self._period_s, lambda: bool(self._stop.reason)):
             motor = self._robot.motor_position(q[None])[0]
-            counts = [int(drive.position_codec.raw(motor[i])) for i, drive in enumerate(self._bus.drives)]
-            yield _enabled_at(counts)
+            yield _enabled_at([int(drive.position_codec.raw(motor[i])) for i, drive in enumerate(self._bus.drives)])
 
     def _hold(self) -> Iterator[Orders]:
         yield from itertools.repeat(_enabled_at(self._held), max(3, round(HOLD_S / self._period_s)))

@@ -112,8 +112,7 @@ class TablePlant:
 
     def prescribed_effort(self) -> Array | None:
         """Effort of the row."""
-        effort: Array = self._samples["effort"][self._row].copy()
-        return effort
+        return np.array(self._samples["effort"][self._row])
 
     def step(self, effort: Array, held: Mask, duration_s: float) -> None:
         """Advance to the row at the time reached."""

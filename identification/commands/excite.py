@@ -36,8 +36,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> None:
     """Search the reference, write it, and print the expected intervals."""
-    inputs = [options.robot, options.fit, *options.after]
-    refuse_outputs(inputs, options.out, options.rrd, report=options.report)
+    refuse_outputs([options.robot, options.fit, *options.after], options.out, options.rrd, report=options.report)
     with Progress("excitation") as progress:
         from acquisition.robot import load_robot, parse_payload
 

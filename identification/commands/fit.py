@@ -73,16 +73,14 @@ def run(options: argparse.Namespace) -> int:
         from ..methods import fit_document, fit_file
         from ..report import write_json
 
-        work = work_of(options, len(options.recordings))
-        recordings = Recordings(sources=tuple(sources(options)), work=work)
+        recordings = Recordings(sources=tuple(sources(options)), work=work_of(options, len(options.recordings)))
         prior = _prior(options) if options.consistent else None
         fit = _identify(options, recordings, progress.say)
         if options.consistent:
             from ..methods import with_consistent
 
             fit = with_consistent(fit, prior)
-    signals = fit.problem.signals
-    document = fit_document(signals, fit)
+    document = fit_document(fit.problem.signals, fit)
     try:
         if options.json:
             write_json(options.json, fit_file(fit))

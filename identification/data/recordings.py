@@ -220,8 +220,7 @@ class RecordingFile:
     @property
     def key(self) -> str:
         """The key of the signals in a cache."""
-        described = hashlib.sha256(repr(self.description).encode()).hexdigest()
-        return f"{self.path} {described} {self.payload}"
+        return f"{self.path} {hashlib.sha256(repr(self.description).encode()).hexdigest()} {self.payload}"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

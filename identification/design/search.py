@@ -70,10 +70,8 @@ def best_of_searches(problem: SearchProblem, seed: int, place: str, say: Callabl
         text = f"search {i + 1} of {STARTS}"
         say(text)
         try:
-            start = _random_start(problem, STARTS * seed + i)
-            x = best_series(problem, start, partial(_say_criterion, say, text))
-            fine = motion_of(x, finer)
-            most, name = problem.limits.largest(fine)
+            x = best_series(problem, _random_start(problem, STARTS * seed + i), partial(_say_criterion, say, text))
+            most, name = problem.limits.largest(motion_of(x, finer))
             if most > 1 + TOLERANCE:
                 worst = f"{name} is exceeded by {100 * (most - 1):.3g} %"
                 continue

@@ -175,8 +175,7 @@ def _motor(chain: Chain, joint: UrdfJoint) -> Iterator[str]:
 
 def _parameters(chain: Chain, robot: Robot) -> Iterator[str]:
     """A-priori values: the links' inertials as pinocchio lumps them, with Khalil's names."""
-    model = InverseModel(robot)
-    values = model.link_parameters()
+    values = InverseModel(robot).link_parameters()
     yield ""
     yield "# A-priori values: the URDF's inertials about the joints' frames (fixed and locked links lumped), its damping and"
     yield "# friction. Simulations use them; a fit does not."

@@ -79,8 +79,7 @@ def _rank(term: MissingTerm) -> tuple[float, float]:
     Asymmetric Coulomb friction contains an offset, so it wins a tie. A tilt of gravity follows the position, as springs do.
     """
     ahead = MAX_TIE_PERCENT if term.kind in (ASYMMETRIC, TILT) else 0.0
-    behind = 0.5 if term.kind == SPRING else 1.0
-    return behind * term.together_percent + ahead, term.taken_percent
+    return (0.5 if term.kind == SPRING else 1.0) * term.together_percent + ahead, term.taken_percent
 
 
 def missing_terms(evidence: FitData) -> tuple[MissingTerm, ...]:

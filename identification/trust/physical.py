@@ -99,8 +99,7 @@ def _along_directions(G: Array, beta: Array, found: Intervals) -> tuple[Array, A
     """Directions v (..., d + 1, d) tried of the matrices G beta, G (..., d, d, b), v'(G beta)v, and its half-widths."""
     M = G @ beta
     vectors = np.linalg.eigh(0.5 * (M + M.swapaxes(-1, -2)))[1]
-    alone = np.broadcast_to(np.eye(M.shape[-1]), M.shape)
-    v = np.concatenate([alone, vectors[..., None, :, 0]], axis=-2)
+    v = np.concatenate([np.broadcast_to(np.eye(M.shape[-1]), M.shape), vectors[..., None, :, 0]], axis=-2)
     g = np.einsum("...di,...ijb,...dj->...db", v, G, v)
     return v, g @ beta, _half(g, found)
 
@@ -168,8 +167,7 @@ def _gravity_findings(evidence: FitData) -> list[Finding]:
         return []
     measured = [measured_motion(problem) for problem in evidence.problems]
     q = np.concatenate([decimation.kept(motion.q) for motion, decimation in measured])
-    of_links = idm.of_links[columns]
-    at_rest = np.where(of_links, idm.regressor(q, np.zeros_like(q), np.zeros_like(q))[:, :, columns], 0.0)
+    at_rest = np.where(idm.of_links[columns], idm.regressor(q, np.zeros_like(q), np.zeros_like(q))[:, :, columns], 0.0)
     if np.abs(at_rest).max() <= MIN_ARM_M * np.linalg.norm(problem.signals.robot.gravity):
         return []
     system = evidence.observed.system
@@ -203,8 +201,7 @@ def consistent_test(evidence: FitData) -> TrustLine:
     all_names, names = evidence.observed.system.names, evidence.arms[0].names
     covariance = covariance_of_all(all_names, estimate, evidence.intervals, evidence.least_squares)
     first = np.array([all_names.index(name) for name in names])  # of own parameters those of one recording
-    pairs = zip(evidence.problems, evidence.arms, strict=True)
-    moved = [problem for problem, arm in pairs if arm.names == names]
+    moved = [problem for problem, arm in zip(evidence.problems, evidence.arms, strict=True) if arm.names == names]
     beta = estimate.values_of(names)
     try:
         power = recorded_power(moved, beta)

@@ -206,8 +206,7 @@ def _slow_encoder(problem: Problem, steps: PositionSteps, held: float) -> str:
     """The note on positions that stand for one row and jump in the next, which are not missing rows."""
     percent = 100 * steps.coarse[:, 1:] / np.maximum(steps.coarse[:, :1], 1)
     both = (percent.min(axis=1) > MAX_MISSING_PERCENT) & (percent.sum(axis=1) > MAX_COARSE_PERCENT)
-    joints = problem.signals.robot.joints
-    names = ", ".join(joint.name for joint, slow in zip(joints, both, strict=True) if slow)
+    names = ", ".join(joint.name for joint, slow in zip(problem.signals.robot.joints, both, strict=True) if slow)
     if held <= MAX_MISSING_PERCENT and not names:
         return ""
     where, share = (f" of joint {names}", percent.sum(axis=1).max()) if names else ("", held)

@@ -218,8 +218,7 @@ def excitation_plots(excitation: Excitation) -> dict[str, list[Plot]]:
                 line = t_s[[0, -1]], np.full(2, limit)
                 curves.append(Curve(key=key, color=VERMILLION, line=line, width=0.75))
             path, title = (quantity, joint.name), f"{quantity} {joint.name} [{unit}]"
-            plot = Plot(path=path, title=title, curves=tuple(curves), legend=False)
-            plots.setdefault(quantity, []).append(plot)
+            plots.setdefault(quantity, []).append(Plot(path=path, title=title, curves=tuple(curves), legend=False))
     return plots
 
 

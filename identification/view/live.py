@@ -266,8 +266,7 @@ def _effort_levels(robot: Robot) -> list[Lines]:
     limits = effort_limits(robot)
     most = dict(zip(limits.names, limits.limits, strict=True))
     of_joints = [most.get(f"joint {joint.name}") for joint in robot.joints]
-    bands = zip(rated, of_joints, strict=True)
-    return [_band("rated", ORANGE, low) | _band("limit", RED, high) for low, high in bands]
+    return [_band("rated", ORANGE, low) | _band("limit", RED, high) for low, high in zip(rated, of_joints, strict=True)]
 
 
 def _band(name: str, color: Color, half: float | None) -> Lines:

@@ -152,8 +152,7 @@ def _signal_pages(
         "health": health_plots(signals),
         "events": event_logs(signals),
     }
-    joints = enumerate(signals.robot.joints)
-    motion = {joint.name: curves.motion_plots(signals, lines, j) for j, joint in joints}
+    motion = {joint.name: curves.motion_plots(signals, lines, j) for j, joint in enumerate(signals.robot.joints)}
     return [
         Page(name="overview" if fit else "recording", groups=overview),
         Page(name="signal", groups=signal),
