@@ -252,7 +252,6 @@ class Trials:
         rows = settled.about(estimate.values_of(settled.names))
         found = intervals_of(rows.system, estimate)
         moving, betas = are_moving(rows.speed), [beta for beta, _ in self._predictions(rows)]
-
         by_others = settled.predicted(
             *(replace(estimate, names=rows.system.names, beta=beta) for beta in betas),
             by_recording=self.by_recording,

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from ..errors import BadInputError
-from .document import Document, Number, ResultFile, Row, Section, Table, columns, value_form
+from .document import Document, Number, Row, Section, Table, columns, value_form
 from .fit_file import FitFile
 from .parameters import Parameter
 
@@ -139,19 +139,6 @@ def _cells(row: Difference) -> Row:
         Number(row.off_percent, "+.1f", most=1000),
         Number(row.off_sigma, "+.2f"),
     )
-
-
-class ComparisonFile(ResultFile, frozen=True, kw_only=True):
-    """The JSON file of a comparison: two labels, and the differences by parameter."""
-
-    a: str
-    b: str
-    differences: list[Difference]
-
-
-def comparison_file(a: ParameterSet, b: ParameterSet) -> ComparisonFile:
-    """A comparison as it goes into its JSON file."""
-    return ComparisonFile(a=a.label, b=b.label, differences=differences(a, b))
 
 
 def frame_lines(a: FitFile, b: FitFile, labels: tuple[str, str]) -> list[str]:

@@ -1,40 +1,24 @@
 """Base parameters of a robot, and the values that a recording was simulated with, as a document and as a file."""
 
-import msgspec
-from msgspec import UNSET, UnsetType
+from typing import Any
 
 from acquisition.robot import Robot
 
 from ..arrays import Array
 from ..model import BaseParameters
-from ..report import Document, Number, ResultFile, Section, Table, columns
+from ..report import Document, Number, Section, Table, columns
 
 
-class BaseParameter(msgspec.Struct, frozen=True, kw_only=True):
-    """A base parameter, its sum of standard parameters, and its value if known."""
+def base_file(base: BaseParameters, robot: Robot, true: Array | None = None) -> dict[str, Any]:
+    """The JSON file of base parameters, or of the `true` values (b,) that a recording was simulated with.
 
-    name: str
-    expression: str
-    unit: str
-    value: float | UnsetType = UNSET
-
-
-class BaseFile(ResultFile, frozen=True, kw_only=True):
-    """The JSON file of a robot's base parameters, or of the values that a recording was simulated with."""
-
-    robot: str
-    joint_names: list[str]  # of joints 1, 2, ...: names of parameters end with this number
-    parameters: list[BaseParameter]
-
-
-def base_file(base: BaseParameters, robot: Robot, true: Array | None = None) -> BaseFile:
-    """The JSON file of base parameters; arguments as of `base_document`."""
-    values: list[float | UnsetType] = [UNSET] * base.b if true is None else [float(x) for x in true]
-    parameters = [
-        BaseParameter(name=name, expression=expression, unit=unit, value=value)
-        for name, expression, unit, value in zip(base.names, base.expressions, base.units, values, strict=True)
-    ]
-    return BaseFile(robot=robot.name, joint_names=[joint.name for joint in robot.joints], parameters=parameters)
+    Names of parameters end with the number of their joint, from 1 in the order of `joint_names`.
+    """
+    rows = zip(base.names, base.expressions, base.units, strict=True)
+    parameters = [dict(zip(("name", "expression", "unit"), row, strict=True)) for row in rows]
+    for parameter, value in zip(parameters, () if true is None else true.tolist(), strict=False):
+        parameter["value"] = value
+    return {"robot": robot.name, "joint_names": [joint.name for joint in robot.joints], "parameters": parameters}
 
 
 def base_document(base: BaseParameters, robot: Robot, true: Array | None = None) -> Document:

@@ -2,17 +2,15 @@
 
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass
-from functools import partial
 from typing import Any
 
-import msgspec
 import numpy as np
 
 from acquisition.robot import Robot
 
 from ..arrays import Array
 from ..model import BaseParameters, InverseModel, known_parameters
-from ..report import Document, Number, ResultFile, Row, Section, Table, columns
+from ..report import Document, Number, Row, Section, Table, columns
 from .study import Run, RunFit, Study
 
 FALSE_TRUST = 3.0  # half-widths: largest error of an essential parameter for `trust`
@@ -72,26 +70,10 @@ def false_trust(fit: RunFit, true: Array) -> bool:
     return fit.verdict == "trust" and wrong
 
 
-class StudyFile(ResultFile, frozen=True, kw_only=True):
-    """The JSON file of a study: settings, names of the parameters, truth, summaries, every run."""
-
-    study: dict[str, Any]
-    parameters: list[str]
-    true: list[float]
-    summaries: list[dict[str, Any]]
-    runs: list[dict[str, Any]]
-
-
-def study_file(study: Study, runs: Sequence[Run], base: BaseParameters, true: Array) -> StudyFile:
-    """The JSON file of a study; `true` (b,) are the values of `base`."""
-    plain = partial(msgspec.to_builtins, enc_hook=lambda numbers: numbers.tolist())
-    return StudyFile(
-        study=plain(study),
-        parameters=list(base.names),
-        true=true.tolist(),
-        summaries=plain(summaries(runs, true)),
-        runs=plain(runs),
-    )
+def study_file(study: Study, runs: Sequence[Run], base: BaseParameters, true: Array) -> dict[str, Any]:
+    """The JSON file of a study: settings, names of the parameters, their true values (b,), summaries, every run."""
+    content = {"study": study, "parameters": base.names, "true": true, "summaries": summaries(runs, true)}
+    return {**content, "runs": runs}
 
 
 def study_document(robot: str, study: Study, runs: Sequence[Run], true: Array) -> Document:

@@ -33,8 +33,6 @@ MIN_HALF_WIDTH = 1e-300  # avoids division by zero
 MIN_ARM_M = 1e-9  # of a weight about an axis
 MIN_RESIDUAL_RATIO = 0.9  # of the models without and with gravity; below, a caution
 CONSISTENT_LEVEL = 0.001  # of the chi-squared test
-
-
 Finding = tuple[Level, str]
 
 
