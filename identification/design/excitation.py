@@ -47,11 +47,6 @@ CURVE_SAMPLES = 100  # per period of the highest harmonic, in pictures
 class ExcitationSettings(ReferenceOptions):
     """What a reference is designed for; the same `seed` gives the same one."""
 
-    @property
-    def plain_harmonics(self) -> int:
-        """Harmonics of the plain references: at most those of the random reference."""
-        return min(HARMONICS, self.harmonics)
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Excitation:
@@ -142,7 +137,7 @@ def excite(
     series = Series(period_s=settings.period_s, harmonics=settings.harmonics)
     samples = SAMPLES_PER_PERIOD * settings.harmonics
     t_s = np.arange(samples, dtype=np.float64) * (settings.period_s / samples)
-    plain_series = Series(period_s=settings.period_s, harmonics=settings.plain_harmonics)
+    plain_series = Series(period_s=settings.period_s, harmonics=min(HARMONICS, settings.harmonics))
     plain = [random_within(limits, plain_series, seed).at(t_s) for seed in range(PLAIN_REFERENCES)]
     noise, noise_from = torque_noise(robot, loads[-1] if loads else None, knowledge, plain)
     information = Information(
@@ -257,11 +252,11 @@ def excitation_document(excitation: Excitation) -> Document:
     )
     headings = (("value",) if known else ()) + ("±95 %", "plain\n±95 %", "times\nsmaller")
     expected = Table(columns=(*columns("parameter", numbers=headings), *columns("unit")), rows=rows)
-    noise = ", ".join(f"{x:.3g}" for x in e.noise)
+    noise, count = ", ".join(f"{x:.3g}" for x in e.noise), min(HARMONICS, s.harmonics)
     lines: tuple[str, ...] = (
         f"intervals: {np.median(smaller):.2f} times smaller than with the plain reference (median), at least "
         f"{smaller.min():.2f} times",
-        f"plain reference: geometric mean of {PLAIN_REFERENCES} random ones with {s.plain_harmonics} harmonics and the same "
+        f"plain reference: geometric mean of {PLAIN_REFERENCES} random ones with {count} harmonics and the same "
         "share of all limits",
         f"torque noise per row of the fit: {noise} ({', '.join(dict.fromkeys(e.robot.effort_units))}): {e.noise_from}",
         f"torque from {e.beta_from}" if known else "torque unknown",

@@ -35,7 +35,9 @@ class Series:
         """(H, H - 1) each: sine coefficients with zero speed, cosine coefficients with zero acceleration at the ends."""
         k = np.arange(1, self.harmonics + 1, dtype=float)
         # With coefficients s/k, harmonics of equal s have equal speeds: the speed is sum(s), the acceleration sum(k s).
-        return _orthogonal_basis(np.ones_like(k)) / k[:, None], _orthogonal_basis(k) / k[:, None]
+        bases = (np.linalg.qr(v[:, None], mode="complete")[0][:, 1:] for v in (np.ones_like(k), k))  # orthogonal to v
+        sine, cosine = (basis / k[:, None] for basis in bases)
+        return sine, cosine
 
     def reference(self, x: Array) -> FourierReference:
         """The series with the coefficients x (n, K)."""
@@ -60,11 +62,6 @@ def motion_of(x: Array, basis: Motion) -> Motion:
     """q, dq, ddq (N, n) of the coefficients x (n, K)."""
     q, dq, ddq = (A @ x.T for A in basis)
     return q, dq, ddq
-
-
-def _orthogonal_basis(v: Array) -> Array:
-    """Orthonormal basis (H, H - 1) of the vectors orthogonal to v (H,)."""
-    return np.asarray(np.linalg.qr(v[:, None], mode="complete")[0][:, 1:])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

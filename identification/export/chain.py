@@ -88,9 +88,15 @@ class Chain:
         `--range` is ± about zero. The URDF's range and speed still apply; of several `--bandwidth-hz` the lowest is used.
         Raises `BadInputError`: a wrong number of values, a range outside the URDF's.
         """
-        joints = list(self.joints)
+        joints, n = list(self.joints), len(self.joints)
         for option, values in options.items():
-            _check_count(self, option, values)
+            if len(values) not in (1, n):
+                expected = f"one, or {n} for {', '.join(joint.name for joint in joints)}"
+                shown = f"{len(values)} values"
+                raise BadInputError(place=self.place, key=option, value=values, shown=shown, expected=expected)
+            if len(values) < n and len({joint.type for joint in joints}) > 1 and option in _OPTION_FIELDS:
+                expected = f"{n} values: some joints are in rad, others in m"
+                raise BadInputError(place=self.place, key=option, value=values[0], expected=expected)
             for j, joint in enumerate(joints if option in _OPTION_FIELDS else ()):
                 value: Any = values[j % len(values)]
                 if option == "--range":
@@ -99,16 +105,6 @@ class Chain:
                     value = min(joint.speed or value, value)
                 joints[j] = replace(joint, **{_OPTION_FIELDS[option]: value})
         return replace(self, joints=tuple(joints), bandwidth_hz=min(options.get("--bandwidth-hz", ()), default=None))
-
-
-def _check_count(chain: Chain, option: str, values: Sequence[float]) -> None:
-    n, kinds = len(chain.joints), {joint.type for joint in chain.joints}
-    if len(values) not in (1, n):
-        expected, shown = f"one, or {n} for {', '.join(joint.name for joint in chain.joints)}", f"{len(values)} values"
-        raise BadInputError(place=chain.place, key=option, value=values, shown=shown, expected=expected)
-    if len(values) < n and len(kinds) > 1 and option in _OPTION_FIELDS:
-        expected = f"{n} values: some joints are in rad, others in m"
-        raise BadInputError(place=chain.place, key=option, value=values[0], expected=expected)
 
 
 def _intersect_range(joint: UrdfJoint, side: float, place: str) -> tuple[float, float]:

@@ -138,10 +138,10 @@ def representable(m: ExportedModel, *, motors: bool) -> tuple[ExportedModel, Los
     n, losses, terms = m.model.robot.n, Losses(), _joint_terms(m.model)
     q, dq, ddq = random_states(m.model.robot.joints)
     W = whole_regressor(m, q, dq, ddq)
-    whole = _rms(W @ m.chi)
+    whole = np.sqrt(np.mean((W @ m.chi) ** 2, axis=0))
 
     def add_loss(what: str, missing: Array) -> None:
-        rms = _rms(missing)
+        rms = np.sqrt(np.mean(missing**2, axis=0))
         rms[rms <= MAX_ROUNDING * whole.max()] = 0.0
         if rms.any():
             losses[what] = rms, 100 * np.divide(rms, whole, out=np.zeros(n), where=whole > 0)
@@ -174,7 +174,3 @@ def about_com(link: Array) -> tuple[float, Array, Array]:
     com = link[6:9] / mass
     steiner = mass * (com @ com * np.eye(3) - np.outer(com, com))
     return mass, com, np.asarray(link[:6] - steiner[np.triu_indices(3)])
-
-
-def _rms(torque: Array) -> Array:
-    return np.asarray(np.sqrt(np.mean(torque**2, axis=0)))

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+from operator import attrgetter
 
 import numpy as np
 
@@ -170,11 +171,6 @@ def _solve_part(evidence: FitData, part: Span) -> tuple[Array, Array, int] | Non
     return beta, C * np.outer(sigma / formula, sigma / formula), freedom
 
 
-def position_noise_test(evidence: FitData) -> TrustLine | None:
-    """Whether position noise biases least squares; made while the recording is read."""
-    return evidence.position_noise
-
-
 def motion_test(evidence: FitData) -> TrustLine | None:
     """Joints that stand in all recordings; friction of creeping differs from that of motion."""
     speed, joints = np.abs(evidence.observed.speed).max(axis=0), evidence.problem.signals.robot.joints
@@ -257,7 +253,7 @@ TESTS: tuple[Callable[[FitData], TrustLine | None], ...] = (
     *(signs_and_order_test, saturation_test, positions_test, gains_test, centre_of_mass_test, fixed_point_test),
     *(physical_test, units_test, control_law_test, prior_test, added_columns_test, lag_test),
     *(held_out_test, halves_test, consistent_test, ends_test, essential_test, instruments_test),
-    *(position_noise_test, motion_test, effort_test, rows_test),
+    *(attrgetter("position_noise"), motion_test, effort_test, rows_test),
 )
 
 
