@@ -248,22 +248,16 @@ class PayloadFile(TomlTable, frozen=True):
     frame: Annotated[
         Name | None, note("fixed link that the centre of mass is given in (default: the frame of the last joint)")
     ] = None
-    mass_half_width_kg: Annotated[
-        float, msgspec.Meta(ge=0, description="half of the 95 % interval of the weighed mass, kg")
-    ] = 0.0
-    center_half_width_m: Annotated[float, msgspec.Meta(ge=0, description="the same of each coordinate, m")] = 0.005
+    mass_half_width_kg: Annotated[float, note("half of the 95 % interval of the weighed mass, kg", ge=0)] = 0.0
+    center_half_width_m: Annotated[float, note("the same of each coordinate, m", ge=0)] = 0.005
 
 
 class RobotFile(TomlTable, frozen=True):
     """`robot.toml` as written in the file."""
 
     name: Annotated[Name, note("name of the robot")]
-    joint: Annotated[
-        tuple[Joint, ...], msgspec.Meta(min_length=1, description="[[joint]] tables, from the base outwards")
-    ]
-    motor: Annotated[
-        tuple[Motor, ...], msgspec.Meta(min_length=1, description="[[motor]] tables; motor k turns joint k")
-    ]
+    joint: Annotated[tuple[Joint, ...], note("[[joint]] tables, from the base outwards", min_length=1)]
+    motor: Annotated[tuple[Motor, ...], note("[[motor]] tables; motor k turns joint k", min_length=1)]
     controller: Annotated[Controller, note("how the drives follow their reference")]
     gravity_m_s2: Annotated[tuple[float, float, float], note("gravity in the base frame, m/s²")] = (0.0, 0.0, -9.81)
     urdf: Annotated[str | None, note("file in the same folder; joints not named here are locked at 0")] = None

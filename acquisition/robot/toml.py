@@ -20,9 +20,9 @@ Positive = Annotated[float, msgspec.Meta(gt=0)]
 Name = Annotated[str, msgspec.Meta(min_length=1, max_length=64, pattern=r"\A[A-Za-z0-9_.\- ]+\Z")]
 
 
-def note(description: str) -> msgspec.Meta:
+def note(description: str, **limits: Any) -> msgspec.Meta:
     """The description of a key, with its unit and default: JSON Schemas and the reference of all keys show it."""
-    return msgspec.Meta(description=description)
+    return msgspec.Meta(description=description, **limits)
 
 
 class TomlTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, dict=True):

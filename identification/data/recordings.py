@@ -48,8 +48,7 @@ def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signa
 
     Raises
     ------
-    BadInputError : the file cannot be read.
-    BadInputError : it is cut off, has gaps or no joint samples, or `robot` has other units than the recording.
+    BadInputError : the file cannot be read, is cut off, has gaps or no joint samples, or `robot` has other units.
     """
     path = Path(path)
     recording = read_recording(path)
