@@ -26,9 +26,8 @@ def entry_of(file: BusFile) -> int:
 
 def heartbeat_consumers(master: Master, node: int) -> list[int]:
     """Entries of a drive's 1016h, from sub-index 1. Raises `BusFaultError` where it has none."""
-    return [
-        master.read(node, cia.CONSUMER_HEARTBEAT, k + 1) for k in range(master.read(node, cia.CONSUMER_HEARTBEAT, 0))
-    ]
+    count = master.read(node, cia.CONSUMER_HEARTBEAT, 0)
+    return [master.read(node, cia.CONSUMER_HEARTBEAT, k + 1) for k in range(count)]
 
 
 def free_entry(entries: list[int], master_node: int) -> int | None:

@@ -164,10 +164,8 @@ def rows_to_interpolate(
     if steps[k] > (largest_gap_periods + 0.5) * report.period_s:
         after_s, periods = time_s[k] - time_s[0], steps[k] / report.period_s
         found = f"a gap of {steps[k]:.6g} s after {after_s:.6g} s, {periods:.1f} periods"
-        expected = (
-            f"{largest_gap_periods:g} periods of {report.period_s:.6g} s at most; import the parts before and after "
-        )
-        place.refuse("time", expected=f"{expected}it separately, or set time.largest_gap_periods", text=found)
+        expected = f"{largest_gap_periods:g} periods of {report.period_s:.6g} s at most; import the parts before "
+        place.refuse("time", expected=f"{expected}and after it separately, or set time.largest_gap_periods", text=found)
     return time_s, parts, replace(report, off=int((~in_time).sum()))
 
 
@@ -218,15 +216,11 @@ def rate_warnings(report: TimeReport | None) -> list[str]:
             f"{share:.2g} % of the rows are left out because the motion contradicts their {report.clock}: use another clock"
         )
     if ratio < MIN_RATE_RATIO:
-        warnings.append(
-            f"resample_hz = {report.grid_hz:g} is below the rows' {own_hz:.4g} Hz: noise above half of it is "
-            "aliased into the samples; interpolate to the rows' own rate, a fit decimates by itself"
-        )
+        text = f"resample_hz = {report.grid_hz:g} is below the rows' {own_hz:.4g} Hz: noise above half of it is aliased"
+        warnings.append(f"{text} into the samples; interpolate to the rows' own rate, a fit decimates by itself")
     if ratio > MAX_RATE_RATIO:
-        warnings.append(
-            f"resample_hz = {report.grid_hz:g} is {ratio:.2g} times the rows' {own_hz:.4g} Hz: samples between "
-            "rows are interpolated and add no information"
-        )
+        text = f"resample_hz = {report.grid_hz:g} is {ratio:.2g} times the rows' {own_hz:.4g} Hz"
+        warnings.append(f"{text}: samples between rows are interpolated and add no information")
     return warnings
 
 

@@ -244,10 +244,8 @@ def _wraps(traffic: Traffic, bus: Bus, rows_of: Mapping[Pdo, Rows], stamps: Ints
         wraps = unwrap(traffic.integers(rows_of[carrier], carrier, drive.position), drive.position.bits)[1]
         if len(wraps):
             first_s = (stamps[wraps[0]] - stamps[0]) * 1e-9
-            yield (
-                f"{drive.name}: its position counter wrapped {len(wraps)} times, first at {first_s:.4g} s: "
-                "positions are continued"
-            )
+            text = f"{drive.name}: its position counter wrapped {len(wraps)} times, first at {first_s:.4g} s"
+            yield f"{text}: positions are continued"
 
 
 def _targets(traffic: Traffic, sync_rows: Rows, index_of: Ints, answered: Rows, bus: Bus) -> list[Rows] | None:
@@ -287,10 +285,8 @@ def _warnings(counts: Sequence[PdoCount], lost: int, clock: SyncTimes, bus: Bus,
         texts.append(f"SYNC came every {clock.period_s * 1e3:.4g} ms: {expected}")
     if len(clock.pauses):
         longest = clock.pauses[np.argmax(np.diff(clock.stamps)[clock.pauses])]
-        texts.append(
-            f"SYNC paused {len(clock.pauses)} times for more than 1.5 periods, the longest "
-            f"{(at_s[longest + 1] - at_s[longest]) * 1e3:.4g} ms at {at_s[longest]:.4g} s"
-        )
+        most = f"{(at_s[longest + 1] - at_s[longest]) * 1e3:.4g} ms at {at_s[longest]:.4g} s"
+        texts.append(f"SYNC paused {len(clock.pauses)} times for more than 1.5 periods, the longest {most}")
     elif clock.jitter_s[1] > 0.5 * nominal_s:
         off = f"a SYNC came {clock.jitter_s[1] * 1e3:.3g} ms off its time"
         texts.append(f"{off}: more than half a period of {nominal_s * 1e3:g} ms")

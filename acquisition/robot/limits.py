@@ -154,10 +154,8 @@ def _position(joint: Joint, stamp_s: Array, x: Array, place: Place) -> list[str]
     k = int(np.argmax(beyond))
     if beyond[k] <= MIN_OVERSHOOT * (high - low):
         return []
-    text = (
-        f"joint {joint.name} at {_shown(joint, x[k])}, {stamp_s[k] - stamp_s[0]:.3f} s: "
-        f"limits {_shown(joint, low)} and {_shown(joint, high)}"
-    )
+    text = f"joint {joint.name} at {_shown(joint, x[k])}, {stamp_s[k] - stamp_s[0]:.3f} s"
+    text += f": limits {_shown(joint, low)} and {_shown(joint, high)}"
     if beyond[k] <= MAX_RANGE_EXCESS * (high - low):
         return [text]
     causes = "a wrong unit, ratio, zero or sign, a counter that wrapped"

@@ -22,10 +22,8 @@ def add(parser: argparse.ArgumentParser) -> None:
     add_path(inputs, "--after", "LOG.mcap", text, nargs="+", default=[])
     text = "payload of a second run of the reference, to identify drive gains: kg, and its centre of mass in m"
     inputs.add_argument("--payload", metavar="KG[@X,Y,Z]", help=text)
-    text = (
-        "standard deviation of the torque noise per row of the fit, in the unit of the effort, one value or one per joint "
-        "(default: of FIT.json, else 2 %% of the rms torque)"
-    )
+    text = "standard deviation of the torque noise per row of the fit, in the unit of the effort, one value or one per "
+    text += "joint (default: of FIT.json, else 2 %% of the rms torque)"
     inputs.add_argument("--noise", type=list_of_values, metavar="A,B", help=text)
     add_options(parser.add_argument_group("reference"), ReferenceOptions)
     outputs = parser.add_argument_group("outputs")

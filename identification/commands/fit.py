@@ -140,6 +140,5 @@ def _identify(options: argparse.Namespace, recordings: "Recordings", say: Callab
     if options.start not in (None, "regular", "ls"):
         values = partial(stored_beta, read_fit(Path(options.start)), place=options.start)
         iteration = Iteration(start=options.start, values=values)
-    return identify(
-        recordings, overrides, method=options.method, iteration=iteration, essential=options.essential, say=say
-    )
+    chosen = {"method": options.method, "essential": options.essential}
+    return identify(recordings, overrides, iteration=iteration, say=say, **chosen)

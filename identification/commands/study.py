@@ -23,9 +23,8 @@ def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_robot(parser, "with [parameters]")
     add_options(parser, StudyOptions, "runs")
-    add_simulation(
-        parser, "position", "effort_percent", "coloured_percent", "lag_samples", position=3e-6, effort_percent=2.0
-    )
+    noise = "position", "effort_percent", "coloured_percent", "lag_samples"
+    add_simulation(parser, *noise, position=3e-6, effort_percent=2.0)
     add_work(parser)
     outputs = parser.add_argument_group("outputs")
     add_path(outputs, "--json", "FILE", "write every run as JSON")

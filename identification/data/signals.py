@@ -121,10 +121,8 @@ class Signals:
 
     def __repr__(self) -> str:
         reference = ", with reference" if self.q_ref is not None else ""
-        return (
-            f"Signals({self.recording}: {self.robot.name}, {len(self.t_s)} samples of {self.robot.n} joints "
-            f"at {self.sample_rate_hz:g} Hz{reference})"
-        )
+        content = f"{len(self.t_s)} samples of {self.robot.n} joints at {self.sample_rate_hz:g} Hz{reference}"
+        return f"Signals({self.recording}: {self.robot.name}, {content})"
 
 
 class OptionalColumns(TypedDict, total=False):

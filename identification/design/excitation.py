@@ -191,9 +191,8 @@ def _refuse_fast(robot: Robot, settings: ExcitationSettings, place: str) -> None
         count = math.floor(max_hz * settings.period_s + 1e-9)
         ways = f"--harmonics {count} or fewer, or " if count >= MIN_HARMONICS else ""
         ways += f"--period {math.ceil(100 * settings.harmonics / max_hz) / 100:g} or longer"
-        problem = (
-            f"the highest harmonic of {highest_hz:.4g} Hz is above a third of the bandwidth of {bandwidth_hz:g} Hz"
-        )
+        problem = f"the highest harmonic of {highest_hz:.4g} Hz is above a third of the bandwidth"
+        problem += f" of {bandwidth_hz:g} Hz"
         raise BadInputError(problem, place=place, key="harmonics", value=settings.harmonics, expected=ways)
 
 
@@ -278,10 +277,8 @@ def excitation_document(excitation: Excitation) -> Document:
     if e.nearest is not None:
         apart = (f"nearest: {e.nearest[1]}, {e.nearest[0]:.3f} m apart",)
     limits = Table(columns=columns("joint", numbers=(*KINDS, "effort")), rows=tuple(table))
-    title = (
-        f"{e.robot.name}: reference of {s.periods} x {s.period_s:g} s, {s.harmonics} harmonics up to "
-        f"{s.harmonics / s.period_s:g} Hz, seed {s.seed}"
-    )
+    title = f"{e.robot.name}: reference of {s.periods} x {s.period_s:g} s, {s.harmonics} harmonics"
+    title += f" up to {s.harmonics / s.period_s:g} Hz, seed {s.seed}"
     return Document(
         title=title,
         sections=(

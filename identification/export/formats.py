@@ -133,10 +133,8 @@ def urdf_text(m: ExportedModel) -> tuple[str, tuple[str, ...]]:
         rest, others = m.links[j] - sum((x for _, x in inertials.values()), start=np.zeros(10)), ", ".join(inertials)
         if others and not is_a_body(rest, MIN_EIGENVALUE):
             mass = sum(x[9] for _, x in inertials.values())
-            notes.append(
-                f"link {name}: minus the inertials of {others} ({mass:.3g} kg), fixed to it, it is no physical body: "
-                "they are removed, it has the lumped inertia"
-            )
+            text = f"link {name}: minus the inertials of {others} ({mass:.3g} kg), fixed to it, it is no physical body"
+            notes.append(f"{text}: they are removed, it has the lumped inertia")
             rest = m.links[j]
             for other, (inertial, _) in inertials.items():
                 links[other].removeChild(inertial)

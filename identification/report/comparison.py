@@ -78,11 +78,11 @@ def _partners(a: ParameterSet, b: ParameterSet) -> dict[str, str]:
     if not _have_expressions(a, b):
         return {name: name for name in a.parameters if name in b.parameters}
     named = {(value.expression, name.partition("@")[2]): name for name, value in b.parameters.items()}
-    found = {
-        name: named.get((x.expression, name.partition("@")[2]), named.get((x.expression, "")))
-        for name, x in a.parameters.items()
-    }
-    return {name: partner for name, partner in found.items() if partner is not None}
+    found = dict[str, str]()
+    for name, x in a.parameters.items():
+        if partner := named.get((x.expression, name.partition("@")[2]), named.get((x.expression, ""))):
+            found[name] = partner
+    return found
 
 
 def difference_lines(a: ParameterSet, b: ParameterSet, rows: list[Difference]) -> list[str]:

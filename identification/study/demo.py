@@ -117,10 +117,8 @@ def truth_document(robot: str, fits: Sequence[Fit], true: Array) -> Document:
     for fit, half in zip(fits, halves, strict=True):
         within = int((np.abs(fit.beta - true) <= half).sum())
         error = 100 * np.linalg.norm(fit.beta - true) / np.linalg.norm(true)
-        lines.append(
-            f"{fit.method}: {within} of {len(true)} true values inside ({0.95 * len(true):.0f} expected); "
-            f"total error {error:.2f} %"
-        )
+        inside = f"{within} of {len(true)} true values inside ({0.95 * len(true):.0f} expected)"
+        lines.append(f"{fit.method}: {inside}; total error {error:.2f} %")
     headings = (heading for fit in fits for heading in (fit.method, "±95%", "error /\n±95%"))
     table = Table(columns=columns("parameter", numbers=("true", *headings)), rows=tuple(rows))
     section = Section(title="compared with the simulated values", table=table, lines=tuple(lines))
