@@ -6,7 +6,7 @@ from acquisition.robot import Robot
 
 from ..arrays import Array
 from ..model import BaseParameters
-from ..report import Document, Number, Section, Table, columns
+from ..report import Document, Section, Table, columns
 
 
 def base_file(base: BaseParameters, robot: Robot, true: Array | None = None) -> dict[str, Any]:
@@ -21,14 +21,10 @@ def base_file(base: BaseParameters, robot: Robot, true: Array | None = None) -> 
     return {"robot": robot.name, "joint_names": [joint.name for joint in robot.joints], "parameters": parameters}
 
 
-def base_document(base: BaseParameters, robot: Robot, true: Array | None = None) -> Document:
+def base_document(base: BaseParameters, robot: Robot) -> Document:
     """The base parameters of a robot as sums of standard parameters, in short the regrouped ones; its joints by number."""
-    names = zip(base.names, base.expressions, base.units, strict=True)
-    values: list[tuple[Number, ...]] = [()] * base.b if true is None else [(Number(float(x), ".6g"),) for x in true]
-    table = Table(
-        columns=columns("name", "expression", "unit", numbers=() if true is None else ("value",)),
-        rows=tuple((*row, *value) for row, value in zip(names, values, strict=True)),
-    )
+    rows = tuple(zip(base.names, base.expressions, base.units, strict=True))
+    table = Table(columns=columns("name", "expression", "unit"), rows=rows)
     joints = Table(
         columns=columns("number", "joint", "type"),
         rows=tuple((str(j + 1), joint.name, joint.type) for j, joint in enumerate(robot.joints)),

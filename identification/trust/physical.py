@@ -212,5 +212,5 @@ def consistent_test(evidence: FitData) -> TrustLine:
     text += f"{names[int(moves.argmax())]} moved by {moves.max():.2g} half-widths of its interval"
     if nearest.chi_squared > bound:
         text += f", above {bound:.3g}, the limit of chance: check signs and units of efforts and positions, and frames"
-        return TrustLine("consistent", "caution", text, nearest.chi_squared, limit=bound)
-    return TrustLine("consistent", "ok", text, nearest.chi_squared, limit=bound)
+        return TrustLine("consistent", "caution", text, nearest.chi_squared)
+    return TrustLine("consistent", "ok", text, nearest.chi_squared)
