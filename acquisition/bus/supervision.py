@@ -31,10 +31,7 @@ def heartbeat_consumers(master: Master, node: int) -> list[int]:
 
 
 def free_entry(entries: list[int], master_node: int) -> int | None:
-    """Sub-index of 1016h for `master_node`: its own, or an unused one; None where there is none.
-
-    CiA 301 allows one entry for each producer. An entry of time 0, or of a node id outside 1 to 127, is unused.
-    """
+    """Sub-index of 1016h for `master_node`: its own, or an unused one (time 0, or no node id); None where there is none."""
     own = [k for k, entry in enumerate(entries, 1) if entry >> 16 == master_node]
     unused = [k for k, entry in enumerate(entries, 1) if not entry & 0xFFFF or not 1 <= entry >> 16 <= 127]
     return next(iter(own + unused), None)
@@ -71,10 +68,7 @@ class MasterHeartbeat:
         return refused
 
     def release(self, disabled: list[int]) -> list[str]:
-        """Restore 1016h of the nodes in `disabled`, then end the heartbeat; a line for each node that refuses the old value.
-
-        The other drives still supervise this master: they stop when the heartbeat ends.
-        """
+        """Restore 1016h of the `disabled` nodes, then end the heartbeat, at which the others stop; a line for each refusal."""
         refused = []
         for node in disabled:
             if node in self._before:

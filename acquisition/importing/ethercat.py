@@ -22,10 +22,7 @@ MAPPING_NOTE = "ethercat_mapping"  # of the metadata
 
 
 def cycle_numbers(time_ns: Ints, period_ns: float) -> tuple[Ints, Bools]:
-    """Number of the cycle of each row (m,), and whether it is certain.
-
-    Delays are never negative and do not last, as those of SYNC. Delayed rows are consecutive if none is lost among them.
-    """
+    """Number of the cycle of each row (m,), and whether it is certain: delays do not last, late rows are consecutive."""
     number, certain, reached = np.empty(len(time_ns), np.int64), np.empty(len(time_ns), np.bool_), 0.0
     for first in range(0, len(time_ns), AT_ONCE):
         begin, end = max(0, first - MARGIN), first + AT_ONCE

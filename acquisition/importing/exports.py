@@ -12,11 +12,7 @@ from ..robot import Robot
 
 
 def export_csv(path: Path, out: Path, warn: Callable[[str], None] = lambda text: None) -> int:
-    """Write the joint samples of a recording as CSV, whole or not at all; returns their number.
-
-    Columns: `time_s` from the first sample, then position, effort and all else recorded of each joint in SI. The column name
-    contains the unit.
-    """
+    """Write the joint samples of a recording as CSV in SI, units in the names, whole or not at all; returns their number."""
     samples, robot = _samples(path, warn)
     fields = [field for field in samples.dtype.names or () if field != "stamp_ns"]
     joints = list(enumerate(robot.joints))

@@ -75,10 +75,7 @@ class Slaves:
         return next((x for x, y in pairs if x != y or self._state(x) != other._state(x)), None)
 
     def located(self, stated: Sequence[Entries]) -> dict[int, tuple[Located, Located]]:
-        """Inputs and outputs by station; `stated` inputs of slaves with FMMUs, if the capture has no mapping of them.
-
-        Raises `ValueError` if the mapping of a slave and its sync manager have other lengths.
-        """
+        """Inputs and outputs by station; `stated` inputs of slaves without a mapping. Raises `ValueError`: lengths differ."""
         further, found = iter(stated), dict[int, tuple[Located, Located]]()
         for station in self.stations:
             objects, registers = self.objects.get(station, {}), bytes(self.registers.get(station, bytes(_END)))

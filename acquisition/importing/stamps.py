@@ -86,10 +86,7 @@ def rows_in_time(time_s: Array, q: Array) -> NDArray[np.bool_]:
 
 
 def ticks_from_velocity(stamp_s: Array, q: Array, v: Array, tick_s: float) -> Array:
-    """Ticks (N,) of rows: from one to the next the step of q (N, n) over the speeds v (N, n); uniform at standstill.
-
-    Each stretch of motion is counted, then shifted by the median difference from its stamps.
-    """
+    """Ticks (N,) of rows: steps of q (N, n) over speeds v, each stretch of motion shifted to its stamps; uniform at rest."""
     by_stamp, step, of_tick = stamp_s / tick_s, np.diff(q, axis=0), 0.5 * tick_s * (v[1:] + v[:-1])
     weighted = of_tick / np.maximum(np.ptp(q, axis=0), 1e-300) ** 2
     size = (weighted * of_tick).sum(axis=1)
@@ -114,10 +111,7 @@ def smallest_difference(q: Array) -> Array:
 
 
 def row_numbers(time_s: Array) -> Array:
-    """Numbers (N,) of rows at growing times, missing rows included.
-
-    A single late stamp makes a long step too, but the sum of three steps stays normal.
-    """
+    """Numbers (N,) of rows at growing times, missing ones included; three steps about a late stamp sum to three periods."""
     steps = np.diff(time_s)
     period = float(np.median(steps))
     padded = np.concatenate([[period], steps, [period]])

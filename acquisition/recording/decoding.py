@@ -249,10 +249,7 @@ def _wraps(traffic: Traffic, bus: Bus, rows_of: Mapping[Pdo, Rows], stamps: Ints
 
 
 def _targets(traffic: Traffic, sync_rows: Rows, index_of: Ints, answered: Rows, bus: Bus) -> list[Rows] | None:
-    """Frame of the last target of each drive before the SYNC of each sample, -1 if there is none.
-
-    None if a drive receives no targets or only a few: a master that only commands the state sends some too.
-    """
+    """Frame of each drive's last target before the SYNC of a sample, -1 if none; None if a drive receives none or few."""
     targets, following = [], np.append(index_of, index_of[-1] + 1)  # grid index of the SYNC after as many SYNC frames
     for drive in bus.drives:
         pdo = drive.carrier(drive.target, "rpdo")

@@ -130,10 +130,7 @@ class Joint(TomlTable, frozen=True):
         return _key(quantity, self.type)
 
     def si(self, quantity: str) -> Any:
-        """`zero`, `position`, `speed`, `acceleration`, `following_error`, `stribeck_speed` in rad or m (per s, s²).
-
-        `effort` in N m or N. None if not stated.
-        """
+        """A quantity of `QUANTITIES` in rad or m (per s, s²), `effort` in N m or N; None if not stated."""
         value = getattr(self, self.key(quantity))
         if self.type == "prismatic" or quantity == "effort":
             return value

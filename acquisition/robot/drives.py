@@ -99,11 +99,7 @@ def refuse_load(bus: Bus, place: str) -> None:
 
 
 def refuse_out_of_range(path: Array, robot: Robot, bus: Bus, place: str) -> None:
-    """Refuse joint positions (N, n), one row each SYNC, whose counts exceed the range of a drive's target object.
-
-    A drive at the end of its range would stop while the others move on. Raises `BadInputError` with `place`, the time, the
-    motor, its counts and the range; also if a position is not finite.
-    """
+    """Refuse positions (N, n), a row each SYNC, beyond the range of a drive's target: it would stop while others move on."""
     low, high = cia.range_of(POSITION_TYPE)
     with np.errstate(over="ignore", invalid="ignore"):  # values that are not finite are refused below
         motors = robot.motor_position(path)

@@ -144,10 +144,7 @@ def check_limits(q: Array, robot: Robot, period_s: float, place: str) -> None:
 
 
 def approach(start: Array, end: Array, robot: Robot, period_s: float) -> Array:
-    """A slow straight move (N, n) in joint space from rest at `start` (n,) to rest at `end` (n,), a row each `period_s`.
-
-    All joints move together (minimum jerk); rad or m. Obstacles are not checked.
-    """
+    """A slow straight move (N, n), of minimum jerk, from rest at `start` to rest at `end` (n,); obstacles are not checked."""
     distance = np.abs(end - start)
     speed = np.array([joint.si("speed") for joint in robot.joints]) * APPROACH_SHARE
     acceleration = np.array([joint.si("acceleration") for joint in robot.joints]) * APPROACH_SHARE

@@ -190,10 +190,7 @@ class DrivenPlant:
 
 
 def driven_plant(robot: Robot, bus: Bus, payload: Payload | None = None) -> DrivenPlant:
-    """The robot of `[parameters]` with its payload.
-
-    Without parameters, or if no package provides dynamics: independent joints and a warning; they carry no payload.
-    """
+    """The robot of `[parameters]` with its payload; without parameters or dynamics independent joints, and a warning."""
     if not robot.parameters:
         return _independent_joints(robot, bus, "robot.toml has no [parameters]")
     plants = list(entry_points(group=GROUP))

@@ -77,10 +77,7 @@ def prior_information(
     after: Sequence[Path] = (),
     payload: Payload | None = None,
 ) -> PriorInformation:
-    """Information from files and options: a fit's parameters, else those of the description.
-
-    Raises `BadInputError`: where a file cannot be read, or is not of this robot.
-    """
+    """Information from files and options: a fit's parameters, else those of the description."""
     if noise is not None and len(noise) not in (1, robot.n):
         expected = f"one number, or one for each of {robot.n} joints"
         raise BadInputError(key="--noise", value=",".join(f"{x:g}" for x in noise), expected=expected)

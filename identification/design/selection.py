@@ -51,10 +51,7 @@ TermSet = tuple[frozenset[FrictionTerm], ...]  # by joint, the terms added to th
 
 
 def with_terms(robot: Robot, terms: TermSet) -> Robot:
-    """The robot with the terms of a set beside the usual ones that are described.
-
-    Separate friction for each direction contains an offset: it is replaced by common friction and an offset.
-    """
+    """The robot with a set's terms beside the usual ones; friction by direction becomes common friction and an offset."""
     joints = []
     for joint, more in zip(robot.joints, terms, strict=True):
         usual = [term for term in BASELINE if joint.one_sided or term in joint.terms]

@@ -105,9 +105,7 @@ class Candidates:
         return list(self._torques(self.problem, still, none, 1))
 
     def columns(self, problem: Problem, motion: Motion, decimation: Decimation) -> Array:
-        """(n, k + 1, rows) torque per unit of the terms along a motion, weighted and decimated; last the rate of the drives'
-        torque, per second.
-        """
+        """(n, k + 1, rows) torque per unit of the terms, weighted, decimated; last the rate of the drives' torque, per s."""
         w, places, drives = weights_at(problem, motion.t_s), self.places[0], self._drives(problem, motion)
         # Near reversals, friction that rises smoothly looks like a lag.
         fast = fast_for_lag(problem, motion, decimation, self.sliding)
@@ -209,10 +207,7 @@ class Candidates:
 
 
 def _along(links: DirectModel, x: Motion, stride: int) -> tuple[Array, Array]:
-    """The links' torque (N, n) along a motion, and its derivatives (N, n, n) by the positions, the last axis.
-
-    They are computed at every `stride`-th sample, and lie on straight lines between.
-    """
+    """The links' torque (N, n) and its derivatives (N, n, n) by positions, at every `stride`-th sample, straight between."""
     at = np.unique(np.r_[0 : len(x.q) : stride, len(x.q) - 1])
     tau, slopes = torque_of_links(links, (x.q[at], x.dq[at], x.ddq[at]))
     series = np.concatenate([tau[..., None], slopes[0]], axis=2)

@@ -123,10 +123,7 @@ def ends_test(evidence: FitData) -> TrustLine:
 
 
 def halves_test(evidence: FitData) -> TrustLine:
-    """Whether the two halves of the recording give the same parameters, by a Wald test.
-
-    Its F distribution has the degrees of freedom of the deviations, the cosines of both halves.
-    """
+    """Whether both halves of the recording give the same parameters: a Wald test, with the cosines of both as freedom."""
     name, T, cuts = "halves", len(evidence.observed.tau), np.cumsum(evidence.observed.parts)[:-1]
     cut = int(cuts[np.abs(cuts - T / 2).argmin()]) if len(cuts) else round(T / 2)  # recordings are not cut
     parts = evidence.spans(2) if evidence.gains else [(slice(0, cut),), (slice(cut, T),)]

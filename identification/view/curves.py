@@ -115,10 +115,7 @@ def extremes(x: Array, step: int) -> NDArray[np.intp]:
 
 
 def position_plots(signals: Signals, lines: Lines) -> list[Plot]:
-    """One plot per joint of the reference and simulated position minus the measured one, in a readable unit.
-
-    Without a reference and a simulation, plots of the position.
-    """
+    """Per joint the reference and simulated position minus the measured one, in a readable unit; the position without."""
     joints, errors = signals.robot.joints, [lines[key] for key in lines if key[1] == "error"]
     if not errors:
         return [_plot(signals, lines, "q", j) for j in range(len(joints))]

@@ -100,10 +100,7 @@ def draw_recording(signals: Signals, overrides: Overrides) -> Picture:
 
 
 def draw_comparison(own: ParameterSet, other: ParameterSet, document: Document, sha256: Mapping[str, str]) -> Picture:
-    """Two sets of parameters.
-
-    Raises `BadInputError`: the sets do not belong together (`report.differences`).
-    """
+    """Two sets of parameters that belong together, as `report.differences` requires."""
     page = Page(name="parameters", groups={"deviations": charts.deviation_charts(own, [other])})
     return Picture(name=f"{own.label} and {other.label}", document=document, pages=(page,), sha256=sha256)
 

@@ -105,10 +105,7 @@ def event_view(origin: str, title: str) -> Any:
 
 
 def shown_text(text: str) -> str:
-    """Text with characters of the viewer's font only: any other character stops the viewer with an error.
-
-    Others are replaced by similar ones (ᵀ by an apostrophe, a wide letter by the plain one), else by a question mark.
-    """
+    """Text in the viewer's font, outside of which it stops with an error: similar characters, else question marks."""
     return "".join(c if _has_glyph(c) else _replace_glyph(c) for c in text)
 
 

@@ -79,11 +79,7 @@ def pose_stride(N: int, rate_hz: float) -> int:
 
 
 def _drawable(robot: Robot) -> str | None:
-    """The robot's URDF with the files of its meshes; None without shapes or if a mesh is missing.
-
-    A mesh comes from the recording, else from the file of its name. A relative name is not found: the recording does not
-    contain the folder of the URDF.
-    """
+    """The robot's URDF with files of its meshes, of the recording or by their names; None without shapes or a mesh."""
     if robot.urdf is None:
         return None
     root = ET.fromstring(robot.urdf)
