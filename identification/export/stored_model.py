@@ -13,7 +13,7 @@ from ..regression import base_name
 from ..report import Document, FitFile, Section
 from .exported_model import ExportedModel, split_parameters
 from .exporting import export_model, write_models
-from .motors import with_gains, with_law
+from .tables import with_gains, with_law
 
 
 def export_fit(stored: FitFile, place: str, *, untrusted: bool = False, **outputs: Path | None) -> Document:

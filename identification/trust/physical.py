@@ -12,16 +12,9 @@ the nearest parameters whose links have positive density. `fit --consistent` and
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import estimation
 from ..arrays import Array
 from ..errors import NoFitError
-from ..estimation import (
-    Estimate,
-    Intervals,
-    chi_squared_quantile,
-    intervals_of,
-    r_factor,
-    weighted_least_squares,
-)
 from ..model import InverseModel, friction_power, nearest_consistent, poses_of, requirements
 from ..regression import base_name, friction_states, recorded_power, row_states
 from ..report import Level
@@ -46,8 +39,8 @@ def physical_test(evidence: FitData) -> TrustLine:
     found, lowest = _findings(evidence, evidence.estimate.part(base), evidence.intervals.part(base))
     found += _gravity_findings(evidence)
     if evidence.method == "ols" and all(level != "do not use" for level, _ in found):
-        weighted = weighted_least_squares(evidence.observed.system)
-        severe, _ = _findings(evidence, weighted, intervals_of(evidence.observed.system, weighted))
+        weighted = estimation.weighted_least_squares(evidence.observed.system)
+        severe, _ = _findings(evidence, weighted, estimation.intervals_of(evidence.observed.system, weighted))
         found += [(level, f"by weighted least squares {text}") for level, text in severe if level == "do not use"]
     if not found:
         text = f"M is positive on the trajectory (lowest eigenvalue {lowest:.3g}), no friction or rotor inertia is below zero"
@@ -56,7 +49,9 @@ def physical_test(evidence: FitData) -> TrustLine:
     return TrustLine("physical", found[0][0], "; ".join(text for _, text in found), lowest)
 
 
-def _findings(evidence: FitData, estimate: Estimate, found: Intervals) -> tuple[list[Finding], float]:
+def _findings(
+    evidence: FitData, estimate: estimation.Estimate, found: estimation.Intervals
+) -> tuple[list[Finding], float]:
     """Physically impossible values of an estimate, and the lowest eigenvalue of M on the trajectory."""
     idm, base = evidence.problem.model, evidence.problem.base
     indices = np.array([base.names.index(base_name(name)) for name in estimate.names])
@@ -88,12 +83,12 @@ def _findings(evidence: FitData, estimate: Estimate, found: Intervals) -> tuple[
     return findings, lowest
 
 
-def _half(g: Array, found: Intervals) -> Array:
+def _half(g: Array, found: estimation.Intervals) -> Array:
     """Half-widths (k,) of g beta, of rows g (k, b)."""
     return np.asarray(found.reach * np.sqrt(np.maximum(np.einsum("...b,bc,...c->...", g, found.covariance, g), 0.0)))
 
 
-def _along_directions(G: Array, beta: Array, found: Intervals) -> tuple[Array, Array, Array]:
+def _along_directions(G: Array, beta: Array, found: estimation.Intervals) -> tuple[Array, Array, Array]:
     """Directions v (..., d + 1, d) tried of the matrices G beta, G (..., d, d, b), v'(G beta)v, and its half-widths."""
     M = G @ beta
     vectors = np.linalg.eigh(0.5 * (M + M.swapaxes(-1, -2)))[1]
@@ -103,7 +98,7 @@ def _along_directions(G: Array, beta: Array, found: Intervals) -> tuple[Array, A
 
 
 def _driving_findings(
-    evidence: FitData, columns: NDArray[np.intp], estimate: Estimate, found: Intervals
+    evidence: FitData, columns: NDArray[np.intp], estimate: estimation.Estimate, found: estimation.Intervals
 ) -> list[Finding]:
     """Whether friction of further terms would drive a joint, or joints that share motors, at recorded speeds.
 
@@ -137,7 +132,7 @@ def _advice(name: str) -> str:
 
 
 def _inertia_findings(
-    idm: InverseModel, columns: NDArray[np.intp], beta: Array, found: Intervals, q: Array
+    idm: InverseModel, columns: NDArray[np.intp], beta: Array, found: estimation.Intervals, q: Array
 ) -> tuple[list[Finding], float]:
     """A finding if M is not positive at all poses (P, n), and the lowest eigenvalue."""
     zero = np.zeros_like(q)
@@ -175,7 +170,7 @@ def _gravity_findings(evidence: FitData) -> list[Finding]:
     weighs = [i for i, name in enumerate(system.names) if name in gravity and gravity[name].any()]
     G = np.array([gravity[system.names[i]].ravel() for i in weighs]).reshape(len(weighs), -1).T
     # The small R factor has the same column products as the rows.
-    R = r_factor(np.c_[np.c_[system.W, G] * evidence.weight[:, None], evidence.Y])
+    R = estimation.r_factor(np.c_[np.c_[system.W, G] * evidence.weight[:, None], evidence.Y])
     W, left = R[:, : len(system.names)].copy(), list[float]()
     for weight in (0.0, R[:, len(system.names) : -1]):
         W[:, weighs] -= weight
@@ -207,7 +202,7 @@ def consistent_test(evidence: FitData) -> TrustLine:
     except NoFitError as error:
         return TrustLine("consistent", "cannot tell", error.args[0])
     moves = np.abs(nearest.deviations) / evidence.intervals.reach
-    bound = chi_squared_quantile(CONSISTENT_LEVEL, len(names))
+    bound = estimation.chi_squared_quantile(CONSISTENT_LEVEL, len(names))
     text = f"the nearest physical robot is at chi² = {nearest.chi_squared:.3g} ({len(names)} parameters), "
     text += f"{names[int(moves.argmax())]} moved by {moves.max():.2g} half-widths of its interval"
     if nearest.chi_squared > bound:
