@@ -81,6 +81,9 @@ def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signa
             if name in columns:
                 columns[name] = to_joint(to_motor(columns[name]))
     provenance = recording.metadata.get("effort_provenance", "")
+    times_s = (1e-9 * (event.stamp_ns - first_ns) for event in recording.events)
+    pairs = zip(times_s, recording.events, strict=True)
+    events = tuple(SignalEvent(t_s=t_s, kind=event.kind, text=event.text) for t_s, event in pairs)
     return Signals(
         t_s=grid * 1e-9,
         q=columns.pop("position"),
@@ -91,10 +94,7 @@ def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signa
         robot=robot or was,
         recording=path.name,
         sha256=recording.sha256,
-        events=tuple(
-            SignalEvent(t_s=1e-9 * (event.stamp_ns - first_ns), kind=event.kind, text=event.text)
-            for event in recording.events
-        ),
+        events=events,
         health=_health(recording, first_ns),
         effort_timing=recording.effort_timing,
         provenance=provenance,

@@ -145,10 +145,7 @@ class Limits:
         return np.concatenate(parts, axis=1)
 
     def jacobian(self, slopes: Array, basis: Motion, at: NDArray[np.intp]) -> Array:
-        """Derivatives (B L, n K) of the shares at the samples `at` (B, L) by the coefficients (n, K) of a series.
-
-        `slopes` are those of `shares_and_slopes`, `basis` that of the series.
-        """
+        """Derivatives (B L, n K) of shares at samples `at` (B, L) by a series' coefficients, of its basis and their slopes."""
         n, K = self.robot.n, basis[0].shape[1]
         efforts = at[:, 3 * n :]
         J = np.zeros((*at.shape, n, K))

@@ -67,9 +67,8 @@ def describe(chain: Chain, urdf: str, bus: str = "") -> str:
 
 def describe_rows(chain: Chain, bus: str = "") -> str:
     """The text of a robot.toml with rows of modified Denavit-Hartenberg parameters to be filled in, where there is no URDF."""
-    lines = [
-        f"# Made by robot-identify init. {FILL_IN} marks what is not known yet. Angles are in degrees, all else in SI."
-    ]
+    units = "Angles are in degrees, all else in SI."
+    lines = [f"# Made by robot-identify init. {FILL_IN} marks what is not known yet. {units}"]
     lines += [f"name = {json.dumps(chain.name)} # {FILL_IN}", "gravity_m_s2 = [0, 0, -9.81] # in the base frame"]
     for j in range(len(chain.joints)):
         lines += [*_joint(chain, j), f"dh = {{ alpha_deg = 0, d_m = 0, theta_deg = 0, r_m = 0 }} # {FILL_IN}"]

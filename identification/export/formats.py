@@ -54,12 +54,8 @@ def mjcf_text(m: ExportedModel) -> str:
         body = ET.SubElement(carriers[m.model.parents[j]], "body", place)
         carriers.append(body)
         mass, com, inertia = about_com(m.links[j])
-        inertial = {
-            "pos": format_numbers(*com),
-            "mass": format_numbers(mass),
-            "fullinertia": format_numbers(*inertia[_MUJOCO]),
-        }
-        ET.SubElement(body, "inertial", inertial)
+        about = format_numbers(*inertia[_MUJOCO])
+        ET.SubElement(body, "inertial", pos=format_numbers(*com), mass=format_numbers(mass), fullinertia=about)
         kind = "slide" if joint.type == "prismatic" else "hinge"
         moved = {"name": joint.name, "type": kind, "axis": format_numbers(*axes[j])}
         if (limits := joint.si("position")) is not None:

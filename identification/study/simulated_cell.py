@@ -12,21 +12,10 @@ from acquisition.files import atomic_write
 from acquisition.recording import OPTIONAL, Header, RecordingWriter, sample_dtype
 from acquisition.robot import FourierReference, Payload, Robot, fourier_reference
 
+from .. import model as dynamics
 from ..arrays import Array
 from ..data import Signals
 from ..errors import BadInputError, NoFitError
-from ..model import (
-    BaseParameters,
-    DirectModel,
-    InverseModel,
-    add_payload,
-    base_parameters,
-    described_parameters,
-    direct_model,
-    inertias,
-    known_parameters,
-    poses_of,
-)
 from ..options import CellOptions
 from ..regression import differentiate
 from ..simulation import ClosedLoop, Encoder, Reference, recorded_loop, surrogate_loop
@@ -63,20 +52,20 @@ class Noise(CellOptions):
         return np.asarray(tau + level * (self.effort_percent * white + self.coloured_percent * slow))
 
 
-def study_truth(robot: Robot) -> tuple[BaseParameters, Array]:
+def study_truth(robot: Robot) -> tuple[dynamics.BaseParameters, Array]:
     """The base parameters of the robot and their true values (b,) in a study."""
-    idm = InverseModel(robot)
-    base = base_parameters(idm)
-    return base, described_parameters(idm, base)
+    idm = dynamics.InverseModel(robot)
+    base = dynamics.base_parameters(idm)
+    return base, dynamics.described_parameters(idm, base)
 
 
-def true_model(robot: Robot, payload: Payload | None = None) -> DirectModel:
+def true_model(robot: Robot, payload: Payload | None = None) -> dynamics.DirectModel:
     """The direct model with the values of the description, and a payload."""
-    idm = InverseModel(robot)
-    base, chi = base_parameters(idm), known_parameters(idm)
+    idm = dynamics.InverseModel(robot)
+    base, chi = dynamics.base_parameters(idm), dynamics.known_parameters(idm)
     if payload is not None:
-        chi = add_payload(idm, chi, payload)
-    return direct_model(idm, base.standard_parameters(base.K @ chi))
+        chi = dynamics.add_payload(idm, chi, payload)
+    return dynamics.direct_model(idm, base.standard_parameters(base.K @ chi))
 
 
 def periodic_reference(robot: Robot, *, duration_s: float, seed: int, period_s: float = PERIOD_S) -> FourierReference:
@@ -111,7 +100,8 @@ def closed_loop(
     """
     model, loop = true_model(robot, payload), recorded_loop(robot)
     if loop is None:
-        loop = surrogate_loop(robot.bandwidth_hz, inertias(model.inertia(poses_of(q_ref))), sample_rate_hz)
+        inertias = dynamics.inertias(model.inertia(dynamics.poses_of(q_ref)))
+        loop = surrogate_loop(robot.bandwidth_hz, inertias, sample_rate_hz)
         if noise.position or noise.encoder_step:  # the PD estimates the speed
             loop = replace(loop, velocity_estimate="backward_difference")
     if abs(loop.period_s * sample_rate_hz - 1) > 1e-9:

@@ -102,10 +102,7 @@ def border_line(robot: Robot) -> tuple[str, ...]:
 
 
 def base_file(base: BaseParameters, robot: Robot, true: Array | None = None) -> dict[str, Any]:
-    """The JSON file of base parameters, or of the `true` values (b,) that a recording was simulated with.
-
-    Names of parameters end with the number of their joint, from 1 in the order of `joint_names`.
-    """
+    """The JSON file of base parameters, whose names end with a joint's number from 1, with the `true` values (b,) if known."""
     rows = zip(base.names, base.expressions, base.units, strict=True)
     parameters = [dict(zip(("name", "expression", "unit"), row, strict=True)) for row in rows]
     for parameter, value in zip(parameters, () if true is None else true.tolist(), strict=False):

@@ -151,12 +151,9 @@ def _plot(signals: Signals, lines: Lines, quantity: str, j: int, *, alone: bool 
             key, name = NAMES.get((source, quantity), names)
             line, dashed = lines[source, quantity][j], source == "reference"
             curves.append(Curve(key=key, name=name, color=color, line=line, width=width, dashed=dashed))
-    units = {
-        "dq": f"{joint.position_unit}/s",
-        "ddq": f"{joint.position_unit}/s²",
-        "torque": signals.robot.effort_units[j],
-    }
-    title = f"{quantity} {joint.name} [{units.get(quantity, joint.position_unit)}]"
+    unit = joint.position_unit
+    units = {"dq": f"{unit}/s", "ddq": f"{unit}/s²", "torque": signals.robot.effort_units[j]}
+    title = f"{quantity} {joint.name} [{units.get(quantity, unit)}]"
     return Plot(path=(quantity, joint.name), title=title, curves=tuple(curves), legend=legend)
 
 

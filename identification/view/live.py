@@ -196,11 +196,8 @@ class LivePage:
     def _lay_out(self) -> None:
         bounds = rrb.VisualBounds2D(x_range=[0.0, 1400.0], y_range=[-14.0, 14.0])
         rows = [rrb.Spatial2DView(origin="state", visual_bounds=bounds)]
-        window = rrb.VisibleTimeRange(
-            "time",
-            start=rrb.TimeRangeBoundary.cursor_relative(seconds=-SHOWN_S),
-            end=rrb.TimeRangeBoundary.cursor_relative(),
-        )
+        begin, end = (rrb.TimeRangeBoundary.cursor_relative(seconds=seconds) for seconds in (-SHOWN_S, 0.0))
+        window = rrb.VisibleTimeRange("time", start=begin, end=end)
         for name, levels in self._levels.items():
             views = []
             for j, joint in enumerate(self._robot.joints):
