@@ -239,9 +239,8 @@ def validate(fit: AnyFit, recording: Signals | File, overrides: Overrides | None
 
     `overrides` replace the settings of the fit. Raises `BadInputError`: the recording is of another robot.
     """
-    signals, path = (
-        (recording, Path()) if isinstance(recording, Signals) else (load_signals(recording), Path(recording))
-    )
+    path = Path() if isinstance(recording, Signals) else Path(recording)
+    signals = recording if isinstance(recording, Signals) else load_signals(recording)
     signals, notes = methods.signals_as_fitted(signals, path, fit.file, "the fit", chosen=path == Path())
     settings, of_lag = methods.stored_settings(fit.file, signals, overrides or Overrides())
     each, errors = methods.validate_all([(signals, settings)], fit.file, "the fit")

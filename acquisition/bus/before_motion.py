@@ -72,8 +72,7 @@ def joint_positions(robot: Robot, master: Master) -> Array:
 def joints_of(robot: Robot, bus: Bus, counts: Sequence[int]) -> Array:
     """Joint positions (n,) in rad or m of the drives' `counts` (n), in the order of the drives."""
     motors = [drive.position_codec.si(np.array(c)) for drive, c in zip(bus.drives, counts, strict=True)]
-    q: Array = robot.joint_position(np.array(motors, dtype=float)[None])[0]
-    return q
+    return np.asarray(robot.joint_position(np.array(motors, dtype=float)[None])[0])
 
 
 def position_words(robot: Robot, q: Array) -> list[str]:

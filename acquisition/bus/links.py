@@ -75,9 +75,8 @@ logging.getLogger("can").addHandler(logging.NullHandler())
 
 def refuse_to_send(*_: object, **__: object) -> None:
     """Raise `RefusedError`: replaces the sending functions of a passive bus."""
-    raise RefusedError(
-        "passive: nothing is ever sent", what="sending", place="bus", expected="an active session for that"
-    )
+    expected = "an active session for that"
+    raise RefusedError("passive: nothing is ever sent", what="sending", place="bus", expected=expected)
 
 
 def is_group(bus: Any) -> bool:

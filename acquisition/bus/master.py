@@ -4,29 +4,8 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from .. import protocol as cia
 from ..errors import BusFaultError, NoAnswerError, RefusedError
-from ..protocol import (
-    ABORTS,
-    ANSWER,
-    EMERGENCY,
-    HEARTBEAT,
-    HEARTBEAT_TIME,
-    IDENTITY,
-    MODE_DISPLAY,
-    MODE_OF_OPERATION,
-    REQUEST,
-    Mode,
-    State,
-    Transfer,
-    answer_of,
-    check_answer,
-    configuration,
-    error_frame_words,
-    interpolation_period,
-    read_request,
-    state_of,
-    write_request,
-)
 from ..recording import ERROR, EXTENDED, REMOTE_REQUEST
 from ..robot import Bus, Drive, axis_of
 from .frames import Frame, command_ids, sign_of_master
@@ -56,10 +35,10 @@ class NodeWatch:
     ramp_objects: dict[int, int | None] = field(default_factory=dict)  # of `RAMP_OBJECTS`; None where it has none
 
     @property
-    def state(self) -> State | None:
+    def state(self) -> cia.State | None:
         """State by the last statusword, None before the first or for bits of no CiA 402 state."""
         try:
-            return None if self.statusword is None else state_of(self.statusword)
+            return None if self.statusword is None else cia.state_of(self.statusword)
         except BusFaultError:
             return None
 
@@ -104,7 +83,7 @@ class Master:
     def dispatch(self, frame: Frame) -> None:
         """Update the values of the node that sent a frame."""
         if frame.flags & ERROR:
-            self.bus_error = f"error frame: {error_frame_words(frame.can_id, frame.data)}"
+            self.bus_error = f"error frame: {cia.error_frame_words(frame.can_id, frame.data)}"
             return
         function, node = frame.can_id & 0x780, frame.can_id & 0x7F
         if frame.flags & (EXTENDED | REMOTE_REQUEST):
@@ -116,29 +95,27 @@ class Master:
             if self.bus.file.sync_producer == "recorder":
                 self.bus_error = "another producer sends SYNC"  # drives would apply targets at its times
             self._next_sync()
-        elif function == ANSWER and node:
+        elif function == cia.ANSWER and node:
             self._answers[node] = frame.data
-            self._note_answer(node, answer_of(frame.data))
-        elif node in self.by_node and function == HEARTBEAT and frame.data:
+            answer = cia.answer_of(frame.data)
+            # Transfers in segments are left open here: their server may abort them, besides the next answer or in time.
+            if answer.kind != "other" and (answer.kind, answer.number) != ("abort", cia.ABORTS["timed out"]):
+                self.unanswered[node] -= 1
+                self.doubled |= {node} if self.unanswered[node] < 0 else set()
+        elif node in self.by_node and function == cia.HEARTBEAT and frame.data:
             watch = self.by_node[node]
             # Time of the link: an adapter may stamp frames by its own clock.
             watch.nmt, watch.heard_ns = frame.data[0] & 0x7F, self.link.now_ns()
             watch.started |= watch.nmt == OPERATIONAL
             watch.unstarted += not watch.started
             watch.booted |= frame.data[0] == 0
-        elif node in self.by_node and function == EMERGENCY and len(frame.data) >= 2:
+        elif node in self.by_node and function == cia.EMERGENCY and len(frame.data) >= 2:
             code = int.from_bytes(frame.data[:2], "little")
             if code:  # 0: the error is cleared
                 self.by_node[node].emergency = code
         else:
-            self.unanswered[node] += function == REQUEST
+            self.unanswered[node] += function == cia.REQUEST
             self._note_sign(frame)
-
-    def _note_answer(self, node: int, answer: Transfer) -> None:
-        # Transfers in segments are left open here: their server may abort them, besides the next answer or in time.
-        if answer.kind != "other" and (answer.kind, answer.number) != ("abort", ABORTS["timed out"]):
-            self.unanswered[node] -= 1
-            self.doubled |= {node} if self.unanswered[node] < 0 else set()
 
     def refuse_doubled(self) -> None:
         """Raise `RefusedError` where two devices have answered as one node."""
@@ -194,28 +171,28 @@ class Master:
         for watch in self.nodes:
             watch.heard_ns = self.link.now_ns()
 
-    def state(self, drive: Drive) -> State:
+    def state(self, drive: Drive) -> cia.State:
         """State of a drive, read by SDO (6041h). Raises `BusFaultError` when it does not answer."""
-        return state_of(self.read(drive.node, drive.status.index, drive.status.sub))
+        return cia.state_of(self.read(drive.node, drive.status.index, drive.status.sub))
 
     def read(self, node: int, index: int, sub: int = 0) -> int:
         """Read an object, as an unsigned number. Raises `BusFaultError` when refused or not answered."""
-        return check_answer(self.upload(node, index, sub), "value", node, _place(node, index, sub))
+        return cia.check_answer(self.upload(node, index, sub), "value", node, _place(node, index, sub))
 
-    def upload(self, node: int, index: int, sub: int = 0) -> Transfer:
+    def upload(self, node: int, index: int, sub: int = 0) -> cia.Transfer:
         """The answer of any kind to a read request. Raises `NoAnswerError` when there is none."""
-        return answer_of(self.exchange(node, read_request(index, sub), _place(node, index, sub)))
+        return cia.answer_of(self.exchange(node, cia.read_request(index, sub), _place(node, index, sub)))
 
     def write(self, node: int, index: int, sub: int, value: int, size: int) -> None:
         """Write an object of `size` bytes. Raises `BusFaultError` when refused or not answered."""
         place = f"{_place(node, index, sub)} = {value}"
-        answer = answer_of(self.exchange(node, write_request(index, sub, value, size), place))
-        check_answer(answer, "written", node, place)
+        answer = cia.answer_of(self.exchange(node, cia.write_request(index, sub, value, size), place))
+        cia.check_answer(answer, "written", node, place)
 
     def post(self, node: int, request: bytes) -> None:
         """Send an SDO request without waiting; `answered` returns its answer."""
         self._answers.pop(node, None)
-        self.link.send(REQUEST + node, request)
+        self.link.send(cia.REQUEST + node, request)
         self.unanswered[node] += 1
 
     def answered(self, node: int, request: bytes) -> bytes | None:
@@ -249,28 +226,25 @@ class Master:
         self.wait(self.link.now_ns() + 20_000_000)
         every_ms = round(self.bus.file.heartbeat_s * 1000)
         for drive in self.bus.drives:
-            self._set_heartbeat(drive.node, every_ms)
+            # Written where it differs, in the size of the drive's answer: not all have the U16 of CiA 301.
+            answer = self.upload(drive.node, cia.HEARTBEAT_TIME)
+            if cia.check_answer(answer, "value", drive.node, _place(drive.node, cia.HEARTBEAT_TIME, 0)) != every_ms:
+                self.write(drive.node, cia.HEARTBEAT_TIME, 0, every_ms, len(answer.data))
             for way, pdos in (("tpdo", drive.tpdos), ("rpdo", drive.rpdos)):
                 for pdo in pdos:
-                    for write in configuration(way, pdo):
+                    for write in cia.configuration(way, pdo):
                         self.write(drive.node, *write)
 
-    def _set_heartbeat(self, node: int, every_ms: int) -> None:
-        """Write the heartbeat time where it differs, in the size of the drive's answer: not all have the U16 of CiA 301."""
-        answer = self.upload(node, HEARTBEAT_TIME)
-        if check_answer(answer, "value", node, _place(node, HEARTBEAT_TIME, 0)) != every_ms:
-            self.write(node, HEARTBEAT_TIME, 0, every_ms, len(answer.data))
-
-    def choose_mode(self, mode: Mode) -> None:
+    def choose_mode(self, mode: cia.Mode) -> None:
         """Set mode of operation (6060h) and interpolation period (60C2h). Raises `BusFaultError` unless 6061h follows."""
         for drive in self.bus.drives:
             axis = axis_of(drive)
             if drive.dictionary is None or (INTERPOLATION_PERIOD + axis, 1) in drive.dictionary.entries:
-                count, unit = interpolation_period(self.bus.file.sync_period_s)
+                count, unit = cia.interpolation_period(self.bus.file.sync_period_s)
                 self.write(drive.node, INTERPOLATION_PERIOD + axis, 1, count, 1)
                 self.write(drive.node, INTERPOLATION_PERIOD + axis, 2, unit, 1)
-            self.write(drive.node, MODE_OF_OPERATION + axis, 0, mode, 1)
-            display = MODE_DISPLAY + axis
+            self.write(drive.node, cia.MODE_OF_OPERATION + axis, 0, mode, 1)
+            display = cia.MODE_DISPLAY + axis
             if drive.dictionary is None or (display, 0) in drive.dictionary.entries:
                 until_ns = self.link.now_ns() + 500_000_000
                 while (shown := self.read(drive.node, display)) != mode:
@@ -286,7 +260,7 @@ class Master:
         for drive in self.bus.drives:
             dictionary = drive.dictionary
             for sub, name, expected in dictionary.identity if dictionary is not None else ():
-                raw = self.read(drive.node, IDENTITY, sub)
+                raw = self.read(drive.node, cia.IDENTITY, sub)
                 if raw != expected:
                     problem = f"node {drive.node}: {name} (1018:{sub}) = 0x{raw:X}"
                     found.append(f"{problem}: expected 0x{expected:X} as its dictionary says")
@@ -294,9 +268,8 @@ class Master:
                 if dictionary is None or (index, 0) in dictionary.entries:
                     raw = self.read(drive.node, index)
                     if raw != rated:
-                        found.append(
-                            f"node {drive.node}: rated value ({index:04X}:0) = {raw}: expected {rated} as robot.toml says"
-                        )
+                        place = f"node {drive.node}: rated value ({index:04X}:0)"
+                        found.append(f"{place} = {raw}: expected {rated} as robot.toml says")
         return found
 
 
@@ -319,7 +292,7 @@ def send_order(master: Master, watch: NodeWatch, control: int, target: int) -> N
     values = {
         (drive.control.index, drive.control.sub): control,
         (drive.target.index, drive.target.sub): target,
-        (MODE_OF_OPERATION + axis_of(drive), 0): int(Mode.CYCLIC_SYNCHRONOUS_POSITION),
+        (cia.MODE_OF_OPERATION + axis_of(drive), 0): int(cia.Mode.CYCLIC_SYNCHRONOUS_POSITION),
     }
     for pdo in drive.rpdos:
         if all((entry.index, entry.sub) in values for entry in pdo.entries):

@@ -164,8 +164,7 @@ class WallClock:
             if self._waited > _MAX_BLOCKS_WAITED:  # an adapter with a clock of its own
                 self._pending_ns = 0
         self._last_ns = int(stamps[-1])
-        continued: Ints = stamps - shifts
-        return continued
+        return np.asarray(stamps - shifts)
 
 
 def describe_step(step_ns: int) -> str:

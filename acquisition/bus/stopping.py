@@ -68,9 +68,8 @@ class _Stopping:
         if elapsed_s >= FALL_S and between_s:
             slope = (speed - _speed(first)) / between_s
             unknown = self.ramp is None and len(self.watch.ramp_objects) == len(RAMP_OBJECTS)
-            if slope >= FALL_SLOPE * (drive.acceleration_limit or 0.0) and speed >= then - noise:
-                return True
-            if unknown and speed >= FALL_SHARE * then:
+            rises = slope >= FALL_SLOPE * (drive.acceleration_limit or 0.0) and speed >= then - noise
+            if rises or (unknown and speed >= FALL_SHARE * then):
                 return True
         return elapsed_s >= self.longest_s
 
@@ -111,8 +110,7 @@ def safe_stop(master: Master, *, after_sync: Callable[[], object] = lambda: None
         if count * period_ns > 2e9 * (max(one.longest_s for one in drives) + CONFIRM_S):
             break
         for one in drives:
-            command = Command.QUICK_STOP if one.off_ns is None else Command.DISABLE_VOLTAGE
-            _command(master, one, command)
+            _command(master, one, Command.QUICK_STOP if one.off_ns is None else Command.DISABLE_VOLTAGE)
         next_ns = _sync(master, next_ns)
         with suppress(RobotIdimError):
             after_sync()

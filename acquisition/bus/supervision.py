@@ -5,21 +5,8 @@ The heartbeat is sent only at SYNC: a session that hangs sends none, so the driv
 
 import math
 
+from .. import protocol as cia
 from ..errors import BusFaultError, NoAnswerError, RefusedError, SdoAbortedError
-from ..protocol import (
-    ABORT_CONNECTION,
-    CONSUMER_HEARTBEAT,
-    DISABLE_OPTION,
-    FAULT_OPTION,
-    FOLLOWING_ERROR_TIME,
-    FOLLOWING_ERROR_WINDOW,
-    HEARTBEAT,
-    QUICK_STOP_OPTION,
-    RAMP_OBJECTS,
-    SHUTDOWN_OPTION,
-    STOP_OPTIONS,
-    quick_stop_ramp,
-)
 from ..robot import BusFile, Drive, axis_of
 from .links import SHARED
 from .master import OPERATIONAL, Master
@@ -39,14 +26,12 @@ def entry_of(file: BusFile) -> int:
 
 def heartbeat_consumers(master: Master, node: int) -> list[int]:
     """Entries of a drive's 1016h, from sub-index 1. Raises `BusFaultError` where it has none."""
-    return [master.read(node, CONSUMER_HEARTBEAT, k + 1) for k in range(master.read(node, CONSUMER_HEARTBEAT, 0))]
+    count = master.read(node, cia.CONSUMER_HEARTBEAT, 0)
+    return [master.read(node, cia.CONSUMER_HEARTBEAT, k + 1) for k in range(count)]
 
 
 def free_entry(entries: list[int], master_node: int) -> int | None:
-    """Sub-index of 1016h for `master_node`: its own, or an unused one; None where there is none.
-
-    CiA 301 allows one entry for each producer. An entry of time 0, or of a node id outside 1 to 127, is unused.
-    """
+    """Sub-index of 1016h for `master_node`: its own, or an unused one (time 0, or no node id); None where there is none."""
     own = [k for k, entry in enumerate(entries, 1) if entry >> 16 == master_node]
     unused = [k for k, entry in enumerate(entries, 1) if not entry & 0xFFFF or not 1 <= entry >> 16 <= 127]
     return next(iter(own + unused), None)
@@ -75,7 +60,7 @@ class MasterHeartbeat:
                 before = entries[sub - 1]
                 # An entry of this master was left by a session that was killed: it is removed at the end.
                 self._before[node] = (sub, 0 if before == entry else before)
-                self._master.write(node, CONSUMER_HEARTBEAT, sub, entry, 4)
+                self._master.write(node, cia.CONSUMER_HEARTBEAT, sub, entry, 4)
             except BusFaultError as error:
                 self._before.pop(node, None)
                 refused.append(f"{error.args[0]}: the drive does not detect the loss of this master")
@@ -83,17 +68,14 @@ class MasterHeartbeat:
         return refused
 
     def release(self, disabled: list[int]) -> list[str]:
-        """Restore 1016h of the nodes in `disabled`, then end the heartbeat; a line for each node that refuses the old value.
-
-        The other drives still supervise this master: they stop when the heartbeat ends.
-        """
+        """Restore 1016h of the `disabled` nodes, then end the heartbeat, at which the others stop; a line for each refusal."""
         refused = []
         for node in disabled:
             if node in self._before:
                 sub, before = self._before.pop(node)
                 try:
                     self._send()
-                    self._master.write(node, CONSUMER_HEARTBEAT, sub, before, 4)
+                    self._master.write(node, cia.CONSUMER_HEARTBEAT, sub, before, 4)
                 except BusFaultError as error:
                     refused.append(error.args[0])
         self._master.at_sync = lambda: None
@@ -106,7 +88,7 @@ class MasterHeartbeat:
 
     def _send(self) -> None:
         self._sent_ns = self._master.link.now_ns()
-        self._master.link.send(HEARTBEAT + self._file.master_node, bytes([OPERATIONAL]))
+        self._master.link.send(cia.HEARTBEAT + self._file.master_node, bytes([OPERATIONAL]))
 
 
 ERROR_BEHAVIOUR, RPDO_PARAMETERS = 0x1029, 0x1400  # of CiA 301
@@ -117,19 +99,19 @@ _RAMPS = {1: "slow-down ramp", 2: "quick-stop ramp", 3: "current limit", 4: "vol
 _THEN_OFF = {0: "voltage off at once, the motor coasts"} | {k: f"{ramp}, then off" for k, ramp in _RAMPS.items()}
 # Values of the option codes (CiA 402-2, IEC 61800-7-201) and of 1029h (CiA 301) in words.
 OPTIONS = {
-    ABORT_CONNECTION: {
+    cia.ABORT_CONNECTION: {
         0: "a lost heartbeat has no effect",
         1: "fault when the connection is lost",
         2: "voltage off when the connection is lost",
         3: "quick stop when the connection is lost",
     },
-    QUICK_STOP_OPTION: _THEN_OFF | {k + 4: f"{ramp}, then held in quick stop active" for k, ramp in _RAMPS.items()},
-    SHUTDOWN_OPTION: {k: _THEN_OFF[k] for k in (0, 1)},
-    DISABLE_OPTION: {k: _THEN_OFF[k] for k in (0, 1)},
-    FAULT_OPTION: _THEN_OFF,
+    cia.QUICK_STOP_OPTION: _THEN_OFF | {k + 4: f"{ramp}, then held in quick stop active" for k, ramp in _RAMPS.items()},
+    cia.SHUTDOWN_OPTION: {k: _THEN_OFF[k] for k in (0, 1)},
+    cia.DISABLE_OPTION: {k: _THEN_OFF[k] for k in (0, 1)},
+    cia.FAULT_OPTION: _THEN_OFF,
     ERROR_BEHAVIOUR: {0: "pre-operational", 1: "no change of the NMT state", 2: "stopped"},
 }
-_STOPS = dict(zip(STOP_OPTIONS, ("quick stop", "shutdown", "disable operation", "fault reaction"), strict=True))
+_STOPS = dict(zip(cia.STOP_OPTIONS, ("quick stop", "shutdown", "disable operation", "fault reaction"), strict=True))
 NOT_THERE = "not there"
 Property = tuple[str, str]  # of a drive: name, value in words
 
@@ -147,7 +129,7 @@ def supervision_of(master: Master, drive: Drive) -> list[Property]:
         missed = f"{0 if timer == 0 else NOT_THERE}: a missing PDO to the drive has no effect"
     return [
         _consumers(master, drive),
-        _option(master, drive, ABORT_CONNECTION, "reaction"),
+        _option(master, drive, cia.ABORT_CONNECTION, "reaction"),
         (f"communication error {ERROR_BEHAVIOUR:04X}:1", behaves),
         (f"missing targets {RPDO_PARAMETERS:04X}:5", missed),
         *(_option(master, drive, index, name) for index, name in _STOPS.items()),
@@ -158,9 +140,9 @@ def supervision_of(master: Master, drive: Drive) -> list[Property]:
 def stop_ramp(master: Master, drive: Drive) -> tuple[str, str]:
     """The quick-stop ramp in words, and the ramp that `--track` requires where it is too slow, else an empty text."""
     watch = master.by_node[drive.node]
-    for index in RAMP_OBJECTS:
+    for index in cia.RAMP_OBJECTS:
         watch.ramp_objects[index] = _read(master, drive, index + axis_of(drive))
-    ramp = quick_stop_ramp(watch.ramp_objects, drive.position_codec)
+    ramp = cia.quick_stop_ramp(watch.ramp_objects, drive.position_codec)
     scale, unit = drive.counts_per_joint
     if ramp is None:
         return "quick stop ramp unknown: voltage is switched off where the speed does not fall by 5 % in 0.05 s", ""
@@ -191,10 +173,10 @@ def supervision_refusal(master: Master, drive: Drive) -> str:
     except (NoAnswerError, SdoAbortedError):
         sub = None
     missing = []
-    if sub is None and not _read(master, drive, ABORT_CONNECTION + axis):
-        missing.append(f"of the master (no free 1016, {ABORT_CONNECTION + axis:04X} is 0 or not there)")
-    if _read(master, drive, FOLLOWING_ERROR_WINDOW + axis) in (None, NO_WINDOW):
-        missing.append(f"of the following error ({FOLLOWING_ERROR_WINDOW + axis:04X} is off or not there)")
+    if sub is None and not _read(master, drive, cia.ABORT_CONNECTION + axis):
+        missing.append(f"of the master (no free 1016, {cia.ABORT_CONNECTION + axis:04X} is 0 or not there)")
+    if _read(master, drive, cia.FOLLOWING_ERROR_WINDOW + axis) in (None, NO_WINDOW):
+        missing.append(f"of the following error ({cia.FOLLOWING_ERROR_WINDOW + axis:04X} is off or not there)")
     return f"none {' and none '.join(missing)}" if missing else ""
 
 
@@ -214,7 +196,7 @@ def second_stop(file: BusFile) -> str:
 
 
 def _consumers(master: Master, drive: Drive) -> Property:
-    file, name = master.bus.file, f"consumer heartbeat {CONSUMER_HEARTBEAT:04X}"
+    file, name = master.bus.file, f"consumer heartbeat {cia.CONSUMER_HEARTBEAT:04X}"
     try:
         entries = heartbeat_consumers(master, drive.node)
     except (NoAnswerError, SdoAbortedError):
@@ -239,12 +221,12 @@ def _in_words(index: int, value: int) -> str:
 
 def _following_error(master: Master, drive: Drive) -> Property:
     axis = axis_of(drive)
-    window = _read(master, drive, FOLLOWING_ERROR_WINDOW + axis)
-    time_ms = _read(master, drive, FOLLOWING_ERROR_TIME + axis)
-    name = f"following error {FOLLOWING_ERROR_WINDOW + axis:04X}"
+    window = _read(master, drive, cia.FOLLOWING_ERROR_WINDOW + axis)
+    time_ms = _read(master, drive, cia.FOLLOWING_ERROR_TIME + axis)
+    name = f"following error {cia.FOLLOWING_ERROR_WINDOW + axis:04X}"
     if window is None or window == NO_WINDOW:
         return name, NOT_THERE if window is None else f"0x{window:X}: off"
-    after = f", after {time_ms} ms ({FOLLOWING_ERROR_TIME + axis:04X})" if time_ms is not None else ""
+    after = f", after {time_ms} ms ({cia.FOLLOWING_ERROR_TIME + axis:04X})" if time_ms is not None else ""
     return name, f"{window}: an error above {window} of the drive's position units{after}"
 
 

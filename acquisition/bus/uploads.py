@@ -4,19 +4,8 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
+from .. import protocol as cia
 from ..errors import NoAnswerError, RefusedError, SdoAbortedError
-from ..protocol import (
-    BITS,
-    DEVICE_TYPE,
-    REQUEST,
-    TEXTS,
-    Transfer,
-    answer_of,
-    check_answer,
-    error_frame_words,
-    object_type,
-    read_request,
-)
 from ..recording import ERROR
 from ..robot import Bus, BusFile
 from .before_motion import LISTEN_S
@@ -63,10 +52,10 @@ class Uploads:
             self._received.append(self._checked(frame))
         is_read = data[:1] == b"\x40" and data[4:] == bytes(4)
         is_read |= data[:1] in (b"\x60", b"\x70") and data[1:] == bytes(7)  # the next segment
-        if not REQUEST < can_id <= REQUEST + 127 or not is_read:
+        if not cia.REQUEST < can_id <= cia.REQUEST + 127 or not is_read:
             self._refusal = f"frame 0x{can_id:03X} is no SDO read"
         self._refuse()
-        self._say(f"asking node {can_id - REQUEST} of 1 to 127")
+        self._say(f"asking node {can_id - cia.REQUEST} of 1 to 127")
         self._next_ns, self._sent = self.now_ns() + REQUEST_INTERVAL_NS, self._sent + 1
         self._link.send(can_id, data)
 
@@ -77,7 +66,7 @@ class Uploads:
 
     def _checked(self, frame: Frame) -> Frame:
         if frame.flags & ERROR:
-            words = error_frame_words(frame.can_id, frame.data)
+            words = cia.error_frame_words(frame.can_id, frame.data)
             self._refusal = f"error frame: {words} (is the bitrate right, is the bus terminated?)"
         elif sign := sign_of_master(frame, self.bus):
             self._refusal = f"{sign}: another master is active"
@@ -95,7 +84,7 @@ class Uploads:
 
 def scan_nodes(uploads: Uploads, objects: Sequence[tuple[int, int]], arrays: Sequence[int]) -> dict[int, Readings]:
     """Listen, find the nodes that answer 1000h, and read `objects` and the entries of `arrays` of each."""
-    master, request = Master(uploads, uploads.bus), read_request(DEVICE_TYPE, 0)
+    master, request = Master(uploads, uploads.bus), cia.read_request(cia.DEVICE_TYPE, 0)
     master.wait(uploads.now_ns() + round(LISTEN_S * 1e9))
     for node in range(1, 128):
         master.post(node, request)
@@ -116,39 +105,38 @@ def _read_node(master: Master, node: int, objects: Sequence[tuple[int, int]], ar
     return readings
 
 
-def upload_segments(master: Master, node: int, index: int) -> Transfer:
+def upload_segments(master: Master, node: int, index: int) -> cia.Transfer:
     """The value whose upload has begun with an answer of kind `other`, or an abort. Raises as `Master.upload`."""
     data = b""
     for k in range(64):  # 448 bytes
-        answer = master.exchange(
-            node, bytes((0x60 | (k & 1) << 4,)).ljust(8, b"\0"), f"node {node}"
-        )  # with the toggle bit
+        request = bytes((0x60 | (k & 1) << 4,)).ljust(8, b"\0")  # with the toggle bit
+        answer = master.exchange(node, request, f"node {node}")
         if answer[0] >> 5:
-            return answer_of(answer)
+            return cia.answer_of(answer)
         master.unanswered[node] -= 1
         data += answer[1 : 8 - (answer[0] >> 1 & 7)]
         if answer[0] & 1:
             master.unanswered[node] -= 1  # the request that began it
             break
-    return Transfer(kind="value", index=index, data=data)
+    return cia.Transfer(kind="value", index=index, data=data)
 
 
 def _read(master: Master, node: int, index: int, sub: int) -> Reading:
-    size, signed = BITS[object_type(index, sub)] // 8, object_type(index, sub)[0] == "I"
+    size, signed = cia.BITS[cia.object_type(index, sub)] // 8, cia.object_type(index, sub)[0] == "I"
     for _ in range(TRIES):
         try:
             answer = master.upload(node, index, sub)
-            if answer.kind == "other" and index in TEXTS:
+            if answer.kind == "other" and index in cia.TEXTS:
                 answer = upload_segments(master, node, index)
         except NoAnswerError:
             continue
         if answer.kind == "other":
             return Reading(None, f"more than 4 bytes: expected {size}")
         try:
-            check_answer(answer, "value", node, "")
+            cia.check_answer(answer, "value", node, "")
         except SdoAbortedError as error:
             return Reading(None, f"{error.meaning} (0x{error.code:08X})")
-        if index in TEXTS:
+        if index in cia.TEXTS:
             return Reading(None, text=answer.data.decode(errors="replace").strip("\0 "))
         value = int.from_bytes(answer.data[:size], "little", signed=signed)
         return Reading(value, "" if len(answer.data) == size else f"{len(answer.data)} bytes: expected {size}")

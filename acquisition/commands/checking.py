@@ -60,8 +60,7 @@ def check(robot: Robot, bus: Bus) -> list[Finding]:
         if sock is not None:
             granted = queue_bytes(sock)
             text = "" if granted >= QUEUE_BYTES else f": expected {QUEUE_BYTES}; raise net.core.rmem_max"
-            ok = granted >= QUEUE_BYTES // 10
-            findings.append(Finding("kernel queue", f"{granted} bytes{text}", ok=ok))
+            findings.append(Finding("kernel queue", f"{granted} bytes{text}", ok=granted >= QUEUE_BYTES // 10))
         with real_time_scheduling() as scheduling:
             findings.append(Finding("scheduling", scheduling.words))
             found = check_drives(link, bus)
@@ -206,8 +205,7 @@ def _positions(robot: Robot, master: Master) -> list[Finding]:
     """Reported joint positions, and whether the drives are homed."""
     findings = []
     try:
-        words = position_words(robot, joint_positions(robot, master))
-        text = f"{', '.join(words)}: check that the robot stands there"
+        text = f"{', '.join(position_words(robot, joint_positions(robot, master)))}: check that the robot stands there"
         findings.append(Finding("joint positions", text))
         for drive, file in zip(master.bus.drives, master.bus.file.drive, strict=True):
             homed = is_homed(master, drive, file)

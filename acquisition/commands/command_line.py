@@ -167,8 +167,7 @@ def from_options(kind: type[T], options: argparse.Namespace, **others: Any) -> T
 
 def add_path(parser: "argparse._ActionsContainer", names: str, metavar: str, help: str = "", **how: Any) -> None:
     """Declare a file or a folder; `names` of an option are separated by blanks."""
-    path = parser.add_argument(*names.split(), type=Path, metavar=metavar, help=help or None, **how)
-    vars(path)["complete"] = _FILES
+    vars(parser.add_argument(*names.split(), type=Path, metavar=metavar, help=help or None, **how))["complete"] = _FILES
 
 
 def add_flag(parser: "argparse._ActionsContainer", name: str, help: str) -> None:

@@ -20,23 +20,24 @@ def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     inputs = parser.add_argument_group("inputs")
     text = (
-        "CSV or MAT files in the order that the map numbers them; or one ROS 2 bag (folder, .mcap, .db3); or one CAN log "
-        "(candump .log, .asc, .blf, .trc); or one EtherCAT capture (pcap, pcapng); or one recording: its frames are decoded, "
-        "and a cut one is repaired"
+        "CSV or MAT files in the order that the map numbers them; or one ROS 2 bag (folder, .mcap, .db3); or one CAN "
     )
+    text += (
+        "log (candump .log, .asc, .blf, .trc); or one EtherCAT capture (pcap, pcapng); or one recording: its frames "
+    )
+    text += "are decoded, and a cut one is repaired"
     add_path(inputs, "tables", "FILE", text, nargs="+")
     add_path(inputs, "--robot", "ROBOT.toml", "the robot's description; a recording has its own")
     add_path(inputs, "--map", "MAP.toml", "meaning of the columns (default: FILE.map.toml; proposed if it is missing)")
     add_options(inputs, RecordOptions, "payload")
     bag = parser.add_argument_group("ROS 2 bag")
-    text = (
-        "topic of JointState; after a comma of JointTrajectoryControllerState (default: the only one with the joints)"
-    )
+    text = "topic of JointState; after a comma of JointTrajectoryControllerState (default: the only one with the "
+    text += "joints)"
     bag.add_argument("--topic", metavar="NAME", help=text)
     text = (
-        "required with --topic, unit of the effort: 'N m' at the joints (prismatic: force in N), or A, V, ... at the motors; "
-        "one for all joints, or one per joint separated by commas"
+        "required with --topic, unit of the effort: 'N m' at the joints (prismatic: force in N), or A, V, ... at the "
     )
+    text += "motors; one for all joints, or one per joint separated by commas"
     bag.add_argument("--effort-unit", metavar="UNIT", help=text)
     text = "sample rate in Hz after interpolation (default: the rate of the time stamps, rounded)"
     bag.add_argument("--resample-hz", type=float, metavar="HZ", help=text)
@@ -123,9 +124,8 @@ def _propose(options: argparse.Namespace, robot: "Robot | None") -> bool:
         effort = '"N m" --torque-sensor' if sensors else "A --ratio R --drive-gain K" if '"A"' in text else "UNIT"
         print(f"without a robot.toml: robot-identify init ARM.urdf --effort {effort} -o robot.toml")
     if robot is None or missing:
-        print(
-            one_line(f"next: robot-acquire import {table} --robot {options.robot or 'robot.toml'} -o {options.output}")
-        )
+        described = options.robot or "robot.toml"
+        print(one_line(f"next: robot-acquire import {table} --robot {described} -o {options.output}"))
     return robot is None or bool(missing)
 
 

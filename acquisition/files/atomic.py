@@ -14,9 +14,8 @@ MAGIC = b"\x89MCAP"  # first bytes of a recording
 def atomic_write(path: Path) -> Iterator[Path]:
     """Yield a temporary path in the folder of `path` to write to; rename it to `path` if the block ends without an exception.
 
-    On an exception the partial file is removed, and an earlier file at `path` is left as it was.
-    Raises `BadInputError` if `path` is a folder or a device, its folder is missing or not writable, or the disk is
-    full.
+    On an exception the partial file is removed, and an earlier file at `path` is left as it was. Raises `BadInputError` if
+    `path` is a folder or a device, its folder is missing or not writable, or the disk is full.
     """
     place = Place(str(path))
     if not path.name:

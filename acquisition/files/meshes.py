@@ -11,10 +11,7 @@ MAX_MESH_BYTES = 64 * 2**20  # bytes of all meshes of a robot
 
 
 def read_meshes(urdf: bytes, folder: Path, place: str) -> dict[str, bytes]:
-    """Content of the meshes of a URDF's visual shapes, by name; `folder` is that of the URDF.
-
-    Raises `BadInputError`, with the mesh's name as `value`: not XML, not found, not readable, or too large.
-    """
+    """Content of the meshes of a URDF's visual shapes, by name; `folder`: of the URDF. Refuses what is missing or too large."""
     at = Place(place)
     try:
         visuals = ET.fromstring(urdf).iter("visual")

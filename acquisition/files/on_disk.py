@@ -35,10 +35,10 @@ class GrowingBytes:
         return mmap.mmap(self._file.fileno(), len(self), access=mmap.ACCESS_READ)
 
 
-def allocate(shape: tuple[int, ...], max_bytes: int | None = None) -> NDArray[np.float64]:
-    """An uninitialised array, in an unnamed temporary file if it is larger than `max_bytes` (default `MAX_BYTES_IN_MEMORY`)."""
+def allocate(shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """An uninitialised array, in an unnamed temporary file if it is larger than `MAX_BYTES_IN_MEMORY`."""
     size = 8 * int(np.prod(shape))
-    if size <= (MAX_BYTES_IN_MEMORY if max_bytes is None else max_bytes):
+    if size <= MAX_BYTES_IN_MEMORY:
         return np.empty(shape)
     with tempfile.TemporaryFile() as file:
         file.truncate(size)

@@ -26,27 +26,15 @@ def format_numbers(*values: float) -> str:
 
 
 def read_columns(path: Path, columns: Sequence[str | int], count: int) -> Array:
-    """Columns of a table.
+    """(N, count) numbers of columns of a table, in the units of the file.
 
-    Parameters
-    ----------
-    path : CSV or MAT file (version 7 or older). CSV cells are separated by comma, semicolon, tab or blanks, as in the first
-        line; other commas are decimal ones. Lines that begin with # are skipped, but the last one above the numbers may be the
-        header; below it, lines without numbers are skipped. Of an export of TwinCAT Scope, the channels' names are the header.
-    columns : of a CSV file, names in the header line or numbers from 1. Of a MAT file, variables, or fields of structs by
-        dotted name; `(:,k)`, `(:,k:l)`, `(k,:)` or `(k:l,:)` after a name selects columns or rows,
-        and one name may give several columns.
-    count : expected number of columns.
-
-    Returns
-    -------
-    (N, columns) numbers, in the units of the file.
-
-    Raises
-    ------
-    BadInputError
-        With the file and the line or row as `place`: it cannot be read, a column does not exist, or a cell is not a finite
-        number.
+    `path`: CSV or MAT file (version 7 or older). CSV cells are separated by comma, semicolon, tab or blanks, as in the first
+    line; other commas are decimal ones. Lines that begin with # are skipped, but the last one above the numbers may be the
+    header; below it, lines without numbers are skipped. Of an export of TwinCAT Scope, the channels' names are the header.
+    `columns`: of a CSV file, names in the header line or numbers from 1. Of a MAT file, variables, or fields of structs by
+    dotted name; `(:,k)`, `(:,k:l)`, `(k,:)` or `(k:l,:)` after a name selects columns or rows, and one name may give several
+    columns. Raises `BadInputError` with the file and the line or row as `place`: it cannot be read, a column does not exist,
+    or a cell is not a finite number.
     """
     place = Place(str(path))
     try:
@@ -67,19 +55,7 @@ def read_columns(path: Path, columns: Sequence[str | int], count: int) -> Array:
 
 
 def write_columns(path: Path, names: Sequence[str], parts: Iterable[Array]) -> None:
-    """Write a CSV file of named columns atomically; `read_columns` reads back the same bits.
-
-    Parameters
-    ----------
-    path : the file.
-    names : (columns,) for the header.
-    parts : rows, (k, columns) each.
-
-    Raises
-    ------
-    BadInputError
-        The file cannot be written.
-    """
+    """Write a CSV file of columns `names`, rows in `parts` (k, columns), atomically; `read_columns` reads the same bits."""
     with atomic_write(path) as partial, partial.open("w", encoding="utf-8") as file:
         file.write(",".join(names) + "\n")
         for values in parts:

@@ -2,7 +2,6 @@
 
 from .bags import BagOptions, import_bag, is_bag
 from .conversions import import_log, import_recording, is_log
-from .exports import export_csv
 from .proposed_map import TORQUE_SENSORS, propose_map
-from .tables import import_tables, lines_to_fill_in
+from .tables import export_csv, import_tables, lines_to_fill_in
 from .time_base import ImportSummary

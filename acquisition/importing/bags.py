@@ -52,18 +52,10 @@ def import_bag(
 
     Times are the headers' stamps, or those of reception if headers have none; values are interpolated to a uniform grid. The
     recording states that efforts were measured at these times, because a JointState has no commands. The reference is of a
-    trajectory controller's states.
+    trajectory controller's states. `bag`: a folder, .mcap or .db3; `payload`: what the robot carried.
 
-    Parameters
-    ----------
-    bag : a folder, .mcap or .db3.
-    payload : what the robot carried.
-
-    Raises
-    ------
-    BadInputError
-        With `place`, `key`, `value` and `expected`: the bag or its topic cannot be read, efforts are missing, zero, not finite
-        or in other units than those of robot.toml, stamps do not grow or have gaps. Nothing is written then.
+    Raises `BadInputError`: the bag or its topic cannot be read, efforts are missing, zero, not finite or in other units than
+    those of robot.toml, stamps do not grow or have gaps. Nothing is written then.
     """
     joints, topic = [joint.name for joint in robot.joints], options.topic
     place = Place(f"{bag}: {topic}")
@@ -316,9 +308,8 @@ class _Parts:
         _refuse_infinite("position", arrays["position"], self._joints, self.place)
         warnings = ["headers have no stamps: times are those of reception, which jitter more"] if received else []
         if self.publishers > 1:
-            warnings.append(
-                f"{topic} has {self.publishers} publishers (connections or QoS profiles): record it with one"
-            )
+            publishers = f"{self.publishers} publishers (connections or QoS profiles)"
+            warnings.append(f"{topic} has {publishers}: record it with one")
         if self._others:
             warnings.append(f"{self._others} messages without any of the joints are left out")
         return np.array(self._received, dtype=np.int64) if received else stamps, received, arrays, warnings

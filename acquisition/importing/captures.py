@@ -115,10 +115,7 @@ def gather(data: NDArray[np.uint8], at: Ints, kind: str | np.dtype[Any]) -> NDAr
 
 
 def datagrams(given: Packets) -> Block:
-    """All whole datagrams of EtherCAT frames, also behind VLAN tags and in UDP, in file order.
-
-    `packet` is its number, `at` the first byte of the data, `counter` the working counter; the others are as on the wire.
-    """
+    """All whole datagrams of EtherCAT frames, in VLANs and UDP too, in file order; `at`: the first byte of their data."""
     data, end, at = given.data, given.begin + given.length, given.begin + 12
     for _ in range(2):
         at = at + 4 * np.isin(gather(data, at, ">u2"), _VLAN)

@@ -25,47 +25,34 @@ from ..recording import (
     rewrite,
     written_by_master,
 )
-from ..robot import Payload, Robot, check_recorded_positions, resolve
+from ..robot import Bus, Payload, Robot, check_recorded_positions, resolve
 from ..session import RecordedSummary, write_decoded
 from .captures import is_capture
-from .ethercat import MAPPING_NOTE, capture_header, import_capture
+from .ethercat import MAPPING_NOTE, import_capture
 from .time_base import ImportSummary
 
 
 def import_recording(path: Path, out: Path, robot: Robot | None = None, place: str = "") -> ImportSummary:
     """Write a recording again: samples decoded from its frames, and everything before the cut if it was cut off.
 
-    Without `robot`, samples of a cut recording are copied if there are no frames, or if these do not decode.
-
-    Parameters
-    ----------
-    path : the recording.
-    out : the new one, with the same frames and events; written whole or not at all.
-    robot : a corrected description; None: that of the recording.
-    place : the name of the description in errors.
-
-    Raises
-    ------
-    BadInputError
-        There are no frames, or they do not decode with these drives.
+    Without `robot`, a corrected description with the name `place` in errors, samples of a cut recording are copied if there
+    are no frames, or if these do not decode. `out`, with the same frames and events, is written whole or not at all. Raises
+    `BadInputError`: there are no frames, or they do not decode with these drives.
     """
     recording = read_recording(path)
     if recording.cut and robot is None:
         return _repair(recording, path, out)
+    robot, place = robot or recording.robot, place or f"{path}: robot.toml"
+    notes = {**recording.metadata, "decoded_from": recording.sha256}
     if recording.capture:
-        robot = robot or recording.robot
-        bus, notes = (
-            resolve(robot, place or f"{path}: robot.toml"),
-            {**recording.metadata, "decoded_from": recording.sha256},
-        )
-        header = capture_header(robot, bus, notes.get("source", ""), notes)
+        bus = resolve(robot, place)
+        header = replace(recording.header, notes=notes, **_bus_header(robot, bus))
         return import_capture(BytesIO(recording.capture), header, bus, Place(str(path)), out)
     if not recording.frames:
         Place(str(path)).refuse(text="holds no frames and is not cut off", expected="a recording of drives")
     frames = max(recording.frames.values(), key=len)
-    decoded = _decode_checked(frames, robot or recording.robot, str(path), place or f"{path}: robot.toml")
-    notes = {**recording.metadata, "decoded_from": recording.sha256}
-    header, end_ns = replace(recording.header, notes=notes, **_bus_header(decoded)), int(frames["time_ns"][-1])
+    decoded, end_ns = _decode_checked(frames, robot, str(path), place), int(frames["time_ns"][-1])
+    header = replace(recording.header, notes=notes, **_bus_header(robot, decoded.bus))
     # Warnings are those of the decoding before.
     rewrite(recording, header, out, lambda writer: decoded.write(writer, end_ns), without="warning")
     return _summarize(decoded, out)
@@ -110,24 +97,15 @@ def is_log(path: Path) -> bool:
 def import_log(
     log: Path, out: Path, robot: Robot, place: str, payload: Payload | None = None, mapping: Sequence[str] = ()
 ) -> ImportSummary:
-    """Write the recording `out` from another tool's CAN log, or an EtherCAT capture with the stated `mapping`.
+    """Write the recording `out`, whole or not at all, from another tool's CAN log, or an EtherCAT capture with this `mapping`.
 
-    Parameters
-    ----------
-    log : candump, ASC, BLF or TRC. If it has several interfaces, the frames of `bus.channel` are used.
-    out : written whole or not at all.
-    robot : its drives decode the frames.
-    place : the name of the description in errors.
-    payload : what the robot carried.
-
-    Raises
-    ------
-    BadInputError
-        The log cannot be read, none of its frames are of the described interface, or they do not decode.
+    `log`: candump, ASC, BLF or TRC; if it has several interfaces, the frames of `bus.channel` are used. The drives of `robot`,
+    whose description has the name `place` in errors, decode the frames; `payload` is what it carried. Raises `BadInputError`:
+    the log cannot be read, none of its frames are of the described interface, or they do not decode.
     """
     if is_capture(log):
         bus, notes = resolve(robot, place), {MAPPING_NOTE: " ".join(mapping)}
-        header = capture_header(robot, bus, f"EtherCAT capture {log.name}", notes, payload)
+        header = Header(source=f"EtherCAT capture {log.name}", payload=payload, notes=notes, **_bus_header(robot, bus))
         with log.open("rb") as file:
             return import_capture(file, header, bus, Place(str(log)), out)
     frames, left_out = _select_interface(log, robot)
@@ -135,7 +113,7 @@ def import_log(
     decoded = _decode_checked(frames, robot, str(log), place)
     decoded = replace(decoded, warnings=left_out + decoded.warnings)
     notes = {"left_out": "; ".join(left_out)} if left_out else {}
-    header = Header(source=f"log {log.name}", payload=payload, notes=notes, **_bus_header(decoded))
+    header = Header(source=f"log {log.name}", payload=payload, notes=notes, **_bus_header(robot, decoded.bus))
     with atomic_write(out) as partial, RecordingWriter(partial, header) as writer:
         writer.frames("log", frames)
         decoded.write(writer, int(frames["time_ns"][-1]))
@@ -174,14 +152,13 @@ def _decode_checked(frames: Block, robot: Robot, name: str, place: str) -> Decod
     return replace(decoded, warnings=decoded.warnings + warnings)
 
 
-def _bus_header(decoded: Decoded) -> dict[str, Any]:
+def _bus_header(robot: Robot, bus: Bus) -> dict[str, Any]:
     """The fields of a header that describe the drives."""
-    file = decoded.bus.file
     return {
-        "robot": decoded.robot,
-        "sample_rate_hz": 1.0 / file.sync_period_s,
-        "effort_provenance": decoded.bus.provenance,
-        "effort_timing": file.effort_timing,
+        "robot": robot,
+        "sample_rate_hz": 1.0 / bus.file.sync_period_s,
+        "effort_provenance": bus.provenance,
+        "effort_timing": bus.file.effort_timing,
     }
 
 

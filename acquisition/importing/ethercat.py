@@ -1,6 +1,6 @@
 """Imports a capture of an EtherCAT bus in operation: frames → joint samples at the times of cycles. Nothing is ever sent."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
@@ -10,7 +10,7 @@ from ..arrays import Array, Ints
 from ..errors import Place
 from ..files import atomic_write, field_of, release_pages
 from ..recording import Block, Header, RecordingWriter, in_parts, joint_samples, minimum_ahead, refuse_period
-from ..robot import Bus, Payload, Robot, check_recorded_efforts, check_recorded_positions
+from ..robot import Bus, check_recorded_efforts, check_recorded_positions
 from .captures import PCAP_HEAD, packets
 from .process_data import AT_ONCE, MARGIN, MAX_OFF, Bools, ProcessData, parse_mapping
 from .time_base import ImportSummary
@@ -22,10 +22,7 @@ MAPPING_NOTE = "ethercat_mapping"  # of the metadata
 
 
 def cycle_numbers(time_ns: Ints, period_ns: float) -> tuple[Ints, Bools]:
-    """Number of the cycle of each row (m,), and whether it is certain.
-
-    Delays are never negative and do not last, as those of SYNC. Delayed rows are consecutive if none is lost among them.
-    """
+    """Number of the cycle of each row (m,), and whether it is certain: delays do not last, late rows are consecutive."""
     number, certain, reached = np.empty(len(time_ns), np.int64), np.empty(len(time_ns), np.bool_), 0.0
     for first in range(0, len(time_ns), AT_ONCE):
         begin, end = max(0, first - MARGIN), first + AT_ONCE
@@ -68,39 +65,13 @@ def _period_ns(time_ns: Ints) -> float:
     return period
 
 
-def capture_header(
-    robot: Robot, bus: Bus, source: str, notes: Mapping[str, str], payload: Payload | None = None
-) -> Header:
-    """The header of a recording of a capture; of `notes` `MAPPING_NOTE` has the mapping that is stated."""
-    return Header(
-        robot=robot,
-        sample_rate_hz=1.0 / bus.file.sync_period_s,
-        source=source,
-        effort_provenance=bus.provenance,
-        effort_timing=bus.file.effort_timing,
-        payload=payload,
-        notes=notes,
-    )
-
-
 def import_capture(file: BinaryIO, header: Header, bus: Bus, at: Place, out: Path) -> ImportSummary:
     """Write the recording `out` from a capture (pcap, pcapng) of an EtherCAT bus in operation.
 
-    Parameters
-    ----------
-    header : as of `capture_header`: the robot, and a stated mapping where the capture begins after the mapping.
-    bus : the robot's drives, by their EtherCAT stations.
-    at : the file.
-
-    Returns
-    -------
     One row for each cycle with full working counters: rad or m, and N m or N (A or V if no drive gain is known), at the
     joints, at the times of whole periods; `reference` is the target of the cycle before. Frames are kept in the recording.
-
-    Raises
-    ------
-    BadInputError
-        The file is no capture, or it has no process data that come back, no mapping, or another period.
+    Of the notes of `header`, `MAPPING_NOTE` has a stated mapping where the capture begins after the mapping. Raises
+    `BadInputError`: the file is no capture, or it has no process data that come back, no mapping, or another period.
     """
     robot, warnings = header.robot, list[str]()
     process, head = ProcessData(bus, parse_mapping(header.notes.get(MAPPING_NOTE, "").split()), at), PCAP_HEAD
@@ -133,10 +104,7 @@ def import_capture(file: BinaryIO, header: Header, bus: Bus, at: Place, out: Pat
 
 
 def _chosen(rows: Block, chosen: Ints, stamp_ns: Ints, has_reference: bool) -> Iterator[Block]:
-    """Chosen rows with their stamps, some at a time.
-
-    The target of a row is that of the cycle before, which the drive had when it sampled.
-    """
+    """Chosen rows with their stamps, some at a time; a row's target is that of the cycle before, which the drive then had."""
     for first in range(0, len(chosen), AT_ONCE):
         some = chosen[first : first + AT_ONCE]
         found = rows[some]

@@ -59,7 +59,11 @@ class ProcessData:
     def add(self, given: Packets) -> Ints:
         """Add packets; the numbers of those of EtherCAT."""
         found = datagrams(given)
-        self._configure(given.data, found)
+        for one in found[np.isin(found["command"], WRITES)]:
+            content, back = given.data[one["at"] : one["at"] + one["length"]].tobytes(), bool(one["counter"])
+            if self._slaves[back].write(int(one["command"]), int(one["address"]), content) and back:
+                self._since = self._packets + int(one["packet"])  # rows before a change are dropped
+                self._fields, self._columns, self._seen = {}, {}, {}
         parts: dict[Part, Block] = {}
         process = found[np.isin(found["command"], (LRD, LWR, LRW)) & (found["packet"] + self._packets > self._since)]
         key = process["command"].astype(np.int64) << 44 | process["address"].astype(np.int64) << 12
@@ -77,14 +81,6 @@ class ProcessData:
             self._columns[part].extend(self._extract(part, parts[part], given, clock).tobytes())
         self._packets += len(given.begin)
         return np.unique(found["packet"])
-
-    def _configure(self, data: NDArray[np.uint8], found: Block) -> None:
-        """Read what configures the slaves; rows before a change are dropped."""
-        for one in found[np.isin(found["command"], WRITES)]:
-            content, back = data[one["at"] : one["at"] + one["length"]].tobytes(), bool(one["counter"])
-            if self._slaves[back].write(int(one["command"]), int(one["address"]), content) and back:
-                self._since = self._packets + int(one["packet"])
-                self._fields, self._columns, self._seen = {}, {}, {}
 
     def _row(self, part: Part) -> np.dtype[np.void]:
         about = [("packet", "<i8"), ("time_ns", "<i8"), ("clock_ns", "<i8"), ("counter", "<u2"), ("index", "u1")]
@@ -105,10 +101,7 @@ class ProcessData:
         return rows
 
     def _find_fields(self) -> dict[Part, Fields]:
-        """Where the drives' objects are, by the mapping in the capture or the stated one; empty if not yet known.
-
-        A drive is in its `station`, or in the next slave that has its position.
-        """
+        """Where the drives' objects are, each in its `station` or the next slave with its position; empty if not yet known."""
         found, targets, self._why = dict[Part, Fields](), dict[Part, Fields](), "no mapping of inputs is in it"
         try:
             objects = self._objects()
@@ -134,11 +127,8 @@ class ProcessData:
                     names = listed([f"{index:04X}:{sub}" for index, sub in inputs])
                     self._place.refuse(text=text, expected=f"one of {names} in robot.toml")
                 end, commands = address + size, (LRD, LRW) if back else (LWR, LRW)
-                parts = [
-                    p
-                    for p in self._seen
-                    if p[0] in commands and p[1] <= address and end <= p[1] + p[2] and p[3] == back
-                ]
+                parts = [part for part in self._seen if part[0] in commands and part[3] == back]
+                parts = [part for part in parts if part[1] <= address and end <= part[1] + part[2]]
                 if size and parts:
                     part = max(parts, key=self._seen.__getitem__)
                     kind = f"<{entry.type[0].lower()}{size}"
@@ -168,23 +158,24 @@ class ProcessData:
             text = f"the configuration of station {station} that came back is not the one that went out"
             self._place.refuse(text=text, expected="an undamaged capture of one start of the bus")
         inputs = [part for part in self._fields if part[3]]
-        if not inputs:
+        if not inputs or not all(len(self._columns[part]) for part in inputs):
             self.refuse_no_rows()
         parts = {part: np.frombuffer(self._columns[part].whole(), self._row(part)) for part in self._fields}
-        if not all(len(parts[part]) for part in inputs):
-            self.refuse_no_rows()
         full, main = {part: self._full(part, parts[part]) for part in inputs}, parts[inputs[0]]
-        joined, clocked, begin = GrowingBytes(), GrowingBytes(), 0
+        clock = sum(int((some["clock_ns"] >= 0).sum()) for some in in_parts(main)) > len(main) / 2
+        joined, begin = GrowingBytes(), 0
         for first in range(0, len(main), AT_ONCE):
             end = int(main[min(first + AT_ONCE, len(main)) - 1]["packet"]) + 1
-            found = self._joined({part: _near(rows, begin, end) for part, rows in parts.items()}, full, begin, end)
+            near = dict[Part, Block]()
+            for part, rows in parts.items():  # a bisection reads few of the others
+                low, high = (bisect_left(rows, packet, key=lambda row: int(row["packet"])) for packet in (begin, end))
+                near[part] = rows[max(0, low - MARGIN) : high + MARGIN]
+            found = self._joined(near, full, begin, end)
             begin = end
-            joined.extend(found.tobytes())
-            clocked.extend(found[found["clock_ns"] >= 0].tobytes())
+            joined.extend((found[found["clock_ns"] >= 0] if clock else found).tobytes())
             for rows in parts.values():
                 release_pages(rows)
-        clock = len(clocked) > len(joined) / 2
-        return np.frombuffer((clocked if clock else joined).whole(), found.dtype), clock
+        return np.frombuffer(joined.whole(), found.dtype), clock
 
     def _joined(self, parts: Mapping[Part, Block], full: Mapping[Part, int], first: int, end: int) -> Block:
         """Rows of the packets from `first` to before `end`, from rows of parts near them."""
@@ -216,10 +207,7 @@ class ProcessData:
         return int(np.flatnonzero(count > _MIN_SHARE * len(rows))[-1])
 
     def _undoubled(self, rows: Block) -> tuple[Block, Ints]:
-        """Rows of a part, but those whose stamps others contradict, and those that repeat the one before within half a period.
-
-        Second, the packets of those that repeat.
-        """
+        """Rows without those whose stamps others contradict or that repeat one within half a period; packets of the latter."""
         time_ns, again = rows["time_ns"], np.abs(np.diff(rows["time_ns"])) < self._bus.period_ns // 2
         for name in rows.dtype.names[3:] if rows.dtype.names else ():
             again &= rows[name][1:] == rows[name][:-1]
@@ -239,12 +227,6 @@ class ProcessData:
         elif not self._fields:
             text, expected = f"{self._why}; it has {shown}", f"a capture from the start of the bus, or {_MAPPING}"
         self._place.refuse(text=text, expected=expected)
-
-
-def _near(rows: Block, first: int, end: int) -> Block:
-    """Rows of some packets, and `MARGIN` rows before and after; a bisection reads few of the others."""
-    begin, stop = (bisect_left(rows, packet, key=lambda row: int(row["packet"])) for packet in (first, end))
-    return rows[max(0, begin - MARGIN) : stop + MARGIN]
 
 
 def _join(main: Block, other: Block, period: int) -> tuple[Ints, Bools]:

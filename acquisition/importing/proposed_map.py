@@ -255,8 +255,7 @@ def _time(table: Path, columns: Sequence[_Column]) -> tuple[list[str], Array | N
     lines += [f'unit = "{fits[0]}" # the rate is then {rate_hz:.6g} Hz{", the header says so" * bool(stated)}']
     time_s = read_columns(table, [column.key], 1)[:, 0] * TIME_UNITS[fits[0]]
     if (np.abs((steps := np.diff(time_s)) * rate_hz - 1) > 0.1).any():
-        grid_hz = roundest_rate_hz(time_s[np.append(True, steps > 0)])
-        lines += [f"resample_hz = {grid_hz:.12g} # the steps are uneven"]
+        lines += [f"resample_hz = {roundest_rate_hz(time_s[np.append(True, steps > 0)]):.12g} # the steps are uneven"]
     return lines, column.x * TIME_UNITS[fits[0]]
 
 

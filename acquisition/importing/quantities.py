@@ -56,9 +56,7 @@ ONE_SIDE: Mapping[str, tuple[Side, str]] = {
 class Quantity(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """`[position]`, `[effort]` and others: the columns, one per motor or joint, with unit and side."""
 
-    columns: Annotated[
-        tuple[str | int, ...], msgspec.Meta(min_length=1, description="by name or number, one per motor or joint")
-    ]
+    columns: Annotated[tuple[str | int, ...], note("by name or number, one per motor or joint", min_length=1)]
     unit: Annotated[str | tuple[str, ...], note("unit of all columns, or one for each")]
     table: Annotated[TableNumber, note("file with the columns, 1: the first on the command line")] = 1
     side: Annotated[Side | None, note("motor or joint (default: by the unit)")] = None

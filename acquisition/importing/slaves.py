@@ -33,11 +33,11 @@ class Slaves:
 
     def full_counter(self, command: int, address: int, length: int) -> int:
         """The working counter of a datagram that all slaves answered."""
-        ways = {LRD: {1: 1}, LWR: {2: 1}, LRW: {1: 1, 2: 2}}[command]
+        ways = {LRD: [(1, 1)], LWR: [(2, 1)], LRW: [(1, 1), (2, 2)]}[command]
         return sum(
             count
             for registers in self.mapped
-            for way, count in ways.items()
+            for way, count in ways
             if any(start < address + length and address < start + size for start, _, size in _fmmus(registers, way))
         )
 
@@ -75,21 +75,13 @@ class Slaves:
         return next((x for x, y in pairs if x != y or self._state(x) != other._state(x)), None)
 
     def located(self, stated: Sequence[Entries]) -> dict[int, tuple[Located, Located]]:
-        """Inputs and outputs by station; `stated` inputs of slaves with FMMUs, if the capture has no mapping of them.
-
-        Raises `ValueError` if the mapping of a slave and its sync manager have other lengths.
-        """
+        """Inputs and outputs by station; `stated` inputs of slaves without a mapping. Raises `ValueError`: lengths differ."""
         further, found = iter(stated), dict[int, tuple[Located, Located]]()
         for station in self.stations:
             objects, registers = self.objects.get(station, {}), bytes(self.registers.get(station, bytes(_END)))
             inputs = _entries(objects, INPUTS) or (next(further, []) if any(registers[_FMMUS:_MANAGERS]) else [])
-            try:
-                found[station] = (
-                    _places(registers, inputs, INPUTS),
-                    _places(registers, _entries(objects, OUTPUTS), OUTPUTS),
-                )
-            except ValueError as error:
-                raise ValueError(f"station {station}: {error}") from None
+            outputs = _places(station, registers, _entries(objects, OUTPUTS), OUTPUTS)
+            found[station] = _places(station, registers, inputs, INPUTS), outputs
         return found
 
 
@@ -117,13 +109,11 @@ def spans(entries: Entries) -> Iterator[tuple[Key, int, int]]:
         bit += bits
 
 
-def _places(registers: bytes, entries: Entries, way: Way) -> Located:
-    if not entries:
-        return {}
+def _places(station: int, registers: bytes, entries: Entries, way: Way) -> Located:
     start, size = struct.unpack_from("<HH", registers, _MANAGERS + 8 * way[0])
     bits = sum(bits for _, bits in entries)
-    if bits != 8 * size:
-        raise ValueError(f"{way[1]:04X} maps {bits} bits, sync manager {way[0]} has {8 * size}")
+    if entries and bits != 8 * size:
+        raise ValueError(f"station {station}: {way[1]:04X} maps {bits} bits, sync manager {way[0]} has {8 * size}")
     return {
         key: (logical + start + at - physical, length)
         for key, at, length in spans(entries)

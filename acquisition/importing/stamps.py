@@ -9,10 +9,7 @@ MIN_GAP_STEP = 1.5  # periods: a longer step is a gap with missing rows
 MIN_ROUGHNESS_RATIO = 2.0  # of errors of time by stamps to those by row numbers: above it there is a warning
 MIN_SCATTER = 0.02  # periods: stamps that scatter less are not checked
 MAX_REMAINING_STEP = 3.0  # periods: no row is left out if a longer step would remain
-MIN_STAMP_ERROR, MIN_STAMP_DEVIATIONS = (
-    0.05,
-    6.0,
-)  # periods, standard deviations: rows above both are left out
+MIN_STAMP_ERROR, MIN_STAMP_DEVIATIONS = 0.05, 6.0  # periods, standard deviations: rows above both are left out
 MAX_EVEN_DEVIATION = 1e-3  # of a period: steps as uniform as this have no wrong stamp
 MAX_REGULAR_DEVIATION = 0.25  # of a period: stamps between such steps are wrong by a period at most
 MIN_QUANTA = 3.0  # of the position, that a joint moves in the time by which a stamp is wrong
@@ -74,9 +71,8 @@ def rows_in_time(time_s: Array, q: Array) -> NDArray[np.bool_]:
         deviations = np.abs(error_s) * np.sqrt(information) / size * np.median(size)
         late = (deviations > MIN_STAMP_DEVIATIONS) & (np.abs(error_s) > MIN_STAMP_ERROR * period)
         between = t[3:-1] - t[1:-3]
-        regular = (
-            np.maximum(np.abs(steps[1:-2] - period), np.abs(steps[2:-1] - period)) < MAX_REGULAR_DEVIATION * period
-        )
+        deviation = np.abs(steps - period)
+        regular = np.maximum(deviation[1:-2], deviation[2:-1]) < MAX_REGULAR_DEVIATION * period
         uneven = np.abs(steps / period - np.rint(steps / period)) > MAX_EVEN_DEVIATION
         late &= (between < MAX_REMAINING_STEP * period) & (np.abs(error_s) < np.where(regular, period, between))
         late &= uneven[:-3] | uneven[1:-2] | uneven[2:-1] | uneven[3:]
@@ -90,10 +86,7 @@ def rows_in_time(time_s: Array, q: Array) -> NDArray[np.bool_]:
 
 
 def ticks_from_velocity(stamp_s: Array, q: Array, v: Array, tick_s: float) -> Array:
-    """Ticks (N,) of rows: from one to the next the step of q (N, n) over the speeds v (N, n); uniform at standstill.
-
-    Each stretch of motion is counted, then shifted by the median difference from its stamps.
-    """
+    """Ticks (N,) of rows: steps of q (N, n) over speeds v, each stretch of motion shifted to its stamps; uniform at rest."""
     by_stamp, step, of_tick = stamp_s / tick_s, np.diff(q, axis=0), 0.5 * tick_s * (v[1:] + v[:-1])
     weighted = of_tick / np.maximum(np.ptp(q, axis=0), 1e-300) ** 2
     size = (weighted * of_tick).sum(axis=1)
@@ -118,10 +111,7 @@ def smallest_difference(q: Array) -> Array:
 
 
 def row_numbers(time_s: Array) -> Array:
-    """Numbers (N,) of rows at growing times, missing rows included.
-
-    A single late stamp makes a long step too, but the sum of three steps stays normal.
-    """
+    """Numbers (N,) of rows at growing times, missing ones included; three steps about a late stamp sum to three periods."""
     steps = np.diff(time_s)
     period = float(np.median(steps))
     padded = np.concatenate([[period], steps, [period]])

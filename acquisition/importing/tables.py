@@ -1,9 +1,9 @@
-"""Imports tables recorded elsewhere (CSV, MAT) into a recording; `map.toml` assigns the columns.
+"""Imports tables recorded elsewhere (CSV, MAT) into a recording, by a `map.toml`; exports recordings as CSV.
 
 The recording states the columns and the rule of the efforts, and describes the times of the rows.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -13,8 +13,8 @@ import numpy as np
 
 from ..arrays import Array
 from ..errors import Place
-from ..files import read_columns
-from ..recording import OPTIONAL, Header
+from ..files import read_columns, write_columns
+from ..recording import OPTIONAL, Block, Header, gaps, in_parts, read_recording
 from ..robot import FILL_IN, EffortTiming, Payload, Positive, Robot, note, parse_toml
 from .quantities import Quantity, Source, TableNumber
 from .stamps import ticks_from_velocity
@@ -59,18 +59,10 @@ class TableMap(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 def import_tables(
     tables: Sequence[Path], robot: Robot, map_path: Path, out: Path, payload: Payload | None = None
 ) -> ImportSummary:
-    """Write the recording `out` from tables.
+    """Write the recording `out` from CSV or MAT tables; nothing is written where `BadInputError` is raised.
 
-    Parameters
-    ----------
-    tables : CSV or MAT files.
-    map_path : `map.toml`, which assigns columns, units and sides (motor or joint), and says how times are read.
-    payload : what the robot carried.
-
-    Raises
-    ------
-    BadInputError
-        With `place` (file), `key`, `value` and `expected`; nothing is written then.
+    The file `map_path` assigns columns, units and sides (motor or joint), and says how times are read; `payload`: what the
+    robot carried.
     """
     place = Place(str(map_path))
     try:
@@ -202,3 +194,40 @@ def stamp_scatter_s(time_s: Array, stamp_s: Array, tick_s: float, place: Place) 
     if not abs(rate - 1) <= MAX_TICK_ERROR:
         place.refuse("time.tick_s", tick_s, f"{tick_s * rate:.6g}, the tick of the stamps")
     return float(np.std(stamp_s - start - rate * (time_s - time_s[0])))
+
+
+def export_csv(path: Path, out: Path, warn: Callable[[str], None] = lambda text: None) -> int:
+    """Write the joint samples of a recording as CSV in SI, units in the names, whole or not at all; returns their number."""
+    samples, robot = _samples(path, warn)
+    fields = [field for field in samples.dtype.names or () if field != "stamp_ns"]
+    joints = list(enumerate(robot.joints))
+    names = ["time_s", *(f"{j.name}_{field}_{_unit(robot, field, i)}" for field in fields for i, j in joints)]
+    start_ns = samples["stamp_ns"][0]
+    columns = (
+        np.column_stack([(part["stamp_ns"] - start_ns) * 1e-9, *(part[field] for field in fields)])
+        for part in in_parts(samples)
+    )
+    write_columns(out, ["_".join(name.split()) for name in names], columns)
+    return len(samples)
+
+
+def _samples(path: Path, warn: Callable[[str], None]) -> tuple[Block, Robot]:
+    """Samples and robot; calls `warn` if samples are missing."""
+    recording = read_recording(path)
+    if recording.samples is None:
+        expected = "some; `robot-acquire import`, with a corrected --robot, makes them from frames that are not lost"
+        Place(str(path)).refuse(text=recording.no_samples, expected=expected)
+    missing = [gap.missing for gap in gaps(recording.samples, recording.sample_rate_hz) if not gap.late]
+    if missing:
+        warn(f"{sum(missing)} samples are missing in {len(missing)} gaps")
+    return recording.samples, recording.robot
+
+
+def _unit(robot: Robot, field: str, joint: int) -> str:
+    """Unit of a field of a joint's samples, for the name of a column."""
+    if field == "feedforward":
+        return robot.motors[joint].recorded_unit
+    if field in ("effort", "known_torque"):
+        return robot.effort_units[joint]
+    unit = robot.joints[joint].position_unit
+    return f"{unit}_s" if field == "velocity" else unit

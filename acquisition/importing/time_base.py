@@ -51,9 +51,8 @@ class TimeReport:
     @property
     def text(self) -> str:
         """The report in one line."""
-        shortest, longest, period, jitter = (
-            f"{1e3 * x:.4g}" for x in (self.shortest_s, self.longest_s, self.period_s, self.jitter_s)
-        )
+        times = (self.shortest_s, self.longest_s, self.period_s, self.jitter_s)
+        shortest, longest, period, jitter = (f"{1e3 * x:.4g}" for x in times)
         parts = [f"{self.clock} of {self.rows} rows: steps {shortest} to {longest} ms, median {period} ms"]
         parts.append(f"jitter sd {jitter} ms")
         parts.append(f"{self.gaps} gaps, {self.missing} rows missing" if self.gaps else "no gaps")
@@ -164,12 +163,9 @@ def rows_to_interpolate(
     k = int(np.argmax(steps))
     if steps[k] > (largest_gap_periods + 0.5) * report.period_s:
         after_s, periods = time_s[k] - time_s[0], steps[k] / report.period_s
-        place.refuse(
-            "time",
-            expected=f"{largest_gap_periods:g} periods of {report.period_s:.6g} s at most; import the parts before and after "
-            "it separately, or set time.largest_gap_periods",
-            text=f"a gap of {steps[k]:.6g} s after {after_s:.6g} s, {periods:.1f} periods",
-        )
+        found = f"a gap of {steps[k]:.6g} s after {after_s:.6g} s, {periods:.1f} periods"
+        expected = f"{largest_gap_periods:g} periods of {report.period_s:.6g} s at most; import the parts before "
+        place.refuse("time", expected=f"{expected}and after it separately, or set time.largest_gap_periods", text=found)
     return time_s, parts, replace(report, off=int((~in_time).sum()))
 
 
@@ -180,11 +176,9 @@ def _drop_repeated_rows(
     steps = np.diff(time_s)
     if (steps < 0).any():
         row = int(np.argmax(steps < 0))
-        place.refuse(
-            f"row {row + 2}",
-            expected="growing times of one source: not two publishers, a clock that was set or a counter that wrapped",
-            text=f"time runs backwards: {time_s[row + 1]:.9g} s after {time_s[row]:.9g} s",
-        )
+        found = f"time runs backwards: {time_s[row + 1]:.9g} s after {time_s[row]:.9g} s"
+        expected = "growing times of one source: not two publishers, a clock that was set or a counter that wrapped"
+        place.refuse(f"row {row + 2}", expected=expected, text=found)
     same = np.flatnonzero(steps == 0)
     for name, x in parts.items():
         differ = (x[same + 1] != x[same]).any(axis=1)
@@ -222,15 +216,11 @@ def rate_warnings(report: TimeReport | None) -> list[str]:
             f"{share:.2g} % of the rows are left out because the motion contradicts their {report.clock}: use another clock"
         )
     if ratio < MIN_RATE_RATIO:
-        warnings.append(
-            f"resample_hz = {report.grid_hz:g} is below the rows' {own_hz:.4g} Hz: noise above half of it is "
-            "aliased into the samples; interpolate to the rows' own rate, a fit decimates by itself"
-        )
+        text = f"resample_hz = {report.grid_hz:g} is below the rows' {own_hz:.4g} Hz: noise above half of it is aliased"
+        warnings.append(f"{text} into the samples; interpolate to the rows' own rate, a fit decimates by itself")
     if ratio > MAX_RATE_RATIO:
-        warnings.append(
-            f"resample_hz = {report.grid_hz:g} is {ratio:.2g} times the rows' {own_hz:.4g} Hz: samples between "
-            "rows are interpolated and add no information"
-        )
+        text = f"resample_hz = {report.grid_hz:g} is {ratio:.2g} times the rows' {own_hz:.4g} Hz"
+        warnings.append(f"{text}: samples between rows are interpolated and add no information")
     return warnings
 
 
@@ -280,16 +270,10 @@ class ImportSummary:
 
 
 def write_samples(header: Header, grid: GridValues, warnings: Sequence[str], place: str, out: Path) -> ImportSummary:
-    """Check samples and write them as the recording `out`, whole or not at all.
+    """Check the samples of a grid and write them as the recording `out`, whole or not at all, with `warnings`.
 
-    Parameters
-    ----------
-    header : the robot, the origin of the samples, and the notes of the grid on their times.
-    grid : values by the names of a sample's fields.
-    warnings : written into the recording.
-    place : the files, for errors.
-
-    Raises `BadInputError` for impossible stamps, positions or speeds.
+    Parts of the grid have the names of a sample's fields; `place` names the files in errors. Raises `BadInputError` for
+    impossible stamps, positions or speeds.
     """
     robot, parts, stamps = header.robot, grid.parts, grid.stamps_ns(place)
     t_s = (stamps - stamps[0]) * np.float64(1e-9)

@@ -164,10 +164,7 @@ def object_type(index: int, sub: int) -> str:
 
 
 def position_units_per_turn(values: Mapping[tuple[int, int], int | None]) -> float | None:
-    """Position units per motor revolution: feed (6092h) over gear (6091h), or without a feed 608Fh; None if unknown.
-
-    A gear that is not there is 1; a ratio that holds a 0 is not there.
-    """
+    """Position units per motor turn: feed (6092h) over gear (6091h, else 1), or without a feed 608Fh; None if unknown."""
     encoder, gear, feed = ((values.get((i, 1)) or 0) / (values.get((i, 2)) or np.inf) for i in POSITION_UNITS)
     return (feed / (gear or 1.0) if feed else encoder) or None
 

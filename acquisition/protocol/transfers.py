@@ -81,11 +81,7 @@ def configuration(direction: str, pdo: Pdo) -> Iterator[tuple[int, int, int, int
 def pdos_of(
     direction: str, values: Mapping[tuple[int, int], int], types: Mapping[tuple[int, int], str], place: str
 ) -> tuple[Pdo, ...]:
-    """PDOs that the `values` of a dictionary's parameters describe; `types` by object.
-
-    PDOs that are disabled or have the identifier 0 are left out. Raises `BadInputError` with `place` for an object of
-    unknown type.
-    """
+    """PDOs that `values` of a dictionary's parameters describe, without disabled ones and identifier 0; `types` by object."""
     communication, mapping = PARAMETERS[direction]
     found = []
     for index in sorted({i for i, _ in values if communication <= i < communication + MAX_PDOS}):

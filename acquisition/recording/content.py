@@ -90,8 +90,7 @@ def _read(records: "_Records", place: str, name: str, accept: Accept, wanted: Wa
         except _DAMAGE as error:
             if not records.has_end and records.only_zeros_follow():
                 break  # the last record of a cut file: incomplete, followed by nothing or by unwritten disk space
-            what = str(error) or type(error).__name__
-            raise BadInputError(f"damaged at byte {at}: {what}", place=place) from error
+            raise BadInputError(f"damaged at byte {at}: {str(error) or type(error).__name__}", place=place) from error
     if records.has_end and not found.complete:
         raise BadInputError("damaged: it has an end, but the records before do not lead to it", place=place)
     return found.metadata, found.attachments, found.chunks.messages, not records.has_end, records.sha256()

@@ -155,26 +155,12 @@ def joint_samples(raw: Iterable[Block], robot: Robot, bus: Bus) -> Iterator[Bloc
 
 
 def decode(frames: Block, robot: Robot, bus: Bus, place: str, *, max_missing: float = MAX_MISSING_SHARE) -> Decoded:
-    """Joint samples from the raw frames of one CAN channel.
+    """Joint samples from the raw frames (m,) of one CAN channel, rows of `FRAME` in the order in which they were received.
 
-    Parameters
-    ----------
-    frames : (m,) rows of `FRAME` in the order in which they were received.
-    robot : from motors to joints.
-    bus : the drives: their PDOs (CiA 301), position counts (6064h or as described) and effort object, with its rule.
-    place : the file or session, in errors.
-    max_missing : share of the PDOs of a drive that may be missing.
-
-    Returns
-    -------
     One sample for each SYNC whose answers by all drives are known: rad or m, and N m or N (A or V if no drive gain is known),
-    at the joints; with `reference` if all drives received targets (607Ah or as described).
-
-    Raises
-    ------
-    BadInputError
-        With `place`: there is no SYNC, a drive never answered, too many PDOs are missing, fewer than two samples remain, or the
-        SYNC period is not that of the description.
+    at the joints; with `reference` if all drives received targets (607Ah or as described). At most the share `max_missing`
+    of the PDOs of a drive may be missing; `place` is the file or session. Raises `BadInputError`: there is no SYNC, a drive
+    never answered, too many PDOs are missing, fewer than two samples remain, or the SYNC period is not the described one.
     """
     traffic = Traffic(frames)
     sync_rows = traffic.rows_of(bus.file.sync_can_id)
@@ -211,9 +197,8 @@ def decode(frames: Block, robot: Robot, bus: Bus, place: str, *, max_missing: fl
     )
     if answers.missing_share > max_missing and max(count.missing for count in counts) > MAX_MISSING_COUNT:
         text = f"{answers.missing_share:.1%} of the PDOs of a drive are missing"
-        Place(place).refuse(
-            text=text, expected=f"{max_missing:.0%} at most: it is uncertain which PDOs belong together"
-        )
+        expected = f"{max_missing:.0%} at most: it is uncertain which PDOs belong together"
+        Place(place).refuse(text=text, expected=expected)
     answered = answers.answered
     if len(answered) < 2:
         Place(place).refuse(text=f"{len(answered)} SYNC answered by all drives", expected="many")
@@ -256,21 +241,15 @@ def _wraps(traffic: Traffic, bus: Bus, rows_of: Mapping[Pdo, Rows], stamps: Ints
     for drive in bus.drives:
         carrier = drive.carrier(drive.position, "tpdo")
         assert carrier is not None  # `resolve` refuses drives without one
-        raw = traffic.integers(rows_of[carrier], carrier, drive.position)
-        wraps = unwrap(raw, drive.position.bits)[1]
+        wraps = unwrap(traffic.integers(rows_of[carrier], carrier, drive.position), drive.position.bits)[1]
         if len(wraps):
             first_s = (stamps[wraps[0]] - stamps[0]) * 1e-9
-            yield (
-                f"{drive.name}: its position counter wrapped {len(wraps)} times, first at {first_s:.4g} s: "
-                "positions are continued"
-            )
+            text = f"{drive.name}: its position counter wrapped {len(wraps)} times, first at {first_s:.4g} s"
+            yield f"{text}: positions are continued"
 
 
 def _targets(traffic: Traffic, sync_rows: Rows, index_of: Ints, answered: Rows, bus: Bus) -> list[Rows] | None:
-    """Frame of the last target of each drive before the SYNC of each sample, -1 if there is none.
-
-    None if a drive receives no targets or only a few: a master that only commands the state sends some too.
-    """
+    """Frame of each drive's last target before the SYNC of a sample, -1 if none; None if a drive receives none or few."""
     targets, following = [], np.append(index_of, index_of[-1] + 1)  # grid index of the SYNC after as many SYNC frames
     for drive in bus.drives:
         pdo = drive.carrier(drive.target, "rpdo")
@@ -286,11 +265,10 @@ def _targets(traffic: Traffic, sync_rows: Rows, index_of: Ints, answered: Rows, 
 def refuse_period(measured_s: float, stated_s: float, place: str, what: str = "SYNC") -> None:
     """Refuse a period other than the described one: rates and filters are computed from the description."""
     if abs(measured_s / stated_s - 1) > MAX_PERIOD_ERROR:
-        Place(place).refuse(
-            text=f"{what} came every {measured_s * 1e3:.4g} ms; bus.sync_period_s = {stated_s:g} in robot.toml",
-            expected=f"{measured_s:.3g}; correct robot.toml and import again, a recording by "
-            "`robot-acquire import LOG.mcap --robot CORRECTED.toml -o OUT.mcap`",
-        )
+        text = f"{what} came every {measured_s * 1e3:.4g} ms; bus.sync_period_s = {stated_s:g} in robot.toml"
+        command = "`robot-acquire import LOG.mcap --robot CORRECTED.toml -o OUT.mcap`"
+        expected = f"{measured_s:.3g}; correct robot.toml and import again, a recording by {command}"
+        Place(place).refuse(text=text, expected=expected)
 
 
 def _warnings(counts: Sequence[PdoCount], lost: int, clock: SyncTimes, bus: Bus, answered: Rows) -> list[str]:
@@ -304,14 +282,11 @@ def _warnings(counts: Sequence[PdoCount], lost: int, clock: SyncTimes, bus: Bus,
         texts.append(f"SYNC came every {clock.period_s * 1e3:.4g} ms: {expected}")
     if len(clock.pauses):
         longest = clock.pauses[np.argmax(np.diff(clock.stamps)[clock.pauses])]
-        texts.append(
-            f"SYNC paused {len(clock.pauses)} times for more than 1.5 periods, the longest "
-            f"{(at_s[longest + 1] - at_s[longest]) * 1e3:.4g} ms at {at_s[longest]:.4g} s"
-        )
+        most = f"{(at_s[longest + 1] - at_s[longest]) * 1e3:.4g} ms at {at_s[longest]:.4g} s"
+        texts.append(f"SYNC paused {len(clock.pauses)} times for more than 1.5 periods, the longest {most}")
     elif clock.jitter_s[1] > 0.5 * nominal_s:
-        texts.append(
-            f"a SYNC came {clock.jitter_s[1] * 1e3:.3g} ms off its time: more than half a period of {nominal_s * 1e3:g} ms"
-        )
+        off = f"a SYNC came {clock.jitter_s[1] * 1e3:.3g} ms off its time"
+        texts.append(f"{off}: more than half a period of {nominal_s * 1e3:g} ms")
     if lost:
         texts.append(f"{lost} SYNC were answered but not recorded")
     missing = int(answered[-1] - answered[0] + 1 - len(answered))

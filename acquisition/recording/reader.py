@@ -80,10 +80,7 @@ class Recording:
 
     @property
     def began(self) -> datetime | None:
-        """Start of the recording: its first stamp if stamps are dates, as those of ROS, else when its file was created.
-
-        None if neither is known.
-        """
+        """Start of the recording: its first stamp if stamps are dates, else the creation of its file; None if unknown."""
         first_ns = 0 if self.samples is None or len(self.samples) == 0 else int(self.samples["stamp_ns"][0])
         if first_ns >= FIRST_DATE_NS:
             return datetime.fromtimestamp(first_ns // 1000 / 1e6, UTC)
@@ -193,10 +190,7 @@ def has_reference(path: Path) -> bool:
 
 
 def rows_of(blocks: Messages, known: list[np.dtype[np.void]], place: Place) -> Block:
-    """Concatenated rows. The schema's text is compared with known layouts, never evaluated.
-
-    Rows of earlier versions may end in values of further objects, which are skipped.
-    """
+    """Concatenated rows of a known layout, compared as text, never evaluated; further objects of old versions are skipped."""
     text, skipped = blocks.layout, 0
     if (earlier := _EXTRA.fullmatch(text)) is not None:
         text, skipped = f"{earlier[1]}]", int(earlier[2])

@@ -48,10 +48,7 @@ OPTIONAL = ("velocity", "known_torque", "feedforward")
 
 
 def sample_dtype(n: int, *, reference: bool, optional: Collection[str] = ()) -> np.dtype[np.void]:
-    """Row of joint samples of `n` joints: `stamp_ns`, `position` (n,) rad or m, `effort` (n,), and `reference` (n,).
-
-    The fields of `OPTIONAL` that are in `optional` follow, (n,) each.
-    """
+    """Row of samples of `n` joints: `stamp_ns`; `position`, `effort`, `reference` and fields of `OPTIONAL`, (n,) each."""
     fields: list[Any] = [("stamp_ns", "<i8"), ("position", "<f8", (n,)), ("effort", "<f8", (n,))]
     fields += [("reference", "<f8", (n,))] if reference else []
     return np.dtype(fields + [(name, "<f8", (n,)) for name in OPTIONAL if name in optional])
@@ -174,10 +171,7 @@ def written_by_master(frames: Block) -> Mapping[int, dict[tuple[int, int], int]]
 
 
 def unwrap(counts: Ints, bits: int) -> tuple[Ints, Ints]:
-    """Counts without the wraps of a counter of `bits`, and the rows at which it wraps.
-
-    No motor moves by half of a counter's range between two answers, so a larger step is a wrap.
-    """
+    """Counts without the wraps of a counter of `bits`, steps beyond half its range, and the rows at which it wraps."""
     steps = np.diff(counts)
     wraps = np.flatnonzero(np.abs(steps) > 1 << (bits - 1))
     if not len(wraps):

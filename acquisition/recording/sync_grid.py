@@ -60,10 +60,7 @@ class Intervals:
 
 
 def sync_times(times: Ints, index_of: Ints, grid: int, *, ours: bool, nominal_ns: int) -> SyncTimes:
-    """Times of all `grid` SYNCs from the times in ns and grid indices of the recorded ones.
-
-    `ours`: this master sent them. Of two estimates of the period, the one nearer to the nominal one is used.
-    """
+    """Times of all `grid` SYNCs from those recorded, in ns, and their grid indices; `ours`: this master sent them."""
     index = index_of.astype(np.float64)
     times, set_back = _remove_set_back(times, index_of)
     since = (times - times[0]).astype(np.float64)
@@ -104,10 +101,7 @@ def _remove_set_back(times: Ints, index_of: Ints) -> tuple[Ints, tuple[tuple[int
 
 
 def _remove_delays(index: Array, since: Array) -> tuple[Array, Ints, float]:
-    """Times without delays, the run between pauses that each SYNC belongs to, and the period within runs.
-
-    A delay does not last: if the next SYNCs are as late, it is a pause.
-    """
+    """Times without delays, which do not last, the run between pauses that each SYNC belongs to, and the period within runs."""
     period = float(np.median(np.diff(since) / np.diff(index)))
     ahead, run = 0, np.zeros(len(since), np.int64)
     for ahead in _LOOKAHEAD_SYNCS:  # the second with a better period, over more SYNCs
@@ -125,8 +119,7 @@ def _mean_of_run(values: Array, run: Ints) -> Array | float:
     """The mean of each value's run."""
     if not run[-1]:
         return float(values.mean())
-    means: Array = (np.bincount(run, values) / np.maximum(np.bincount(run), 1))[run]
-    return means
+    return np.asarray((np.bincount(run, values) / np.maximum(np.bincount(run), 1))[run])
 
 
 def _slope(index: Array, since: Array, run: Ints) -> float:

@@ -23,7 +23,6 @@ from .limits import (
 from .payload import Payload, parse_payload
 from .reference import (
     HARMONICS,
-    LIMIT_SHARE,
     FourierReference,
     approach,
     check_limits,

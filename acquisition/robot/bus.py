@@ -40,9 +40,7 @@ BITRATES = (10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000,
 class PdoFile(TomlTable, frozen=True):
     """A PDO: its objects in order; `can_id` and `number` (from 1) if they are not the usual ones."""
 
-    objects: Annotated[
-        tuple[ObjectName, ...], msgspec.Meta(min_length=1, max_length=8, description="its objects in order")
-    ]
+    objects: Annotated[tuple[ObjectName, ...], note("its objects in order", min_length=1, max_length=8)]
     can_id: Annotated[CanId | None, note("CAN identifier (default: the usual one of its number)")] = None
     number: Annotated[PdoNumber | None, note("number of the PDO, from 1 (default: its place in the list)")] = None
 
@@ -134,20 +132,14 @@ class BusFile(TomlTable, frozen=True):
 
     interface: Annotated[Word, note("python-can's interface, such as socketcan or udp_multicast")]
     channel: Annotated[Word, note("python-can's channel, such as can0; of a log of several, the one imported")]
-    drive: Annotated[
-        tuple[DriveFile, ...],
-        msgspec.Meta(min_length=1, description="[[bus.drive]] tables, in the order of the motors"),
-    ]
+    drive: Annotated[tuple[DriveFile, ...], note("[[bus.drive]] tables, in the order of the motors", min_length=1)]
     sync_period_s: Annotated[Positive, note("time from SYNC to SYNC, s")]
     bitrate: Annotated[int, note("bit rate of the bus, bit/s")] = 1_000_000
     sync_producer: Annotated[Literal["recorder", "other"], note("who sends SYNC; recorder: this program")] = "recorder"
     sync_can_id: Annotated[CanId, note("CAN identifier of SYNC")] = USUAL_SYNC
     loopback: Annotated[bool, note("whether udp_multicast stays on this machine")] = True
     heartbeat_s: Annotated[
-        float,
-        msgspec.Meta(
-            ge=0.01, le=10.0, description="time between heartbeats, s; silence of three times as long is a fault"
-        ),
+        float, note("time between heartbeats, s; silence of three times as long is a fault", ge=0.01, le=10.0)
     ] = 0.1
     master_node: Annotated[Node, note("node id of this master's heartbeat in motion; no drive may have it")] = 127
     other_nodes: Annotated[tuple[Node, ...], note("node ids of further devices, such as grippers")] = ()
@@ -157,7 +149,7 @@ class BusFile(TomlTable, frozen=True):
     enable_motion_deg: Annotated[Positive, note("how far a joint may move while drives are enabled, deg")] = 1.0
     enable_motion_m: Annotated[Positive, note("the same of a prismatic joint, m")] = 0.005
     enable_watch_s: Annotated[
-        float, msgspec.Meta(ge=0.05, le=10.0, description="how long this holds after the last drive is enabled, s")
+        float, note("how long this holds after the last drive is enabled, s", ge=0.05, le=10.0)
     ] = 0.2
     effort_timing: Annotated[
         EffortTiming, note("instants of the efforts: command held after it, mean about it, measured at it")
@@ -196,10 +188,8 @@ def ripple_notes(bus: BusFile | None, bandwidth_hz: float | None) -> tuple[str, 
     if bus is None or bandwidth_hz is None or not any(drive.reports_demand for drive in bus.drive):
         return ()
     ripple = demand_ripple(bandwidth_hz, bus.sync_period_s)
-    text = (
-        f"torque (6074) is read once per SYNC: inertia may be off by {100 * ripple:.1f} % if drives interpolate linearly: "
-        "shorten sync_period_s, or record an averaged object"
-    )
+    text = f"torque (6074) is read once per SYNC: inertia may be off by {100 * ripple:.1f} % if drives interpolate "
+    text += "linearly: shorten sync_period_s, or record an averaged object"
     return (text,) if ripple > MAX_DEMAND_RIPPLE else ()
 
 

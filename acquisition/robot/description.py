@@ -130,10 +130,7 @@ class Joint(TomlTable, frozen=True):
         return _key(quantity, self.type)
 
     def si(self, quantity: str) -> Any:
-        """`zero`, `position`, `speed`, `acceleration`, `following_error`, `stribeck_speed` in rad or m (per s, s²).
-
-        `effort` in N m or N. None if not stated.
-        """
+        """A quantity of `QUANTITIES` in rad or m (per s, s²), `effort` in N m or N; None if not stated."""
         value = getattr(self, self.key(quantity))
         if self.type == "prismatic" or quantity == "effort":
             return value
@@ -248,22 +245,16 @@ class PayloadFile(TomlTable, frozen=True):
     frame: Annotated[
         Name | None, note("fixed link that the centre of mass is given in (default: the frame of the last joint)")
     ] = None
-    mass_half_width_kg: Annotated[
-        float, msgspec.Meta(ge=0, description="half of the 95 % interval of the weighed mass, kg")
-    ] = 0.0
-    center_half_width_m: Annotated[float, msgspec.Meta(ge=0, description="the same of each coordinate, m")] = 0.005
+    mass_half_width_kg: Annotated[float, note("half of the 95 % interval of the weighed mass, kg", ge=0)] = 0.0
+    center_half_width_m: Annotated[float, note("the same of each coordinate, m", ge=0)] = 0.005
 
 
 class RobotFile(TomlTable, frozen=True):
     """`robot.toml` as written in the file."""
 
     name: Annotated[Name, note("name of the robot")]
-    joint: Annotated[
-        tuple[Joint, ...], msgspec.Meta(min_length=1, description="[[joint]] tables, from the base outwards")
-    ]
-    motor: Annotated[
-        tuple[Motor, ...], msgspec.Meta(min_length=1, description="[[motor]] tables; motor k turns joint k")
-    ]
+    joint: Annotated[tuple[Joint, ...], note("[[joint]] tables, from the base outwards", min_length=1)]
+    motor: Annotated[tuple[Motor, ...], note("[[motor]] tables; motor k turns joint k", min_length=1)]
     controller: Annotated[Controller, note("how the drives follow their reference")]
     gravity_m_s2: Annotated[tuple[float, float, float], note("gravity in the base frame, m/s²")] = (0.0, 0.0, -9.81)
     urdf: Annotated[str | None, note("file in the same folder; joints not named here are locked at 0")] = None
@@ -325,6 +316,5 @@ class RobotFile(TomlTable, frozen=True):
             self.refuse("motor_matrix", matrix, "an invertible matrix")
         for i, row in enumerate(matrix):
             if row[i] == 0:  # names such as Ia2 and gains are by joint, so each joint needs its own motor
-                self.refuse(
-                    f"motor_matrix[{i}]", list(row), f"motor {i + 1} to turn joint {i + 1}: order the motors so"
-                )
+                expected = f"motor {i + 1} to turn joint {i + 1}: order the motors so"
+                self.refuse(f"motor_matrix[{i}]", list(row), expected)

@@ -5,24 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .. import protocol as cia
 from ..arrays import Array
 from ..errors import Place
-from ..protocol import (
-    CONTROLWORD,
-    HIGHEST_CAN_ID,
-    LOWEST_CAN_ID,
-    MAX_PDO_BITS,
-    MODE_OF_OPERATION,
-    STATUSWORD,
-    EffortCodec,
-    ObjectDictionary,
-    ObjectEntry,
-    Pdo,
-    PositionCodec,
-    Rule,
-    bus_load,
-    range_of,
-)
 from .bus import AXIS, USUAL_SYNC, BusFile, DriveFile
 from .robot import Robot
 
@@ -50,22 +35,22 @@ class Drive:
 
     name: str
     node: int
-    status: ObjectEntry
-    control: ObjectEntry
-    position: ObjectEntry
-    target: ObjectEntry
-    position_codec: PositionCodec
-    effort: EffortCodec
+    status: cia.ObjectEntry
+    control: cia.ObjectEntry
+    position: cia.ObjectEntry
+    target: cia.ObjectEntry
+    position_codec: cia.PositionCodec
+    effort: cia.EffortCodec
     rated: Mapping[int, int]
-    tpdos: tuple[Pdo, ...]
-    rpdos: tuple[Pdo, ...]
-    extras: tuple[ObjectEntry, ...]
-    dictionary: ObjectDictionary | None
+    tpdos: tuple[cia.Pdo, ...]
+    rpdos: tuple[cia.Pdo, ...]
+    extras: tuple[cia.ObjectEntry, ...]
+    dictionary: cia.ObjectDictionary | None
     speed_limit: float | None = None
     acceleration_limit: float | None = None
     counts_per_joint: tuple[float, str] = (1.0, "counts")
 
-    def carrier(self, entry: ObjectEntry, direction: str) -> Pdo | None:
+    def carrier(self, entry: cia.ObjectEntry, direction: str) -> cia.Pdo | None:
         """The PDO that carries an object."""
         pdos = self.tpdos if direction == "tpdo" else self.rpdos
         return next((pdo for pdo in pdos if pdo.offset(entry.index, entry.sub) is not None), None)
@@ -87,7 +72,7 @@ class Bus:
     def load(self) -> float:
         """Share of the bus that SYNC and all PDOs need, with the worst case of bit stuffing."""
         pdos = [pdo for drive in self.drives for pdo in (*drive.tpdos, *drive.rpdos)]
-        return bus_load(pdos, bitrate=self.file.bitrate, sync_period_s=self.file.sync_period_s)
+        return cia.bus_load(pdos, bitrate=self.file.bitrate, sync_period_s=self.file.sync_period_s)
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -114,12 +99,8 @@ def refuse_load(bus: Bus, place: str) -> None:
 
 
 def refuse_out_of_range(path: Array, robot: Robot, bus: Bus, place: str) -> None:
-    """Refuse joint positions (N, n), one row each SYNC, whose counts exceed the range of a drive's target object.
-
-    A drive at the end of its range would stop while the others move on. Raises `BadInputError` with `place`, the time, the
-    motor, its counts and the range; also if a position is not finite.
-    """
-    low, high = range_of(POSITION_TYPE)
+    """Refuse positions (N, n), a row each SYNC, beyond the range of a drive's target: it would stop while others move on."""
+    low, high = cia.range_of(POSITION_TYPE)
     with np.errstate(over="ignore", invalid="ignore"):  # values that are not finite are refused below
         motors = robot.motor_position(path)
         for i, drive in enumerate(bus.drives):
@@ -127,10 +108,8 @@ def refuse_out_of_range(path: Array, robot: Robot, bus: Bus, place: str) -> None
             inside = (np.rint(counts) >= low) & (np.rint(counts) <= high)  # NaN is neither
             if not inside.all():
                 k = int(np.argmin(inside))
-                at, key = (
-                    Place(f"{place}: at {k * bus.file.sync_period_s:.4g} s"),
-                    f"target of node {drive.node} ({drive.name})",
-                )
+                at = Place(f"{place}: at {k * bus.file.sync_period_s:.4g} s")
+                key = f"target of node {drive.node} ({drive.name})"
                 at.refuse(key, float(counts[k]), f"{low} to {high}", shown=f"{counts[k]:.10g} counts")
 
 
@@ -150,11 +129,11 @@ def refuse_pdos(bus: Bus, place: str) -> None:
                 if pdo.number in numbers:
                     at.refuse(text=f"number = {pdo.number} is used twice", expected="one of its own")
                 numbers.add(pdo.number)
-                if pdo.bits > MAX_PDO_BITS:
+                if pdo.bits > cia.MAX_PDO_BITS:
                     at.refuse(text=f"{pdo.length} bytes", expected="8 at most")
                 name = f"identifier 0x{pdo.can_id:03X}"
-                if not LOWEST_CAN_ID <= pdo.can_id <= HIGHEST_CAN_ID and pdo.can_id not in FREE_CAN_IDS:
-                    at.refuse(text=name, expected=f"0x{LOWEST_CAN_ID:X} to 0x{HIGHEST_CAN_ID:X}, or {free}")
+                if not cia.LOWEST_CAN_ID <= pdo.can_id <= cia.HIGHEST_CAN_ID and pdo.can_id not in FREE_CAN_IDS:
+                    at.refuse(text=name, expected=f"0x{cia.LOWEST_CAN_ID:X} to 0x{cia.HIGHEST_CAN_ID:X}, or {free}")
                 if pdo.can_id in used:
                     at.refuse(text=f"{name} is that of {used[pdo.can_id]}", expected="one of its own")
                 used[pdo.can_id] = f"a PDO of {drive.name}"
@@ -176,12 +155,9 @@ def refuse_counts(robot: Robot, i: int, file: DriveFile, at: Place) -> None:
 
 
 def axis_of(drive: Drive) -> int:
-    """Offset of a drive's control and status objects from 6040h and 6041h: a multiple of 800h (CiA 402-2), 0 for one axis.
-
-    Raises `BadInputError` if they are not of one axis.
-    """
-    axis = drive.control.index - CONTROLWORD
-    if axis % AXIS or drive.status.index - STATUSWORD != axis or drive.control.sub or drive.status.sub:
+    """Offset of a drive's control and status objects from 6040h and 6041h, of one axis: a multiple of 800h (CiA 402-2)."""
+    axis = drive.control.index - cia.CONTROLWORD
+    if axis % AXIS or drive.status.index - cia.STATUSWORD != axis or drive.control.sub or drive.status.sub:
         problem = f"control {drive.control} and status {drive.status}"
         Place(f"node {drive.node}").refuse(text=problem, expected="those of one axis, such as 6040:0 and 6041:0")
     return axis
@@ -189,17 +165,14 @@ def axis_of(drive: Drive) -> int:
 
 def axis_index(drive: Drive, index: int) -> int:
     """Index of an object of CiA 402 for the axis of a drive, also if its control object is not the standard's."""
-    return (index + drive.control.index - CONTROLWORD) & 0xFFFF
+    return (index + drive.control.index - cia.CONTROLWORD) & 0xFFFF
 
 
 def check_carriers(bus: Bus) -> None:
-    """Refuse PDOs to the drives without the objects that tracking needs, or with others: these would be set to 0.
-
-    Raises `BadInputError` with the node and the object.
-    """
+    """Refuse PDOs to the drives without the objects that tracking needs, or with others: these would be set to 0."""
     for drive in bus.drives:
         at = Place(f"node {drive.node}")
-        mode = f"{MODE_OF_OPERATION + axis_of(drive):04X}:0"
+        mode = f"{cia.MODE_OF_OPERATION + axis_of(drive):04X}:0"
         known = {str(entry) for entry in (drive.control, drive.target)} | {mode}
         for entry in (drive.control, drive.target):
             if drive.carrier(entry, "rpdo") is None:
@@ -211,7 +184,7 @@ def check_carriers(bus: Bus) -> None:
             at.refuse(text=f"a PDO to the drive carries {other}", expected=expected)
 
 
-def effort_scale(rule: Rule, file: DriveFile, at: Place, expected: str) -> float:
+def effort_scale(rule: cia.Rule, file: DriveFile, at: Place, expected: str) -> float:
     """SI per raw unit, with the sign; refused if the rated value that the rule multiplies is not stated."""
     rated = getattr(file, rule.rated) if rule.rated else 1.0
     if rated is None:

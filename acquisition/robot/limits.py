@@ -91,9 +91,8 @@ def check_recorded_positions(robot: Robot, stamp_s: Array, q: Array, place: str)
     for joint, x in zip(robot.joints, q.T, strict=True):
         overshoots += _position(joint, stamp_s, x, at)
         overshoots += _speed(joint, stamp_s, step_s, x, at)
-    turning = [
-        (np.degrees(x), j.si("position")) for x, j in zip(q.T, robot.joints, strict=True) if j.type == "revolute"
-    ]
+    pairs = zip(np.degrees(q.T), robot.joints, strict=True)
+    turning = [(x, joint.si("position")) for x, joint in pairs if joint.type == "revolute"]
     within = all(by and by[0] <= x.min(initial=0.0) and x.max(initial=0.0) <= by[1] for x, by in turning)
     if within and any(np.ptp(x) > MIN_USED_RANGE * (by[1] - by[0]) for x, by in turning if len(x)):
         overshoots.append(RADIANS_AS_DEGREES)
@@ -113,10 +112,7 @@ def check_recorded_efforts(robot: Robot, effort: Array) -> tuple[str, ...]:
 
 
 def check_recorded_velocities(robot: Robot, q: Array, v: Array, rate_hz: float, place: str) -> tuple[str, ...]:
-    """Warnings about recorded speeds v (N, n) that differ from the derivative of positions q (N, n), rad or m, at `rate_hz`.
-
-    Raises `BadInputError` if their unit or sign is wrong.
-    """
+    """Warnings about speeds v (N, n) unlike the derivative of q (N, n), rad or m; wrong units and signs are refused."""
     h = 1 / rate_hz
     travelled = np.concatenate([np.zeros((1, q.shape[1])), np.cumsum(0.5 * h * (v[1:] + v[:-1]), axis=0)])
     step = max(1, round(SPEED_WINDOW_S / h))
@@ -159,10 +155,8 @@ def _position(joint: Joint, stamp_s: Array, x: Array, place: Place) -> list[str]
     k = int(np.argmax(beyond))
     if beyond[k] <= MIN_OVERSHOOT * (high - low):
         return []
-    text = (
-        f"joint {joint.name} at {_shown(joint, x[k])}, {stamp_s[k] - stamp_s[0]:.3f} s: "
-        f"limits {_shown(joint, low)} and {_shown(joint, high)}"
-    )
+    text = f"joint {joint.name} at {_shown(joint, x[k])}, {stamp_s[k] - stamp_s[0]:.3f} s"
+    text += f": limits {_shown(joint, low)} and {_shown(joint, high)}"
     if beyond[k] <= MAX_RANGE_EXCESS * (high - low):
         return [text]
     causes = "a wrong unit, ratio, zero or sign, a counter that wrapped"

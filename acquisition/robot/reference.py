@@ -74,9 +74,8 @@ def fourier_reference(
                 scale[j] = min(scale[j], limit / np.abs(peak[:, j]).max())
     scale *= share
     center = middle - scale * (q.max(axis=0) + q.min(axis=0)) / 2
-    return FourierReference(
-        period_s=period_s, center=center, sine=sine * scale[:, None], cosine=cosine * scale[:, None]
-    )
+    sine, cosine = (x * scale[:, None] for x in (sine, cosine))
+    return FourierReference(period_s=period_s, center=center, sine=sine, cosine=cosine)
 
 
 APPROACH_SHARE = 0.1  # of each joint's speed and acceleration limit
@@ -117,10 +116,7 @@ def table_reference(path: Path, robot: Robot, period_s: float, speed: float = 1.
 
 
 def check_limits(q: Array, robot: Robot, period_s: float, place: str) -> None:
-    """Refuse a path (N, n) from rest to rest, rad or m, that leaves the position, speed or acceleration limits of a joint.
-
-    Raises `BadInputError` with `place`, time, joint, value and limit; also if a joint states no limit.
-    """
+    """Refuse a path (N, n) from rest to rest, rad or m, that leaves limits of position, speed or acceleration, or has none."""
     for i, joint in enumerate(robot.joints):
         for quantity in ("position", "speed", "acceleration", "following_error"):
             if joint.si(quantity) is None:
@@ -148,20 +144,14 @@ def check_limits(q: Array, robot: Robot, period_s: float, place: str) -> None:
 
 
 def approach(start: Array, end: Array, robot: Robot, period_s: float) -> Array:
-    """A slow straight move (N, n) in joint space from rest at `start` (n,) to rest at `end` (n,), a row each `period_s`.
-
-    All joints move together (minimum jerk); rad or m. Obstacles are not checked.
-    """
+    """A slow straight move (N, n), of minimum jerk, from rest at `start` to rest at `end` (n,); obstacles are not checked."""
     distance = np.abs(end - start)
     speed = np.array([joint.si("speed") for joint in robot.joints]) * APPROACH_SHARE
     acceleration = np.array([joint.si("acceleration") for joint in robot.joints]) * APPROACH_SHARE
     # Largest speed and acceleration of 10 x³ - 15 x⁴ + 6 x⁵ over one second: 1.875 and 5.774.
-    duration_s = max(
-        0.2, float(np.max(1.875 * distance / speed)), float(np.max(np.sqrt(5.774 * distance / acceleration)))
-    )
+    duration_s = float(np.maximum(1.875 * distance / speed, np.sqrt(5.774 * distance / acceleration)).max(initial=0.2))
     x = np.linspace(0.0, 1.0, int(np.ceil(duration_s / period_s)) + 1)[:, None]
-    q: Array = start + (end - start) * (10 * x**3 - 15 * x**4 + 6 * x**5)
-    return q
+    return np.asarray(start + (end - start) * (10 * x**3 - 15 * x**4 + 6 * x**5))
 
 
 def follow(path: Array, robot: Robot, period_s: float, stopping: Callable[[], bool]) -> Iterator[Array]:
@@ -184,5 +174,4 @@ def _between(path: Array, at: float) -> Array:
     """Row of a path at a fractional index, by linear interpolation."""
     k = min(int(at), len(path) - 2) if len(path) > 1 else 0
     then = path[min(k + 1, len(path) - 1)]
-    q: Array = path[k] + (at - k) * (then - path[k])
-    return q
+    return np.asarray(path[k] + (at - k) * (then - path[k]))

@@ -4,36 +4,20 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
+from .. import protocol as cia
 from ..errors import Place
-from ..protocol import (
-    EFFORT_OBJECTS,
-    MAX_PDO_BITS,
-    RATED_CURRENT,
-    RATED_TORQUE,
-    RATED_UNITS,
-    RULES,
-    STANDARD,
-    EffortCodec,
-    ObjectEntry,
-    Pdo,
-    PositionCodec,
-    load_dictionary,
-    pdos_of,
-    usual_can_id,
-)
 from .bus import DriveFile, PdoFile, dictionary_label, parse_object
 from .description import Motor
 from .drives import POSITION_TYPE, Bus, Drive, Values, effort_scale, refuse_counts, refuse_pdos
 from .robot import Robot
 
-Entry = Callable[[str, str], ObjectEntry]  # from a key of the description and an object's name
+Entry = Callable[[str, str], cia.ObjectEntry]  # from a key of the description and an object's name
 
 
 def resolve(robot: Robot, place: str, traffic: Mapping[int, Values] | None = None) -> Bus:
     """The drives of `robot` with their PDOs and codecs.
 
-    `traffic` are values that another master wrote, by node and (index, sub), for drives with `mapping = "traffic"`. Raises
-    `BadInputError` with `place`, key, value and what was expected.
+    `traffic` are values that another master wrote, by node and (index, sub), for drives with `mapping = "traffic"`.
     """
     if robot.bus is None:
         Place(place).refuse("bus", None, "its drives: remove `#: ` in robot.toml, or `init --bus`")
@@ -55,23 +39,23 @@ def _limit(robot: Robot, i: int, quantity: str) -> float | None:
 def _drive(robot: Robot, i: int, place: str, traffic: Mapping[int, Values] | None) -> Drive:
     assert robot.bus is not None
     file, motor, files, at = robot.bus.drive[i], robot.motors[i], robot.files, Place(place, f"bus.drive[{i}]")
-    dictionary, types = None, dict(STANDARD)
+    dictionary, types = None, dict(cia.STANDARD)
     if file.dictionary is not None:
         label = dictionary_label(file.dictionary)
         if label not in files:
             at.refuse("dictionary", file.dictionary, text="is missing next to the description")
-        dictionary = load_dictionary(files[label], file.dictionary, file.node)
+        dictionary = cia.load_dictionary(files[label], file.dictionary, file.node)
         types |= {key: entry.type for key, entry in dictionary.entries.items() if entry.type}
     written = {parse_object(name): kind for name, kind in file.objects.items()}
     types |= written
 
-    def entry(key: str, name: str) -> ObjectEntry:
+    def entry(key: str, name: str) -> cia.ObjectEntry:
         number = parse_object(name)
         listed = dictionary is None or number in dictionary.entries or number in written
         if number not in types or not listed:
             why = f"{file.dictionary} does not contain it" if dictionary else "its type is not known"
             at.refuse(key, name, "an object of the drive, or one in objects", text=why)
-        return ObjectEntry(index=number[0], sub=number[1], type=types[number])
+        return cia.ObjectEntry(index=number[0], sub=number[1], type=types[number])
 
     word = "reference" if file.reference is not None else "actual"
     effort = _effort(file, word, entry(word, getattr(file, word)), motor, at)
@@ -89,7 +73,7 @@ def _drive(robot: Robot, i: int, place: str, traffic: Mapping[int, Values] | Non
         source = (traffic or {}).get(file.node, {})
         if file.mapping == "dictionary" and dictionary is not None:
             source = {key: e.value for key, e in dictionary.entries.items() if e.value is not None}
-        tpdos, rpdos = (pdos_of(way, source, types, f"{at}: {at.table}.mapping") for way in ("tpdo", "rpdo"))
+        tpdos, rpdos = (cia.pdos_of(way, source, types, f"{at}: {at.table}.mapping") for way in ("tpdo", "rpdo"))
     speed, acceleration = (_limit(robot, i, quantity) for quantity in ("speed", "acceleration"))
     slides = robot.joints[int(np.argmax(np.abs(robot.R[i])))].type == "prismatic"
     per_joint = float(np.abs(robot.R[i]).sum() * file.counts_per_unit)
@@ -100,7 +84,7 @@ def _drive(robot: Robot, i: int, place: str, traffic: Mapping[int, Values] | Non
         control=control,
         position=position,
         target=target,
-        position_codec=PositionCodec(
+        position_codec=cia.PositionCodec(
             counts_per_unit=file.counts_per_unit, sign=file.sign, zero_counts=file.zero_counts
         ),
         effort=effort,
@@ -120,18 +104,20 @@ def _drive(robot: Robot, i: int, place: str, traffic: Mapping[int, Values] | Non
     return drive
 
 
-def _pdos(way: str, file: DriveFile, default: tuple[ObjectEntry, ...], entry: Entry, at: Place) -> tuple[Pdo, ...]:
+def _pdos(
+    way: str, file: DriveFile, default: tuple[cia.ObjectEntry, ...], entry: Entry, at: Place
+) -> tuple[cia.Pdo, ...]:
     """The PDOs of one direction, as described, else as few as possible with the `default` objects in order."""
     pdos = []
     files: tuple[PdoFile, ...] = getattr(file, way) or _pack(default)
     for k, written in enumerate(files):
         entries = tuple(entry(f"{way}[{k}].objects", name) for name in written.objects)
         number = written.number or k + 1
-        can_id = written.can_id or usual_can_id(way, number, file.node)
+        can_id = written.can_id or cia.usual_can_id(way, number, file.node)
         if can_id is None:
             at.refuse(f"{way}[{k}].can_id", None, "an identifier: only the first four PDOs have a usual one")
-        pdo = Pdo(number=number, can_id=can_id, entries=entries)
-        if pdo.bits > MAX_PDO_BITS:
+        pdo = cia.Pdo(number=number, can_id=can_id, entries=entries)
+        if pdo.bits > cia.MAX_PDO_BITS:
             sizes = " + ".join(str(e.bits // 8) for e in entries)
             problem = f"{sizes} = {pdo.length} bytes"
             at.refuse(f"{way}[{k}].objects", text=problem, expected="8 at most; use a second PDO")
@@ -139,22 +125,22 @@ def _pdos(way: str, file: DriveFile, default: tuple[ObjectEntry, ...], entry: En
     return tuple(pdos)
 
 
-def _pack(entries: tuple[ObjectEntry, ...]) -> tuple[PdoFile, ...]:
-    parts: list[tuple[ObjectEntry, ...]] = [()]
+def _pack(entries: tuple[cia.ObjectEntry, ...]) -> tuple[PdoFile, ...]:
+    parts: list[tuple[cia.ObjectEntry, ...]] = [()]
     for entry in entries:
-        if sum(e.bits for e in parts[-1]) + entry.bits > MAX_PDO_BITS:
+        if sum(e.bits for e in parts[-1]) + entry.bits > cia.MAX_PDO_BITS:
             parts.append(())
         parts[-1] += (entry,)
     return tuple(PdoFile(objects=tuple(map(str, part))) for part in parts)
 
 
-def _effort(file: DriveFile, word: str, entry: ObjectEntry, motor: Motor, at: Place) -> EffortCodec:
-    kind, usual, meaning = EFFORT_OBJECTS.get(entry.key, ("", "", ""))
+def _effort(file: DriveFile, word: str, entry: cia.ObjectEntry, motor: Motor, at: Place) -> cia.EffortCodec:
+    kind, usual, meaning = cia.EFFORT_OBJECTS.get(entry.key, ("", "", ""))
     known = kind == entry.type
     name = getattr(file, f"{word}_rule") or (usual if known else None)
     if name is None:
-        at.refuse(f"{word}_rule", None, f"one of {', '.join(RULES)}", text=f"{entry} ({entry.type}) is not known")
-    rule = RULES[name]
+        at.refuse(f"{word}_rule", None, f"one of {', '.join(cia.RULES)}", text=f"{entry} ({entry.type}) is not known")
+    rule = cia.RULES[name]
     scale = effort_scale(rule, file, at, f"the rated value that {name!r} multiplies")
     if rule.unit != motor.recorded_unit:
         expected = f"{motor.recorded_unit} as motor {motor.name!r} says"
@@ -163,14 +149,14 @@ def _effort(file: DriveFile, word: str, entry: ObjectEntry, motor: Motor, at: Pl
     parts += [] if word == "reference" else ["the actual value instead of the reference"]
     times = f" x {getattr(file, rule.rated):g} ({rule.rated})" if rule.rated else ""
     parts += [f"raw {entry.type} in {name}{times}", f"sign {file.effort_sign or file.sign:+d}"]
-    return EffortCodec(entry=entry, scale=scale, provenance=", ".join(parts))
+    return cia.EffortCodec(entry=entry, scale=scale, provenance=", ".join(parts))
 
 
 def _rated_values(file: DriveFile) -> dict[int, int]:
     rated = {}
     if file.rated_current_a is not None:
-        rated[RATED_CURRENT] = round(file.rated_current_a / RATED_UNITS[file.rated_current_unit])
+        rated[cia.RATED_CURRENT] = round(file.rated_current_a / cia.RATED_UNITS[file.rated_current_unit])
     torque = file.rated_torque_nm if file.rated_torque_nm is not None else file.rated_force_n
     if torque is not None:
-        rated[RATED_TORQUE] = round(torque / RATED_UNITS[file.rated_torque_unit])
+        rated[cia.RATED_TORQUE] = round(torque / cia.RATED_UNITS[file.rated_torque_unit])
     return rated

@@ -20,9 +20,9 @@ Positive = Annotated[float, msgspec.Meta(gt=0)]
 Name = Annotated[str, msgspec.Meta(min_length=1, max_length=64, pattern=r"\A[A-Za-z0-9_.\- ]+\Z")]
 
 
-def note(description: str) -> msgspec.Meta:
+def note(description: str, **limits: Any) -> msgspec.Meta:
     """The description of a key, with its unit and default: JSON Schemas and the reference of all keys show it."""
-    return msgspec.Meta(description=description)
+    return msgspec.Meta(description=description, **limits)
 
 
 class TomlTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, dict=True):
@@ -42,9 +42,8 @@ def parse_toml(text: bytes, kind: type[T], place: str) -> T:
     file = Place(place)
     longest = max(map(len, text.splitlines()), default=0)
     if len(text) > MAX_TOML_BYTES or longest > MAX_LINE_BYTES:
-        file.refuse(
-            text=f"{len(text)} bytes, a line of {longest}", expected=f"{MAX_TOML_BYTES} and {MAX_LINE_BYTES} at most"
-        )
+        expected = f"{MAX_TOML_BYTES} and {MAX_LINE_BYTES} at most"
+        file.refuse(text=f"{len(text)} bytes, a line of {longest}", expected=expected)
     try:
         data = tomllib.loads(text.decode("utf-8"))
         _refuse_nonfinite(data, "", file)

@@ -23,8 +23,6 @@ MAX_HUNG_FINISH_S = 10.0  # if there was no status for `MAX_SILENT_S`
 MAX_SILENT_S = 5.0  # without a status; then the disk counts as hung
 
 _ENDED = "the recorder has ended: expected it to run until the session ends"
-
-
 OnStatus = Callable[[Status, int], None]  # called with each status, and the time
 
 

@@ -18,7 +18,7 @@ from ..robot import Joint, Robot
 
 ENABLE_S = 5.0  # for all drives to be enabled, or disabled
 # One transition at a time, so that a drive can decelerate and engage its brake before voltage is off.
-_DOWN = {
+_DOWN: dict[State | None, Command] = {
     State.OPERATION_ENABLED: Command.SWITCH_ON,
     State.SWITCHED_ON: Command.SHUTDOWN,
     State.READY_TO_SWITCH_ON: Command.DISABLE_VOLTAGE,
@@ -76,9 +76,7 @@ def disable(master: Master, targets: list[int]) -> Iterator[Orders]:
         states = [watch.state for watch in master.nodes]
         if all(state in (State.SWITCH_ON_DISABLED, State.FAULT) for state in states):
             return
-        downs = [
-            Command.DISABLE_VOLTAGE if state is None else _DOWN.get(state, Command.DISABLE_VOLTAGE) for state in states
-        ]
+        downs = [_DOWN.get(state, Command.DISABLE_VOLTAGE) for state in states]
         yield [(command.controlword, target) for command, target in zip(downs, targets, strict=True)]
     raise BusFaultError(f"not disabled after {ENABLE_S:g} s", expected="switch on disabled")
 
@@ -104,9 +102,7 @@ class MotionState:
     measured: list[Array] = field(default_factory=list)  # joint positions of the last SYNCs, latest last
     target: Array | None = None  # target position (n,) of the drives, None where they have none
     enabled: set[int] = field(default_factory=set)  # nodes that have been enabled
-    bits_seen: dict[int, int] = field(
-        default_factory=dict
-    )  # bits of the statusword set by each node while it was enabled
+    bits_seen: dict[int, int] = field(default_factory=dict)  # of the statusword, by node, set while it was enabled
     clear_syncs: dict[tuple[int, int], int] = field(default_factory=dict)  # SYNCs in a row in which a (node, bit) was 0
 
 

@@ -7,19 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from .. import recording
 from ..errors import BadInputError
-from ..recording import (
-    CAN_FD,
-    FRAME,
-    NO_SAMPLES,
-    Block,
-    Header,
-    RecordingWriter,
-    decode,
-    read_recording,
-    take_marks,
-    written_by_master,
-)
 from ..robot import Bus, Payload, Robot, resolve
 
 FLUSH_S = 0.5
@@ -63,7 +52,7 @@ class Recorder:
         if path.exists():
             expected = "a new name; recordings are not replaced"
             raise BadInputError("already exists", place=str(path), expected=expected)
-        header = Header(
+        header = recording.Header(
             robot=robot,
             source=source,
             sample_rate_hz=1.0 / file.sync_period_s,
@@ -79,19 +68,19 @@ class Recorder:
             },
         )
         try:
-            self._writer = RecordingWriter(path, header)
+            self._writer = recording.RecordingWriter(path, header)
         except OSError as error:
             raise BadInputError(f"cannot be written: {error.strerror or error}", place=str(path)) from error
         self.channel = "".join(c if c.isalnum() or c in "_.-" else "_" for c in file.channel)[:64] or "can"
-        self._recent: list[Block] = []  # since the last status
+        self._recent: list[recording.Block] = []  # since the last status
         self._status = Status()
         self.granted: dict[str, float] = {}  # constant counters, for every line of `/health`
         self._flushed_ns: int | None = None
         self._fd_frames = 0
 
-    def add(self, block: Block) -> None:
+    def add(self, block: recording.Block) -> None:
         """Write frames in the order of reception; programs that follow the file see them at once. CAN FD is only counted."""
-        of_fd = (block["flags"] & CAN_FD) != 0
+        of_fd = (block["flags"] & recording.CAN_FD) != 0
         self._fd_frames += int(of_fd.sum())
         block = block[~of_fd]
         if len(block):
@@ -113,7 +102,7 @@ class Recorder:
         if 0 <= elapsed_s < FLUSH_S and not now:
             return None
         self._note_marks(stamp_ns)
-        recent = np.concatenate(self._recent) if self._recent else np.zeros(0, FRAME)
+        recent = np.concatenate(self._recent) if self._recent else np.zeros(0, recording.FRAME)
         self._recent = []
         self._status = status = self._next_status(recent, elapsed_s, drops)
         counters = {"frames": status.frames, "kernel_drops": drops, "late": status.late, "missing": status.missing}
@@ -122,13 +111,13 @@ class Recorder:
         self._flushed_ns = stamp_ns
         return status
 
-    def _next_status(self, recent: Block, elapsed_s: float, drops: int) -> Status:
+    def _next_status(self, recent: recording.Block, elapsed_s: float, drops: int) -> Status:
         last = self._status
         low, high, counted = last.lowest, last.highest, dict.fromkeys(("late", "missing", "duplicate", "short"), 0)
         with suppress(BadInputError):  # while there is no SYNC, or no drive answers
             if self._bus is None:
-                self._bus = resolve(self._robot, self._place, written_by_master(recent))
-            decoded = decode(recent, self._robot, self._bus, self._place, max_missing=1.0)
+                self._bus = resolve(self._robot, self._place, recording.written_by_master(recent))
+            decoded = recording.decode(recent, self._robot, self._bus, self._place, max_missing=1.0)
             q = decoded.samples["position"]
             low = tuple(np.minimum(q.min(axis=0), last.lowest or np.inf).tolist())
             high = tuple(np.maximum(q.max(axis=0), last.highest or -np.inf).tolist())
@@ -146,7 +135,7 @@ class Recorder:
     def finish(self, stamp_ns: int) -> RecordedSummary:
         """Decode the recorded frames, write the samples after them, and close the file."""
         self._writer.flush()
-        frames = read_recording(self._path).frames.get(self.channel, np.zeros(0, FRAME))
+        frames = recording.read_recording(self._path).frames.get(self.channel, np.zeros(0, recording.FRAME))
         found = write_decoded(self._writer, frames, self._robot, stamp_ns, str(self._path))
         if self._fd_frames:
             text = f"frames left out: {self._fd_frames} of CAN FD"
@@ -157,7 +146,7 @@ class Recorder:
         return found
 
     def _note_marks(self, stamp_ns: int, *, last: bool = False) -> None:
-        for age_ns, text in take_marks(self._path, self._writer, last=last):
+        for age_ns, text in recording.take_marks(self._path, self._writer, last=last):
             self._writer.event(max(0, stamp_ns - age_ns), "operator", text)
 
     def close(self) -> None:
@@ -165,13 +154,14 @@ class Recorder:
         self._writer.close()
 
 
-def write_decoded(writer: RecordingWriter, frames: Block, robot: Robot, stamp_ns: int, place: str) -> RecordedSummary:
+def write_decoded(
+    writer: recording.RecordingWriter, frames: recording.Block, robot: Robot, stamp_ns: int, place: str
+) -> RecordedSummary:
     """Decode frames and write samples, counters and warnings, or the reason why there are no samples."""
     try:
-        bus = resolve(robot, place, written_by_master(frames))
-        decoded = decode(frames, robot, bus, place)
+        decoded = recording.decode(frames, robot, resolve(robot, place, recording.written_by_master(frames)), place)
     except BadInputError as error:
-        writer.event(stamp_ns, "warning", f"{NO_SAMPLES}{error.args[0]}")
+        writer.event(stamp_ns, "warning", f"{recording.NO_SAMPLES}{error.args[0]}")
         return RecordedSummary(frames=len(frames), samples=0, warnings=(), no_samples=error.args[0])
     decoded.write(writer, stamp_ns)
     return RecordedSummary(frames=len(frames), samples=len(decoded.stamps), warnings=decoded.warnings)

@@ -96,13 +96,11 @@ def record(
         whole_s = task.duration_s if task.reference is None else len(task.reference) * bus.file.sync_period_s
 
         def show(status: Status, now_ns: int) -> None:
-            left_s = None if whole_s is None else max(0.0, whole_s - (now_ns - started_ns) * 1e-9)
-            operator.show(status, left_s)
+            operator.show(status, None if whole_s is None else max(0.0, whole_s - (now_ns - started_ns) * 1e-9))
 
         log.on_status = show
-        with (
-            real_time_scheduling() if isinstance(log, ProcessLog) else nullcontext() as granted
-        ):  # after the recorder has started
+        # After the recorder has started.
+        with real_time_scheduling() if isinstance(log, ProcessLog) else nullcontext() as granted:
             if granted is not None and isinstance(log, ProcessLog):
                 log.event(link.now_ns(), "mark", f"SYNC loop: {granted.words}")
                 log.granted(granted.counters)
@@ -118,9 +116,8 @@ def _task_of(robot: Robot, period_s: float, options: RecordOptions, operator: Us
     if options.track is not None and options.duration_s is not None:
         raise BadInputError("lasts as long as its reference", place="--track", expected="no --duration")
     if options.track is None and options.speed != 1.0:
-        raise BadInputError(
-            "applies to a reference only", key="--speed", value=options.speed, expected="--track with it"
-        )
+        problem = "applies to a reference only"
+        raise BadInputError(problem, key="--speed", value=options.speed, expected="--track with it")
     if not 0 < options.speed <= 1:
         raise BadInputError(key="--speed", value=options.speed, expected="more than 0, and 1 at most")
     if options.track is None:
@@ -238,10 +235,8 @@ def replay(path: Path, file: BusFile, stop: Stop, *, speed: float = 1.0, onto_bu
     """Send the frames that the drives of a recording sent, and its SYNCs, in their order and with their timing.
 
     Commands are never sent. `file` is the bus to send on, `speed` a factor on the recorded speed, and `onto_bus` allows
-    interfaces with hardware. Returns the number of frames sent.
-
-    Raises `RobotIdimError`: `speed` or the interface is refused, the recording holds no frames of drives, a frame of another
-    node is received before or between the frames sent, or the bus accepts no frames.
+    interfaces with hardware. Returns the number of frames sent. Raises `RobotIdimError`: `speed` or the interface is refused,
+    the recording holds no frames of drives, another node sends before or between these frames, or the bus accepts none.
     """
     if not speed > 0:
         raise BadInputError(key="--speed", value=speed, expected="more than 0")

@@ -9,21 +9,8 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
+from .. import bus
 from ..arrays import Array
-from ..bus import (
-    Master,
-    MasterHeartbeat,
-    Orders,
-    error_report,
-    joints_of,
-    leave_operational,
-    listen_for_others,
-    not_disabled,
-    refuse_enabled,
-    refuse_slow_ramps,
-    safe_stop,
-    send_orders,
-)
 from ..errors import BusFaultError, RefusedError, RobotIdimError
 from ..protocol import DISABLED, Command, Mode, State, notices
 from ..robot import Drive, Robot, approach, check_carriers, check_limits, follow, refuse_out_of_range
@@ -53,7 +40,7 @@ class Task:
     duration_s: float | None = None  # of a session without a reference; None: until it is stopped
     reference: Array | None = None  # joint positions (N, n), one row per SYNC, rad or m
     place: str = "reference"  # name of the reference in errors
-    before_motion: Callable[[Master], Iterable[str]] = lambda _: ()
+    before_motion: Callable[[bus.Master], Iterable[str]] = lambda _: ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,12 +56,12 @@ class Outcome:
     @property
     def alarm(self) -> str:
         """The message that is shown first; empty where every drive confirmed."""
-        return not_disabled(self.unconfirmed) if self.unconfirmed else ""
+        return bus.not_disabled(self.unconfirmed) if self.unconfirmed else ""
 
 
 def run_active(
     robot: Robot,
-    master: Master,
+    master: bus.Master,
     log: SessionLog,
     task: Task,
     stop: Stop,
@@ -127,12 +114,12 @@ def run_active(
 class _Session:
     """One run. Phases are generators: they yield the orders of each SYNC, and `_run` sends them."""
 
-    def __init__(self, robot: Robot, master: Master, log: SessionLog, task: Task, stop: Stop) -> None:
+    def __init__(self, robot: Robot, master: bus.Master, log: SessionLog, task: Task, stop: Stop) -> None:
         self._robot, self._master, self._log, self._task, self._stop = robot, master, log, task, stop
         self._link, self._bus = master.link, master.bus
         self._period_s = master.bus.file.sync_period_s
         self._pace = Pace(master)
-        self._heartbeat = MasterHeartbeat(master)
+        self._heartbeat = bus.MasterHeartbeat(master)
         self._until_ns: int | None = None
         self._motion: MotionState | None = None
         self._held: list[int] = []  # last target counts of the drives
@@ -149,10 +136,10 @@ class _Session:
             refuse_out_of_range(self._task.reference, self._robot, self._bus, self._task.place)
             check_carriers(self._bus)
         self._note("phase", "configure")
-        if (refusal := listen_for_others(self._master)) is not None:
+        if (refusal := bus.listen_for_others(self._master)) is not None:
             raise refusal
         # Only reads: a drive that another program has enabled stays as it is.
-        self._in_fault = refuse_enabled(self._master)
+        self._in_fault = bus.refuse_enabled(self._master)
         self._note("mark", *(f"node {node}: found in fault" for node in self._in_fault))
         if self._task.reference is not None:
             self._note("mark", *self._task.before_motion(self._master))
@@ -164,7 +151,7 @@ class _Session:
             raise RefusedError("; ".join(differences), what="the session")
         if self._task.reference is not None:
             self._master.choose_mode(Mode.CYCLIC_SYNCHRONOUS_POSITION)
-            self._note("mark", *refuse_slow_ramps(self._master))
+            self._note("mark", *bus.refuse_slow_ramps(self._master))
             self._note("warning", *self._heartbeat.request())
         self._master.refuse_doubled()
         self._master.start()
@@ -194,7 +181,8 @@ class _Session:
             return
         if not self._stop.reason:
             # From the held targets, not from measured positions: the difference between them would be a step of the target.
-            path = approach(joints_of(self._robot, self._bus, self._held), reference[0], self._robot, self._period_s)
+            start = bus.joints_of(self._robot, self._bus, self._held)
+            path = approach(start, reference[0], self._robot, self._period_s)
             check_limits(path, self._robot, self._period_s, "the approach to the reference's start")
             self._run("approach", self._follow(path), len(path) * self._period_s)
         if not self._stop.reason:
@@ -202,7 +190,7 @@ class _Session:
         self._run("stop", self._hold())
         self._run("disable", self._disable())
 
-    def _run(self, name: str, orders: Iterator[Orders | None], planned_s: float | None = None) -> None:
+    def _run(self, name: str, orders: Iterator[bus.Orders | None], planned_s: float | None = None) -> None:
         """Run a phase: for each SYNC its orders, which apply from that SYNC on, then SYNC, answers and guards."""
         self._log.event(max(self._pace.next_ns, self._link.now_ns()), "phase", name)
         if planned_s is not None:
@@ -210,8 +198,8 @@ class _Session:
         for order in orders:
             if order is not None:
                 self._held = [target for _, target in order]
-                self._targets = [*self._targets[-3:], joints_of(self._robot, self._bus, self._held)]
-                send_orders(self._master, order)
+                self._targets = [*self._targets[-3:], bus.joints_of(self._robot, self._bus, self._held)]
+                bus.send_orders(self._master, order)
             self._sync()
 
     def _sync(self) -> None:
@@ -255,13 +243,13 @@ class _Session:
     def _positions(self) -> Array | None:
         """Measured joint positions (n,), None until every drive has sent its position."""
         counts = [watch.counts for watch in self._master.nodes if watch.counts is not None]
-        return joints_of(self._robot, self._bus, counts) if len(counts) == self._robot.n else None
+        return bus.joints_of(self._robot, self._bus, counts) if len(counts) == self._robot.n else None
 
     def _record(self) -> Iterator[None]:
         while not self._stop.reason and (self._until_ns is None or self._link.now_ns() < self._until_ns):
             yield None
 
-    def _enable(self) -> Iterator[Orders | None]:
+    def _enable(self) -> Iterator[bus.Orders | None]:
         """Enable all drives, each held at its position. The guards of motion are active from here on."""
         self._motion = MotionState()
         targets: list[int] = []
@@ -269,23 +257,20 @@ class _Session:
             if self._stop.reason:
                 return
             yield order
-        watched = round(self._bus.file.enable_watch_s / self._period_s)
-        yield from itertools.takewhile(
-            lambda _: not self._stop.reason, itertools.repeat(_enabled_at(self._held), watched)
-        )
+        held = itertools.repeat(_enabled_at(self._held), round(self._bus.file.enable_watch_s / self._period_s))
+        yield from itertools.takewhile(lambda _: not self._stop.reason, held)
         self._motion.enabling = False
 
-    def _follow(self, path: Array) -> Iterator[Orders]:
+    def _follow(self, path: Array) -> Iterator[bus.Orders]:
         """Orders that keep drives enabled at the joint targets of `path` (N, n)."""
         for q in follow(path, self._robot, self._period_s, lambda: bool(self._stop.reason)):
             motor = self._robot.motor_position(q[None])[0]
-            counts = [int(drive.position_codec.raw(motor[i])) for i, drive in enumerate(self._bus.drives)]
-            yield _enabled_at(counts)
+            yield _enabled_at([int(drive.position_codec.raw(motor[i])) for i, drive in enumerate(self._bus.drives)])
 
-    def _hold(self) -> Iterator[Orders]:
+    def _hold(self) -> Iterator[bus.Orders]:
         yield from itertools.repeat(_enabled_at(self._held), max(3, round(HOLD_S / self._period_s)))
 
-    def _disable(self) -> Iterator[Orders]:
+    def _disable(self) -> Iterator[bus.Orders]:
         """Disable all drives, without the guards of motion: drives leave operation enabled here."""
         self._motion = None
         yield from disable(self._master, self._held or [watch.counts or 0 for watch in self._master.nodes])
@@ -298,7 +283,7 @@ class _Session:
         self._stop.reason = self._stop.reason or "safe state"
         if self._task.reference is None:
             return [drive.node for drive in self._bus.drives if not self._is_disabled(drive)]
-        return safe_stop(self._master, after_sync=lambda: self._log.poll(self._link.now_ns()))
+        return bus.safe_stop(self._master, after_sync=lambda: self._log.poll(self._link.now_ns()))
 
     def _is_disabled(self, drive: Drive) -> bool:
         with suppress(RobotIdimError):
@@ -313,7 +298,7 @@ class _Session:
             if watch.emergency is not None or watch.state in (State.FAULT, State.FAULT_REACTION_ACTIVE)
         ]
         asked = [drive for drive in in_fault if self.addressed and drive.node not in unconfirmed]
-        return [text for drive in asked if (text := error_report(self._master, drive))]
+        return [text for drive in asked if (text := bus.error_report(self._master, drive))]
 
     def leave(self, unconfirmed: list[int]) -> None:
         """End the heartbeat, and set the drives to PRE-OPERATIONAL."""
@@ -322,9 +307,9 @@ class _Session:
         with suppress(RobotIdimError):
             nodes = [drive.node for drive in self._bus.drives if drive.node not in unconfirmed]
             self._note("warning", *self._heartbeat.release(nodes))
-        leave_operational(self._master)
+        bus.leave_operational(self._master)
 
 
-def _enabled_at(counts: list[int]) -> Orders:
+def _enabled_at(counts: list[int]) -> bus.Orders:
     """Orders that keep drives enabled at the target counts."""
     return [(Command.ENABLE_OPERATION.controlword, target) for target in counts]

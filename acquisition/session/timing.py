@@ -157,9 +157,8 @@ def sync_jitter(master: Master) -> Jitter:
         first = len(master.sync_times)
         for _ in range(count):
             if not master.wait_for_sync(link.now_ns() + MAX_ABSENT_PERIODS * period_ns):
-                raise BusFaultError(
-                    f"no SYNC in {MAX_ABSENT_PERIODS} periods", place="bus", expected="the other producer's"
-                )
+                text = f"no SYNC in {MAX_ABSENT_PERIODS} periods"
+                raise BusFaultError(text, place="bus", expected="the other producer's")
         times = master.sync_times[first:]
     deviation_s = np.abs(np.diff(times) - period_ns) * 1e-9
     return Jitter(
@@ -174,13 +173,8 @@ def refuse_jitter(master: Master) -> Jitter:
     """Measured jitter of SYNC. Raises `RefusedError` where it is too large to move a robot."""
     found = sync_jitter(master)
     if not found.fit_for_motion:
-        raise RefusedError(
-            f"{DEVIATIONS} sd exceed {found.largest_s * 1e3:g} ms, the largest delay in motion",
-            what="motion",
-            place="bus",
-            key="SYNC jitter sd",
-            value=found.sd_s,
-            shown=f"{found.sd_s * 1e3:.3f} ms",
-            expected="less; end other programs, or permit SCHED_FIFO (acquisition/README.md)",
-        )
+        why = f"{DEVIATIONS} sd exceed {found.largest_s * 1e3:g} ms, the largest delay in motion"
+        expected = "less; end other programs, or permit SCHED_FIFO (acquisition/README.md)"
+        sd = {"key": "SYNC jitter sd", "value": found.sd_s, "shown": f"{found.sd_s * 1e3:.3f} ms"}
+        raise RefusedError(why, what="motion", place="bus", **sd, expected=expected)
     return found

@@ -11,24 +11,10 @@ from contextlib import suppress
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import protocol as cia
 from ..arrays import Array
 from ..bus import Frame, Tap, open_link
 from ..errors import BusFaultError
-from ..protocol import (
-    HEARTBEAT,
-    HEARTBEAT_TIME,
-    MODE_DISPLAY,
-    PROFILE_DECELERATION,
-    QUICK_STOP_DECELERATION,
-    QUICK_STOP_OPTION,
-    RAMP_OBJECTS,
-    VELOCITY_ACTUAL,
-    Mode,
-    PositionCodec,
-    State,
-    quick_stop_ramp,
-    saturated,
-)
 from ..recording import SENT
 from ..robot import Bus, Robot, axis_index
 from .mechanism import SUBSTEPS, DrivenPlant, cubic, driven_plant
@@ -65,14 +51,19 @@ class SimulatedDrives:
         self._robot, self._loops = robot, mechanism.loops
         self._period_s = bus.file.sync_period_s
         codecs = [drive.position_codec for drive in bus.drives]
-        self._positions = PositionCodec(
+        self._positions = cia.PositionCodec(
             counts_per_unit=np.array([c.counts_per_unit for c in codecs]),
             sign=np.array([c.sign for c in codecs]),
             zero_counts=np.array([c.zero_counts for c in codecs]),
         )
         self._quick_stop = np.abs(robot.R) @ [joint.si("acceleration") or 10.0 for joint in robot.joints]
         for node, limit in zip(self.nodes, self._quick_stop, strict=True):
-            self._set_ramps(node, limit)
+            # The ramps are the motor's acceleration limit, rad/s² or m/s², as in the commissioning of an arm.
+            ramps = cia.QUICK_STOP_DECELERATION, cia.PROFILE_DECELERATION
+            keys = [(axis_index(node.drive, index), 0) for index in ramps]
+            unit = _ramp(node, node.values | dict.fromkeys(keys, 1))
+            for key in [key for key in keys if key in node.values and unit]:
+                node.values[key] = node.initial[key] = int(cia.saturated(np.array(limit / unit), "U32"))
         for i, node in enumerate(self.nodes):
             stated = units_and_limits(robot, bus, i) if node.drive.dictionary is None else {}
             node.types |= dict.fromkeys(stated.keys() - node.types, "U32")
@@ -86,15 +77,15 @@ class SimulatedDrives:
         self._held = np.ones(robot.n, np.bool_)
 
     @property
-    def states(self) -> list[State]:
+    def states(self) -> list[cia.State]:
         """State of each drive."""
         return [node.state for node in self.nodes]
 
     def set_heartbeats(self, every_ms: int) -> None:
         """Set `every_ms`, from the next boot on, for drives whose dictionaries have a heartbeat time (1017h) of 0."""
         for node in self.nodes:
-            if node.initial.get((HEARTBEAT_TIME, 0)) == 0:
-                node.initial[HEARTBEAT_TIME, 0] = every_ms
+            if node.initial.get((cia.HEARTBEAT_TIME, 0)) == 0:
+                node.initial[cia.HEARTBEAT_TIME, 0] = every_ms
 
     def boot(self) -> Sent:
         """Boot all drives; their boot-up messages."""
@@ -106,9 +97,9 @@ class SimulatedDrives:
         """The frames that the drives send in response to a frame."""
         if can_id == self.bus.file.sync_can_id:
             return self._sync(now_ns)
-        if HEARTBEAT < can_id < HEARTBEAT + 0x80 and data:
+        if cia.HEARTBEAT < can_id < cia.HEARTBEAT + 0x80 and data:
             for supervision in self._supervisions:
-                supervision.heartbeat(now_ns, can_id - HEARTBEAT)
+                supervision.heartbeat(now_ns, can_id - cia.HEARTBEAT)
         return [frame for node in self.nodes for frame in node.receive(can_id, data)]
 
     def due_ns(self) -> int | None:
@@ -132,7 +123,7 @@ class SimulatedDrives:
         return sent
 
     def _heartbeat_ns(self, i: int) -> int:
-        return self.nodes[i].values.get((HEARTBEAT_TIME, 0), 0) * 1_000_000
+        return self.nodes[i].values.get((cia.HEARTBEAT_TIME, 0), 0) * 1_000_000
 
     def _sync(self, now_ns: int) -> Sent:
         for supervision in self._supervisions:
@@ -161,8 +152,8 @@ class SimulatedDrives:
         # A torque demand (6074h) is that of the last step: it leads the torque by the lag of the current loop. Any other effort
         # is the mean torque since the last SYNC: it is half a period late.
         loops, T = self._loops, self._period_s
-        stopping = np.array([node.state is State.QUICK_STOP_ACTIVE for node in self.nodes])
-        enabled = np.array([node.state is State.OPERATION_ENABLED for node in self.nodes]) | stopping
+        stopping = np.array([node.state is cia.State.QUICK_STOP_ACTIVE for node in self.nodes])
+        enabled = np.array([node.state is cia.State.OPERATION_ENABLED for node in self.nodes]) | stopping
         if self.plant.prescribed_effort() is not None:  # the control loops have no effect
             self.plant.step(self._actual, ~enabled | stopping, T)
             return
@@ -193,22 +184,15 @@ class SimulatedDrives:
         self._reported = np.where(self._reports_demand, demand, total / SUBSTEPS)
         self._target, self._travel, self._speed, self._held = target, travel, last, ~enabled
         for i, node in enumerate(self.nodes):
-            stays = node.values.get((QUICK_STOP_OPTION, 0), 2) in QUICK_STOP_STAYS
+            stays = node.values.get((cia.QUICK_STOP_OPTION, 0), 2) in QUICK_STOP_STAYS
             if stopping[i] and travel[i] == 0.0 and not stays:
-                node.state = State.SWITCH_ON_DISABLED
-
-    def _set_ramps(self, node: SimulatedNode, limit: float) -> None:
-        """Set the ramps to the motor's acceleration limit, rad/s² or m/s², as in the commissioning of an arm."""
-        keys = [(axis_index(node.drive, index), 0) for index in (QUICK_STOP_DECELERATION, PROFILE_DECELERATION)]
-        unit = _ramp(node, node.values | dict.fromkeys(keys, 1))
-        for key in [key for key in keys if key in node.values and unit]:
-            node.values[key] = node.initial[key] = int(saturated(np.array(limit / unit), "U32"))
+                node.state = cia.State.SWITCH_ON_DISABLED
 
     def _targets(self, position: Array, enabled: NDArray[np.bool_]) -> Array:
         """Motor targets (n,) from 607Ah; the present position where a drive is not enabled or in another mode."""
         target = position.copy()
         for i, node in enumerate(self.nodes):
-            if enabled[i] and node.values.get((MODE_DISPLAY, 0), 8) == Mode.CYCLIC_SYNCHRONOUS_POSITION:
+            if enabled[i] and node.values.get((cia.MODE_DISPLAY, 0), 8) == cia.Mode.CYCLIC_SYNCHRONOUS_POSITION:
                 target[i] = node.drive.position_codec.si(np.array(node.values[node.drive.target.key]))
         return target
 
@@ -231,16 +215,16 @@ class SimulatedDrives:
             node.values[drive.position.key] = int(counts[i])
             node.values[drive.effort.entry.key] = int(drive.effort.raw(motor[i]))
             for extra in drive.extras:
-                if extra.index == axis_index(drive, VELOCITY_ACTUAL):
+                if extra.index == axis_index(drive, cia.VELOCITY_ACTUAL):
                     per_unit = drive.position_codec.sign * drive.position_codec.counts_per_unit
-                    node.values[extra.key] = int(saturated(np.array(speed[i] * per_unit), extra.type))
+                    node.values[extra.key] = int(cia.saturated(np.array(speed[i] * per_unit), extra.type))
 
 
 def _ramp(node: SimulatedNode, values: Mapping[tuple[int, int], int]) -> float:
     """Deceleration of a quick stop by `values` of its objects, rad/s² or m/s² of the motor; 0 if unknown."""
-    objects = {index: values.get((axis_index(node.drive, index), 0)) for index in RAMP_OBJECTS}
+    objects = {index: values.get((axis_index(node.drive, index), 0)) for index in cia.RAMP_OBJECTS}
     codec = node.drive.position_codec
-    return (quick_stop_ramp(objects, codec) or 0.0) / float(codec.counts_per_unit)
+    return (cia.quick_stop_ramp(objects, codec) or 0.0) / float(codec.counts_per_unit)
 
 
 IDLE_HEARTBEAT_MS = 200  # until a master sets another, so that a master that listens first receives heartbeats

@@ -111,8 +111,7 @@ class TablePlant:
 
     def prescribed_effort(self) -> Array | None:
         """Effort of the row."""
-        effort: Array = self._samples["effort"][self._row].copy()
-        return effort
+        return np.array(self._samples["effort"][self._row])
 
     def step(self, effort: Array, held: Mask, duration_s: float) -> None:
         """Advance to the row at the time reached."""
@@ -190,19 +189,15 @@ class DrivenPlant:
 
 
 def driven_plant(robot: Robot, bus: Bus, payload: Payload | None = None) -> DrivenPlant:
-    """The robot of `[parameters]` with its payload.
-
-    Without parameters, or if no package provides dynamics: independent joints and a warning; they carry no payload.
-    """
+    """The robot of `[parameters]` with its payload; without parameters or dynamics independent joints, and a warning."""
     if not robot.parameters:
         return _independent_joints(robot, bus, "robot.toml has no [parameters]")
     from importlib.metadata import entry_points
 
     plants = list(entry_points(group=GROUP))
     if not plants:
-        return _independent_joints(
-            robot, bus, f"no installed package offers the robot's dynamics (entry points {GROUP})"
-        )
+        reason = f"no installed package offers the robot's dynamics (entry points {GROUP})"
+        return _independent_joints(robot, bus, reason)
     try:
         plant_of: PlantOf = plants[0].load()
     except (ImportError, AttributeError) as error:

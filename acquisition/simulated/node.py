@@ -2,40 +2,7 @@
 
 from dataclasses import dataclass, field
 
-from ..protocol import (
-    ABORT_CONNECTION,
-    ANSWER,
-    AUTOMATIC,
-    BITS,
-    CONSUMER_HEARTBEAT,
-    CONTROLWORD,
-    DEVICE_TYPE,
-    DISABLED,
-    EMERGENCY,
-    FOLLOWING_ERROR_WINDOW,
-    HEARTBEAT,
-    HEARTBEAT_TIME,
-    IDENTITY,
-    MAX_PDO_BITS,
-    MAX_PDOS,
-    MODE_DISPLAY,
-    MODE_OF_OPERATION,
-    NOT_VALID,
-    PARAMETERS,
-    REQUEST,
-    STANDARD,
-    STOP_OPTIONS,
-    TRANSITIONS,
-    Command,
-    Pdo,
-    State,
-    abort_answer,
-    command_of,
-    pdos_of,
-    request_of,
-    value_answer,
-    written_answer,
-)
+from .. import protocol as cia
 from ..robot import Drive, axis_of, parse_homed
 
 NMT_STATE = {1: 5, 2: 4, 128: 127}  # command to the state in heartbeats: operational, stopped, pre-operational
@@ -56,10 +23,10 @@ class SimulatedNode:
     read_only: frozenset[Key]
     initial: dict[Key, int] = field(default_factory=dict)
     nmt: int = 127
-    state: State = State.SWITCH_ON_DISABLED
+    state: cia.State = cia.State.SWITCH_ON_DISABLED
     waiting: dict[int, bytes] = field(default_factory=dict)
-    tpdos: tuple[Pdo, ...] = ()
-    rpdos: tuple[Pdo, ...] = ()
+    tpdos: tuple[cia.Pdo, ...] = ()
+    rpdos: tuple[cia.Pdo, ...] = ()
     more_status: int = 0  # bits of the statusword other than those of the state
     boot_up_counts: bool = False  # the boot-up is the first heartbeat (CiA 301): the next comes a heartbeat time later
 
@@ -67,10 +34,10 @@ class SimulatedNode:
         """Reset all values to their initial ones; the boot-up message."""
         self.initial = self.initial or dict(self.values)
         self.values = dict(self.initial)
-        self.nmt, self.state, self.waiting = 127, State.SWITCH_ON_DISABLED, {}
-        self.boot_up_counts = bool(self.values.get((HEARTBEAT_TIME, 0)))
+        self.nmt, self.state, self.waiting = 127, cia.State.SWITCH_ON_DISABLED, {}
+        self.boot_up_counts = bool(self.values.get((cia.HEARTBEAT_TIME, 0)))
         self._map()
-        return [(HEARTBEAT + self.drive.node, b"\0")]
+        return [(cia.HEARTBEAT + self.drive.node, b"\0")]
 
     @property
     def operational(self) -> bool:
@@ -79,11 +46,11 @@ class SimulatedNode:
 
     def heartbeat(self) -> Sent:
         """The heartbeat message."""
-        return [(HEARTBEAT + self.drive.node, bytes([self.nmt]))]
+        return [(cia.HEARTBEAT + self.drive.node, bytes([self.nmt]))]
 
     def emergency(self, code: int, register: int = 1) -> Sent:
         """Enter fault reaction; the emergency message (CiA 301, 7.2.7)."""
-        self.state = State.FAULT_REACTION_ACTIVE
+        self.state = cia.State.FAULT_REACTION_ACTIVE
         return self.error(code, register)
 
     def error(self, code: int, register: int = 1) -> Sent:
@@ -91,7 +58,7 @@ class SimulatedNode:
         for key, value in (((0x1001, 0), register), ((0x1003, 1), code), ((0x603F, 0), code)):
             if key in self.values:
                 self.values[key] = value
-        return [(EMERGENCY + self.drive.node, code.to_bytes(2, "little") + bytes([register, 0, 0, 0, 0, 0]))]
+        return [(cia.EMERGENCY + self.drive.node, code.to_bytes(2, "little") + bytes([register, 0, 0, 0, 0, 0]))]
 
     def receive(self, can_id: int, data: bytes) -> Sent:
         """The answers to a frame other than SYNC."""
@@ -101,17 +68,17 @@ class SimulatedNode:
                 return self.boot()
             if data[0] in NMT_STATE:
                 self.nmt = NMT_STATE[data[0]]
-                option = self.values.get((ABORT_CONNECTION, 0), 1)  # 0: no reaction
-                if not self.operational and self.state is State.OPERATION_ENABLED and option:
+                option = self.values.get((cia.ABORT_CONNECTION, 0), 1)  # 0: no reaction
+                if not self.operational and self.state is cia.State.OPERATION_ENABLED and option:
                     # Commands can no longer be received: the power stage is switched off.
-                    self.state = State.SWITCH_ON_DISABLED
-        elif can_id == REQUEST + node and self.nmt != 4:
-            return [(ANSWER + node, self._serve(data))]
+                    self.state = cia.State.SWITCH_ON_DISABLED
+        elif can_id == cia.REQUEST + node and self.nmt != 4:
+            return [(cia.ANSWER + node, self._serve(data))]
         elif self.operational:
             for pdo in self.rpdos:
                 if pdo.can_id == can_id and len(data) >= pdo.length:
                     self.waiting[pdo.number] = data
-                    if self.values.get((PARAMETERS["rpdo"][0] + pdo.number - 1, 2), 1) > 240:
+                    if self.values.get((cia.PARAMETERS["rpdo"][0] + pdo.number - 1, 2), 1) > 240:
                         self.apply()  # an event-driven RPDO acts at once
         return []
 
@@ -129,13 +96,13 @@ class SimulatedNode:
 
     def tick(self) -> None:
         """Make the automatic transitions of the state machine, and update the statusword."""
-        self.state = AUTOMATIC.get(self.state, self.state)
+        self.state = cia.AUTOMATIC.get(self.state, self.state)
         self.values[self.drive.status.index, 0] = self.statusword
 
     @property
     def statusword(self) -> int:
         """Bits of state, voltage enabled, remote, follows its target (when enabled), homed."""
-        follows = 0x1000 if self.state is State.OPERATION_ENABLED else 0
+        follows = 0x1000 if self.state is cia.State.OPERATION_ENABLED else 0
         return self.state.value[1] | 0x0210 | follows | self.more_status
 
     def set_homed(self, name: str) -> None:
@@ -153,57 +120,56 @@ class SimulatedNode:
     def _set(self, key: Key, value: int) -> None:
         before = self.values.get(key, 0)
         self.values[key] = value
-        if key == (CONTROLWORD, 0):
-            command = command_of(value)
-            held = command is Command.FAULT_RESET and before & 0x80  # acts on the rising edge only
+        if key == (cia.CONTROLWORD, 0):
+            command = cia.command_of(value)
+            held = command is cia.Command.FAULT_RESET and before & 0x80  # acts on the rising edge only
             if command is not None and not held:
-                self.state = TRANSITIONS.get((self.state, command), self.state)  # illegal commands are ignored
-        elif key == (MODE_OF_OPERATION, 0) and (MODE_DISPLAY, 0) in self.values:
-            self.values[MODE_DISPLAY, 0] = value
+                self.state = cia.TRANSITIONS.get((self.state, command), self.state)  # illegal commands are ignored
+        elif key == (cia.MODE_OF_OPERATION, 0) and (cia.MODE_DISPLAY, 0) in self.values:
+            self.values[cia.MODE_DISPLAY, 0] = value
 
     def _serve(self, data: bytes) -> bytes:
-        request = request_of(data)
+        request = cia.request_of(data)
         key = (request.index, request.sub)
         if request.kind in ("other", "abort"):
-            return abort_answer(0, 0, "command specifier not known")
+            return cia.abort_answer(0, 0, "command specifier not known")
         if key not in self.values or key not in self.types:
             known = any(index == request.index for index, _ in self.values)
-            return abort_answer(*key, f"{'sub-index' if known else 'object'} does not exist")
-        size = BITS[self.types[key]] // 8
+            return cia.abort_answer(*key, f"{'sub-index' if known else 'object'} does not exist")
+        size = cia.BITS[self.types[key]] // 8
         if request.kind == "read":
-            return value_answer(*key, self.values[key], size)
+            return cia.value_answer(*key, self.values[key], size)
         if key in self.read_only:
-            return abort_answer(*key, "write to a read-only object")
+            return cia.abort_answer(*key, "write to a read-only object")
         value = int.from_bytes(request.data[:size], "little", signed=self.types[key][0] == "I")
         if refusal := self._refuse_mapping(key, value):
-            return abort_answer(*key, refusal)
+            return cia.abort_answer(*key, refusal)
         self._set(key, value)
         if 0x1400 <= request.index <= 0x1BFF:
             self._map()
-        return written_answer(*key)
+        return cia.written_answer(*key)
 
     def _refuse_mapping(self, key: Key, value: int) -> str:
         """Why a write to a mapping parameter is not allowed; empty where it is."""
         index, sub = key
-        for communication, mapping in PARAMETERS.values():
-            if mapping <= index < mapping + MAX_PDOS:
-                if not self.values.get((index - mapping + communication, 1), NOT_VALID) & NOT_VALID:
-                    return "not possible in this state"
-                if sub and self.values.get((index, 0)):
+        for communication, mapping in cia.PARAMETERS.values():
+            if mapping <= index < mapping + cia.MAX_PDOS:
+                active = not self.values.get((index - mapping + communication, 1), cia.NOT_VALID) & cia.NOT_VALID
+                if active or (sub and self.values.get((index, 0))):
                     return "not possible in this state"
                 if sub and self.types.get((value >> 16, value >> 8 & 0xFF), "U0")[1:] != str(value & 0xFF):
                     return "object cannot be mapped to a PDO"
-                if not sub and sum(self.values.get((index, k), 0) & 0xFF for k in range(1, value + 1)) > MAX_PDO_BITS:
+                bits = sum(self.values.get((index, k), 0) & 0xFF for k in range(1, value + 1)) if not sub else 0
+                if bits > cia.MAX_PDO_BITS:
                     return "PDO would be too long"
         return ""
 
     def _map(self) -> None:
         place = f"node {self.drive.node}"
         known = {key: kind for key, kind in self.types.items() if key in self.values}
-        self.tpdos, self.rpdos = (
-            tuple(p for p in pdos_of(way, self.values, known, place) if p.bits <= MAX_PDO_BITS and p.can_id < 0x800)
-            for way in PARAMETERS
-        )
+        both = (cia.pdos_of(way, self.values, known, place) for way in cia.PARAMETERS)
+        fit = (tuple(p for p in pdos if p.bits <= cia.MAX_PDO_BITS and p.can_id < 0x800) for pdos in both)
+        self.tpdos, self.rpdos = fit
 
 
 def simulated_node(drive: Drive) -> SimulatedNode:
@@ -214,27 +180,27 @@ def simulated_node(drive: Drive) -> SimulatedNode:
         types = {key: entry.type for key, entry in entries.items()}
         values = {key: entry.value or 0 for key, entry in entries.items()}
         read_only = frozenset(key for key, entry in entries.items() if not entry.writable)
-        values |= {(IDENTITY, sub): number for sub, _, number in drive.dictionary.identity}
+        values |= {(cia.IDENTITY, sub): number for sub, _, number in drive.dictionary.identity}
         # PDOs are disabled at the start: the master enables those it uses.
         for (index, sub), value in list(values.items()):
-            if sub == 1 and any(first <= index < first + MAX_PDOS for first, _ in PARAMETERS.values()):
-                values[index, sub] = value | NOT_VALID
+            if sub == 1 and any(first <= index < first + cia.MAX_PDOS for first, _ in cia.PARAMETERS.values()):
+                values[index, sub] = value | cia.NOT_VALID
     else:
         used = [drive.status, drive.control, drive.position, drive.target, drive.effort.entry]
         used += drive.extras
-        types = dict(STANDARD) | {e.key: e.type for e in used}
+        types = dict(cia.STANDARD) | {e.key: e.type for e in used}
         types |= {(0x1001, 0): "U8", (0x1003, 0): "U8", (0x1003, 1): "U32", (0x603F, 0): "U16"}
         types |= {(0x1018, sub): "U8" if sub == 0 else "U32" for sub in range(5)}
-        types |= {(CONSUMER_HEARTBEAT, sub): "U32" if sub else "U8" for sub in range(CONSUMERS + 1)}
-        for communication, mapping in PARAMETERS.values():
+        types |= {(cia.CONSUMER_HEARTBEAT, sub): "U32" if sub else "U8" for sub in range(CONSUMERS + 1)}
+        for communication, mapping in cia.PARAMETERS.values():
             for k in range(4):
                 types |= {(communication + k, 0): "U8", (communication + k, 1): "U32", (communication + k, 2): "U8"}
                 types |= {(mapping + k, sub): "U32" if sub else "U8" for sub in range(9)}
-        values = dict.fromkeys(types, 0) | {(DEVICE_TYPE, 0): 0x00020192, (CONSUMER_HEARTBEAT, 0): CONSUMERS}
+        values = dict.fromkeys(types, 0) | {(cia.DEVICE_TYPE, 0): 0x00020192, (cia.CONSUMER_HEARTBEAT, 0): CONSUMERS}
         # CiA 402: fault signal; off.
-        values |= {(IDENTITY, 0): 4, (ABORT_CONNECTION, 0): 1, (FOLLOWING_ERROR_WINDOW, 0): 2**32 - 1}
-        values |= dict.fromkeys(((option, 0) for option in STOP_OPTIONS), 2)  # quick stop ramp
-        values |= {(first + k, 1): NOT_VALID for first, _ in PARAMETERS.values() for k in range(4)}
+        values |= {(cia.IDENTITY, 0): 4, (cia.ABORT_CONNECTION, 0): 1, (cia.FOLLOWING_ERROR_WINDOW, 0): 2**32 - 1}
+        values |= dict.fromkeys(((option, 0) for option in cia.STOP_OPTIONS), 2)  # quick stop ramp
+        values |= {(first + k, 1): cia.NOT_VALID for first, _ in cia.PARAMETERS.values() for k in range(4)}
     values |= {(index, 0): raw for index, raw in drive.rated.items() if (index, 0) in values}
     node = SimulatedNode(drive=drive, types=types, values=values, read_only=read_only)
     node.tick()
@@ -247,7 +213,7 @@ SYNC_LOST_CODE = 0x8700  # CiA 301: sync controller
 FOLLOWING_ERROR_CODE, NO_WINDOW = 0x8611, 2**32 - 1
 HEARTBEAT_LOST_CODE = 0x8130  # CiA 301: life guard or heartbeat error
 # 6007h, abort connection option code: the state that an enabled drive changes to. 1 (fault signal) is handled below.
-_REACTIONS = {2: State.SWITCH_ON_DISABLED, 3: State.QUICK_STOP_ACTIVE}
+_REACTIONS = {2: cia.State.SWITCH_ON_DISABLED, 3: cia.State.QUICK_STOP_ACTIVE}
 
 
 class Supervision:
@@ -256,12 +222,12 @@ class Supervision:
     def __init__(self, node: SimulatedNode, window: float, *, supervised: bool) -> None:
         self._node, self._watches_sync = node, supervised
         if not supervised:
-            for key in [key for key in node.values if key[0] == CONSUMER_HEARTBEAT]:
+            for key in [key for key in node.values if key[0] == cia.CONSUMER_HEARTBEAT]:
                 del node.values[key]
-            node.values[ABORT_CONNECTION, 0] = 0
+            node.values[cia.ABORT_CONNECTION, 0] = 0
             node.initial = dict(node.values)
             window = NO_WINDOW
-        self._window = (FOLLOWING_ERROR_WINDOW + axis_of(node.drive), 0)
+        self._window = (cia.FOLLOWING_ERROR_WINDOW + axis_of(node.drive), 0)
         if self._window in node.values:
             node.values[self._window] = node.initial[self._window] = round(min(window, NO_WINDOW))
         # By sub-index of 1016h: its entry at the last heartbeat, and the time of that heartbeat.
@@ -275,7 +241,7 @@ class Supervision:
     def follow(self, counts: float) -> Sent:
         """React to a following error in counts; the emergency message if it is too large."""
         window = self._node.values.get(self._window, NO_WINDOW)
-        beyond = self._node.state is State.OPERATION_ENABLED and window != NO_WINDOW and abs(counts) > window
+        beyond = self._node.state is cia.State.OPERATION_ENABLED and window != NO_WINDOW and abs(counts) > window
         return self._fault(FOLLOWING_ERROR_CODE) if beyond else []
 
     def heartbeat(self, now_ns: int, producer: int) -> None:
@@ -301,13 +267,13 @@ class Supervision:
 
     @property
     def _sync_lost_ns(self) -> int | None:
-        supervised = self._watches_sync and self._node.state not in DISABLED
+        supervised = self._watches_sync and self._node.state not in cia.DISABLED
         return None if self._sync_ns is None or not supervised else self._sync_ns + SYNC_LOST_NS
 
     def _entries(self) -> dict[int, int]:
         values = self._node.values
-        subs = range(1, values.get((CONSUMER_HEARTBEAT, 0), 0) + 1)
-        return {sub: values[CONSUMER_HEARTBEAT, sub] for sub in subs if (CONSUMER_HEARTBEAT, sub) in values}
+        subs = range(1, values.get((cia.CONSUMER_HEARTBEAT, 0), 0) + 1)
+        return {sub: values[cia.CONSUMER_HEARTBEAT, sub] for sub in subs if (cia.CONSUMER_HEARTBEAT, sub) in values}
 
     def _deadlines(self) -> dict[int, int]:
         """Time at which each consumer times out; a rewritten entry starts with the next heartbeat."""
@@ -316,10 +282,10 @@ class Supervision:
         return {sub: then_ns + (entry & 0xFFFF) * 1_000_000 for sub, (entry, then_ns) in self._heard.items()}
 
     def _react_to_lost_heartbeat(self) -> Sent:
-        node, option = self._node, self._node.values.get((ABORT_CONNECTION, 0), 0)
+        node, option = self._node, self._node.values.get((cia.ABORT_CONNECTION, 0), 0)
         if option == 1:
             return self._fault(HEARTBEAT_LOST_CODE)
-        if node.state is State.OPERATION_ENABLED:
+        if node.state is cia.State.OPERATION_ENABLED:
             node.state = _REACTIONS.get(option, node.state)
         node.tick()
         return node.error(HEARTBEAT_LOST_CODE)

@@ -70,19 +70,15 @@ def add_recordings(inputs: "argparse._ArgumentGroup") -> None:
     """The recordings, and an optional description instead of their own."""
     add_path(inputs, "recordings", "LOG.mcap", "one or more recordings of one robot", nargs="+")
     add_path(inputs, "--robot", "ROBOT.toml", "use this description instead of the recording's own")
-    text = (
-        "what the robot carried in the recording NAME, instead of what is stored there: kg and centre of mass in m, none, or "
-        "unknown; once for each recording"
-    )
+    text = "what the robot carried in the recording NAME, instead of what is stored there: kg and centre of mass in m, "
+    text += "none, or unknown; once for each recording"
     inputs.add_argument("--payload", metavar="NAME=KG[@X,Y,Z]", action="append", default=[], help=text)
 
 
 def add_method(settings: "argparse._ActionsContainer") -> None:
     """`--method`."""
-    text = (
-        "ols: ordinary least squares; wls: weighted by joint; iv: instrumental variables (default: iv if every recording "
-        "has its reference, else wls)"
-    )
+    text = "ols: ordinary least squares; wls: weighted by joint; iv: instrumental variables (default: iv if every "
+    text += "recording has its reference, else wls)"
     settings.add_argument("--method", choices=["ols", "wls", "iv"], type=str.lower, help=text)
 
 
@@ -100,9 +96,8 @@ def sources(options: argparse.Namespace) -> list["RecordingFile"]:
             expected = f"NAME=KG[@X,Y,Z], NAME=none or NAME=unknown with a NAME of {', '.join(names[1::2])}"
             raise BadInputError(key="--payload", value=text, expected=expected)
         payloads[name] = payload
-    return [
-        RecordingFile.at(path, robot, payloads.get(path.name, payloads.get(path.stem))) for path in options.recordings
-    ]
+    paths = options.recordings
+    return [RecordingFile.at(path, robot, payloads.get(path.name, payloads.get(path.stem))) for path in paths]
 
 
 def add_work(parser: argparse.ArgumentParser) -> None:

@@ -19,7 +19,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> None:
     """Print the differences, and the warnings of both fits."""
-    from ..report import ParameterSet, comparison_document, comparison_file, frame_lines, read_fit, write_json
+    from ..report import ParameterSet, comparison_document, differences, frame_lines, read_fit, write_json
 
     refuse_outputs([options.a, options.b], options.json, report=options.report)
     same = options.a.stem == options.b.stem
@@ -34,8 +34,7 @@ def run(options: argparse.Namespace) -> None:
     warnings += frame_lines(fits[0], fits[1], (labels[0], labels[1]))
     document = comparison_document(a, b, tuple(warnings), prior=prior)
     if options.json:
-        write_json(options.json, comparison_file(a, b))
-
+        write_json(options.json, {"a": a.label, "b": b.label, "differences": differences(a, b)})
     digests = {str(path): sha256(path.read_bytes()).hexdigest() for path in (options.a, options.b)}
     write_pictures(options, document, lambda view: [view.draw_comparison(a, b, document, digests)])
     print_results(document, everything=options.all)

@@ -10,18 +10,7 @@ from acquisition.commands import Progress, add_flag, add_options, add_path, from
 
 from ..errors import BadInputError
 from ..options import Overrides
-from .arguments import (
-    add_method,
-    add_pictures,
-    add_recordings,
-    add_work,
-    print_results,
-    refuse_outputs,
-    sources,
-    trust_status,
-    work_of,
-    write_pictures,
-)
+from . import arguments as shared
 
 if TYPE_CHECKING:
     from acquisition.robot import Robot
@@ -32,10 +21,10 @@ if TYPE_CHECKING:
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    add_recordings(parser.add_argument_group("inputs"))
+    shared.add_recordings(parser.add_argument_group("inputs"))
     settings = parser.add_argument_group("settings of the fit")
     add_options(settings, Overrides, "cutoff_hz", "torque_lag_s")
-    add_method(settings)
+    shared.add_method(settings)
     add_options(settings, Overrides, "gains")
     add_flag(settings, "--essential", "fit only the essential (well-determined) parameters")
     consistent = parser.add_argument_group("physically consistent parameters")
@@ -44,12 +33,12 @@ def add(parser: argparse.ArgumentParser) -> None:
     add_path(consistent, "--prior", "ROBOT.toml|URDF", text)
     text = "initial parameters of iv: unit inertias (regular, default), least squares, or a fit's JSON file"
     settings.add_argument("--start", metavar="regular|ls|FIT.json", help=text)
-    add_work(parser)
+    shared.add_work(parser)
     outputs = parser.add_argument_group("outputs")
     outputs.add_argument("--require", choices=["trust"], help="exit status 3 also if the verdict is `caution`")
     add_flag(outputs, "--all", "print everything: all parameters, tests, passes, settings")
     add_path(outputs, "--json", "FILE", "write the fit as JSON")
-    add_pictures(outputs, "write trajectories and fit as a Rerun file; of several recordings FILE_LOG.rrd each")
+    shared.add_pictures(outputs, "write trajectories and fit as a Rerun file; of several recordings FILE_LOG.rrd each")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -61,7 +50,7 @@ def run(options: argparse.Namespace) -> int:
         expected = "--consistent with it"
         raise BadInputError("has no effect alone", key="--prior", value=str(options.prior), expected=expected)
     inputs = [*options.recordings, options.robot, options.prior, Path(options.start or "regular")]
-    refuse_outputs(inputs, options.json, report=options.report, picture=options.rrd)
+    shared.refuse_outputs(inputs, options.json, report=options.report, picture=options.rrd)
     from acquisition.files import refuse_clash
 
     pictures = [options.rrd] if options.rrd else []
@@ -73,41 +62,39 @@ def run(options: argparse.Namespace) -> int:
         from ..methods import fit_document, fit_file
         from ..report import write_json
 
-        work = work_of(options, len(options.recordings))
-        recordings = Recordings(sources=tuple(sources(options)), work=work)
+        work = shared.work_of(options, len(options.recordings))
+        recordings = Recordings(sources=tuple(shared.sources(options)), work=work)
         prior = _prior(options) if options.consistent else None
         fit = _identify(options, recordings, progress.say)
         if options.consistent:
             from ..methods import with_consistent
 
             fit = with_consistent(fit, prior)
-    signals = fit.problem.signals
-    document = fit_document(signals, fit)
+    document = fit_document(fit.problem.signals, fit)
     try:
         if options.json:
             write_json(options.json, fit_file(fit))
-        write_pictures(
+        shared.write_pictures(
             options,
             document,
             lambda view: [view.draw_fit(one.problem.signals, fit.on(one)) for one in fit.recordings],
             pictures,
         )
     finally:  # print the fit even if a file cannot be written
-        print_results(document, everything=options.all)
+        shared.print_results(document, everything=options.all)
     if options.report:
-        print_results(
-            f"open the report: {options.report} in {'a browser' if options.report.suffix == '.html' else 'an editor'}"
-        )
+        viewer = "a browser" if options.report.suffix == ".html" else "an editor"
+        shared.print_results(f"open the report: {options.report} in {viewer}")
     else:
-        print_results(f"report with charts: --report {options.recordings[0].stem}.html")
+        shared.print_results(f"report with charts: --report {options.recordings[0].stem}.html")
     if pictures:
-        print_results(f"open the plots: rerun --bind 127.0.0.1 {' '.join(map(str, pictures))}")
+        shared.print_results(f"open the plots: rerun --bind 127.0.0.1 {' '.join(map(str, pictures))}")
     if options.robot is None:
-        print_results(*edited_descriptions(fit, options.recordings))
+        shared.print_results(*edited_descriptions(fit, options.recordings))
     verdict, reasons = fit.trust.verdict, fit.distrust
     if options.require and not reasons and verdict != options.require:
         reasons = tuple(line.text for line in fit.trust.lines if line.level == verdict)
-    return trust_status(reasons)
+    return shared.trust_status(reasons)
 
 
 def edited_descriptions(fit: "Fit", recordings: list[Path]) -> list[str]:
@@ -128,7 +115,7 @@ def _prior(options: argparse.Namespace) -> "Robot | None":
     """The prior of the links; read before any fit, so that a recording in A or V is refused at once."""
     from ..methods import read_prior, refuse_unknown_gain
 
-    robot = sources(options)[0].load().robot
+    robot = shared.sources(options)[0].load().robot
     if not options.gains:
         refuse_unknown_gain(robot)
     return read_prior(options.prior, robot) if options.prior else None
@@ -143,6 +130,5 @@ def _identify(options: argparse.Namespace, recordings: "Recordings", say: Callab
     if options.start not in (None, "regular", "ls"):
         values = partial(stored_beta, read_fit(Path(options.start)), place=options.start)
         iteration = Iteration(start=options.start, values=values)
-    return identify(
-        recordings, overrides, method=options.method, iteration=iteration, essential=options.essential, say=say
-    )
+    chosen = {"method": options.method, "essential": options.essential}
+    return identify(recordings, overrides, iteration=iteration, say=say, **chosen)

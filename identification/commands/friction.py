@@ -6,23 +6,16 @@ from acquisition.commands import Progress, add_flag, add_options, add_path, from
 
 from ..errors import BadInputError
 from ..options import Overrides
-from .arguments import (
-    add_recordings,
-    add_report,
-    print_results,
-    refuse_outputs,
-    sources,
-    write_pictures,
-)
+from . import arguments as shared
 
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    add_recordings(parser.add_argument_group("inputs"))
+    shared.add_recordings(parser.add_argument_group("inputs"))
     add_options(parser.add_argument_group("settings of the fit"), Overrides, "cutoff_hz", "torque_lag_s", "gains")
     outputs = parser.add_argument_group("outputs")
     add_path(outputs, "--json", "FILE", "write all sets of terms that were tried, and the recommended one, as JSON")
-    add_report(outputs)
+    shared.add_report(outputs)
     add_flag(outputs, "--write", "write the recommended terms into the file of --robot")
 
 
@@ -30,20 +23,20 @@ def run(options: argparse.Namespace) -> None:
     """Try sets of terms, print the table and the lines of robot.toml."""
     if options.write and options.robot is None:
         raise BadInputError(key="--write", value=True, expected="--robot with it, the description to write to")
-    refuse_outputs([*options.recordings, options.robot], options.json, report=options.report)
+    shared.refuse_outputs([*options.recordings, options.robot], options.json, report=options.report)
     with Progress("reading") as progress:
         from ..data import Recordings
         from ..design import friction_document, friction_file, select_friction, write_friction
         from ..report import write_json
 
         overrides = from_options(Overrides, options)
-        choice = select_friction(Recordings(sources=tuple(sources(options))), overrides, say=progress.say)
+        choice = select_friction(Recordings(sources=tuple(shared.sources(options))), overrides, say=progress.say)
     document = friction_document(choice)
     try:
         if options.json:
             write_json(options.json, friction_file(choice))
-        write_pictures(options, document, lambda view: [view.draw_friction(*choice.fits(), document)])
+        shared.write_pictures(options, document, lambda view: [view.draw_friction(*choice.fits(), document)])
         if options.write:
             write_friction(options.robot, choice)
     finally:  # print the result even if a file cannot be written
-        print_results(document)
+        shared.print_results(document)

@@ -68,7 +68,10 @@ def run(options: argparse.Namespace) -> None:
     sensors = given.pop("--torque-sensor", False)
     chain = replace(chain.with_options(given), effort_unit=options.effort or "", torque_sensors=sensors)
     folder = Path.cwd() if out is None else out.absolute().parent
-    bus = "" if options.bus is None else _bus_of(options.bus, len(chain.joints))
+    bus = "" if options.bus is None else options.bus.read_text(encoding="utf-8", errors="replace")
+    if options.bus is not None and (drives := bus.count("[[bus.drive]]")) != len(chain.joints):
+        expected = f"{len(chain.joints)} [[bus.drive]], one for each joint of the URDF"
+        raise BadInputError(place=str(options.bus), key="drives", value=drives, expected=expected)
     urdf = options.robot and os.path.relpath(options.robot.absolute(), folder)
     text = describe(chain, urdf, bus) if urdf else describe_rows(chain, bus)
     if out is None:
@@ -85,13 +88,3 @@ def run(options: argparse.Namespace) -> None:
     missing = sum(FILL_IN in line for line in text.splitlines()[1:])
     for line in [*lines, f"to be filled in: {missing} lines with {FILL_IN}"]:
         print(one_line(line))
-
-
-def _bus_of(path: Path, joints: int) -> str:
-    """The text of a file with `[bus]` and a drive for each joint."""
-    text = path.read_text(encoding="utf-8", errors="replace")
-    drives = text.count("[[bus.drive]]")
-    if drives != joints:
-        expected = f"{joints} [[bus.drive]], one for each joint of the URDF"
-        raise BadInputError(place=str(path), key="drives", value=drives, expected=expected)
-    return text

@@ -7,29 +7,19 @@ from acquisition.commands import Progress, add_options, add_path, from_options
 
 from ..errors import BadInputError
 from ..options import StudyOptions
-from .arguments import (
-    add_report,
-    add_robot,
-    add_simulation,
-    add_work,
-    print_results,
-    refuse_outputs,
-    work_of,
-    write_pictures,
-)
+from . import arguments as shared
 
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    add_robot(parser, "with [parameters]")
+    shared.add_robot(parser, "with [parameters]")
     add_options(parser, StudyOptions, "runs")
-    add_simulation(
-        parser, "position", "effort_percent", "coloured_percent", "lag_samples", position=3e-6, effort_percent=2.0
-    )
-    add_work(parser)
+    noise = "position", "effort_percent", "coloured_percent", "lag_samples"
+    shared.add_simulation(parser, *noise, position=3e-6, effort_percent=2.0)
+    shared.add_work(parser)
     outputs = parser.add_argument_group("outputs")
     add_path(outputs, "--json", "FILE", "write every run as JSON")
-    add_report(outputs)
+    shared.add_report(outputs)
 
 
 def run(options: argparse.Namespace) -> None:
@@ -39,13 +29,13 @@ def run(options: argparse.Namespace) -> None:
     from ..report import write_json
     from ..study import Noise, Run, Study, border_line, run_study, study_document, study_file, study_truth
 
-    refuse_outputs([options.robot], options.json, report=options.report)
+    shared.refuse_outputs([options.robot], options.json, report=options.report)
     robot = load_robot(options.robot)
     study = from_options(Study, options, noise=from_options(Noise, options))
     base, true = study_truth(robot)
     runs, began = list[Run](), perf_counter()
     with Progress("simulating") as progress:
-        for one in run_study(robot, study, work_of(options, study.runs)):
+        for one in run_study(robot, study, shared.work_of(options, study.runs)):
             runs.append(one)
             progress.say(f"{len(runs)} of {study.runs} runs")
     took_s = perf_counter() - began
@@ -55,7 +45,7 @@ def run(options: argparse.Namespace) -> None:
     try:
         if options.json:
             write_json(options.json, study_file(study, runs, base, true))
-        write_pictures(options, document, lambda view: [view.draw_study(robot.name, runs, document)])
+        shared.write_pictures(options, document, lambda view: [view.draw_study(robot.name, runs, document)])
     finally:  # print the result of a long study even if a file cannot be written
         took = f"{took_s:.3g} s, {took_s / study.runs:.2g} s a run"
-        print_results(document, *border_line(robot), took)
+        shared.print_results(document, *border_line(robot), took)

@@ -8,15 +8,7 @@ from acquisition.commands import Progress, add_flag, add_options, add_path, from
 
 from ..errors import BadInputError
 from ..options import Overrides, above_zero
-from .arguments import (
-    add_recordings,
-    add_report,
-    print_results,
-    refuse_outputs,
-    sources,
-    trust_status,
-    write_pictures,
-)
+from . import arguments as shared
 
 if TYPE_CHECKING:
     from ..report import TorqueResidual
@@ -26,12 +18,12 @@ def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     inputs = parser.add_argument_group("inputs")
     add_path(inputs, "fit", "FIT.json", "the fit, as `fit --json` writes it")
-    add_recordings(inputs)
+    shared.add_recordings(inputs)
     text = "The settings in FIT.json stand in for the defaults below."
     add_options(parser.add_argument_group("settings of the fit", text), Overrides, "cutoff_hz", "torque_lag_s")
     outputs = parser.add_argument_group("outputs")
     add_path(outputs, "--json", "FILE", "write the errors as JSON")
-    add_report(outputs)
+    shared.add_report(outputs)
     text = "exit status 3 if the torque error of all rows is larger (with --consistent: of the consistent set)"
     outputs.add_argument("--max-error-percent", type=above_zero, metavar="P", help=text)
     add_flag(parser, "--consistent", "also validate the physically consistent set of the fit")
@@ -43,7 +35,7 @@ def run(options: argparse.Namespace) -> int:
         others = " ".join(map(str, (options.fit, *options.recordings[:-1])))
         expected = f"the fit first: `robot-identify validate {options.recordings[-1]} {others}`"
         raise BadInputError("is no fit", place=str(options.fit), expected=expected)
-    refuse_outputs([options.fit, *options.recordings, options.robot], options.json, report=options.report)
+    shared.refuse_outputs([options.fit, *options.recordings, options.robot], options.json, report=options.report)
     with Progress("reading") as progress:
         from .. import methods
         from ..report import read_fit, write_json
@@ -51,10 +43,9 @@ def run(options: argparse.Namespace) -> int:
         place, name = str(options.fit), options.fit.name
         stored, recordings, notes = read_fit(options.fit), [], []
         consistent = methods.consistent_fit(stored, place) if options.consistent else None
-        for path, source in zip(options.recordings, sources(options), strict=True):
-            signals, lines = methods.signals_as_fitted(
-                source.load(), path, stored, place, chosen=options.robot is not None
-            )
+        for path, source in zip(options.recordings, shared.sources(options), strict=True):
+            chosen = options.robot is not None
+            signals, lines = methods.signals_as_fitted(source.load(), path, stored, place, chosen=chosen)
             overrides, of_lag = methods.stored_settings(stored, signals, from_options(Overrides, options))
             recordings.append((signals, overrides))
             notes += lines + of_lag
@@ -69,11 +60,11 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         write_json(options.json, methods.validation_file(validated, name, errors, warnings, of_set))
     digests = {name: sha256(options.fit.read_bytes()).hexdigest()}
-    write_pictures(options, document, lambda view: [view.draw_validation(validated, document, digests)])
-    print_results(document, everything=False)
+    shared.write_pictures(options, document, lambda view: [view.draw_validation(validated, document, digests)])
+    shared.print_results(document, everything=False)
     error, limit = (of_set or errors)[-1].relative_error_percent, options.max_error_percent
     if limit is None or (error is not None and error <= limit):
         return 0
     found = "no torque to compare with" if error is None else f"relative torque error {error:.4g} %"
     on = ", ".join(map(str, options.recordings))
-    return trust_status([f"{options.fit} on {on}: {found}: expected at most {limit:g} %"])
+    return shared.trust_status([f"{options.fit} on {on}: {found}: expected at most {limit:g} %"])

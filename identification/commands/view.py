@@ -50,9 +50,8 @@ def run(options: argparse.Namespace) -> None:
             progress.say("drawing")
             (write_html if is_page else write_rrd)(out, draw_recording(signals, from_options(Overrides, options)))
     names = " ".join(map(str, outs))
-    print_results(
-        f"open the report: {names} in a browser" if is_page else f"open the plots: rerun --bind 127.0.0.1 {names}"
-    )
+    plots = f"open the plots: rerun --bind 127.0.0.1 {names}"
+    print_results(f"open the report: {names} in a browser" if is_page else plots)
 
 
 def _follow(options: argparse.Namespace) -> None:

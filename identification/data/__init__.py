@@ -2,5 +2,5 @@
 
 from .recordings import ON_GRID, RecordingFile, Recordings, check_one_robot, load_signals
 from .row_steps import PositionSteps, position_steps
-from .signals import COLUMNS, OptionalColumns, Signals, signals_from_arrays
+from .signals import COLUMNS, Signals, signals_from_arrays
 from .work import Work

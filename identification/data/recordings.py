@@ -48,8 +48,7 @@ def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signa
 
     Raises
     ------
-    BadInputError : the file cannot be read.
-    BadInputError : it is cut off, has gaps or no joint samples, or `robot` has other units than the recording.
+    BadInputError : the file cannot be read, is cut off, has gaps or no joint samples, or `robot` has other units.
     """
     path = Path(path)
     recording = read_recording(path)
@@ -82,6 +81,9 @@ def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signa
             if name in columns:
                 columns[name] = to_joint(to_motor(columns[name]))
     provenance = recording.metadata.get("effort_provenance", "")
+    times_s = (1e-9 * (event.stamp_ns - first_ns) for event in recording.events)
+    pairs = zip(times_s, recording.events, strict=True)
+    events = tuple(SignalEvent(t_s=t_s, kind=event.kind, text=event.text) for t_s, event in pairs)
     return Signals(
         t_s=grid * 1e-9,
         q=columns.pop("position"),
@@ -92,10 +94,7 @@ def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signa
         robot=robot or was,
         recording=path.name,
         sha256=recording.sha256,
-        events=tuple(
-            SignalEvent(t_s=1e-9 * (event.stamp_ns - first_ns), kind=event.kind, text=event.text)
-            for event in recording.events
-        ),
+        events=events,
         health=_health(recording, first_ns),
         effort_timing=recording.effort_timing,
         provenance=provenance,
@@ -134,12 +133,10 @@ def _grid(stamps: NDArray[np.int64], nominal_hz: float, path: Path) -> tuple[Arr
     bad = np.flatnonzero((steps <= 0) | (steps > (MAX_GAP + 0.5) * max(period, 1.0)))
     if bad.size:
         k = int(bad[0])
-        raise BadInputError(
-            f"{bad.size} gap(s), the first after {1e-9 * (stamps[k] - stamps[0]):.4f} s: a step of {steps[k] * 1e-6:.3f} ms",
-            place=str(path),
-            key="samples",
-            expected=f"{period * 1e-6:.3f} ms throughout, and at most {MAX_GAP:g} times that",
-        )
+        problem = f"{bad.size} gap(s), the first after {1e-9 * (stamps[k] - stamps[0]):.4f} s"
+        problem += f": a step of {steps[k] * 1e-6:.3f} ms"
+        expected = f"{period * 1e-6:.3f} ms throughout, and at most {MAX_GAP:g} times that"
+        raise BadInputError(problem, place=str(path), key="samples", expected=expected)
     since = np.asarray(stamps - stamps[0], dtype=np.float64)
     whole = steps.max() <= 1.5 * period or len(stamps) < 3
     if whole:
@@ -222,8 +219,7 @@ class RecordingFile:
     @property
     def key(self) -> str:
         """The key of the signals in a cache."""
-        described = hashlib.sha256(repr(self.description).encode()).hexdigest()
-        return f"{self.path} {described} {self.payload}"
+        return f"{self.path} {hashlib.sha256(repr(self.description).encode()).hexdigest()} {self.payload}"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -235,10 +231,7 @@ class Recordings:
 
 
 def check_one_robot(recordings: Sequence[Signals]) -> None:
-    """Refuse recordings of different robots, or the same recording twice.
-
-    Raises `BadInputError` with the recording, the joint or motor, the value, and that of the first recording.
-    """
+    """Refuse recordings of different robots, or the same recording twice."""
     first, seen = recordings[0], {recordings[0].sha256: recordings[0].recording}
     for other in recordings[1:]:
         if other.sha256 and other.sha256 in seen:

@@ -68,9 +68,8 @@ def _count(q: Array) -> tuple[Array, Array]:
     moving = (size > MIN_DEVIATIONS) & alike
     ratio = np.divide((x * m * weight**2).sum(axis=1), size**2, out=np.ones(rows), where=moving)
     multiple = np.rint(ratio)
-    extra = np.where(
-        (np.abs(ratio - multiple) < MAX_ERROR) & (multiple >= 0) & (multiple <= MAX_MULTIPLE), multiple - 1, 0
-    )
+    is_multiple = (np.abs(ratio - multiple) < MAX_ERROR) & (multiple >= 0) & (multiple <= MAX_MULTIPLE)
+    extra = np.where(is_multiple, multiple - 1, 0)
     odd = extra != 0
     group = np.cumsum(odd & ~np.concatenate([[False], odd[:-1]]))[odd]  # of neighbours that compensate each other
     net = np.bincount(group, extra[odd])

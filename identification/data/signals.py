@@ -99,9 +99,8 @@ class Signals:
             if array is not None:
                 if not np.isfinite(array).all():
                     row = int(np.argwhere(~np.isfinite(array))[0, 0])
-                    raise BadInputError(
-                        place=self.recording, key=f"{name}[{row}]", value=array[row].tolist(), expected="finite numbers"
-                    )
+                    key, value = f"{name}[{row}]", array[row].tolist()
+                    raise BadInputError(place=self.recording, key=key, value=value, expected="finite numbers")
                 array.flags.writeable = False
                 release_pages(array)
 
@@ -122,10 +121,8 @@ class Signals:
 
     def __repr__(self) -> str:
         reference = ", with reference" if self.q_ref is not None else ""
-        return (
-            f"Signals({self.recording}: {self.robot.name}, {len(self.t_s)} samples of {self.robot.n} joints "
-            f"at {self.sample_rate_hz:g} Hz{reference})"
-        )
+        content = f"{len(self.t_s)} samples of {self.robot.n} joints at {self.sample_rate_hz:g} Hz{reference}"
+        return f"Signals({self.recording}: {self.robot.name}, {content})"
 
 
 class OptionalColumns(TypedDict, total=False):

@@ -3,4 +3,4 @@
 from .excitation import Excitation, ExcitationSettings, excitation_document, excite
 from .friction_report import friction_document, friction_file, write_friction
 from .information import prior_information
-from .selection import TermChoice, TermSet, select_friction, with_terms
+from .selection import TermSet, select_friction, with_terms

@@ -47,11 +47,6 @@ CURVE_SAMPLES = 100  # per period of the highest harmonic, in pictures
 class ExcitationSettings(ReferenceOptions):
     """What a reference is designed for; the same `seed` gives the same one."""
 
-    @property
-    def plain_harmonics(self) -> int:
-        """Harmonics of the plain references: at most those of the random reference."""
-        return min(HARMONICS, self.harmonics)
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Excitation:
@@ -124,8 +119,7 @@ def excite(
 ) -> Excitation:
     """An exciting reference that makes the base parameters as identifiable as possible within the limits.
 
-    Raises `BadInputError`: where the limits leave no reference, or the drives would not follow it. Raises
-    `BadInputError`: where the drives cannot represent its positions.
+    Raises `BadInputError` where the limits leave no reference, the drives would not follow it or cannot represent it.
     """
     _refuse_fast(robot, settings, place)
     model = InverseModel(robot)
@@ -143,7 +137,7 @@ def excite(
     series = Series(period_s=settings.period_s, harmonics=settings.harmonics)
     samples = SAMPLES_PER_PERIOD * settings.harmonics
     t_s = np.arange(samples, dtype=np.float64) * (settings.period_s / samples)
-    plain_series = Series(period_s=settings.period_s, harmonics=settings.plain_harmonics)
+    plain_series = Series(period_s=settings.period_s, harmonics=min(HARMONICS, settings.harmonics))
     plain = [random_within(limits, plain_series, seed).at(t_s) for seed in range(PLAIN_REFERENCES)]
     noise, noise_from = torque_noise(robot, loads[-1] if loads else None, knowledge, plain)
     information = Information(
@@ -196,13 +190,10 @@ def _refuse_fast(robot: Robot, settings: ExcitationSettings, place: str) -> None
     if highest_hz > max_hz * (1 + 1e-9):
         count = math.floor(max_hz * settings.period_s + 1e-9)
         ways = f"--harmonics {count} or fewer, or " if count >= MIN_HARMONICS else ""
-        raise BadInputError(
-            f"the highest harmonic of {highest_hz:.4g} Hz is above a third of the bandwidth of {bandwidth_hz:g} Hz",
-            place=place,
-            key="harmonics",
-            value=settings.harmonics,
-            expected=f"{ways}--period {math.ceil(100 * settings.harmonics / max_hz) / 100:g} or longer",
-        )
+        ways += f"--period {math.ceil(100 * settings.harmonics / max_hz) / 100:g} or longer"
+        problem = f"the highest harmonic of {highest_hz:.4g} Hz is above a third of the bandwidth"
+        problem += f" of {bandwidth_hz:g} Hz"
+        raise BadInputError(problem, place=place, key="harmonics", value=settings.harmonics, expected=ways)
 
 
 def _refuse_rest(limits: Limits, place: str) -> None:
@@ -215,11 +206,9 @@ def _refuse_rest(limits: Limits, place: str) -> None:
         worst = (most - 3 * n) % len(effort.names)
         held = limits.coulomb[worst] + used[most] * limits.allowed[worst]
         name = limits.names[most].removeprefix("effort of ")
-        raise BadInputError(
-            f"{name} needs {held:.4g} {effort.units[worst]} to leave rest in the middle of the ranges",
-            place=place,
-            expected=f"at most {100 * limits.share:g} % of the effort limit of {effort.limits[worst]:.4g}",
-        )
+        problem = f"{name} needs {held:.4g} {effort.units[worst]} to leave rest in the middle of the ranges"
+        expected = f"at most {100 * limits.share:g} % of the effort limit of {effort.limits[worst]:.4g}"
+        raise BadInputError(problem, place=place, expected=expected)
 
 
 def _warnings(limits: Limits, obstacles: Obstacles, mus: Sequence[str]) -> tuple[str, ...]:
@@ -262,22 +251,19 @@ def excitation_document(excitation: Excitation) -> Document:
     )
     headings = (("value",) if known else ()) + ("±95 %", "plain\n±95 %", "times\nsmaller")
     expected = Table(columns=(*columns("parameter", numbers=headings), *columns("unit")), rows=rows)
-    noise = ", ".join(f"{x:.3g}" for x in e.noise)
+    noise, count = ", ".join(f"{x:.3g}" for x in e.noise), min(HARMONICS, s.harmonics)
     lines: tuple[str, ...] = (
         f"intervals: {np.median(smaller):.2f} times smaller than with the plain reference (median), at least "
         f"{smaller.min():.2f} times",
-        f"plain reference: geometric mean of {PLAIN_REFERENCES} random ones with {s.plain_harmonics} harmonics and the same "
+        f"plain reference: geometric mean of {PLAIN_REFERENCES} random ones with {count} harmonics and the same "
         "share of all limits",
         f"torque noise per row of the fit: {noise} ({', '.join(dict.fromkeys(e.robot.effort_units))}): {e.noise_from}",
         f"torque from {e.beta_from}" if known else "torque unknown",
     )
     if e.payload is not None:
-        gains = (
-            f"{m.name} ±{x:.2g} %" if x < 100 else f"{m.name} not" for m, x in zip(e.robot.motors, e.gains, strict=True)
-        )
-        lines += (
-            f"drive gains by a run without and a run with {e.payload}: {', '.join(gains)}; expected by this noise",
-        )
+        pairs = zip(e.robot.motors, e.gains, strict=True)
+        gains = ", ".join(f"{m.name} ±{x:.2g} %" if x < 100 else f"{m.name} not" for m, x in pairs)
+        lines += (f"drive gains by a run without and a run with {e.payload}: {gains}; expected by this noise",)
     intervals = Section(title="expected intervals", table=expected, lines=lines)
     n, percents = e.robot.n, [Number(100 * float(x), ".1f") for x in e.used]
     efforts = dict(zip(e.limits.names[3 * n : len(e.used)], percents[3 * n :], strict=True))
@@ -285,18 +271,14 @@ def excitation_document(excitation: Excitation) -> Document:
         (joint.name, *percents[j : 3 * n : n], efforts.pop(f"effort of joint {joint.name}", ""))
         for j, joint in enumerate(e.robot.joints)
     ]
-    table += [
-        (name.removeprefix("effort of ").removeprefix("joint "), "", "", "", percent)
-        for name, percent in efforts.items()
-    ]
+    for name, percent in efforts.items():
+        table.append((name.removeprefix("effort of ").removeprefix("joint "), "", "", "", percent))
     apart: tuple[str, ...] = ()
     if e.nearest is not None:
         apart = (f"nearest: {e.nearest[1]}, {e.nearest[0]:.3f} m apart",)
     limits = Table(columns=columns("joint", numbers=(*KINDS, "effort")), rows=tuple(table))
-    title = (
-        f"{e.robot.name}: reference of {s.periods} x {s.period_s:g} s, {s.harmonics} harmonics up to "
-        f"{s.harmonics / s.period_s:g} Hz, seed {s.seed}"
-    )
+    title = f"{e.robot.name}: reference of {s.periods} x {s.period_s:g} s, {s.harmonics} harmonics"
+    title += f" up to {s.harmonics / s.period_s:g} Hz, seed {s.seed}"
     return Document(
         title=title,
         sections=(

@@ -4,50 +4,30 @@ import json
 from pathlib import Path
 from typing import Any
 
-from msgspec import UNSET, UnsetType
-
 from acquisition.files import atomic_write
-from acquisition.robot import FrictionTerm, Robot
+from acquisition.robot import Robot
 
 from ..export import replace_in_tables
-from ..report import Document, Number, ResultFile, Section, Table, columns
+from ..report import Document, Number, Section, Table, columns
 from .selection import CANDIDATES, TermChoice, TermSet, at_all_joints, described_terms
 
 SET_KEYS = ("added_terms", "fitted_error_percent", "held_out_error_percent", "held_out_percents", "score")
 
 
-class FrictionFile(ResultFile, frozen=True, kw_only=True):
+def friction_file(choice: TermChoice) -> dict[str, Any]:
     """The JSON file of `friction`: all sets, best first, and the recommended terms by joint.
 
     `recording` and `sha256` are those of the first of several `recordings`; `held_out` names the parts of `held_out_percents`.
+    An error that does not exist is null.
     """
-
-    recording: str
-    sha256: str
-    recordings: list[dict[str, str]] | UnsetType
-    robot: str
-    held_out: tuple[str, ...]
-    sets: list[dict[str, Any]]
-    recommended: dict[str, tuple[FrictionTerm, ...]]
-    left_out: tuple[str, ...]
-
-
-def friction_file(choice: TermChoice) -> FrictionFile:
-    """The JSON file of a choice of terms; an error that does not exist is null."""
     each = [{"recording": one.recording, "sha256": one.sha256} for one in choice.recordings]
-    return FrictionFile(
-        recording=each[0]["recording"],
-        sha256=each[0]["sha256"],
-        recordings=each if len(each) > 1 else UNSET,
-        robot=choice.robot.name,
-        held_out=choice.held_out,
-        sets=[
-            {"terms": described_terms(choice.robot, trial.terms)} | {key: getattr(trial, key) for key in SET_KEYS}
-            for trial in choice.trials
-        ],
-        recommended=choice.described,
-        left_out=choice.left_out,
-    )
+    sets = [
+        {"terms": described_terms(choice.robot, trial.terms)} | {key: getattr(trial, key) for key in SET_KEYS}
+        for trial in choice.trials
+    ]
+    about = {**each[0], **({"recordings": each} if len(each) > 1 else {}), "robot": choice.robot.name}
+    found = {"held_out": choice.held_out, "sets": sets, "recommended": choice.described}
+    return {**about, **found, "left_out": choice.left_out}
 
 
 def friction_document(choice: TermChoice) -> Document:
@@ -90,10 +70,7 @@ def set_text(robot: Robot, terms: TermSet) -> str:
 
 
 def write_friction(path: Path, choice: TermChoice) -> None:
-    """Put the recommended terms into the description at `path`, which is that of the choice; lines without use become comments.
-
-    Raises `BadInputError`: where the layout prevents replacing lines; the file is not changed.
-    """
+    """Put the recommended terms into the description at `path`, that of the choice; lines without use become comments."""
     values = dict[str, dict[str, Any]]()
     for joint, terms in zip(choice.robot.joints, choice.described.values(), strict=True):
         unused = ["viscous", "coulomb", "offset", *([] if "stribeck" in terms else [joint.key("stribeck_speed")])]

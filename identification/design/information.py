@@ -14,25 +14,11 @@ from scipy.linalg import cho_factor, cho_solve
 
 from acquisition.robot import Payload, Robot
 
+from .. import model as dynamics
 from ..arrays import Array
 from ..data import Signals, load_signals
 from ..errors import BadInputError
 from ..methods import stored_beta
-from ..model import (
-    LINK,
-    SLIDING,
-    BaseParameters,
-    DirectModel,
-    InverseModel,
-    JointTerm,
-    add_payload,
-    base_parameters,
-    described_parameters,
-    direct_model,
-    link_columns,
-    load_parameters,
-    regressor_gradient,
-)
 from ..regression import Overrides, decimation_rule, make_problem, rows_of_recording
 from ..report import read_fit
 from .limits import Motion
@@ -77,17 +63,14 @@ def prior_information(
     after: Sequence[Path] = (),
     payload: Payload | None = None,
 ) -> PriorInformation:
-    """Information from files and options: a fit's parameters, else those of the description.
-
-    Raises `BadInputError`: where a file cannot be read, or is not of this robot.
-    """
+    """Information from files and options: a fit's parameters, else those of the description."""
     if noise is not None and len(noise) not in (1, robot.n):
         expected = f"one number, or one for each of {robot.n} joints"
         raise BadInputError(key="--noise", value=",".join(f"{x:g}" for x in noise), expected=expected)
-    model = InverseModel(robot)
-    base = base_parameters(model)
+    model = dynamics.InverseModel(robot)
+    base = dynamics.base_parameters(model)
     known = PriorInformation(
-        beta=described_parameters(model, base) if fit is None and robot.parameters else None,
+        beta=dynamics.described_parameters(model, base) if fit is None and robot.parameters else None,
         beta_from="[parameters]",
         noise=None if noise is None else np.ones(robot.n) * noise,
         payload=payload,
@@ -112,28 +95,23 @@ def prior_information(
 
 
 def loads_of(
-    model: InverseModel, base: BaseParameters, knowledge: PriorInformation, place: str
-) -> tuple[DirectModel, ...]:
-    """The robot with its parameters, then the same with the payload; empty without parameters.
-
-    Raises `BadInputError` for a payload whose torque cannot be known.
-    """
+    model: dynamics.InverseModel, base: dynamics.BaseParameters, knowledge: PriorInformation, place: str
+) -> tuple[dynamics.DirectModel, ...]:
+    """The robot with its parameters, then the same with the payload, which needs them; empty without parameters."""
     payload = knowledge.payload
     if payload is not None and (knowledge.beta is None or not model.robot.gain_known):
-        problem, expected = (
-            "its torque is unknown without parameters and drive gains",
-            "--fit or [parameters], and drive_gain",
-        )
+        problem = "its torque is unknown without parameters and drive gains"
+        expected = "--fit or [parameters], and drive_gain"
         raise BadInputError(problem, place=place, key="--payload", value=payload.text, expected=expected)
     if knowledge.beta is None:
         return ()
     chi = base.standard_parameters(knowledge.beta)
-    carried = () if payload is None else (add_payload(model, chi, payload),)
-    return tuple(direct_model(model, x) for x in (chi, *carried))
+    carried = () if payload is None else (dynamics.add_payload(model, chi, payload),)
+    return tuple(dynamics.direct_model(model, x) for x in (chi, *carried))
 
 
 def torque_noise(
-    robot: Robot, model: DirectModel | None, knowledge: PriorInformation, motions: Sequence[Motion]
+    robot: Robot, model: dynamics.DirectModel | None, knowledge: PriorInformation, motions: Sequence[Motion]
 ) -> tuple[Array, str]:
     """Deviation (n,) of each joint's torque in a row of the fit, and its origin in words.
 
@@ -160,15 +138,12 @@ def rows_per_s(robot: Robot) -> float:
     return rate_hz / decimation_rule(rate_hz, robot.bandwidth_hz)
 
 
-def earlier_information(base: BaseParameters, noise: Array, recordings: Sequence[Signals]) -> Array:
-    """Sum of W'W / s² (b, b) over the rows of earlier recordings; `base` without load friction.
-
-    Raises `BadInputError` if a recording's robot has other base parameters, or it cannot be fitted.
-    """
+def earlier_information(base: dynamics.BaseParameters, noise: Array, recordings: Sequence[Signals]) -> Array:
+    """Sum of W'W / s² (b, b) over the rows of earlier recordings of the same robot; `base` without load friction."""
     M = np.zeros((base.b, base.b))
     for signals in recordings:
         problem = make_problem(signals, Overrides())
-        own = problem.base.without(load_parameters(problem.base))
+        own = problem.base.without(dynamics.load_parameters(problem.base))
         known = (own.names, own.units, own.expressions)
         if known != (base.names, base.units, base.expressions):
             expected = "a recording of the described robot, with the same base parameters"
@@ -191,8 +166,8 @@ class Information:
             a fit leaves out rows of low speed.
     """
 
-    model: InverseModel
-    base: BaseParameters
+    model: dynamics.InverseModel
+    base: dynamics.BaseParameters
     noise: Array
     rows: float
     earlier: Array
@@ -214,12 +189,12 @@ class Information:
         total = float(D @ np.diag(C))
         # total = tr(D C), so d total = -tr(P dM) with P = C D C, and dM = 2 W'dW / s².
         G = -2 / total * self.rows / len(W) * (W / self.noise[:, None] ** 2) @ ((C * D) @ C)
-        by_q, by_dq, by_ddq = regressor_gradient(self.model, self.base, motion, G)
+        by_q, by_dq, by_ddq = dynamics.regressor_gradient(self.model, self.base, motion, G)
         for (c, term), slope in zip(self._sliding, slopes, strict=True):
             by_dq += (slope * (G[:, :, c] @ term.direction))[:, None] * term.direction
         return float(np.log(total / len(D))), (by_q, by_dq, by_ddq)
 
-    def gain_deviations(self, motion: Motion, loads: Sequence[DirectModel], payload: Payload) -> Array:
+    def gain_deviations(self, motion: Motion, loads: Sequence[dynamics.DirectModel], payload: Payload) -> Array:
         """(n,) relative deviations of all drive gains, from runs of the motion without and with the payload.
 
         X = [W L -E] of both runs: E from the torques of the robot with each of the two `loads`, L of what is not stated of the
@@ -227,7 +202,8 @@ class Information:
         """
         moments, half_m = {"MX", "MY", "MZ"}, payload.center_half_width_m
         stated = {"M"} | (moments if payload.center_of_mass_m is not None and not half_m else set())
-        columns = [x for x in zip(link_columns(self.model)[-1], LINK, strict=True) if x[1] not in stated]
+        pairs = zip(dynamics.link_columns(self.model)[-1], dynamics.LINK, strict=True)
+        columns = [x for x in pairs if x[1] not in stated]
         free = self.base.K[:, [column for column, _ in columns]]
         W = (self._regressor(motion) / self.noise[:, None]).reshape(-1, self.base.b)
         others, R = np.block([[W, np.zeros((len(W), free.shape[1]))], [W, W @ free]]), self.model.robot.R
@@ -256,10 +232,10 @@ class Information:
         return np.asarray(V.T @ V * (self.rows / len(W)) + self.earlier)
 
     @cached_property
-    def _sliding(self) -> list[tuple[int, JointTerm]]:
+    def _sliding(self) -> list[tuple[int, dynamics.JointTerm]]:
         """Columns and terms of friction with the sign of a speed."""
         terms = [(c, self.model.sources[column]) for c, column in enumerate(self.base.columns)]
-        return [(c, t) for c, t in terms if isinstance(t, JointTerm) and t.kind in SLIDING]
+        return [(c, t) for c, t in terms if isinstance(t, dynamics.JointTerm) and t.kind in dynamics.SLIDING]
 
 
 def _inverse(M: Array) -> Array:

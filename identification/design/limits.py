@@ -35,15 +35,16 @@ class Series:
         """(H, H - 1) each: sine coefficients with zero speed, cosine coefficients with zero acceleration at the ends."""
         k = np.arange(1, self.harmonics + 1, dtype=float)
         # With coefficients s/k, harmonics of equal s have equal speeds: the speed is sum(s), the acceleration sum(k s).
-        return _orthogonal_basis(np.ones_like(k)) / k[:, None], _orthogonal_basis(k) / k[:, None]
+        bases = (np.linalg.qr(v[:, None], mode="complete")[0][:, 1:] for v in (np.ones_like(k), k))  # orthogonal to v
+        sine, cosine = (basis / k[:, None] for basis in bases)
+        return sine, cosine
 
     def reference(self, x: Array) -> FourierReference:
         """The series with the coefficients x (n, K)."""
         H = self.harmonics
         sine, cosine = self._null_spaces
-        return FourierReference(
-            period_s=self.period_s, center=x[:, 0], sine=x[:, 1:H] @ sine.T, cosine=x[:, H:] @ cosine.T
-        )
+        sines, cosines = x[:, 1:H] @ sine.T, x[:, H:] @ cosine.T
+        return FourierReference(period_s=self.period_s, center=x[:, 0], sine=sines, cosine=cosines)
 
     def coefficients(self, reference: FourierReference) -> Array:
         """x (n, K) of a reference that is such a series."""
@@ -61,11 +62,6 @@ def motion_of(x: Array, basis: Motion) -> Motion:
     """q, dq, ddq (N, n) of the coefficients x (n, K)."""
     q, dq, ddq = (A @ x.T for A in basis)
     return q, dq, ddq
-
-
-def _orthogonal_basis(v: Array) -> Array:
-    """Orthonormal basis (H, H - 1) of the vectors orthogonal to v (H,)."""
-    return np.asarray(np.linalg.qr(v[:, None], mode="complete")[0][:, 1:])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -127,10 +123,8 @@ class Limits:
 
     def shares_and_slopes(self, motion: Motion) -> tuple[Array, Array]:
         """The shares (N, L), and derivatives (3, N, m, n) of the m shares of efforts by q, dq and ddq."""
-        scaled, slopes = (
-            self.effort.directions / self.allowed[:, None],
-            [np.zeros((3, len(motion[0]), 0, self.robot.n))],
-        )
+        scaled = self.effort.directions / self.allowed[:, None]
+        slopes = [np.zeros((3, len(motion[0]), 0, self.robot.n))]
         for model in self.models:
             links = torque_of_links(model, motion)
             tau, by_joint = torque_without_sliding(model, motion, links)
@@ -151,10 +145,7 @@ class Limits:
         return np.concatenate(parts, axis=1)
 
     def jacobian(self, slopes: Array, basis: Motion, at: NDArray[np.intp]) -> Array:
-        """Derivatives (B L, n K) of the shares at the samples `at` (B, L) by the coefficients (n, K) of a series.
-
-        `slopes` are those of `shares_and_slopes`, `basis` that of the series.
-        """
+        """Derivatives (B L, n K) of shares at samples `at` (B, L) by a series' coefficients, of its basis and their slopes."""
         n, K = self.robot.n, basis[0].shape[1]
         efforts = at[:, 3 * n :]
         J = np.zeros((*at.shape, n, K))
@@ -172,12 +163,10 @@ def _sides(shares: Array) -> Array:
 
 
 def limits_of(robot: Robot, models: Sequence[DirectModel], share: float, place: str) -> Limits:
-    """The limits of a robot, of which a reference may use a `share` in (0, 1].
+    """The limits of a robot, of which a reference may use a `share` in (0, 1]; `place` names the description in errors.
 
-    The torque is limited by each of the `models`, with the same friction; `place` names the description in errors.
-
-    Raises `BadInputError`: where a joint states no limit, or friction alone needs more than a joint's or motor's
-    effort.
+    The torque is limited by each of the `models`, with the same friction. Raises `BadInputError` where a joint states no
+    limit, or friction alone needs more than a joint's or motor's effort.
     """
     for i, joint in enumerate(robot.joints):
         for kind, tail in zip(KINDS, ("", "_s", "_s2"), strict=True):

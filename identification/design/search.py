@@ -70,10 +70,8 @@ def best_of_searches(problem: SearchProblem, seed: int, place: str, say: Callabl
         text = f"search {i + 1} of {STARTS}"
         say(text)
         try:
-            start = _random_start(problem, STARTS * seed + i)
-            x = best_series(problem, start, partial(_say_criterion, say, text))
-            fine = motion_of(x, finer)
-            most, name = problem.limits.largest(fine)
+            x = best_series(problem, _random_start(problem, STARTS * seed + i), partial(_say_criterion, say, text))
+            most, name = problem.limits.largest(motion_of(x, finer))
             if most > 1 + TOLERANCE:
                 worst = f"{name} is exceeded by {100 * (most - 1):.3g} %"
                 continue
@@ -187,7 +185,9 @@ class _Search:
         """Shares, their slopes, and the samples of their peaks; those of the last z are cached."""
         if self._last is None or not np.array_equal(self._last[0], z):
             shares, slopes = self._problem.limits.shares_and_slopes(self._motion_at(z))
-            self._last = z.copy(), shares, slopes, _peaks(shares)
+            windows = np.abs(shares).reshape(-1, SAMPLES_PER_WINDOW, shares.shape[1])
+            peaks = windows.argmax(axis=1) + SAMPLES_PER_WINDOW * np.arange(len(windows))[:, None]
+            self._last = z.copy(), shares, slopes, peaks  # where each limit is used most in each window
         return self._last[1:]
 
     def _slack(self, z: Array) -> Array:
@@ -199,12 +199,6 @@ class _Search:
         signs = (self._tight * np.sign(np.take_along_axis(shares, peaks, axis=0))).ravel()
         J = self._problem.limits.jacobian(slopes, self._basis, peaks)
         return np.asarray(-signs[:, None] * J * self._unit.ravel())
-
-
-def _peaks(shares: Array) -> NDArray[np.intp]:
-    """Samples (N / SAMPLES_PER_WINDOW, L) at which each limit is used most in each window."""
-    windows = np.abs(shares).reshape(-1, SAMPLES_PER_WINDOW, shares.shape[1])
-    return np.asarray(windows.argmax(axis=1) + SAMPLES_PER_WINDOW * np.arange(len(windows))[:, None])
 
 
 def shrink(

@@ -15,29 +15,10 @@ from numpy.typing import NDArray
 
 from acquisition.robot import FrictionTerm, Robot, low_speed_by_method
 
+from .. import estimation, methods
 from ..arrays import Array
 from ..data import Recordings, Signals
 from ..errors import BadInputError
-from ..estimation import (
-    Estimate,
-    are_moving,
-    intervals_of,
-    one_thread,
-    r_factor,
-    relative_error_percent,
-    spans_of,
-    t_quantile,
-)
-from ..methods import (
-    Equations,
-    Fit,
-    correct_known_lags,
-    identify,
-    identify_ls,
-    least_squares,
-    read_equations,
-    with_best_ramps,
-)
 from ..model import JointTerm
 from ..regression import Overrides, Rows
 from ..trust import predictions_by_others
@@ -51,10 +32,7 @@ TermSet = tuple[frozenset[FrictionTerm], ...]  # by joint, the terms added to th
 
 
 def with_terms(robot: Robot, terms: TermSet) -> Robot:
-    """The robot with the terms of a set beside the usual ones that are described.
-
-    Separate friction for each direction contains an offset: it is replaced by common friction and an offset.
-    """
+    """The robot with a set's terms beside the usual ones; friction by direction becomes common friction and an offset."""
     joints = []
     for joint, more in zip(robot.joints, terms, strict=True):
         usual = [term for term in BASELINE if joint.one_sided or term in joint.terms]
@@ -136,13 +114,13 @@ class TermChoice:
         """The recommended terms by joint, as a description lists them under `friction`."""
         return described_terms(self.robot, self.recommended.terms)
 
-    def fits(self) -> list[Fit]:
+    def fits(self) -> list[methods.Fit]:
         """Least squares of the recordings with the usual terms, and with the recommended ones."""
         both = self.usual, self.recommended
-        return [identify_ls(_with_terms(self.recordings, trial.terms), self.overrides) for trial in both]
+        return [methods.identify_ls(_with_terms(self.recordings, trial.terms), self.overrides) for trial in both]
 
 
-@one_thread
+@estimation.one_thread
 def select_friction(
     signals: Signals | Recordings, overrides: Overrides | None = None, *, say: Callable[[str], None] = lambda text: None
 ) -> TermChoice:
@@ -155,14 +133,14 @@ def select_friction(
     recordings = tuple(source if isinstance(source, Signals) else source.load() for source in sources)
     given = overrides or Overrides()
     if given.gains:  # of the terms that are described; the sets of terms are compared on one scale
-        gain = identify(Recordings(sources=recordings), given, say=say).problem.signals.robot.gain
+        gain = methods.identify(Recordings(sources=recordings), given, say=say).problem.signals.robot.gain
         recordings = tuple(_with_gain(one, gain) for one in recordings)
         given = replace(given, gains=None)
     robot = recordings[0].robot
     low = robot.identification.low_speed.iv if given.low_speed_percent is None else given.low_speed_percent
     given = replace(given, low_speed_percent=low_speed_by_method(low))  # least squares with the weights of instruments
-    whole = read_equations(_with_terms(recordings, at_all_joints(robot, CANDIDATES)), given, say)
-    whole = with_best_ramps(correct_known_lags(whole), instruments=False)
+    whole = methods.read_equations(_with_terms(recordings, at_all_joints(robot, CANDIDATES)), given, say)
+    whole = methods.with_best_ramps(methods.correct_known_lags(whole), instruments=False)
     trials = Trials(whole)
     for kinds in (chosen for size in range(len(CANDIDATES) + 1) for chosen in combinations(CANDIDATES, size)):
         say(f"set {len(trials.done) + 1}: {', '.join(kinds)}")
@@ -209,9 +187,9 @@ class Trials:
         done: the trials; `left_out`: joints and terms that some of them leave out, each with the reason.
     """
 
-    def __init__(self, whole: Equations) -> None:
+    def __init__(self, whole: methods.Equations) -> None:
         robot, model, base = whole.problem.signals.robot, whole.problem.model, whole.problem.base
-        recordings = spans_of(whole.about().parts)
+        recordings = estimation.spans_of(whole.about().parts)
         self.parts = tuple(np.arange(part.start, part.stop) for part in recordings)
         self.whole, self._own = whole, [arm.own for arm in whole.unknowns.arms]
         self.names = [problem.signals.recording for problem in whole.problems]
@@ -250,9 +228,8 @@ class Trials:
             return self.done[terms]
         settled, estimate = self._fit(terms)
         rows = settled.about(estimate.values_of(settled.names))
-        found = intervals_of(rows.system, estimate)
-        moving, betas = are_moving(rows.speed), [beta for beta, _ in self._predictions(rows)]
-
+        found = estimation.intervals_of(rows.system, estimate)
+        moving, betas = estimation.are_moving(rows.speed), [beta for beta, _ in self._predictions(rows)]
         by_others = settled.predicted(
             *(replace(estimate, names=rows.system.names, beta=beta) for beta in betas),
             by_recording=self.by_recording,
@@ -260,7 +237,7 @@ class Trials:
 
         def percent(predicted: Array, part: slice | NDArray[np.intp]) -> float | None:
             among, tau = moving[part], rows.tau[part]
-            return relative_error_percent(tau[among], (tau - predicted[part])[among])
+            return estimation.relative_error_percent(tau[among], (tau - predicted[part])[among])
 
         held = [
             (np.sum(rows.residual(beta, self.weights)[part] ** 2), percent(by_others, part))
@@ -268,7 +245,7 @@ class Trials:
             if name not in self.unpredicted
         ]
         scores, percents = np.array(held, dtype=float).T
-        least = t_quantile(1 - FALSE_TERM_RATE / 2 / max(1, len(self.added)), found.freedom) * found.sigma
+        least = estimation.t_quantile(1 - FALSE_TERM_RATE / 2 / max(1, len(self.added)), found.freedom) * found.sigma
         # The interval of load friction must lie above 0: no friction decreases with load.
         values = zip(estimate.names, estimate.beta, least, strict=True)
         beyond = [name for name, x, limit in values if (x if name.startswith("mu") else abs(x)) > limit]
@@ -286,9 +263,9 @@ class Trials:
         added = [self.added[name] for name in names if name in self.added]
         return tuple(frozenset(term for i, term in added if i == j) for j in range(len(self.weights)))
 
-    def _fit(self, terms: TermSet) -> tuple[Equations, Estimate]:
+    def _fit(self, terms: TermSet) -> tuple[methods.Equations, estimation.Estimate]:
         others = {name: "" for name, (j, term) in self.added.items() if term not in terms[j]}
-        settled, estimate = least_squares(self.whole.without(others) if others else self.whole)
+        settled, estimate = methods.least_squares(self.whole.without(others) if others else self.whole)
         self.left_out |= {self.added[name]: text for name, text in settled.left_out.items() if text}
         return settled, estimate
 
@@ -296,6 +273,6 @@ class Trials:
         """By part the parameters (b,) by the others, and the names of those that they do not determine."""
         system = settled.system
         rows = np.column_stack(system.weighted(self.weights)).reshape(len(self.weights), -1, len(system.names) + 1)
-        each = [r_factor(rows[:, part].reshape(-1, rows.shape[2])) for part in self.parts]
+        each = [estimation.r_factor(rows[:, part].reshape(-1, rows.shape[2])) for part in self.parts]
         found = predictions_by_others([np.c_[R[:, :-1], R] for R in each], system.names, self._own)
         return [(np.zeros(len(system.names)) if beta is None else beta, lost) for beta, lost in found]

@@ -88,9 +88,15 @@ class Chain:
         `--range` is ± about zero. The URDF's range and speed still apply; of several `--bandwidth-hz` the lowest is used.
         Raises `BadInputError`: a wrong number of values, a range outside the URDF's.
         """
-        joints = list(self.joints)
+        joints, n = list(self.joints), len(self.joints)
         for option, values in options.items():
-            _check_count(self, option, values)
+            if len(values) not in (1, n):
+                expected = f"one, or {n} for {', '.join(joint.name for joint in joints)}"
+                shown = f"{len(values)} values"
+                raise BadInputError(place=self.place, key=option, value=values, shown=shown, expected=expected)
+            if len(values) < n and len({joint.type for joint in joints}) > 1 and option in _OPTION_FIELDS:
+                expected = f"{n} values: some joints are in rad, others in m"
+                raise BadInputError(place=self.place, key=option, value=values[0], expected=expected)
             for j, joint in enumerate(joints if option in _OPTION_FIELDS else ()):
                 value: Any = values[j % len(values)]
                 if option == "--range":
@@ -99,16 +105,6 @@ class Chain:
                     value = min(joint.speed or value, value)
                 joints[j] = replace(joint, **{_OPTION_FIELDS[option]: value})
         return replace(self, joints=tuple(joints), bandwidth_hz=min(options.get("--bandwidth-hz", ()), default=None))
-
-
-def _check_count(chain: Chain, option: str, values: Sequence[float]) -> None:
-    n, kinds = len(chain.joints), {joint.type for joint in chain.joints}
-    if len(values) not in (1, n):
-        expected, shown = f"one, or {n} for {', '.join(joint.name for joint in chain.joints)}", f"{len(values)} values"
-        raise BadInputError(place=chain.place, key=option, value=values, shown=shown, expected=expected)
-    if len(values) < n and len(kinds) > 1 and option in _OPTION_FIELDS:
-        expected = f"{n} values: some joints are in rad, others in m"
-        raise BadInputError(place=chain.place, key=option, value=values[0], expected=expected)
 
 
 def _intersect_range(joint: UrdfJoint, side: float, place: str) -> tuple[float, float]:
@@ -137,7 +133,11 @@ def read_chain(path: Path, names: Sequence[str] = ()) -> Chain:
     except OSError as error:
         raise BadInputError(f"cannot be read: {error.strerror}", place=str(path)) from error
     tree = _Tree(text, str(path))
-    chain = _check_names(tree, names) if names else _find_longest(tree)
+    for i, name in enumerate(names):
+        if name not in tree.movable or name in names[:i]:
+            expected = f"one of {listed(tree.movable)}, each once"
+            raise BadInputError(place=tree.place, key="--joints", value=name, expected=expected)
+    chain = list(names) or _find_longest(tree)
     for name in dict.fromkeys(joint for last in chain for joint in tree.path(last)):
         kind = tree.joints[name].get("type")
         if kind in ("floating", "planar"):
@@ -261,14 +261,6 @@ def _find_longest(tree: _Tree) -> list[str]:
         problem = f"{len(last)} chains of {most} joints each, which end at {listed(last)}"
         raise BadInputError(problem, place=tree.place, expected="--joints with the joints of one chain")
     return chains[last[0]]
-
-
-def _check_names(tree: _Tree, names: Sequence[str]) -> list[str]:
-    for i, name in enumerate(names):
-        if name not in tree.movable or name in names[:i]:
-            expected = f"one of {listed(tree.movable)}, each once"
-            raise BadInputError(place=tree.place, key="--joints", value=name, expected=expected)
-    return list(names)
 
 
 def _describe_locked(tree: _Tree, name: str) -> str:

@@ -27,10 +27,7 @@ def robot_of_chain(chain: Chain) -> Robot:
 
 
 def read_robot(path: Path, joints: Sequence[str] = (), options: Mapping[str, Sequence[float]] | None = None) -> Robot:
-    """The robot of a robot.toml; of a URDF with `joints` as of `read_chain` and `options` as of `Chain.with_options`.
-
-    Raises `BadInputError`: as of these, or joints and options with a robot.toml. `BadInputError`: as of `load_robot`.
-    """
+    """The robot of a robot.toml; of a URDF with `joints` as of `read_chain` and `options` as of `Chain.with_options`."""
     if is_urdf(path):
         return robot_of_chain(read_chain(path, joints).with_options(options or {}))
     for option in (*(["--joints"] if joints else []), *(options or {})):
@@ -57,8 +54,7 @@ def describe(chain: Chain, urdf: str, bus: str = "") -> str:
 
     The text loads without changes; `bus` stands for the example drives: the text of `[bus]`. `urdf` is the path relative to its
     folder. `[parameters]` has the links' inertials in the frames of `InverseModel`, fixed and locked links lumped into their
-    carrier; damping as Fv and friction as Fc.
-    Raises `BadInputError`: a URDF that does not load, a joint that moves no mass.
+    carrier; damping as Fv and friction as Fc. Raises `BadInputError`: a URDF that does not load, a joint that moves no mass.
     """
     head = "\n".join([*_head(chain, urdf), *(line for j in range(len(chain.joints)) for line in _joint(chain, j))])
     head += "\n".join(_motors_and_controller(chain))
@@ -71,9 +67,8 @@ def describe(chain: Chain, urdf: str, bus: str = "") -> str:
 
 def describe_rows(chain: Chain, bus: str = "") -> str:
     """The text of a robot.toml with rows of modified Denavit-Hartenberg parameters to be filled in, where there is no URDF."""
-    lines = [
-        f"# Made by robot-identify init. {FILL_IN} marks what is not known yet. Angles are in degrees, all else in SI."
-    ]
+    units = "Angles are in degrees, all else in SI."
+    lines = [f"# Made by robot-identify init. {FILL_IN} marks what is not known yet. {units}"]
     lines += [f"name = {json.dumps(chain.name)} # {FILL_IN}", "gravity_m_s2 = [0, 0, -9.81] # in the base frame"]
     for j in range(len(chain.joints)):
         lines += [*_joint(chain, j), f"dh = {{ alpha_deg = 0, d_m = 0, theta_deg = 0, r_m = 0 }} # {FILL_IN}"]
@@ -179,8 +174,7 @@ def _motor(chain: Chain, joint: UrdfJoint) -> Iterator[str]:
 
 def _parameters(chain: Chain, robot: Robot) -> Iterator[str]:
     """A-priori values: the links' inertials as pinocchio lumps them, with Khalil's names."""
-    model = InverseModel(robot)
-    values = model.link_parameters()
+    values = InverseModel(robot).link_parameters()
     yield ""
     yield "# A-priori values: the URDF's inertials about the joints' frames (fixed and locked links lumped), its damping and"
     yield "# friction. Simulations use them; a fit does not."
@@ -190,12 +184,9 @@ def _parameters(chain: Chain, robot: Robot) -> Iterator[str]:
     for j, joint in enumerate(chain.joints):
         mass = values[j, LINK.index("M")]
         if not mass > 0:
-            raise BadInputError(
-                place=f"{chain.place}: joint {joint.name!r}",
-                key=f"mass of link {joint.child!r} and those fixed to it",
-                value=float(mass),
-                expected="more than 0: an <inertial> in one of them",
-            )
+            at, key = f"{chain.place}: joint {joint.name!r}", f"mass of link {joint.child!r} and those fixed to it"
+            expected = "more than 0: an <inertial> in one of them"
+            raise BadInputError(place=at, key=key, value=float(mass), expected=expected)
         yield f"# {one_line(', '.join(chain.rigid[j][:8]))}{' ...' if len(chain.rigid[j]) > 8 else ''}"
         for name, value in (*zip(LINK, values[j], strict=True), ("Fv", joint.damping), ("Fc", joint.friction)):
             if abs(value) > _MAX_ROUNDING:

@@ -10,17 +10,9 @@ import numpy as np
 
 from acquisition.robot import Joint
 
+from .. import model as dynamics
 from ..arrays import Array
 from ..errors import BadInputError
-from ..model import (
-    RESISTING,
-    InverseModel,
-    JointTerm,
-    base_parameters,
-    is_a_body,
-    link_columns,
-    requirements,
-)
 
 MIN_EIGENVALUE = 1e-12  # of the scaled pseudo-inertia of a physical body
 STATES, SEED = 1000, 11  # random states
@@ -42,7 +34,7 @@ class ExportedModel:
         armature, damping, frictionloss: (k,) of each axis alone.
     """
 
-    model: InverseModel
+    model: dynamics.InverseModel
     chi: Array
     links: Array
     names: tuple[str, ...]
@@ -52,42 +44,35 @@ class ExportedModel:
     frictionloss: Array
 
 
-def split_parameters(model: InverseModel, chi: Array, place: str) -> ExportedModel:
+def split_parameters(model: dynamics.InverseModel, chi: Array, place: str) -> ExportedModel:
     """Split the standard parameters chi (p,) of a model into links and axes.
 
     Ia and Fv of a joint include the share of a motor that turns with it (Ia5 of the TX40 includes Ia6): it is subtracted here.
-    The rest may be negative if the joints that share the motor together dissipate energy.
-
-    Raises `BadInputError`, since simulators do not check: a link is no physical body, a rotor inertia is negative, or
-    friction generates energy. `place` names the parameters' file.
+    The rest may be negative if the joints that share the motor together dissipate energy. Raises `BadInputError`, with the
+    parameters' file `place`, since simulators do not check: impossible links, negative rotors, friction that generates energy.
     """
-    links = chi[link_columns(model)]
+    links = chi[dynamics.link_columns(model)]
     for j, link in enumerate(links):
-        if not is_a_body(link, MIN_EIGENVALUE):
+        if not dynamics.is_a_body(link, MIN_EIGENVALUE):
             problem = "impossible inertia for a body of positive density"
             key = f"link {j + 1}, of joint {model.robot.joints[j].name}"
             raise BadInputError(problem, place=place, key=key, expected="a new fit with --consistent")
-    for matrix, first, text in requirements(model, shaped=False):
+    for matrix, first, text in dynamics.requirements(model, shaped=False):
         lowest = float(np.linalg.eigvalsh(matrix @ chi)[0])
         if lowest < -MIN_EIGENVALUE:
-            raise BadInputError(
-                "generates energy, and simulators do not check it",
-                place=place,
-                key=text,
-                value=lowest,
-                shown=f"{lowest:.4g} {first.unit}",
-                expected="0 or more: a new fit with --consistent",
-            )
+            problem, shown = "generates energy, and simulators do not check it", f"{lowest:.4g} {first.unit}"
+            expected = "0 or more: a new fit with --consistent"
+            raise BadInputError(problem, place=place, key=text, value=lowest, shown=shown, expected=expected)
     return _of_axes(model, chi, links)
 
 
-def _of_axes(model: InverseModel, chi: Array, links: Array) -> ExportedModel:
+def _of_axes(model: dynamics.InverseModel, chi: Array, links: Array) -> ExportedModel:
     """The terms of joints and motors in chi (p,), by axis; one-sided friction is that of the mean of both directions."""
     n = model.robot.n
-    terms = [(source, chi[c]) for c, source in _joint_terms(model).items() if source.kind in RESISTING]
+    terms = [(source, chi[c]) for c, source in _joint_terms(model).items() if source.kind in dynamics.RESISTING]
     shared = {source.joint: source.row for source, _ in terms if np.count_nonzero(source.row) > 1}
     axis = {motor: n + k for k, motor in enumerate(shared)}
-    values = {kind: np.zeros(n + len(shared)) for kind in RESISTING}
+    values = {kind: np.zeros(n + len(shared)) for kind in dynamics.RESISTING}
     for source, value in terms:
         if np.count_nonzero(source.row) > 1:
             values[source.kind][axis[source.joint]] += value
@@ -106,14 +91,14 @@ def _of_axes(model: InverseModel, chi: Array, links: Array) -> ExportedModel:
     )
 
 
-def _coupled(term: JointTerm) -> bool:
+def _coupled(term: dynamics.JointTerm) -> bool:
     """Whether it is friction of a motor that turns with several joints."""
     return term.kind in ("viscous", "coulomb") and int(np.count_nonzero(term.row)) > 1
 
 
-def _joint_terms(model: InverseModel) -> dict[int, JointTerm]:
+def _joint_terms(model: dynamics.InverseModel) -> dict[int, dynamics.JointTerm]:
     """By column."""
-    return {c: source for c, source in enumerate(model.sources) if isinstance(source, JointTerm)}
+    return {c: source for c, source in enumerate(model.sources) if isinstance(source, dynamics.JointTerm)}
 
 
 def random_states(joints: tuple[Joint, ...]) -> tuple[Array, ...]:
@@ -128,7 +113,7 @@ def random_states(joints: tuple[Joint, ...]) -> tuple[Array, ...]:
 
 def whole_regressor(m: ExportedModel, q: Array, dq: Array, ddq: Array) -> Array:
     """The regressor (N, n, p); its columns of load friction use the links' torque of these parameters."""
-    W, base = m.model.regressor(q, dq, ddq), base_parameters(m.model)
+    W, base = m.model.regressor(q, dq, ddq), dynamics.base_parameters(m.model)
     links = W[:, :, base.columns] @ np.where(base.links, base.K @ m.chi, 0.0)
     for c, term in _joint_terms(m.model).items():
         if term.kind == "load":
@@ -145,10 +130,10 @@ def representable(m: ExportedModel, *, motors: bool) -> tuple[ExportedModel, Los
     n, losses, terms = m.model.robot.n, Losses(), _joint_terms(m.model)
     q, dq, ddq = random_states(m.model.robot.joints)
     W = whole_regressor(m, q, dq, ddq)
-    whole = _rms(W @ m.chi)
+    whole = np.sqrt(np.mean((W @ m.chi) ** 2, axis=0))
 
     def add_loss(what: str, missing: Array) -> None:
-        rms = _rms(missing)
+        rms = np.sqrt(np.mean(missing**2, axis=0))
         rms[rms <= MAX_ROUNDING * whole.max()] = 0.0
         if rms.any():
             losses[what] = rms, 100 * np.divide(rms, whole, out=np.zeros(n), where=whole > 0)
@@ -160,7 +145,7 @@ def representable(m: ExportedModel, *, motors: bool) -> tuple[ExportedModel, Los
         chi[columns] = 0.0
     written = chi.copy()
     for c, term in terms.items():
-        if term.kind not in (*RESISTING, "offset") or (_coupled(term) and (not motors or chi[c] < 0)):
+        if term.kind not in (*dynamics.RESISTING, "offset") or (_coupled(term) and (not motors or chi[c] < 0)):
             written[c] = 0.0
         elif term.side:
             ways = [k for k, x in terms.items() if (x.joint, x.kind, abs(x.side)) == (term.joint, term.kind, 1)]
@@ -181,7 +166,3 @@ def about_com(link: Array) -> tuple[float, Array, Array]:
     com = link[6:9] / mass
     steiner = mass * (com @ com * np.eye(3) - np.outer(com, com))
     return mass, com, np.asarray(link[:6] - steiner[np.triu_indices(3)])
-
-
-def _rms(torque: Array) -> Array:
-    return np.asarray(np.sqrt(np.mean(torque**2, axis=0)))

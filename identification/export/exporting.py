@@ -41,11 +41,7 @@ def export_model(
     toml: Path | None = None,
     lines: tuple[str, ...] = (),
 ) -> tuple[dict[Path, str], Document]:
-    """Convert a model to the requested formats.
-
-    `source` names the fit; `lines` state the origin of its values. Returns the text for each path, and a report. Raises
-    `BadInputError`: the description cannot be patched.
-    """
+    """A model in the requested formats, by path, and a report; `source` names the fit, `lines` the origin of its values."""
     robot, texts, sections = m.model.robot, dict[Path, str](), [Section(lines=lines)]
     if urdf is not None:
         represented, losses = representable(m, motors=False)

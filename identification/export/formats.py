@@ -54,12 +54,8 @@ def mjcf_text(m: ExportedModel) -> str:
         body = ET.SubElement(carriers[m.model.parents[j]], "body", place)
         carriers.append(body)
         mass, com, inertia = about_com(m.links[j])
-        inertial = {
-            "pos": format_numbers(*com),
-            "mass": format_numbers(mass),
-            "fullinertia": format_numbers(*inertia[_MUJOCO]),
-        }
-        ET.SubElement(body, "inertial", inertial)
+        about = format_numbers(*inertia[_MUJOCO])
+        ET.SubElement(body, "inertial", pos=format_numbers(*com), mass=format_numbers(mass), fullinertia=about)
         kind = "slide" if joint.type == "prismatic" else "hinge"
         moved = {"name": joint.name, "type": kind, "axis": format_numbers(*axes[j])}
         if (limits := joint.si("position")) is not None:
@@ -133,10 +129,8 @@ def urdf_text(m: ExportedModel) -> tuple[str, tuple[str, ...]]:
         rest, others = m.links[j] - sum((x for _, x in inertials.values()), start=np.zeros(10)), ", ".join(inertials)
         if others and not is_a_body(rest, MIN_EIGENVALUE):
             mass = sum(x[9] for _, x in inertials.values())
-            notes.append(
-                f"link {name}: minus the inertials of {others} ({mass:.3g} kg), fixed to it, it is no physical body: "
-                "they are removed, it has the lumped inertia"
-            )
+            text = f"link {name}: minus the inertials of {others} ({mass:.3g} kg), fixed to it, it is no physical body"
+            notes.append(f"{text}: they are removed, it has the lumped inertia")
             rest = m.links[j]
             for other, (inertial, _) in inertials.items():
                 links[other].removeChild(inertial)
@@ -237,15 +231,16 @@ def make_urdf(model: InverseModel) -> str:
         ends = [origin for origin, parent in zip(origins, model.parents, strict=True) if parent == k]
         for end in ends or [np.zeros(3)]:
             _draw(link, end)
-    for j, (joint, effort) in enumerate(zip(robot.joints, _efforts(robot), strict=True)):
-        limits = joint.si("position")
+    found = effort_limits(robot)
+    efforts = dict(zip(found.names, found.limits, strict=True)) if robot.gain_known else {}  # N m or N
+    for j, joint in enumerate(robot.joints):
+        limits, effort = joint.si("position"), efforts.get(f"joint {joint.name}", joint.si("effort") or UNLIMITED)
         kind = "prismatic" if joint.type == "prismatic" else "continuous" if limits is None else "revolute"
         element = ET.SubElement(root, "joint", name=joint.name, type=kind)
         ET.SubElement(element, "parent", link=names[model.parents[j]])
         ET.SubElement(element, "child", link=names[j + 1])
-        ET.SubElement(
-            element, "origin", xyz=format_numbers(*origins[j]), rpy=format_numbers(*roll_pitch_yaw(rotations[j]))
-        )
+        rpy = format_numbers(*roll_pitch_yaw(rotations[j]))
+        ET.SubElement(element, "origin", xyz=format_numbers(*origins[j]), rpy=rpy)
         ET.SubElement(element, "axis", xyz=format_numbers(*axes[j]))
         low, high = limits or (-UNLIMITED, UNLIMITED)
         stated = {} if kind == "continuous" else {"lower": low, "upper": high}
@@ -253,13 +248,6 @@ def make_urdf(model: InverseModel) -> str:
         ET.SubElement(element, "limit", {name: format_numbers(value) for name, value in stated.items()})
     ET.indent(root)
     return f'<?xml version="1.0"?>\n{ET.tostring(root, encoding="unicode")}\n'
-
-
-def _efforts(robot: Robot) -> list[float]:
-    """Maximum effort of each joint, N m or N."""
-    found = effort_limits(robot)
-    known = dict(zip(found.names, found.limits, strict=True)) if robot.gain_known else {}
-    return [known.get(f"joint {joint.name}", joint.si("effort") or UNLIMITED) for joint in robot.joints]
 
 
 def roll_pitch_yaw(R: Array) -> tuple[float, float, float]:

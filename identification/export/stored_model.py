@@ -13,7 +13,7 @@ from ..regression import base_name
 from ..report import Document, FitFile, Section
 from .exported_model import ExportedModel, split_parameters
 from .exporting import export_model, write_models
-from .motors import with_gains, with_law
+from .tables import with_gains, with_law
 
 
 def export_fit(stored: FitFile, place: str, *, untrusted: bool = False, **outputs: Path | None) -> Document:
@@ -39,10 +39,7 @@ def distrust(stored: FitFile, place: str) -> list[str]:
 
 
 def model_of_fit(stored: FitFile, place: str) -> tuple[ExportedModel, tuple[str, ...]]:
-    """The robot of a fit, by the fit's own description and drive gains, with all standard parameters; lines on their origin.
-
-    Raises `BadInputError`: a fit in A or V, without a description or a covariance, or with impossible parameters.
-    """
+    """The robot of a fit, by its own description and drive gains, with all standard parameters; lines on their origin."""
     stored, of_gains = with_gains(stored, place)
     stored, of_law = with_law(stored, place)
     robot = stored_robot(stored, place)
@@ -58,10 +55,9 @@ def model_of_fit(stored: FitFile, place: str) -> tuple[ExportedModel, tuple[str,
         raise BadInputError(place=place, key="standard_parameters", value=other, expected=expected)
     lines = [*of_gains, *of_law]
     if (c := stored.consistent) is not UNSET:
-        lines.append(
-            f"the consistent parameters of {place}: prior {c.prior}, weight {c.prior_weight:g}; chi² {c.chi2:.3g}, largest "
-            f"move {c.largest_move:.2g} half-widths of the 95 % interval, of {c.moved_most}"
-        )
+        line = f"the consistent parameters of {place}: prior {c.prior}, weight {c.prior_weight:g}; chi² {c.chi2:.3g}"
+        line += f", largest move {c.largest_move:.2g} half-widths of the 95 % interval, of {c.moved_most}"
+        lines.append(line)
     return split_parameters(model, np.array([p.value for p in parameters]), place), tuple(lines)
 
 
@@ -77,18 +73,14 @@ def _make_consistent(stored: FitFile, model: InverseModel, place: str) -> tuple[
     left_out = {p.name: p.sigma for p in stored.left_out or ()}
     missing = [name for name in base.names if name not in shared and name not in left_out]
     if missing or values.shape != (len(names), len(names)):
-        raise BadInputError(
-            place=place, key="covariance", value=", ".join(missing[:5]) or None, expected="one row per parameter"
-        )
+        value = ", ".join(missing[:5]) or None
+        raise BadInputError(place=place, key="covariance", value=value, expected="one row per parameter")
     # of parameters of single recordings the mean, as in `stored_beta`
     mean = np.array([[(own == name) / shared.count(own) for own in shared] for name in base.names])
     covariance = np.diag([left_out.get(name, 0.0) ** 2 for name in base.names]) + mean @ values @ mean.T
     sigma = dict(zip(names, np.sqrt(np.diag(values)), strict=True))
     reach = float(np.median([p.half / sigma[p.name] for p in stored.parameters if sigma.get(p.name)] or [1.0]))
     c = consistent_set(model, base, Known(beta=beta, covariance=covariance, reach=reach))
-    line = (
-        f"{place} is not consistent: the nearest consistent parameters are used; prior {c.prior}; "
-        f"added chi² {c.chi_squared:.3g} on {base.b} parameters, largest move {c.largest_move:.2g} half-widths of the 95 % "
-        f"interval, of {c.moved_most}; certificate {c.certificate:.1e}"
-    )
-    return c.chi, line
+    line = f"{place} is not consistent: the nearest consistent parameters are used; prior {c.prior}"
+    line += f"; added chi² {c.chi_squared:.3g} on {base.b} parameters, largest move {c.largest_move:.2g} half-widths"
+    return c.chi, f"{line} of the 95 % interval, of {c.moved_most}; certificate {c.certificate:.1e}"

@@ -1,7 +1,7 @@
 """Documents of sections and tables, their renderers, the JSON files of fits, comparisons."""
 
 from .comparison import Difference as Difference
-from .comparison import ParameterSet, comparison_document, comparison_file, comparison_section, differences, frame_lines
+from .comparison import ParameterSet, comparison_document, comparison_section, differences, frame_lines
 from .document import (
     Cell,
     Document,
@@ -10,7 +10,6 @@ from .document import (
     Row,
     Section,
     Table,
-    cell_text,
     columns,
     value_form,
     write_json,

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from ..errors import BadInputError
-from .document import Document, Number, ResultFile, Row, Section, Table, columns, value_form
+from .document import Document, Number, Row, Section, Table, columns, value_form
 from .fit_file import FitFile
 from .parameters import Parameter
 
@@ -74,18 +74,15 @@ def _have_expressions(*sets: ParameterSet) -> bool:
 
 
 def _partners(a: ParameterSet, b: ParameterSet) -> dict[str, str]:
-    """Names in `b` by the names in `a` of the same parameters.
-
-    A recording's own parameter matches that of the same recording, or else the shared one.
-    """
+    """Names in `b` of the parameters in `a`; a recording's own is that of the same recording, or else the shared one."""
     if not _have_expressions(a, b):
         return {name: name for name in a.parameters if name in b.parameters}
     named = {(value.expression, name.partition("@")[2]): name for name, value in b.parameters.items()}
-    found = {
-        name: named.get((x.expression, name.partition("@")[2]), named.get((x.expression, "")))
-        for name, x in a.parameters.items()
-    }
-    return {name: partner for name, partner in found.items() if partner is not None}
+    found = dict[str, str]()
+    for name, x in a.parameters.items():
+        if partner := named.get((x.expression, name.partition("@")[2]), named.get((x.expression, ""))):
+            found[name] = partner
+    return found
 
 
 def difference_lines(a: ParameterSet, b: ParameterSet, rows: list[Difference]) -> list[str]:
@@ -107,10 +104,7 @@ def difference_lines(a: ParameterSet, b: ParameterSet, rows: list[Difference]) -
 def comparison_document(
     a: ParameterSet, b: ParameterSet, warnings: tuple[str, ...] = (), *, prior: bool = False
 ) -> Document:
-    """A comparison as a report, with `warnings`; in short the largest differences in sigma. With a `prior` b, also a over b.
-
-    Raises `BadInputError`: as `differences` does.
-    """
+    """A comparison as a report with `warnings`, in short the largest differences in sigma; with a `prior` b, also a over b."""
     section, rows = comparison_section(a, b), differences(a, b)
     if prior:
         both = [(row, row.a.value / row.b.value if row.b.value else None) for row in rows if row.a and row.b]
@@ -147,24 +141,8 @@ def _cells(row: Difference) -> Row:
     )
 
 
-class ComparisonFile(ResultFile, frozen=True, kw_only=True):
-    """The JSON file of a comparison: two labels, and the differences by parameter."""
-
-    a: str
-    b: str
-    differences: list[Difference]
-
-
-def comparison_file(a: ParameterSet, b: ParameterSet) -> ComparisonFile:
-    """A comparison as it goes into its JSON file."""
-    return ComparisonFile(a=a.label, b=b.label, differences=differences(a, b))
-
-
 def frame_lines(a: FitFile, b: FitFile, labels: tuple[str, str]) -> list[str]:
-    """One line if the link frames of two fits differ, else none.
-
-    Equal names then denote different quantities. `labels` name the two fits.
-    """
+    """One line if the link frames of two fits, named by `labels`, differ: equal names then mean different quantities."""
     if not a.description or not b.description:
         return []
     frames = [_frames(fit.description, label) for fit, label in zip((a, b), labels, strict=True)]

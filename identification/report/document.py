@@ -2,9 +2,10 @@
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
@@ -37,8 +38,6 @@ class Number:
 
 Cell = str | Number
 Row = tuple[Cell, ...]
-
-
 Columns = tuple[tuple[str, bool], ...]  # headings, and whether the column has numbers, aligned right
 
 
@@ -116,13 +115,14 @@ def cell_text(cell: Cell) -> str:
 
 
 class ResultFile(msgspec.Struct, frozen=True, kw_only=True):
-    """The base of every JSON file: the version of its format."""
+    """The base of the JSON files that are read again: the version of their format, which all have."""
 
     format: int = FORMAT
 
 
-def write_json(path: Path, content: ResultFile) -> None:
-    """Write a result as a JSON file, whole or not at all; a number that is not finite is null."""
-    plain = json.loads(msgspec.json.encode(content, enc_hook=lambda numbers: numbers.tolist()))  # numpy's to Python's
+def write_json(path: Path, content: ResultFile | Mapping[str, Any]) -> None:
+    """Write a result, or its keys, as a JSON file, whole or not at all; a number that is not finite is null."""
+    typed = content if isinstance(content, ResultFile) else {"format": FORMAT, **content}
+    plain = json.loads(msgspec.json.encode(typed, enc_hook=lambda numbers: numbers.tolist()))  # numpy's to Python's
     with atomic_write(path) as partial:
         partial.write_text(json.dumps(plain, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")

@@ -164,11 +164,10 @@ def _html_section(section: Section, heading: int) -> list[str]:
 def _html_table(table: Table) -> str:
     kinds = ["n" if numeric else "" for _, numeric in table.columns]
     heads = "".join(_element("th", head, kind) for (head, _), kind in zip(table.columns, kinds, strict=True))
-    rows = [
-        "".join(_element("td", cell_text(cell), kind) for cell, kind in zip(row, kinds, strict=True))
-        for row in table.rows
-    ]
-    body = "".join(f"<tr>{row}</tr>\n" for row in rows)
+    body = ""
+    for row in table.rows:
+        cells = (_element("td", cell_text(cell), kind) for cell, kind in zip(row, kinds, strict=True))
+        body += f"<tr>{''.join(cells)}</tr>\n"
     return f'<div class="scroll"><table><tr>{heads}</tr>\n{body}</table></div>'
 
 

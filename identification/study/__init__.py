@@ -1,9 +1,17 @@
 """Simulated robots with known parameters: recordings, Monte-Carlo studies, the demo; fits of whole fleets."""
 
-from .base_report import base_document, base_file
 from .demo import description, gains_document, record_gain_pair, record_simulated_session, truth_document
 from .fleet import FleetRow, fleet_document, found_recordings, run_fleet, with_changes, write_table
 from .sensitivity import VariedFit, moves_of, sensitivity_document, vary
 from .simulated_cell import Noise, closed_loop, random_reference, study_truth, write_signals
 from .study import Run, RunFit, Study, run_study, simulate_recording
-from .study_report import FALSE_TRUST, border_line, false_trust, study_document, study_file, summaries
+from .study_report import (
+    FALSE_TRUST,
+    base_document,
+    base_file,
+    border_line,
+    false_trust,
+    study_document,
+    study_file,
+    summaries,
+)

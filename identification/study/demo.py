@@ -43,10 +43,7 @@ def record_simulated_session(
     """Record a session: simulated drives track a random exciting reference with the robot of `[parameters]`.
 
     `noise_percent` is the noise of the torque, of each joint's rms. The drives are those of `robot`; the recording has
-    `described`, by default the same.
-
-    Raises `BadInputError` or `BadInputError`: if the description lacks `[bus]` or values, or the session
-    fails.
+    `described`, by default the same. Raises `BadInputError`: a description without `[bus]` or values, a failed session.
     """
     if robot.bus is None:
         raise BadInputError(place=place, key="[bus]", value=None, expected="the drives to simulate")
@@ -100,17 +97,13 @@ def in_amperes(robot: Robot, gains: Sequence[float]) -> Robot:
     text, each = robot.files["robot.toml"].decode(), iter(gains)
     text = re.sub("effort_unit = .*", lambda _: f'drive_gain = {next(each):.4g}\ndrive_gain_unit = "N m/A"', text)
     text = re.sub('reference = "6074"|actual = "6077"', 'actual = "6078"', text)
-    text = re.sub(
-        r"rated_torque_nm = ([\d.]+)", lambda found: f"rated_current_a = {float(found[1]) / RATED_NM_PER_A:.4g}", text
-    )
+    rated = r"rated_torque_nm = ([\d.]+)"
+    text = re.sub(rated, lambda found: f"rated_current_a = {float(found[1]) / RATED_NM_PER_A:.4g}", text)
     return robot_from_files({**robot.files, "robot.toml": text.encode()}, f"{robot.name} in A")
 
 
 def truth_document(robot: str, fits: Sequence[Fit], true: Array) -> Document:
-    """Estimates next to the true values of a simulated recording.
-
-    Each has the half-width of its 95 % interval, and its error in half-widths.
-    """
+    """Estimates, half-widths of their 95 % intervals, and errors in these, next to the true values of a simulated recording."""
     halves = [fit.intervals.half for fit in fits]
     rows: list[Row] = []
     for i, name in enumerate(fits[0].base.names):
@@ -124,10 +117,8 @@ def truth_document(robot: str, fits: Sequence[Fit], true: Array) -> Document:
     for fit, half in zip(fits, halves, strict=True):
         within = int((np.abs(fit.beta - true) <= half).sum())
         error = 100 * np.linalg.norm(fit.beta - true) / np.linalg.norm(true)
-        lines.append(
-            f"{fit.method}: {within} of {len(true)} true values inside ({0.95 * len(true):.0f} expected); "
-            f"total error {error:.2f} %"
-        )
+        inside = f"{within} of {len(true)} true values inside ({0.95 * len(true):.0f} expected)"
+        lines.append(f"{fit.method}: {inside}; total error {error:.2f} %")
     headings = (heading for fit in fits for heading in (fit.method, "±95%", "error /\n±95%"))
     table = Table(columns=columns("parameter", numbers=("true", *headings)), rows=tuple(rows))
     section = Section(title="compared with the simulated values", table=table, lines=tuple(lines))

@@ -59,8 +59,7 @@ def run_fleet(
     """A row for each entry of `found`, ordered by start; those without a start come last.
 
     Each fit is stored in the folder `store`, and reused until a file, its description, the method or versions of packages
-    differ. A failure is a row with a `reason`. Raises `BadInputError` if a fit cannot be stored, `BadInputError` if a
-    worker ends early.
+    differ. A failure is a row with a `reason`. Raises `BadInputError` if a fit cannot be stored, or a worker ends early.
     """
     rows, tasks = list[FleetRow](), dict[Path, tuple[object, ...]]()
     for path, sources in found.items():

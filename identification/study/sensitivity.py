@@ -56,10 +56,7 @@ class VariedFit:
 
 
 def vary(source: RecordingFile, noises: Sequence[float] | None, work: Work) -> list[VariedFit]:
-    """The fit by the rules, and a fit per variant; `noises` of the position are in rad or m rms, None by the travel.
-
-    Raises `BadInputError`: the recording cannot be fitted by the rules.
-    """
+    """The fit by the rules, and one per variant; `noises` of the position are in rad or m rms, None by the travel."""
     signals = source.load()
     robot, decimation = signals.robot, make_settings(signals, Overrides()).decimation
     if noises is None:
@@ -143,9 +140,8 @@ def sensitivity_document(recording: str, fits: Sequence[VariedFit]) -> Document:
         "parameters; own: in half-widths of the variant's own interval of the method",
         "position noise is added to the recording, after the control loop; start: inertias of the first pass",
     )
-    moves_table = Table(
-        columns=heads + columns("at", numbers=("own", "passes")) + columns("iv ended"), rows=tuple(rows)
-    )
+    heads += columns("at", numbers=("own", "passes")) + columns("iv ended")
+    moves_table = Table(columns=heads, rows=tuple(rows))
     whole = columns("parameter", "changed", "to", numbers=("LS", "±95%", "IV", "±95%"))
     table = Table(columns=whole, rows=tuple(values))
     sections = Section(table=moves_table, lines=lines), Section(title="values", table=table, short=Section())

@@ -12,21 +12,10 @@ from acquisition.files import atomic_write
 from acquisition.recording import OPTIONAL, Header, RecordingWriter, sample_dtype
 from acquisition.robot import FourierReference, Payload, Robot, fourier_reference
 
+from .. import model as dynamics
 from ..arrays import Array
 from ..data import Signals
 from ..errors import BadInputError, NoFitError
-from ..model import (
-    BaseParameters,
-    DirectModel,
-    InverseModel,
-    add_payload,
-    base_parameters,
-    described_parameters,
-    direct_model,
-    inertias,
-    known_parameters,
-    poses_of,
-)
 from ..options import CellOptions
 from ..regression import differentiate
 from ..simulation import ClosedLoop, Encoder, Reference, recorded_loop, surrogate_loop
@@ -63,20 +52,20 @@ class Noise(CellOptions):
         return np.asarray(tau + level * (self.effort_percent * white + self.coloured_percent * slow))
 
 
-def study_truth(robot: Robot) -> tuple[BaseParameters, Array]:
+def study_truth(robot: Robot) -> tuple[dynamics.BaseParameters, Array]:
     """The base parameters of the robot and their true values (b,) in a study."""
-    idm = InverseModel(robot)
-    base = base_parameters(idm)
-    return base, described_parameters(idm, base)
+    idm = dynamics.InverseModel(robot)
+    base = dynamics.base_parameters(idm)
+    return base, dynamics.described_parameters(idm, base)
 
 
-def true_model(robot: Robot, payload: Payload | None = None) -> DirectModel:
+def true_model(robot: Robot, payload: Payload | None = None) -> dynamics.DirectModel:
     """The direct model with the values of the description, and a payload."""
-    idm = InverseModel(robot)
-    base, chi = base_parameters(idm), known_parameters(idm)
+    idm = dynamics.InverseModel(robot)
+    base, chi = dynamics.base_parameters(idm), dynamics.known_parameters(idm)
     if payload is not None:
-        chi = add_payload(idm, chi, payload)
-    return direct_model(idm, base.standard_parameters(base.K @ chi))
+        chi = dynamics.add_payload(idm, chi, payload)
+    return dynamics.direct_model(idm, base.standard_parameters(base.K @ chi))
 
 
 def periodic_reference(robot: Robot, *, duration_s: float, seed: int, period_s: float = PERIOD_S) -> FourierReference:
@@ -95,9 +84,8 @@ def random_reference(
     """
     samples = duration_s * sample_rate_hz
     if not MIN_SAMPLES <= samples <= MAX_SAMPLES:
-        raise BadInputError(
-            f"{duration_s:g} s at {sample_rate_hz:g} Hz: {samples:g} samples; expected {MIN_SAMPLES} to {MAX_SAMPLES}"
-        )
+        found = f"{duration_s:g} s at {sample_rate_hz:g} Hz: {samples:g} samples"
+        raise BadInputError(f"{found}; expected {MIN_SAMPLES} to {MAX_SAMPLES}")
     t_s = np.arange(round(samples) + 1) / sample_rate_hz
     return periodic_reference(robot, duration_s=duration_s, seed=seed, period_s=period_s).at(t_s)[0]
 
@@ -112,14 +100,13 @@ def closed_loop(
     """
     model, loop = true_model(robot, payload), recorded_loop(robot)
     if loop is None:
-        loop = surrogate_loop(robot.bandwidth_hz, inertias(model.inertia(poses_of(q_ref))), sample_rate_hz)
+        inertias = dynamics.inertias(model.inertia(dynamics.poses_of(q_ref)))
+        loop = surrogate_loop(robot.bandwidth_hz, inertias, sample_rate_hz)
         if noise.position or noise.encoder_step:  # the PD estimates the speed
             loop = replace(loop, velocity_estimate="backward_difference")
     if abs(loop.period_s * sample_rate_hz - 1) > 1e-9:
-        raise BadInputError(
-            f"robot {robot.name}: controller.sample_rate_hz = {1 / loop.period_s:g}: expected {sample_rate_hz:g}, the "
-            "rate of the simulated recording"
-        )
+        found, expected = f"{1 / loop.period_s:g}", f"{sample_rate_hz:g}, the rate of the simulated recording"
+        raise BadInputError(f"robot {robot.name}: controller.sample_rate_hz = {found}: expected {expected}")
     dq = differentiate(q_ref, sample_rate_hz)
     fastest = np.abs(dq @ model.directions.T).max(axis=0, initial=0.0)
     white = np.random.default_rng([seed, _POSITION]).standard_normal(q_ref.shape)
@@ -143,19 +130,15 @@ def closed_loop(
 
 
 def write_signals(path: Path, signals: Signals, *, source: str, noise: Noise | None = None) -> None:
-    """Write simulated signals as a recording, whole or not at all.
-
-    `source` is their origin, shown by `info`; `noise` that of the simulation, for the metadata.
-    """
+    """Write simulated signals of a `source` as a recording, whole or not at all; `noise`: of the simulation, for metadata."""
     provenance, notes = "simulated joint torque", {"simulated": "true"}
     if noise is not None:
         provenance, notes["cell"] = f"{provenance}, the mean of the control periods before and after", noise.text
     given = {"position": signals.q, "effort": signals.effort, "reference": signals.q_ref}
     given |= {name: getattr(signals, name) for name in OPTIONAL}
     columns = {name: values for name, values in given.items() if values is not None}
-    samples = np.empty(
-        len(signals.q), sample_dtype(signals.robot.n, reference="reference" in columns, optional=columns)
-    )
+    layout = sample_dtype(signals.robot.n, reference="reference" in columns, optional=columns)
+    samples = np.empty(len(signals.q), layout)
     samples["stamp_ns"] = np.round(signals.t_s * 1e9)
     for name, values in columns.items():
         samples[name] = values

@@ -28,10 +28,7 @@ class Study(StudyOptions):
 
 
 def simulate_recording(robot: Robot, out: Path, study: Study, payload: Payload | None = None) -> None:
-    """Write a recording of the robot of `[parameters]`: length, rate, seed and noise are those of a study.
-
-    Raises `BadInputError`: a value or limit of the description is missing.
-    """
+    """Write a recording of the robot of `[parameters]`: length, rate, seed and noise are those of a study."""
     signals = _simulated(robot, study, study.seed, payload)
     write_signals(out, signals, source=f"simulated: random reference and noise of seed {study.seed}", noise=study.noise)
 

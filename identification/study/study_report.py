@@ -1,18 +1,16 @@
-"""Summaries, report and file of a study."""
+"""Summaries, report and file of a study; report and file of base parameters."""
 
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass
-from functools import partial
 from typing import Any
 
-import msgspec
 import numpy as np
 
 from acquisition.robot import Robot
 
 from ..arrays import Array
 from ..model import BaseParameters, InverseModel, known_parameters
-from ..report import Document, Number, ResultFile, Row, Section, Table, columns
+from ..report import Document, Number, Row, Section, Table, columns
 from .study import Run, RunFit, Study
 
 FALSE_TRUST = 3.0  # half-widths: largest error of an essential parameter for `trust`
@@ -72,26 +70,10 @@ def false_trust(fit: RunFit, true: Array) -> bool:
     return fit.verdict == "trust" and wrong
 
 
-class StudyFile(ResultFile, frozen=True, kw_only=True):
-    """The JSON file of a study: settings, names of the parameters, truth, summaries, every run."""
-
-    study: dict[str, Any]
-    parameters: list[str]
-    true: list[float]
-    summaries: list[dict[str, Any]]
-    runs: list[dict[str, Any]]
-
-
-def study_file(study: Study, runs: Sequence[Run], base: BaseParameters, true: Array) -> StudyFile:
-    """The JSON file of a study; `true` (b,) are the values of `base`."""
-    plain = partial(msgspec.to_builtins, enc_hook=lambda numbers: numbers.tolist())
-    return StudyFile(
-        study=plain(study),
-        parameters=list(base.names),
-        true=true.tolist(),
-        summaries=plain(summaries(runs, true)),
-        runs=plain(runs),
-    )
+def study_file(study: Study, runs: Sequence[Run], base: BaseParameters, true: Array) -> dict[str, Any]:
+    """The JSON file of a study: settings, names of the parameters, their true values (b,), summaries, every run."""
+    content = {"study": study, "parameters": base.names, "true": true, "summaries": summaries(runs, true)}
+    return {**content, "runs": runs}
 
 
 def study_document(robot: str, study: Study, runs: Sequence[Run], true: Array) -> Document:
@@ -117,3 +99,26 @@ def border_line(robot: Robot) -> tuple[str, ...]:
     zero = model.of_links | (known_parameters(model) != 0)
     names = [name for name, skip in zip(model.names, zero, strict=True) if not skip and not name.startswith("Off")]
     return (f"values at the border of the possible, 0 in [parameters] or absent: {', '.join(names)}",) * bool(names)
+
+
+def base_file(base: BaseParameters, robot: Robot, true: Array | None = None) -> dict[str, Any]:
+    """The JSON file of base parameters, whose names end with a joint's number from 1, with the `true` values (b,) if known."""
+    rows = zip(base.names, base.expressions, base.units, strict=True)
+    parameters = [dict(zip(("name", "expression", "unit"), row, strict=True)) for row in rows]
+    for parameter, value in zip(parameters, () if true is None else true.tolist(), strict=False):
+        parameter["value"] = value
+    return {"robot": robot.name, "joint_names": [joint.name for joint in robot.joints], "parameters": parameters}
+
+
+def base_document(base: BaseParameters, robot: Robot) -> Document:
+    """The base parameters of a robot as sums of standard parameters, in short the regrouped ones; its joints by number."""
+    rows = tuple(zip(base.names, base.expressions, base.units, strict=True))
+    table = Table(columns=columns("name", "expression", "unit"), rows=rows)
+    joints = Table(
+        columns=columns("number", "joint", "type"),
+        rows=tuple((str(j + 1), joint.name, joint.type) for j, joint in enumerate(robot.joints)),
+    )
+    sums_first = sorted(range(base.b), key=lambda k: base.expressions[k] == base.names[k])
+    parameters = Section(table=table).with_short_table(sums_first, 20)
+    sections = (parameters, Section(title="joints, by the number at the end of a name", table=joints))
+    return Document(title=f"{robot.name}: {base.b} base parameters", sections=sections)

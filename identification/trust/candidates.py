@@ -106,12 +106,10 @@ class Candidates:
         return list(self._torques(self.problem, still, none, 1))
 
     def columns(self, problem: Problem, motion: Motion, decimation: Decimation) -> Array:
-        """(n, k + 1, rows) torque per unit of the terms along a motion, weighted and decimated; last the rate of the drives'
-        torque, per second.
-        """
+        """(n, k + 1, rows) torque per unit of the terms, weighted, decimated; last the rate of the drives' torque, per s."""
         w, places, stride = weights_at(problem, motion.t_s), self.places[0], decimation.factor // SAMPLES_A_ROW
         drives = self._drives(problem, motion, decimation.factor // DRIVES_A_ROW)
-        # Near reversals, friction that rises smooth looks like a lag.
+        # Near reversals, friction that rises smoothly looks like a lag.
         fast = fast_for_lag(problem, motion, decimation, self.sliding)
         found = np.zeros((len(w), places.max() + 2, decimation.rows(len(motion.t_s))))
         for place, (term, acts, torque) in zip(places, self._torques(problem, motion, drives, stride), strict=True):

@@ -15,19 +15,7 @@ from numpy.typing import NDArray
 from ..arrays import Array
 from ..estimation import deviations_of_sums
 from ..report import Assumed
-from .candidates import (
-    ASYMMETRIC,
-    CLOCKS,
-    LAG,
-    MIN_T,
-    MIN_TAKEN_PERCENT,
-    ROTOR,
-    SPRING,
-    STRIBECK,
-    TILT,
-    ZERO,
-    MissingTerm,
-)
+from . import candidates
 from .fit_data import FitData
 from .lines import TrustLine
 
@@ -54,16 +42,16 @@ def added_columns_test(evidence: FitData) -> TrustLine:
         untried = "; one joint has no relative gain" if robot.n == 1 else untried
         text = f"no missing term found ({len(terms)} tried; strongest: {strongest}){untried}"
         return TrustLine(name, "ok", text, first.t, assumed=assumed)
-    more = f"; {len(found) - 1} more with t above {MIN_T:g}" if len(found) > 1 else ""
+    more = f"; {len(found) - 1} more with t above {candidates.MIN_T:g}" if len(found) > 1 else ""
     text = f"{strongest}{more}: {first.advice}"
     return TrustLine(name, "caution", text, first.t, finding=first.finding, assumed=assumed)
 
 
-def _assumed(terms: Sequence[MissingTerm]) -> Iterator[Assumed]:
+def _assumed(terms: Sequence[candidates.MissingTerm]) -> Iterator[Assumed]:
     """Zeros whose large error is not noticed, and rotors that the description denies."""
     for kind, value, why in (
-        (ZERO, "right at {}", "a wrong zero turns the links' parameters; not noticed: {}"),
-        (ROTOR, "none at {} (rotor_inertia = false)", "the links' parameters take a rotor; not noticed: {}"),
+        (candidates.ZERO, "right at {}", "a wrong zero turns the links' parameters; not noticed: {}"),
+        (candidates.ROTOR, "none at {} (rotor_inertia = false)", "the links' parameters take a rotor; not noticed: {}"),
     ):
         unnoticed = [t for t in terms if t.kind == kind and not t.found and t.noticed > MAX_UNNOTICED.get(t.unit, 0.0)]
         if unnoticed:
@@ -73,17 +61,16 @@ def _assumed(terms: Sequence[MissingTerm]) -> Iterator[Assumed]:
             yield Assumed(f"{kind}s", value.format(", ".join(joints)), why.format(each.replace("up to any", "any")))
 
 
-def _rank(term: MissingTerm) -> tuple[float, float]:
+def _rank(term: candidates.MissingTerm) -> tuple[float, float]:
     """Sort key. Several joints may lack the same term, so all columns of a kind count together.
 
     Asymmetric Coulomb friction contains an offset, so it wins a tie. A tilt of gravity follows the position, as springs do.
     """
-    ahead = MAX_TIE_PERCENT if term.kind in (ASYMMETRIC, TILT) else 0.0
-    behind = 0.5 if term.kind == SPRING else 1.0
-    return behind * term.together_percent + ahead, term.taken_percent
+    ahead = MAX_TIE_PERCENT if term.kind in (candidates.ASYMMETRIC, candidates.TILT) else 0.0
+    return (0.5 if term.kind == candidates.SPRING else 1.0) * term.together_percent + ahead, term.taken_percent
 
 
-def missing_terms(evidence: FitData) -> tuple[MissingTerm, ...]:
+def missing_terms(evidence: FitData) -> tuple[candidates.MissingTerm, ...]:
     """All columns that are independent of W; and zeros and rotors in its span, which bias the parameters.
 
     Negative Stribeck friction is left out: near standstill, filters and elasticity smooth the sign of the speed.
@@ -93,13 +80,13 @@ def missing_terms(evidence: FitData) -> tuple[MissingTerm, ...]:
     C, rate = evidence.observed.C[:, places] * acts * weight, evidence.observed.C[:, -1:] * weight
     terms = _scored(evidence, evidence.candidates[0].terms, C)
     for k, term in terms.items():
-        if term.kind == CLOCKS or (term.kind == LAG and abs(term.t) > MIN_T):
+        if term.kind == candidates.CLOCKS or (term.kind == candidates.LAG and abs(term.t) > candidates.MIN_T):
             # In fast rows only: friction near reversals looks like a lag. And beside the common lag, which its prior holds.
-            among = (C[:, k] != 0) | ~acts[:, k], rate if term.kind == CLOCKS else rate[:, :0]
+            among = (C[:, k] != 0) | ~acts[:, k], rate if term.kind == candidates.CLOCKS else rate[:, :0]
             again = _scored(evidence, [term], C[:, [k]], among).get(0, replace(term, t=0.0))
-            terms[k] = again if term.kind == CLOCKS or again.t * term.t > 0 else replace(term, t=0.0)
+            terms[k] = again if term.kind == candidates.CLOCKS or again.t * term.t > 0 else replace(term, t=0.0)
     together = dict[str, float]()
-    for kind in {term.kind for term in terms.values()} - {CLOCKS}:
+    for kind in {term.kind for term in terms.values()} - {candidates.CLOCKS}:
         own = C[:, [k for k, term in terms.items() if term.kind == kind and np.isfinite(term.noticed)]]
         z, apart = _projected(own, evidence.W, evidence.estimate.Q, evidence.estimate.bread)
         left = evidence.rho - apart @ np.linalg.lstsq(z.T @ own, z.T @ evidence.rho, rcond=1e-6)[0]
@@ -107,7 +94,7 @@ def missing_terms(evidence: FitData) -> tuple[MissingTerm, ...]:
     return tuple(
         replace(term, together_percent=together.get(term.kind, term.taken_percent))
         for term in terms.values()
-        if term.kind != STRIBECK or term.value > 0
+        if term.kind != candidates.STRIBECK or term.value > 0
     )
 
 
@@ -117,8 +104,11 @@ def _projected(C: Array, W: Array, Q: Array, bread: Array) -> tuple[Array, Array
 
 
 def _scored(
-    evidence: FitData, terms: Sequence[MissingTerm], C: Array, among: tuple[NDArray[np.bool_], Array] | None = None
-) -> dict[int, MissingTerm]:
+    evidence: FitData,
+    terms: Sequence[candidates.MissingTerm],
+    C: Array,
+    among: tuple[NDArray[np.bool_], Array] | None = None,
+) -> dict[int, candidates.MissingTerm]:
     """Terms of columns C (r, k) by their places with their figures, `among` some of the rows (r,), and further columns."""
     W, Q, bread, rho = evidence.W, evidence.estimate.Q, evidence.estimate.bread, evidence.rho
     if among:
@@ -130,7 +120,7 @@ def _scored(
     norm, left = np.linalg.norm(C, axis=0), np.linalg.norm(z, axis=0)
     independent = (left > MIN_INDEPENDENT_NORM * norm) & (norm > 0)
     # A zero may act nowhere, and a rotor in the span to rounding is a part of a link's parameter.
-    stays = {ZERO: norm > MIN_BIAS * np.linalg.norm(evidence.Y), ROTOR: left > MIN_BIAS * norm}
+    stays = {candidates.ZERO: norm > MIN_BIAS * np.linalg.norm(evidence.Y), candidates.ROTOR: left > MIN_BIAS * norm}
     size = np.where(independent, np.einsum("rk,rk->k", z, C), np.inf)
     g = z.T @ rho / size
     with_term = rho[:, None] - g * apart  # and beta solved again
@@ -141,9 +131,8 @@ def _scored(
         moved = (bread @ (Q.T @ C))[: len(counts)] * g
         moves = np.nan_to_num(np.abs(moved) / evidence.intervals.half[:, None]) * counts[:, None]
         t = np.where(sigma > 0, g / sigma, 0.0)
-        seen = np.maximum(
-            (MIN_T + MARGIN_T) * sigma, np.sqrt(0.01 * MIN_TAKEN_PERCENT * whole) / np.linalg.norm(apart, axis=0)
-        )
+        large = np.sqrt(0.01 * candidates.MIN_TAKEN_PERCENT * whole) / np.linalg.norm(apart, axis=0)
+        seen = np.maximum((candidates.MIN_T + MARGIN_T) * sigma, large)
     taken = 100 * (1 - np.einsum("rk,rk->k", with_term, with_term) / whole)
     noticed = np.where(independent, seen, np.inf)
     names = ("value", "t", "taken_percent", "moves", "noticed")

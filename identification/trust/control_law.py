@@ -74,10 +74,9 @@ def _line(law: Law, motors: list[str]) -> TrustLine:
         if not law.clear.all():
             text += f"; {', '.join(np.array(motors)[~law.clear])} alone do not show it"
         return TrustLine(NAME, "ok", text)
-    factor = np.divide(law.gains, law.described, out=np.ones_like(law.gains), where=law.described != 0)[used]
-    within = np.divide(law.gains_half, np.abs(law.described), out=np.zeros_like(law.gains), where=law.described != 0)[
-        used
-    ]
+    gains, described, half = law.gains[used], law.described[used], law.gains_half[used]
+    factor = np.divide(gains, described, out=np.ones_like(gains), where=described != 0)
+    within = np.divide(half, np.abs(described), out=np.zeros_like(gains), where=described != 0)
     figures = tuple(
         Figure(name=f"{letter} {motor}", value=float(factor[i, j]), half_width=float(within[i, j]), expected=1.0)
         for i, letter in enumerate(np.array(LETTERS)[used])
@@ -86,9 +85,8 @@ def _line(law: Law, motors: list[str]) -> TrustLine:
     )
     off = np.nan_to_num(np.abs(factor - 1) * (np.abs(factor - 1) > 2 * within))
     mirrored = (factor < 0).all(axis=0) & (error <= MAX_MIRRORED_PERCENT)
-    j = int(
-        np.argmax(np.maximum(np.maximum(off.max(axis=0) / MAX_GAIN_ERROR, error / MAX_ERROR_PERCENT), 1e9 * mirrored))
-    )
+    beyond = np.maximum(off.max(axis=0) / MAX_GAIN_ERROR, error / MAX_ERROR_PERCENT)
+    j = int(np.argmax(np.maximum(beyond, 1e9 * mirrored)))
     value = float(factor[int(np.argmax(off[:, j])), j])
     text = f"motor {motors[j]}: {_gains(law, j)}; {error[j]:.2g} % left; {delays}"
     if law.reason is not None and not mirrored[j] and (factor[:, j] < 0).any():

@@ -33,9 +33,8 @@ def signs_and_order_test(evidence: FitData) -> TrustLine | None:
         return None
     problem, one = evidence.problem.with_samples(), np.eye(len(R))
     s, most = problem.settings, round(MAX_SPAN_S * problem.signals.sample_rate_hz)
-    problem = problem.until(min(s.stop, s.start + most)).corrected(
-        s.known_lag.value_s
-    )  # a lag found has the mistake in it
+    # A lag that was found has the mistake in it.
+    problem = problem.until(min(s.stop, s.start + most)).corrected(s.known_lag.value_s)
     decimated = _decimated(problem)
     factors = _factors(problem, decimated, one)
     finding, error, least, with_it = "", 0.0, np.inf, _error(factors, one)
@@ -47,9 +46,8 @@ def signs_and_order_test(evidence: FitData) -> TrustLine | None:
     if not finding:
         return None
     text = f"{finding}: undone, the torque errors of joints are {100 * error:.2g} % (rms) in place of {100 * with_it:.2g} %"
-    return TrustLine(
-        "signs and order", "do not use", f"{text}: check columns and signs of the recording", finding=finding
-    )
+    text += ": check columns and signs of the recording"
+    return TrustLine("signs and order", "do not use", text, finding=finding)
 
 
 def _mistakes(problem: Problem) -> Iterator[tuple[str, int | None, Array, Array | None]]:

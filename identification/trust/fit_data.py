@@ -210,10 +210,7 @@ def part_of(x: Array, n: int, part: slice | NDArray[np.intp]) -> Array:
 
 
 def covariance_of_all(names: tuple[str, ...], estimate: Estimate, intervals: Intervals, full: Estimate) -> Array:
-    """C = D R D (b, b) of all base parameters: the formula's correlations with the intervals' deviations.
-
-    Parameters that are not in the estimate are zero with the deviations of `full`, least squares of all parameters.
-    """
+    """C = D R D (b, b) of all base parameters; those that are not in the estimate are zero with the deviations of `full`."""
     variances = dict(zip(full.names, np.diag(full.covariance), strict=True))
     covariance = np.diag([variances.get(name, 0.0) for name in names])
     indices = np.array([names.index(name) for name in estimate.names])

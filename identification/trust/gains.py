@@ -13,8 +13,7 @@ from .lines import Figure, TrustLine
 MAX_HALF_PERCENT = 10.0  # of a gain; with more it is not determined
 MAX_USABLE_PERCENT = 50.0  # the same of the best gain; with more no gain is usable
 MAX_SCATTERS = 3.0  # of the catalogue's own: by more the described gains are all off by one factor
-LEAST_FACTOR = 1.1  # no smaller one is reported
-SURE_FACTOR = 1.6  # a larger one is reported where 3 deviations of the median show it
+LEAST_FACTOR, SURE_FACTOR = 1.1, 1.6  # no smaller one is reported; larger where 3 deviations of the median show it
 MAX_OFF_ONE_PERCENT = 2.0  # of gains that are 1 N m/A, by themselves or with their ratio
 
 
@@ -44,18 +43,15 @@ def gains_test(evidence: FitData) -> TrustLine | None:
         text = f"{finding}: its drive gain is negative, others are positive: check the sign of its effort and of its position"
         return line("do not use", text, finding)
     if (K <= 0).any() or half.min() > MAX_USABLE_PERCENT:
-        text = (
-            f"no drive gain is usable ({', '.join(unsure) or 'one is negative'}): check which recording has the payload"
-        )
+        why = ", ".join(unsure) or "one is negative"
+        text = f"no drive gain is usable ({why}): check which recording has the payload"
         return line("do not use", text, "drive gains not determined")
     if len(unsure) == len(motors):
         text = f"no drive gain is known to {MAX_HALF_PERCENT:g} % ({', '.join(unsure)}): use a heavier payload"
         return line("caution", text, "drive gains not determined")
     if (common := _common_factor((K / described)[(half < MAX_HALF_PERCENT) & np.isfinite(described)])) is not None:
-        text = (
-            f"drive gains are {common[0]:.3g} times those described (median), which scatter by {100 * common[1]:.2g} %"
-        )
-        text += ": check the payload's mass, or peak against rms"
+        text = f"drive gains are {common[0]:.3g} times those described (median), which scatter by "
+        text += f"{100 * common[1]:.2g} %: check the payload's mass, or peak against rms"
         return line("caution", text, "drive gains off by one factor")
     text = f"known to {half.min():.2g} to {worst:.2g} %"
     text += f"; not determined: {', '.join(unsure)}" if unsure else ""
@@ -111,9 +107,8 @@ def payload_assumptions(evidence: FitData) -> Iterator[Assumed]:
             continue
         whys = list[str]()
         if one.payload.mass_kg is not None:
-            whys.append(
-                "drive gains and all parameters scale with its mass" if evidence.gains else "it is taken off the arm"
-            )
+            scaled = "drive gains and all parameters scale with its mass"
+            whys.append(scaled if evidence.gains else "it is taken off the arm")
         if None not in found:
             whys.append("no recording is without payload: the parameters include what is not stated of the lightest")
         if whys:

@@ -107,9 +107,8 @@ def held_out_test(evidence: FitData) -> TrustLine:
     ratio = float(np.sqrt(held / trained)) if trained > 0 else 1.0
     if ratio <= MAX_HELD_OUT_RATIO:
         return TrustLine(name, "ok", text, error, figures=figures, unit="%")
-    text += (
-        f": the fit does not generalise ({ratio:.2g} times where joints move): record {'more' if several else 'longer'}"
-    )
+    advice = f"record {'more' if several else 'longer'}"
+    text += f": the fit does not generalise ({ratio:.2g} times where joints move): {advice}"
     text += ", with more varied motion, or fit with --essential"
     if evidence.problem.signals.robot.gain_known:
         text += ", or take the parameters of --consistent, which generalise better"

@@ -57,9 +57,7 @@ def lags_in(
 
 
 def by_group(rates: Sequence[Array], groups: Groups) -> Array:
-    """Torque per second of lag (r, K) of each group of recordings, from the rates (n, rows) of the torque in each: -d/dt tau,
-    zero in the rows of other groups.
-    """
+    """Torque per second of lag (r, K) of each group: -d/dt tau by the `rates` (n, rows) of recordings, zero in other rows."""
     whole, recording = -np.concatenate(rates, axis=1), np.repeat(range(len(rates)), [rate.shape[1] for rate in rates])
     return np.stack([(whole * np.isin(recording, group)).reshape(-1) for group in groups], axis=1)
 

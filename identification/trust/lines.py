@@ -47,7 +47,7 @@ class TrustLine:
         test: its name, such as `lag`.
         level: `not made` where the test could not be made, `cannot tell` where it is inconclusive.
         text: one sentence with the figure, and what to do.
-        value: its figure, None where there is none; `limit`: of its size, None where that is not the only criterion.
+        value: its figure, None where there is none.
         finding: the same in a few words, for the first line of a report.
         figures: figures by joint, motor or block, for a plot, in `unit`.
         fails_held_out: whether held-out errors are so large that, with M not positive, the fit is not to be used.
@@ -62,7 +62,6 @@ class TrustLine:
     figures: tuple[Figure, ...] = ()
     unit: str = ""
     fails_held_out: bool = False
-    limit: float | None = None
     assumed: tuple[Assumed, ...] = ()
 
 

@@ -12,16 +12,9 @@ the nearest parameters whose links have positive density. `fit --consistent` and
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import estimation
 from ..arrays import Array
 from ..errors import NoFitError
-from ..estimation import (
-    Estimate,
-    Intervals,
-    chi_squared_quantile,
-    intervals_of,
-    r_factor,
-    weighted_least_squares,
-)
 from ..model import InverseModel, friction_power, nearest_consistent, poses_of, requirements
 from ..regression import base_name, friction_states, recorded_power, row_states
 from ..report import Level
@@ -33,8 +26,6 @@ MIN_HALF_WIDTH = 1e-300  # avoids division by zero
 MIN_ARM_M = 1e-9  # of a weight about an axis
 MIN_RESIDUAL_RATIO = 0.9  # of the models without and with gravity; below, a caution
 CONSISTENT_LEVEL = 0.001  # of the chi-squared test
-
-
 Finding = tuple[Level, str]
 
 
@@ -48,8 +39,8 @@ def physical_test(evidence: FitData) -> TrustLine:
     found, lowest = _findings(evidence, evidence.estimate.part(base), evidence.intervals.part(base))
     found += _gravity_findings(evidence)
     if evidence.method == "ols" and all(level != "do not use" for level, _ in found):
-        weighted = weighted_least_squares(evidence.observed.system)
-        severe, _ = _findings(evidence, weighted, intervals_of(evidence.observed.system, weighted))
+        weighted = estimation.weighted_least_squares(evidence.observed.system)
+        severe, _ = _findings(evidence, weighted, estimation.intervals_of(evidence.observed.system, weighted))
         found += [(level, f"by weighted least squares {text}") for level, text in severe if level == "do not use"]
     if not found:
         text = f"M is positive on the trajectory (lowest eigenvalue {lowest:.3g}), no friction or rotor inertia is below zero"
@@ -58,7 +49,9 @@ def physical_test(evidence: FitData) -> TrustLine:
     return TrustLine("physical", found[0][0], "; ".join(text for _, text in found), lowest)
 
 
-def _findings(evidence: FitData, estimate: Estimate, found: Intervals) -> tuple[list[Finding], float]:
+def _findings(
+    evidence: FitData, estimate: estimation.Estimate, found: estimation.Intervals
+) -> tuple[list[Finding], float]:
     """Physically impossible values of an estimate, and the lowest eigenvalue of M on the trajectory."""
     idm, base = evidence.problem.model, evidence.problem.base
     indices = np.array([base.names.index(base_name(name)) for name in estimate.names])
@@ -90,23 +83,22 @@ def _findings(evidence: FitData, estimate: Estimate, found: Intervals) -> tuple[
     return findings, lowest
 
 
-def _half(g: Array, found: Intervals) -> Array:
+def _half(g: Array, found: estimation.Intervals) -> Array:
     """Half-widths (k,) of g beta, of rows g (k, b)."""
     return np.asarray(found.reach * np.sqrt(np.maximum(np.einsum("...b,bc,...c->...", g, found.covariance, g), 0.0)))
 
 
-def _along_directions(G: Array, beta: Array, found: Intervals) -> tuple[Array, Array, Array]:
+def _along_directions(G: Array, beta: Array, found: estimation.Intervals) -> tuple[Array, Array, Array]:
     """Directions v (..., d + 1, d) tried of the matrices G beta, G (..., d, d, b), v'(G beta)v, and its half-widths."""
     M = G @ beta
     vectors = np.linalg.eigh(0.5 * (M + M.swapaxes(-1, -2)))[1]
-    alone = np.broadcast_to(np.eye(M.shape[-1]), M.shape)
-    v = np.concatenate([alone, vectors[..., None, :, 0]], axis=-2)
+    v = np.concatenate([np.broadcast_to(np.eye(M.shape[-1]), M.shape), vectors[..., None, :, 0]], axis=-2)
     g = np.einsum("...di,...ijb,...dj->...db", v, G, v)
     return v, g @ beta, _half(g, found)
 
 
 def _driving_findings(
-    evidence: FitData, columns: NDArray[np.intp], estimate: Estimate, found: Intervals
+    evidence: FitData, columns: NDArray[np.intp], estimate: estimation.Estimate, found: estimation.Intervals
 ) -> list[Finding]:
     """Whether friction of further terms would drive a joint, or joints that share motors, at recorded speeds.
 
@@ -140,7 +132,7 @@ def _advice(name: str) -> str:
 
 
 def _inertia_findings(
-    idm: InverseModel, columns: NDArray[np.intp], beta: Array, found: Intervals, q: Array
+    idm: InverseModel, columns: NDArray[np.intp], beta: Array, found: estimation.Intervals, q: Array
 ) -> tuple[list[Finding], float]:
     """A finding if M is not positive at all poses (P, n), and the lowest eigenvalue."""
     zero = np.zeros_like(q)
@@ -162,28 +154,23 @@ def _inertia_findings(
 
 
 def _gravity_findings(evidence: FitData) -> list[Finding]:
-    """Whether a model without gravity fits better, if the axes are not all vertical; not for reduced rows.
-
-    Gravity-compensated efforts cause that.
-    """
+    """Whether a model without gravity fits better, as for compensated efforts, unless axes are vertical or rows reduced."""
     problem, idm, columns = evidence.problem, evidence.problem.model, evidence.problem.base.columns
     if evidence.observed.reduced:
         return []
     measured = [measured_motion(problem) for problem in evidence.problems]
     q = np.concatenate([decimation.kept(motion.q) for motion, decimation in measured])
-    of_links = idm.of_links[columns]
-    at_rest = np.where(of_links, idm.regressor(q, np.zeros_like(q), np.zeros_like(q))[:, :, columns], 0.0)
+    at_rest = np.where(idm.of_links[columns], idm.regressor(q, np.zeros_like(q), np.zeros_like(q))[:, :, columns], 0.0)
     if np.abs(at_rest).max() <= MIN_ARM_M * np.linalg.norm(problem.signals.robot.gravity):
         return []
     system = evidence.observed.system
     # Gravity changes slowly: with the weights of the rows it is nearly that of the weighted samples.
-    gravity = dict(
-        zip(problem.base.names, (evidence.observed.share[..., None] * at_rest).transpose(2, 1, 0), strict=True)
-    )
+    weighted = (evidence.observed.share[..., None] * at_rest).transpose(2, 1, 0)
+    gravity = dict(zip(problem.base.names, weighted, strict=True))
     weighs = [i for i, name in enumerate(system.names) if name in gravity and gravity[name].any()]
     G = np.array([gravity[system.names[i]].ravel() for i in weighs]).reshape(len(weighs), -1).T
     # The small R factor has the same column products as the rows.
-    R = r_factor(np.c_[np.c_[system.W, G] * evidence.weight[:, None], evidence.Y])
+    R = estimation.r_factor(np.c_[np.c_[system.W, G] * evidence.weight[:, None], evidence.Y])
     W, left = R[:, : len(system.names)].copy(), list[float]()
     for weight in (0.0, R[:, len(system.names) : -1]):
         W[:, weighs] -= weight
@@ -207,8 +194,7 @@ def consistent_test(evidence: FitData) -> TrustLine:
     all_names, names = evidence.observed.system.names, evidence.arms[0].names
     covariance = covariance_of_all(all_names, estimate, evidence.intervals, evidence.least_squares)
     first = np.array([all_names.index(name) for name in names])  # of own parameters those of one recording
-    pairs = zip(evidence.problems, evidence.arms, strict=True)
-    moved = [problem for problem, arm in pairs if arm.names == names]
+    moved = [problem for problem, arm in zip(evidence.problems, evidence.arms, strict=True) if arm.names == names]
     beta = estimate.values_of(names)
     try:
         power = recorded_power(moved, beta)
@@ -216,10 +202,10 @@ def consistent_test(evidence: FitData) -> TrustLine:
     except NoFitError as error:
         return TrustLine("consistent", "cannot tell", error.args[0])
     moves = np.abs(nearest.deviations) / evidence.intervals.reach
-    bound = chi_squared_quantile(CONSISTENT_LEVEL, len(names))
+    bound = estimation.chi_squared_quantile(CONSISTENT_LEVEL, len(names))
     text = f"the nearest physical robot is at chi² = {nearest.chi_squared:.3g} ({len(names)} parameters), "
     text += f"{names[int(moves.argmax())]} moved by {moves.max():.2g} half-widths of its interval"
     if nearest.chi_squared > bound:
         text += f", above {bound:.3g}, the limit of chance: check signs and units of efforts and positions, and frames"
-        return TrustLine("consistent", "caution", text, nearest.chi_squared, limit=bound)
-    return TrustLine("consistent", "ok", text, nearest.chi_squared, limit=bound)
+        return TrustLine("consistent", "caution", text, nearest.chi_squared)
+    return TrustLine("consistent", "ok", text, nearest.chi_squared)

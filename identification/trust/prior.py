@@ -117,9 +117,8 @@ def _cause(evidence: FitData) -> str:
     beta += payload.values(evidence.estimate) * problem.base.links if payload else 0.0
     links = direct_model(problem.model, problem.base.standard_parameters(beta))
     names = [joint.name for joint in problem.signals.robot.joints]
-    recorded, counts = (x[states.rows] for x in (evidence.observed.tau, evidence.observed.counts))
     same = np.eye(len(names))
-
+    recorded, counts = (x[states.rows] for x in (evidence.observed.tau, evidence.observed.counts))
     as_recorded = links.torques_of_links(states.q, states.dq, states.ddq)
 
     def left(of_motion: Array, of_torque: Array) -> float:

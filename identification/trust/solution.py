@@ -5,15 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from .. import estimation
 from ..arrays import Array
 from ..data import PositionSteps, position_steps
-from ..estimation import (
-    MIN_COLUMN_NORM,
-    are_moving,
-    estimate_deviations,
-    f_tail,
-    spans_of,
-)
 from ..model import JointTerm
 from ..regression import Problem, base_name, base_places, standing_joints
 from ..report import Assumed
@@ -79,7 +73,7 @@ def units_test(evidence: FitData) -> TrustLine:
         return TrustLine(name, "ok", "torques of all joints are in known units")
     rows = evidence.observed.system
     by_joint = np.stack([np.linalg.norm(rows.W[rows.joint_of_row == j], axis=0) for j in range(robot.n)])
-    acts = by_joint > MIN_COLUMN_NORM * np.linalg.norm(by_joint, axis=0)
+    acts = by_joint > estimation.MIN_COLUMN_NORM * np.linalg.norm(by_joint, axis=0)
     shared = [name for name, own in zip(rows.names, acts.T, strict=True) if own.sum() > 1]
     if not shared:
         return TrustLine(name, "ok", "drive gains are not known, but no joints share a parameter")
@@ -102,11 +96,11 @@ def essential_test(evidence: FitData) -> TrustLine:
 def ends_test(evidence: FitData) -> TrustLine:
     """Outliers of moving rows, beyond 6 robust deviations of their joint, especially at the ends."""
     rho = (evidence.observed.tau - evidence.predicted).T
-    n, used = len(rho), (evidence.observed.counts & are_moving(evidence.observed.speed)).T
+    n, used = len(rho), (evidence.observed.counts & estimation.are_moving(evidence.observed.speed)).T
     scale = np.array([1.4826 * np.median(np.abs(rho[j, used[j]])) if used[j].any() else np.inf for j in range(n)])
     size = np.where(used, np.abs(rho) / np.where(scale > 0, scale, np.inf)[:, None], 0.0)
     at_end = np.zeros(size.shape[1], dtype=bool)
-    for part in spans_of(evidence.observed.parts):
+    for part in estimation.spans_of(evidence.observed.parts):
         at_end[part.start : part.start + END_ROWS] = at_end[part.stop - END_ROWS : part.stop] = True
     ends, middle = size[:, at_end].max(axis=1), size[:, ~at_end].max(axis=1)
     worst = int((ends / np.maximum(middle, MAX_ROBUST_DEVIATIONS)).argmax())
@@ -114,20 +108,16 @@ def ends_test(evidence: FitData) -> TrustLine:
     outliers, rows = int((size > MAX_ROBUST_DEVIATIONS).sum()), int(used.sum())
     finding = f"{outliers} outliers in {rows} moving rows; largest {middle.max():.3g} robust deviations "
     finding += f"(limit {MAX_ROBUST_DEVIATIONS:g}), at the ends {ends.max():.3g}"
-    limit = max(MAX_END_DEVIATIONS, MAX_END_RATIO * float(middle[worst]))
-    if value > limit:
+    if value > max(MAX_END_DEVIATIONS, MAX_END_RATIO * float(middle[worst])):
         joint = evidence.problem.signals.robot.joints[worst].name
         finding += f"; joint {joint}: largest {middle[worst]:.3g}, at the ends {value:.3g}"
         text = f'{finding}: set edges = "smooth", or cut the ends off (cut_start_samples, cut_end_samples)'
-        return TrustLine("ends", "caution", text, value, limit=limit)
-    return TrustLine("ends", "ok", finding, value, limit=limit)
+        return TrustLine("ends", "caution", text, value)
+    return TrustLine("ends", "ok", finding, value)
 
 
 def halves_test(evidence: FitData) -> TrustLine:
-    """Whether the two halves of the recording give the same parameters, by a Wald test.
-
-    Its F distribution has the degrees of freedom of the deviations, the cosines of both halves.
-    """
+    """Whether both halves of the recording give the same parameters: a Wald test, with the cosines of both as freedom."""
     name, T, cuts = "halves", len(evidence.observed.tau), np.cumsum(evidence.observed.parts)[:-1]
     cut = int(cuts[np.abs(cuts - T / 2).argmin()]) if len(cuts) else round(T / 2)  # recordings are not cut
     parts = evidence.spans(2) if evidence.gains else [(slice(0, cut),), (slice(cut, T),)]
@@ -142,7 +132,7 @@ def halves_test(evidence: FitData) -> TrustLine:
     u = off / sigma
     values, vectors = np.linalg.eigh((C_1 + C_2) / np.outer(sigma, sigma))
     wald = float((((vectors.T @ u) ** 2) / np.maximum(values, 1e-12)).sum())
-    p, worst = f_tail(wald / b, b, B_1 + B_2), int(np.abs(u).argmax())
+    p, worst = estimation.f_tail(wald / b, b, B_1 + B_2), int(np.abs(u).argmax())
     finding = f"Wald {wald:.3g} for {b} parameters, p = {p:.2g}"
     finding += f"; {evidence.estimate.names[worst]} differs most, by {abs(u[worst]):.2g} sigma"
     if p < HALVES_LEVEL:
@@ -164,7 +154,7 @@ def _solve_part(evidence: FitData, part: Span) -> tuple[Array, Array, int] | Non
         return None
     bread = np.linalg.inv(A / d) / d[:, None]
     beta = bread @ (basis.T @ (Q.T @ Y))
-    sigma, freedom = estimate_deviations(bread, evidence.scores(part, beta, bread, basis))
+    sigma, freedom = estimation.estimate_deviations(bread, evidence.scores(part, beta, bread, basis))
     C = bread @ bread.T
     formula = np.sqrt(np.diag(C))
     return beta, C * np.outer(sigma / formula, sigma / formula), freedom
@@ -206,8 +196,7 @@ def _slow_encoder(problem: Problem, steps: PositionSteps, held: float) -> str:
     """The note on positions that stand for one row and jump in the next, which are not missing rows."""
     percent = 100 * steps.coarse[:, 1:] / np.maximum(steps.coarse[:, :1], 1)
     both = (percent.min(axis=1) > MAX_MISSING_PERCENT) & (percent.sum(axis=1) > MAX_COARSE_PERCENT)
-    joints = problem.signals.robot.joints
-    names = ", ".join(joint.name for joint, slow in zip(joints, both, strict=True) if slow)
+    names = ", ".join(joint.name for joint, slow in zip(problem.signals.robot.joints, both, strict=True) if slow)
     if held <= MAX_MISSING_PERCENT and not names:
         return ""
     where, share = (f" of joint {names}", percent.sum(axis=1).max()) if names else ("", held)

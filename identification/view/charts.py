@@ -126,9 +126,8 @@ def friction_charts(fit: Fit, of: str = "") -> list[Graph]:
             for fastest in (-peak, peak) if peak > 0 else ():
                 speed = fastest * SPEEDS
                 G = friction_alone(model, columns, j, speed, np.full(len(speed), at[k])) * applies.mean(axis=0)
-                half = fit.intervals.reach * np.sqrt(
-                    np.maximum(np.sum((G @ fit.intervals.covariance) * G, axis=1), 0.0)
-                )
+                variance = np.sum((G @ fit.intervals.covariance) * G, axis=1)
+                half = fit.intervals.reach * np.sqrt(np.maximum(variance, 0.0))
                 for side, text in ((0, name), (-1, "95 % interval"), (1, "95 % interval")):
                     line, key = (speed, G @ estimate.beta + side * half), f"{k}{len(curves):02}"
                     width = 1.0 if side else 2.5

@@ -115,10 +115,7 @@ def extremes(x: Array, step: int) -> NDArray[np.intp]:
 
 
 def position_plots(signals: Signals, lines: Lines) -> list[Plot]:
-    """One plot per joint of the reference and simulated position minus the measured one, in a readable unit.
-
-    Without a reference and a simulation, plots of the position.
-    """
+    """Per joint the reference and simulated position minus the measured one, in a readable unit; the position without."""
     joints, errors = signals.robot.joints, [lines[key] for key in lines if key[1] == "error"]
     if not errors:
         return [_plot(signals, lines, "q", j) for j in range(len(joints))]
@@ -154,12 +151,9 @@ def _plot(signals: Signals, lines: Lines, quantity: str, j: int, *, alone: bool 
             key, name = NAMES.get((source, quantity), names)
             line, dashed = lines[source, quantity][j], source == "reference"
             curves.append(Curve(key=key, name=name, color=color, line=line, width=width, dashed=dashed))
-    units = {
-        "dq": f"{joint.position_unit}/s",
-        "ddq": f"{joint.position_unit}/s²",
-        "torque": signals.robot.effort_units[j],
-    }
-    title = f"{quantity} {joint.name} [{units.get(quantity, joint.position_unit)}]"
+    unit = joint.position_unit
+    units = {"dq": f"{unit}/s", "ddq": f"{unit}/s²", "torque": signals.robot.effort_units[j]}
+    title = f"{quantity} {joint.name} [{units.get(quantity, unit)}]"
     return Plot(path=(quantity, joint.name), title=title, curves=tuple(curves), legend=legend)
 
 
@@ -218,8 +212,7 @@ def excitation_plots(excitation: Excitation) -> dict[str, list[Plot]]:
                 line = t_s[[0, -1]], np.full(2, limit)
                 curves.append(Curve(key=key, color=VERMILLION, line=line, width=0.75))
             path, title = (quantity, joint.name), f"{quantity} {joint.name} [{unit}]"
-            plot = Plot(path=path, title=title, curves=tuple(curves), legend=False)
-            plots.setdefault(quantity, []).append(plot)
+            plots.setdefault(quantity, []).append(Plot(path=path, title=title, curves=tuple(curves), legend=False))
     return plots
 
 

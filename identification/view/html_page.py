@@ -18,10 +18,7 @@ _POLICY = "default-src 'none'; style-src 'unsafe-inline'"
 
 
 def write_html(path: Path, picture: Picture) -> None:
-    """Write the report, all panels but the moving robot, versions and digests as HTML, complete or not at all.
-
-    Raises `BadInputError`: the file cannot be written.
-    """
+    """Write the report, all panels but the moving robot, versions and digests as HTML, complete or not at all."""
     pages = [text for page in picture.pages if (text := _page(page))]
     first = f'<div class="first">{_figure(picture.first)}</div>' if picture.first else ""
     whole = replace(picture.document, title="The whole report", badge="")

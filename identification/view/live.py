@@ -44,8 +44,8 @@ Lines = dict[str, tuple[Color, float]]  # level lines of a plot by name
 def follow_recording(path: Path, fit: Path | None, out: Path | None, warn: Callable[[str], None]) -> None:
     """Show the recording at `path` until it is whole, in a viewer on this machine, or written to `out`.
 
-    With `fit`, its JSON file, also the residual torque. `warn` gets warnings, one line each. Raises `BadInputError` or
-    `BadInputError` where the recording cannot be followed any more: it is gone, replaced, cut, or not written.
+    With `fit`, its JSON file, also the residual torque. `warn` gets warnings, one line each. Raises `BadInputError`
+    where the recording cannot be followed any more: it is gone, replaced, cut, or not written.
     """
     follower = RecordingFollower(path)
     residual = None if fit is None else Residual(read_fit(fit), str(fit), follower.robot)
@@ -138,7 +138,8 @@ class LivePage:
         self._target: Array | None = None  # of the last row
         self._laid_out: bool | None = None  # with the target
         self._warned, self.over = False, False
-        self._levels = {"error": _error_limits(robot), "effort": _effort_levels(robot), "position": _ranges(robot)}
+        errors = [_band("stop", RED, joint.si("following_error")) for joint in robot.joints]
+        self._levels = {"error": errors, "effort": _effort_levels(robot), "position": _ranges(robot)}
         if residual is not None:
             self._levels["residual"] = [_band("band", ORANGE, half) for half in residual.band]
 
@@ -154,9 +155,8 @@ class LivePage:
             time_s = 1e-9 * (event.stamp_ns - self._first_ns)
             self._recording.set_time("time", duration=time_s)
             level = "WARN" if event.kind in ("fault", "warning", "not disabled") else "INFO"
-            self._recording.log(
-                "events", rr.TextLog(shown_text(f"{time_s:.2f} s {event.kind}: {event.text}"), level=level)
-            )
+            text = shown_text(f"{time_s:.2f} s {event.kind}: {event.text}")
+            self._recording.log("events", rr.TextLog(text, level=level))
         for health in follower.health:
             self._losses = {name: health.counters.get(name, 0.0) for name in _LOSSES}
             self._last_ns = max(self._last_ns, health.stamp_ns)
@@ -196,11 +196,8 @@ class LivePage:
     def _lay_out(self) -> None:
         bounds = rrb.VisualBounds2D(x_range=[0.0, 1400.0], y_range=[-14.0, 14.0])
         rows = [rrb.Spatial2DView(origin="state", visual_bounds=bounds)]
-        window = rrb.VisibleTimeRange(
-            "time",
-            start=rrb.TimeRangeBoundary.cursor_relative(seconds=-SHOWN_S),
-            end=rrb.TimeRangeBoundary.cursor_relative(),
-        )
+        begin, end = (rrb.TimeRangeBoundary.cursor_relative(seconds=seconds) for seconds in (-SHOWN_S, 0.0))
+        window = rrb.VisibleTimeRange("time", start=begin, end=end)
         for name, levels in self._levels.items():
             views = []
             for j, joint in enumerate(self._robot.joints):
@@ -213,9 +210,8 @@ class LivePage:
                 title = {"position": "q"}.get(name, name)
                 sign = "" if name == "position" else "±"
                 told = [f"{key} {sign}{value:.3g}" for key, (_, value) in levels[j].items() if key[0] != "-"]
-                title = shown_text(
-                    f"{title} {joint.name} {', '.join(told)} [{unit}]"
-                )  # of six joints each has 30 letters
+                # Of six joints each has 30 letters.
+                title = shown_text(f"{title} {joint.name} {', '.join(told)} [{unit}]")
                 legend = rrb.PlotLegend(visible=False)
                 origin = f"{name}/{j + 1}"
                 views.append(rrb.TimeSeriesView(origin=origin, name=title, time_ranges=[window], plot_legend=legend))
@@ -250,10 +246,6 @@ class LivePage:
         self._recording.log("state/text", label, static=True)
 
 
-def _error_limits(robot: Robot) -> list[Lines]:
-    return [_band("stop", RED, joint.si("following_error")) for joint in robot.joints]
-
-
 def _ranges(robot: Robot) -> list[Lines]:
     ranges = [joint.si("position") for joint in robot.joints]
     return [{} if x is None else {"from": (RED, x[0]), "to": (RED, x[1])} for x in ranges]
@@ -271,8 +263,7 @@ def _effort_levels(robot: Robot) -> list[Lines]:
     limits = effort_limits(robot)
     most = dict(zip(limits.names, limits.limits, strict=True))
     of_joints = [most.get(f"joint {joint.name}") for joint in robot.joints]
-    bands = zip(rated, of_joints, strict=True)
-    return [_band("rated", ORANGE, low) | _band("limit", RED, high) for low, high in bands]
+    return [_band("rated", ORANGE, low) | _band("limit", RED, high) for low, high in zip(rated, of_joints, strict=True)]
 
 
 def _band(name: str, color: Color, half: float | None) -> Lines:

@@ -3,19 +3,11 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+from .. import methods
 from ..arrays import Array
 from ..data import Signals
 from ..design import Excitation
 from ..errors import RobotIdimError
-from ..methods import (
-    Fit,
-    Validated,
-    fit_document,
-    fitted_parameters,
-    least_squares_parameters,
-    recording_document,
-    true_parameters,
-)
 from ..regression import Overrides, Settings, make_settings, with_bandwidth
 from ..report import Document, ParameterSet, Section, comparison_section
 from ..study import Run, VariedFit
@@ -25,7 +17,7 @@ from .robot_drawing import excitation_scene, robot_scene
 from .signal_panels import event_logs, health_plots, spectrum_charts
 
 
-def draw_fit(signals: Signals, fit: Fit, *, truth: Array | None = None) -> Picture:
+def draw_fit(signals: Signals, fit: methods.Fit, *, truth: Array | None = None) -> Picture:
     """A fit on one of its recordings. A fit by IV is shown together with its least squares.
 
     Times are seconds from the recording's first sample, on the timeline `time`. Measured curves cover the recording, filtered
@@ -34,16 +26,20 @@ def draw_fit(signals: Signals, fit: Fit, *, truth: Array | None = None) -> Pictu
     plot's title; `torque/<joint>/measured`, `residual`; `residual/<joint>`, `robot`, `column/<quantity>`, `events`, `health`,
     `report`.
     """
-    own = fitted_parameters(fit)
-    others = [least_squares_parameters(fit)] if fit.iv else []
-    others += [true_parameters(fit.base, truth)] if truth is not None else []
+    own = methods.fitted_parameters(fit)
+    others = [methods.least_squares_parameters(fit)] if fit.iv else []
+    others += [methods.true_parameters(fit.base, truth)] if truth is not None else []
     more = (replace(comparison_section(own, other), short=Section()) for other in others)
-    document = fit_document(signals, fit).followed_by(*more)
+    document = methods.fit_document(signals, fit).followed_by(*more)
     torque, residual = curves.row_plots(signals.robot, fit.t_s, fit.tau, fit.tau_predicted)
     overview, *of_signals = _signal_pages(signals, fit.settings, fit, residual)
+    moving = [error.moving_relative_error_percent or 0.0 for error in fit.errors[:-1]]
+    j = moving.index(max(moving))
+    unit = signals.robot.effort_units[j]
+    largest = f"torque of {signals.robot.joints[j].name}, which has the largest error [{unit}]"
     return Picture(
         name=f"{signals.robot.name}, {signals.recording}, {fit.method.upper()}",
-        first=_largest(signals, torque, fit),
+        first=replace(torque[j], title=largest),
         document=document,
         pages=(
             overview,
@@ -57,15 +53,7 @@ def draw_fit(signals: Signals, fit: Fit, *, truth: Array | None = None) -> Pictu
     )
 
 
-def _largest(signals: Signals, torque: Sequence[Plot], fit: Fit) -> Plot:
-    """The plot of the joint with the largest error."""
-    errors = [error.moving_relative_error_percent or 0.0 for error in fit.errors[:-1]]
-    j = errors.index(max(errors))
-    text = f"torque of {signals.robot.joints[j].name}, which has the largest error [{signals.robot.effort_units[j]}]"
-    return replace(torque[j], title=text)
-
-
-def draw_friction(before: Fit, after: Fit, document: Document) -> Picture:
+def draw_friction(before: methods.Fit, after: methods.Fit, document: Document) -> Picture:
     """The fits with the usual and with the recommended friction terms."""
     recording = ", ".join(one.problem.signals.recording for one in before.recordings)
     return Picture(
@@ -76,7 +64,7 @@ def draw_friction(before: Fit, after: Fit, document: Document) -> Picture:
     )
 
 
-def draw_validation(validated: Sequence[Validated], document: Document, sha256: Mapping[str, str]) -> Picture:
+def draw_validation(validated: Sequence[methods.Validated], document: Document, sha256: Mapping[str, str]) -> Picture:
     """Recordings that a fit is applied to, a page each: torque of the rows, measured and of the model, and the residual."""
     pages = []
     for one in validated:
@@ -97,17 +85,14 @@ def draw_recording(signals: Signals, overrides: Overrides) -> Picture:
         refusal = error.args[0]
     return Picture(
         name=f"{signals.robot.name}, {signals.recording}",
-        document=recording_document(signals, settings, refusal),
+        document=methods.recording_document(signals, settings, refusal),
         pages=tuple(_signal_pages(signals, settings, None, [])),
         sha256={signals.recording: signals.sha256},
     )
 
 
 def draw_comparison(own: ParameterSet, other: ParameterSet, document: Document, sha256: Mapping[str, str]) -> Picture:
-    """Two sets of parameters.
-
-    Raises `BadInputError`: the sets do not belong together (`report.differences`).
-    """
+    """Two sets of parameters that belong together, as `report.differences` requires."""
     page = Page(name="parameters", groups={"deviations": charts.deviation_charts(own, [other])})
     return Picture(name=f"{own.label} and {other.label}", document=document, pages=(page,), sha256=sha256)
 
@@ -138,7 +123,7 @@ def draw_excitation(excitation: Excitation, document: Document) -> Picture:
 
 
 def _signal_pages(
-    signals: Signals, settings: Settings | None, fit: Fit | None, residuals: Sequence[Plot]
+    signals: Signals, settings: Settings | None, fit: methods.Fit | None, residuals: Sequence[Plot]
 ) -> list[Page]:
     """The pages of a recording with or without a fit and its residuals: overview, signal quality, motion."""
     lines = curves.lines_of(signals, settings, fit)
@@ -156,8 +141,7 @@ def _signal_pages(
         "health": health_plots(signals),
         "events": event_logs(signals),
     }
-    joints = enumerate(signals.robot.joints)
-    motion = {joint.name: curves.motion_plots(signals, lines, j) for j, joint in joints}
+    motion = {joint.name: curves.motion_plots(signals, lines, j) for j, joint in enumerate(signals.robot.joints)}
     return [
         Page(name="overview" if fit else "recording", groups=overview),
         Page(name="signal", groups=signal),
@@ -165,7 +149,7 @@ def _signal_pages(
     ]
 
 
-def _friction_page(fits: Mapping[str, Fit]) -> Page:
+def _friction_page(fits: Mapping[str, methods.Fit]) -> Page:
     """Friction of each joint over its speed, for one fit or several fits side by side."""
     of_fits = [charts.friction_charts(fit, name) for name, fit in fits.items()]
     of_joints = {of_joint[0].path[1]: of_joint for of_joint in zip(*of_fits, strict=True)}

@@ -40,10 +40,9 @@ def write_rrd(path: Path, picture: Picture) -> None:
         recording.log("report", rr.TextDocument(shown_text(report), media_type="text/markdown"), static=True)
         text, tabs = [rrb.TextDocumentView(origin="report", name="report")], []
         for page in picture.pages:
-            views = {
-                key: [view for panel in group if (view := _show(recording, panel))]
-                for key, group in page.groups.items()
-            }
+            views = dict[str, list[Any]]()
+            for key, group in page.groups.items():
+                views[key] = [view for panel in group if (view := _show(recording, panel))]
             if any(views.values()):
                 tabs.append(_arrange(page, views, text))
                 text = []  # stands beside the first page
@@ -106,10 +105,7 @@ def event_view(origin: str, title: str) -> Any:
 
 
 def shown_text(text: str) -> str:
-    """Text with characters of the viewer's font only: any other character stops the viewer with an error.
-
-    Others are replaced by similar ones (ᵀ by an apostrophe, a wide letter by the plain one), else by a question mark.
-    """
+    """Text in the viewer's font, outside of which it stops with an error: similar characters, else question marks."""
     return "".join(c if _has_glyph(c) else _replace_glyph(c) for c in text)
 
 

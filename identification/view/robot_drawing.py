@@ -50,7 +50,8 @@ def excitation_scene(excitation: Excitation) -> Scene:
 
 def _scene(dynamics: InverseModel, robots: list[Moving], q: Array, title: str) -> Scene:
     """Robots in a picture centred on the motion q (N, n)."""
-    up = _up(dynamics)
+    against = -dynamics.robot.gravity
+    up = against / np.linalg.norm(against) if against.any() else np.array([0.0, 0.0, 1.0])
     places, _ = dynamics.placements(q[:: max(1, len(q) // 100)])
     points = np.concatenate([np.zeros((1, 3)), places.reshape(-1, 3)])
     target = 0.5 * (points.min(axis=0) + points.max(axis=0))
@@ -78,11 +79,7 @@ def pose_stride(N: int, rate_hz: float) -> int:
 
 
 def _drawable(robot: Robot) -> str | None:
-    """The robot's URDF with the files of its meshes; None without shapes or if a mesh is missing.
-
-    A mesh comes from the recording, else from the file of its name. A relative name is not found: the recording does not
-    contain the folder of the URDF.
-    """
+    """The robot's URDF with files of its meshes, of the recording or by their names; None without shapes or a mesh."""
     if robot.urdf is None:
         return None
     root = ET.fromstring(robot.urdf)
@@ -112,10 +109,3 @@ def _write_mesh(content: bytes, suffix: str) -> Path | None:
 @cache
 def _folder() -> TemporaryDirectory[str]:
     return TemporaryDirectory(prefix="robot-idim-meshes-")
-
-
-def _up(dynamics: InverseModel) -> Array:
-    """The direction opposite to gravity; the base's z without gravity."""
-    g = dynamics.robot.gravity
-    size = float(np.linalg.norm(g))
-    return -g / size if size > 0 else np.array([0.0, 0.0, 1.0])

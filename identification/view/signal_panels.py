@@ -75,10 +75,7 @@ def _spectrum(x: Array, sample_rate_hz: float) -> tuple[Array, Array]:
 
 
 def _welch(x: Array, length: int, sample_rate_hz: float) -> Array:
-    """Power density of x (N,) by segments overlapping by half, each without its line and by a Hann window (Welch 1967).
-
-    As `scipy.signal.welch`, whose import takes longer than all pictures.
-    """
+    """Power density of x (N,) as by `scipy.signal.welch`, whose import takes longer than all pictures (Hann, lines removed)."""
     t, window = np.arange(length) - 0.5 * (length - 1), np.hanning(length + 1)[:-1]
     starts, power = range(0, len(x) - length + 1, length - length // 2), np.zeros(length // 2 + 1)
     for start in starts:

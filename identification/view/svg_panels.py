@@ -39,8 +39,7 @@ def draw_graph(graph: Graph) -> str:
         parts.append(f'<path class="l grey" stroke-width="1.5" d="M{_n(at)} {TOP:g}V{BOTTOM:g}"/>')
         parts.append(_text(at - 4, BOTTOM - 24 + 16 * number, text, GREY, "end"))
     for dots, color in graph.dots:
-        places = zip(*_places(axes, (dots[:, 0], dots[:, 1])), strict=True)
-        path = "".join(f"M{_n(x)} {_n(y)}h0" for x, y in places)
+        path = "".join(f"M{_n(x)} {_n(y)}h0" for x, y in zip(*_places(axes, (dots[:, 0], dots[:, 1])), strict=True))
         parts.append(f'<path class="l cloud {CLASSES[color]}" d="{path}"/>')
     drawn = (_curve(curve, axes) for curve in sorted(curves, key=lambda curve: curve.key))
     parts += [f'<g transform="scale({1 / STEPS:g})">', *drawn, "</g>"]

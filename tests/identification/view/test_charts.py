@@ -95,7 +95,7 @@ def test_the_chart_of_a_fit_marks_its_essential_parameters(essential):
 def test_figures_of_the_trust_tests_have_their_intervals_and_what_was_expected():
     figures = (Figure(name="shoulder", value=1.2, half_width=0.2, expected=-0.5), Figure(name="elbow", value=-0.5))
     lag = TrustLine("lag", "caution", "torque late", 1.2, unit="samples", figures=figures)
-    made = TrustLine("ends", "ok", "no outlier", -5.0, limit=20.0)
+    made = TrustLine("ends", "ok", "no outlier", -5.0)
     (of_lag,) = trust_charts(Trust(lines=(lag, made)))
     assert of_lag.legend == (("● value ± 95 %", ORANGE), ("| expected", GREEN))
     (of_blocks,) = trust_charts(Trust(lines=(replace(lag, figures=figures[1:]),)))
