@@ -20,28 +20,24 @@ DRIVES, PERIODS_MS = (2, 3, 6), (1, 2, 5, 10)
 
 @dataclass(frozen=True, kw_only=True)
 class Kind:
-    """What is wrong with a recording. `sync`: doubled, swapped, lost; `silent`: pauses of whole periods without a frame."""
+    """What is wrong with a recording. `sync`: doubled, swapped, lost; `silent`: pauses of whole periods without a frame;
+    `bursts`: some frames in a row are lost, SYNCs and PDOs alike, also at both ends.
+    """
 
     late: bool = False
     lost: bool = False
     doubled: bool = False
     sync: str = ""
     silent: bool = False
+    bursts: bool = False
 
     def __str__(self) -> str:
-        words = [name for name in ("late", "lost", "doubled", "silent") if getattr(self, name)]
-        return ", ".join(
-            (["on time"] if "late" not in words else []) + words + ([f"SYNC {self.sync}"] if self.sync else [])
-        )
+        words = [name for name in ("late", "lost", "doubled", "silent", "bursts") if getattr(self, name)]
+        return ", ".join(["on time"] * (not self.late) + words + [f"SYNC {self.sync}"] * bool(self.sync))
 
 
-MIXTURES = (
-    {},
-    {"late": True},
-    {"lost": True},
-    {"late": True, "lost": True},
-    {"late": True, "lost": True, "doubled": True},
-)
+LATE, LOST = {"late": True}, {"lost": True}
+MIXTURES: tuple[dict[str, bool], ...] = ({}, LATE, LOST, LATE | LOST, {"doubled": True} | LATE | LOST)
 KINDS = (
     *(Kind(**mixture) for mixture in MIXTURES),
     Kind(doubled=True),
@@ -97,12 +93,9 @@ def made(rng: np.random.Generator, kind: Kind) -> Made:
     lateness = 10 ** rng.uniform(-3, -1.3) if rng.random() < 0.7 else rng.uniform(0.05, 0.3)
     reach, run = rng.uniform(0.3, 1.5), int(rng.choice([1, 1, 1, 3, 20]))  # a drive stays late for so many SYNCs
     for i in range(n):
-        jitter = (
-            0.1 * rng.random(SYNCS)
-            if rng.random() < 0.5
-            else np.abs(rng.normal(0.05, rng.choice([0.005, 0.03]), SYNCS))
-        )
-        delay = rng.uniform(0.03, 0.5) + jitter
+        even = rng.random() < 0.5
+        jitter = 0.1 * rng.random(SYNCS) if even else rng.normal(0.05, rng.choice([0.005, 0.03]), SYNCS)
+        delay = rng.uniform(0.03, 0.5) + np.abs(jitter)
         if kind.late:
             is_late = np.repeat(rng.random(SYNCS // run + 1) < lateness, run)[:SYNCS]
             delay = np.where(is_late, 0.9 + reach * rng.random(SYNCS), delay)
@@ -129,6 +122,12 @@ def made(rng: np.random.Generator, kind: Kind) -> Made:
         whose, which, when = whose[keep], which[keep], when[keep]
     if kind.sync == "lost" and not kind.lost:
         keep = (whose >= 0) | (rng.random(len(when)) >= 0.01)
+        whose, which, when = whose[keep], which[keep], when[keep]
+    if kind.bursts:
+        keep = np.ones(len(when), bool)
+        for k in rng.integers(0, len(when), 5).tolist():
+            keep[k : k + int(rng.integers(3, 31))] = False
+        keep[: int(rng.integers(60))] = keep[-int(rng.integers(1, 60)) :] = False
         whose, which, when = whose[keep], which[keep], when[keep]
     if kind.sync == "swapped":
         chosen = np.flatnonzero((whose < 0) & (rng.random(len(when)) < SWAPPED))

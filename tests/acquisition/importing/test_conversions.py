@@ -108,11 +108,15 @@ def test_csv_holds_every_digit(tmp_path):
         ("a.trc", b";$FILEVERSION=1.1\n;\n", "holds no (CAN )?frames"),
         ("a.trc", b"1)  1059.9  Rx  0181  8  00 00\n", "damaged"),
         ("a.trc", b";$FILEVERSION=1.1\n1)  1059.9  Rx  0181  8  00 00\n", r"damaged: TRCReader: .* message '1\)"),
-        ("a.trc", b";$FILEVERSION=1.2\n1)  1059.9 1  Rx  0080  0\n", "version 1.2 of PCAN's format: expected one of 1.0, 1.1"),
-        ("a.log", b"(1.0) can0 080#\n(1.1) can0 181#001122334455667788\n", r"frame 2 \(0x181\): 9 bytes: expected 8 at most"),
-        ("a.log", b"(1.2) can0 181##1000102030405060708090A0B\n", r"holds no (CAN )?frames \(1 of CAN FD\): expected some"),
+        (
+            "a.trc",
+            b";$FILEVERSION=1.2\n1)  1059.9 1  Rx  0080  0\n",
+            "version 1.2 of PCAN's format: expected one of 1.0",
+        ),
+        ("a.log", b"(1.0) can0 080#\n(1.1) can0 181#001122334455667788\n", r"frame 2 \(0x181\): 9 bytes: expected 8"),
+        ("a.log", b"(1.2) can0 181##1000102030405060708090A0B\n", r"holds no (CAN )?frames \(1 of CAN FD\)"),
     ],
-)  # fmt: skip
+)
 def test_logs_that_are_none(tmp_path, name, content, expected):
     (tmp_path / name).write_bytes(content)
     with pytest.raises(BadInputError, match=expected) as caught:

@@ -8,10 +8,12 @@ from made_up_recordings import header
 from acquisition.recording import RecordingFollower, RecordingWriter, decode
 from acquisition.recording.sync_grid import recorded_syncs
 
-LEAST = {Kind(): 1.0, Kind(lost=True): 0.97, Kind(late=True): 0.95, Kind(silent=True): 1.0, Kind(sync="doubled"): 0.95}
+BURSTS = {Kind(bursts=True): 0.93, Kind(bursts=True, lost=True): 0.8, Kind(bursts=True, late=True): 0.7}
+LEAST = BURSTS | {Kind(): 1.0, Kind(lost=True): 0.97, Kind(late=True): 0.95, Kind(silent=True): 1.0}
+LEAST |= {Kind(sync="doubled"): 0.95, Kind(sync="lost"): 0.97}
 
 
-@pytest.mark.parametrize("kind", KINDS, ids=str)
+@pytest.mark.parametrize("kind", [*KINDS, *BURSTS], ids=str)
 def test_no_row_mixes_syncs_or_is_off_in_time(kind):
     found = sum((outcome(made(np.random.default_rng([7, k]), kind)) for k in range(8)), Outcome(files=0))
     assert (found.mixed, found.off) == (0, 0)
