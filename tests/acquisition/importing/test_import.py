@@ -278,27 +278,22 @@ def test_a_motor_may_turn_where_its_joint_slides(tmp_path):
 
 
 def test_mat_mistakes(tmp_path, two):
-    good = {"p1": Q[:, 0], "p2": Q[:, 1], "c1": CURRENT[:, 0]}
-    for extra, place, key, value, expected in (
-        ({}, "", "", None, "one of p1, p2, c1"),
-        ({"c2": CURRENT[:2, 1]}, "", "", None, "variables of one length, 2 columns in all"),
-        ({"c2": "text"}, "", "", None, "a vector or matrix of real numbers"),
-        ({"c2": np.array([1, 2, 3j])}, "", "", None, "a vector or matrix of real numbers"),
-        ({"c2": {"a": 1}}, "", "", None, "a vector or matrix of real numbers"),
-        ({"c2": np.zeros((0, 0))}, "", "", None, "variables of one length, 2 columns in all"),
-        ({"c2": np.array([1, np.nan, 3])}, ": row 2", "c2", np.nan, "a finite number"),
+    path, good = tmp_path / "a.mat", {"p1": Q[:, 0], "p2": Q[:, 1], "c1": CURRENT[:, 0]}
+    for extra, expected in (
+        ({}, "one of p1, p2, c1"),
+        ({"c2": "text"}, "a vector or matrix of real numbers"),
+        ({"c2": np.array([1, 2, 3j])}, "a vector or matrix of real numbers"),
+        ({"c2": np.zeros((0, 0))}, "variables of one length, 2 columns in all"),
     ):
-        scipy.io.savemat(tmp_path / "a.mat", good | extra)
-        found = refusal(tmp_path, two, MAP, tmp_path / "a.mat")
-        assert tuple(map(repr, found)) == tuple(map(repr, (f"a.mat{place}", key, value, expected)))
+        scipy.io.savemat(path, good | extra)
+        assert refusal(tmp_path, two, MAP, path) == ("a.mat", "", None, expected)
     numbers = MAP.replace('["c1", "c2"]', "[3, 4]")
-    assert refusal(tmp_path, two, numbers, tmp_path / "a.mat")[3] == "one of p1, p2, c1, c2"
-    whole = (tmp_path / "a.mat").read_bytes()
-    (tmp_path / "a.mat").write_bytes(whole[: len(whole) // 2])
-    assert refusal(tmp_path, two, MAP, tmp_path / "a.mat")[::2] == ("a.mat", None)
+    assert refusal(tmp_path, two, numbers, path)[3] == "one of p1, p2, c1, c2"
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    assert refusal(tmp_path, two, MAP, path)[::2] == ("a.mat", None)
     for content in (b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(512), b"\x89HDF\r\n\x1a\n".ljust(512)):
-        (tmp_path / "a.mat").write_bytes(content)
-        assert refusal(tmp_path, two, MAP, tmp_path / "a.mat")[3].startswith("version 7;")
+        path.write_bytes(content)
+        assert refusal(tmp_path, two, MAP, path)[3].startswith("version 7;")
 
 
 SINGLE = (

@@ -22,7 +22,7 @@ from acquisition.recording import RecordingWriter, read_recording
 from acquisition.robot import Payload, Robot, load_robot, parse_payload, robot_from_files
 from acquisition.session import UserInterface, record
 from acquisition.session.logs import ProcessLog, Role
-from identification.model import InverseModel, add_payload, payload_parameters
+from identification.model import InverseModel, payload_parameters
 from identification.simulation import described_robot
 
 TX40 = (REPLAY / "tx40" / "robot.toml").read_text()
@@ -136,21 +136,6 @@ def test_the_frame_of_a_fixed_link_gives_the_parameters_of_its_place():
 def test_a_frame_that_the_last_joint_does_not_carry_is_refused(frame):
     told = refusal(payload_parameters, InverseModel(arm()), Payload(2.0, frame=frame))
     assert told == ("robot arm", "payload.frame", frame)
-
-
-def test_the_torque_of_a_payload_is_that_of_a_mass_on_the_last_link():
-    """At rest it is what gravity does on it: m g · dp/dq, with p by small differences."""
-    model, payload = InverseModel(robot_named("tx40")), Payload(2.0, (0.03, 0.15, -0.16))
-    q, zero, step = np.array([[0.3, -0.5, 0.8, 0.4, -0.7, 1.1]]), np.zeros((1, 6)), 1e-6
-    chi = np.ones(model.p)
-    torque = (model.regressor(q, zero, zero) @ (add_payload(model, chi, payload) - chi))[0]
-
-    def height(q):
-        origins, rotations = model.placements(q)
-        return origins[:, -1, 2] + rotations[:, -1, 2] @ np.array(payload.center_of_mass_m)
-
-    slope = [(height(q + step * e) - height(q - step * e))[0] / (2 * step) for e in np.eye(6)]
-    np.testing.assert_allclose(torque, 2 * 9.81 * np.array(slope), atol=1e-7)
 
 
 HEAVY = Payload(2.805, (0.03, 0.15, -0.16), None, 0.01)
