@@ -31,18 +31,6 @@ def refused(text: str) -> RobotIdimError:
     return caught.value
 
 
-@pytest.mark.parametrize(
-    "path", sorted(REPLAY.glob("*/robot*.toml")), ids=lambda path: f"{path.parent.name}-{path.stem}"
-)
-def test_the_descriptions_in_replay_data_are_valid(path):
-    robot = load_robot(path)
-    assert robot.n == len(robot.motors) == len(robot.R)
-    assert robot.files["robot.toml"] == path.read_bytes()
-    again = robot_from_files(robot.files, "a recording")
-    assert again.joints == robot.joints
-    assert np.array_equal(again.R, robot.R)
-
-
 def test_wrist_motors_of_the_tx40_are_coupled():
     """q = inv(R) q_motor and tau = Rᵀ tau_motor, so tau_5 also gets 32 tau_motor_6 (data sheet of the record)."""
     robot = robot_named("tx40")
