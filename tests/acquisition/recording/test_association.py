@@ -1,21 +1,18 @@
-"""PDOs and SYNCs: sequences of frames made by hand with their answers, and random lateness that must lose nothing."""
+"""PDOs and SYNCs: sequences of frames made by hand with their answers."""
 
 import struct
 from collections.abc import Iterable
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from made_up_buses import block, bus_of, bus_text, frame, robot_of
+from made_up_buses import block, bus_of, bus_text, flat, frame, robot_of, session
 
 from acquisition.errors import BadInputError
-from acquisition.recording import FRAME, SENT, Block, Decoded, decode
+from acquisition.recording import SENT, Block, Decoded, decode
 
 ROBOT = robot_of(bus_text())
 BUS = bus_of(ROBOT)
 PERIOD_NS = 2_000_000
-SYNCS = 1440
 
 
 def sequence(text: str) -> Block:
@@ -145,77 +142,22 @@ def test_a_target_is_in_force_from_the_next_sync_on(early, first):
     np.testing.assert_allclose(found.samples["reference"].T, joint, rtol=1e-12)
 
 
-def session(sync_ns: np.ndarray, came: list[np.ndarray], unrecorded: tuple[int, ...] = ()) -> Block:
-    """Frames of drives whose PDO of SYNC j came in the interval `came[drive][j]`."""
-    rows = [(int(t), -1, 0x80, 0) for k, t in enumerate(sync_ns) if k not in unrecorded]
-    for i, intervals in enumerate(came):
-        rows += [(int(sync_ns[k]) + 1 + i, j, 0x181 + i, j) for j, k in enumerate(intervals.tolist())]
-    rows.sort()
-    found = np.zeros(len(rows), FRAME)
-    found["time_ns"], _, found["can_id"], values = np.array(rows).T
-    found["length"] = np.where(found["can_id"] == 0x80, 0, 8)
-    payload = found["data"].view([("status", "<u2"), ("position", "<i4"), ("effort", "<i2")])[:, 0]
-    payload["position"] = values * (found["length"] > 0)
-    return found
-
-
-def late(rng: np.random.Generator, share: float) -> np.ndarray:
-    """Intervals in which the PDOs of 1440 SYNCs come: each late by up to three, in order; at the end all are there."""
-    by = rng.integers(0, 4, SYNCS) * (rng.random(SYNCS) < share)
-    return np.minimum(np.maximum.accumulate(np.arange(SYNCS) + by), SYNCS - 1)
-
-
-@settings(max_examples=12, deadline=None)
-@given(st.integers(0, 2**32), st.sampled_from([0.002, 0.05, 0.5, 1.0]))
-def test_whatever_is_late_nothing_is_lost(seed, share):
-    rng = np.random.default_rng(seed)
-    came = [late(rng, share) for _ in BUS.drives]
-    found = decode(session(10**9 + PERIOD_NS * np.arange(SYNCS), came), ROBOT, BUS, "log")
-    assert found.syncs_lost == 0
-    assert positions(found) == [[k, k] for k in range(SYNCS)]
-    assert [p.late for p in found.pdos] == [np.count_nonzero(c != np.arange(SYNCS)) for c in came]
-    assert {(p.duplicate, p.missing, p.short) for p in found.pdos} == {(0, 0, 0)}
-
-
-@settings(max_examples=12, deadline=None)
-@given(st.integers(0, 2**32), st.integers(0, 5))
-def test_a_sync_is_lost_only_where_it_is(seed, count):
-    """SYNCs late by more than a period, with the answers of all drives late just there; and `count` truly lost ones."""
-    rng = np.random.default_rng(seed)
-    stalls = 20 + 40 * np.arange(SYNCS // 40 - 1)
-    sync_ns = 10**9 + PERIOD_NS * np.arange(SYNCS)
-    came = [np.arange(SYNCS) for _ in BUS.drives]
-    for k in stalls:
-        by = int(rng.integers(1, 3))
-        sync_ns[k + 1 :] += by * PERIOD_NS  # nothing was sent, and time goes on from there
-        if rng.random() < 0.7:
-            for c in came:
-                c[k - 1] = k  # none, and two in a long interval
-    lost = tuple(sorted(rng.choice(stalls + 20, count, replace=False).tolist()))
-    frames = session(sync_ns, came, lost)
-    frames["flags"] = SENT * (frames["can_id"] == 0x80)
-    found = decode(frames, ROBOT, BUS, "log")
-    assert found.syncs_lost == count
-    assert positions(found) == [[k, k] for k in range(SYNCS)]
-    assert {(p.duplicate, p.missing, p.short) for p in found.pdos} == {(0, 0, 0)}
-
-
 def test_with_over_five_percent_missing_there_are_no_samples():
-    frames = session(10**9 + PERIOD_NS * np.arange(SYNCS), [np.arange(SYNCS)] * 2)
+    frames = flat(session(syncs=1440))
     of_first = np.flatnonzero(frames["can_id"] == 0x181)
     kept = {count: np.delete(frames, of_first[100 : 100 + 10 * count : 10]) for count in (70, 80)}
-    assert len(decode(kept[70], ROBOT, BUS, "log").samples) == SYNCS - 70
+    assert len(decode(kept[70], ROBOT, BUS, "log").samples) == 1440 - 70
     with pytest.raises(BadInputError, match=r"log: 5.6% of the PDOs of a drive are missing: expected 5% at most"):
         decode(kept[80], ROBOT, BUS, "log")
     # Not in the span in which all drives answer: it has begun later.
-    assert len(decode(np.delete(frames, of_first[:80]), ROBOT, BUS, "log").samples) == SYNCS - 80
+    assert len(decode(np.delete(frames, of_first[:80]), ROBOT, BUS, "log").samples) == 1440 - 80
 
 
 @pytest.mark.parametrize("sent", [0, SENT])
 def test_a_pause_in_which_a_sync_and_answers_were_lost_gives_no_row(sent):
     """One burst: answers of two drives to one SYNC, the next SYNC, and the answers of the third to it."""
-    robot, sync_ns = robot_of(bus_text(3)), 10**9 + PERIOD_NS * np.arange(SYNCS)
-    frames = session(sync_ns, [np.arange(SYNCS)] * 3)
+    robot, frames = robot_of(bus_text(3)), flat(session(3, 1000))
     frames["flags"] = sent * (frames["can_id"] == 0x80)
+    sync_ns = frames["time_ns"][frames["can_id"] == 0x80]
     found = decode(np.delete(frames, np.arange(4 * 700 + 2, 4 * 700 + 6)), robot, bus_of(robot), "log")
     assert np.delete(sync_ns, [700, 701]).tolist() == found.samples["stamp_ns"].tolist()
