@@ -200,18 +200,13 @@ def test_a_file_that_is_cut_is_read_to_the_cut(tmp_path):
         assert any("cut within a packet at byte" in text for text in found.warnings)
 
 
-def test_doubled_and_lost_frames(tmp_path):
-    """A mirror port gives every frame twice; a tenth of all is lost."""
-    bus, rng = made_up.Bus(), random.Random(5)
-    doubled = [(time_ns + 3000 * k, frame) for time_ns, frame in bus.packets(500) for k in (0, 1)]
+def test_doubled_frames(tmp_path):
+    """A mirror port gives every frame twice."""
+    bus = made_up.Bus()
+    doubled = [(time_ns + 3000 * k, frame) for time_ns, frame in bus.packets(100) for k in (0, 1)]
     recording, found = imported(tmp_path, made_up.pcap(sorted(doubled)))
-    np.testing.assert_array_equal(check(recording.samples, bus), np.arange(1, 500))
-    assert "500 doubled rows" in found.times
-    start = bus.start()
-    lossy = start + [packet for packet in bus.packets(500)[len(start) :] if rng.random() > 0.1]
-    recording, found = imported(tmp_path, made_up.pcap(lossy))
-    assert 300 < len(check(recording.samples, bus)) < 450
-    assert "rows missing" in found.times
+    np.testing.assert_array_equal(check(recording.samples, bus), np.arange(1, 100))
+    assert "100 doubled rows" in found.times
 
 
 @pytest.mark.parametrize(
@@ -311,7 +306,7 @@ def test_frames_are_kept_and_decoded_again(tmp_path):
 def test_parts_and_segments_of_a_long_capture_give_the_rows_of_the_whole(tmp_path, monkeypatch, image, clock):
     """Frames are lost, doubled and late, also beside the ends of segments."""
     rng, packets = random.Random(1), []
-    for time_ns, frame in made_up.Bus(image=image, clock=clock).packets(700):
+    for time_ns, frame in made_up.Bus(image=image, clock=clock).packets(500):
         if rng.random() > 0.01:
             packets += [(time_ns + 400_000 * (rng.random() < 0.02), frame)] * (1 + (rng.random() < 0.02))
     content = made_up.pcap(packets)
@@ -325,7 +320,7 @@ def test_parts_and_segments_of_a_long_capture_give_the_rows_of_the_whole(tmp_pat
     np.testing.assert_array_equal(parts.samples, whole.samples)
     assert bytes(parts.capture) == bytes(whole.capture)
     assert (again.times, again.warnings) == (about.times, about.warnings)
-    assert "gaps" in again.times
+    assert "rows missing" in again.times
     assert "no doubled" not in again.times
 
 

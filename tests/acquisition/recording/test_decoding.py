@@ -3,13 +3,10 @@
 import numpy as np
 import pytest
 from conftest import needs_data
-from hypothesis import given
-from hypothesis import strategies as st
 from made_up_buses import block, bus_of, bus_text, counts, flat, frame, robot_of, session
 
 from acquisition.errors import BadInputError
 from acquisition.recording import ERROR, EXTENDED, REMOTE_REQUEST, Decoded, decode, gaps, written_by_master
-from acquisition.recording.rows import unwrap
 from acquisition.robot import resolve
 
 ROBOT = robot_of(bus_text())
@@ -122,14 +119,6 @@ def test_a_counter_that_wraps_goes_on(way, at_once, monkeypatch):
     first_s = 0.04 if way == 1 else 0.042  # -2^31 is still held
     told = f"motor_1: its position counter wrapped 2 times, first at {first_s:g} s: positions are continued"
     assert found.warnings == (told,)
-
-
-@given(st.lists(st.integers(-(2**31) + 1, 2**31 - 1), min_size=1, max_size=20), st.integers(-(2**31), 2**31 - 1))
-def test_what_wrapped_is_unwrapped(steps, start):
-    counts = np.cumsum([start, *steps])
-    found, rows = unwrap((counts + 2**31) % 2**32 - 2**31, 32)
-    assert found.tolist() == counts.tolist()
-    assert rows.tolist() == (np.flatnonzero(np.diff((counts + 2**31) // 2**32)) + 1).tolist()
 
 
 @pytest.mark.parametrize(
