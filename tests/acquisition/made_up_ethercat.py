@@ -69,7 +69,6 @@ class Bus:
 
     def writes(self) -> Iterable[tuple[int, int, bytes]]:
         """Command, address and data of the datagrams that configure the bus."""
-        n = len(self.stations)
         for k, station in enumerate(self.stations):
             yield APWR, (-k & 0xFFFF) | 0x10 << 16, struct.pack("<H", station)
         for k, station in enumerate(self.stations):
@@ -85,7 +84,6 @@ class Bus:
             yield FPWR, station | 0x818 << 16, struct.pack("<HHBBBB", 0x1180, 10, 0x20, 0, 1, 0)
             yield FPWR, station | 0x600 << 16, struct.pack("<IHBBHBBB3x", written, 8, 0, 7, 0x1100, 0, 2, 1)
             yield FPWR, station | 0x610 << 16, struct.pack("<IHBBHBBB3x", read, 10, 0, 7, 0x1180, 0, 1, 1)
-        assert n == self.couplers + self.drives
 
     def sdos(self) -> Iterable[bytes]:
         """Bodies of the transfers that write the mapping."""
