@@ -114,8 +114,7 @@ HEADERS = [
         columns="tiempo_s t; posición_{1}_deg q; velocidad_{1}_deg_s v; corriente_{1}_mA i",
     ),
     Header(tool="chinese", columns="时间 t; 关节{1}实际位置 q; 关节{1}目标位置 ref; 关节{1}实际力矩 tau", angle="deg"),
-    Header(tool="matlab", columns="t t; q{1} q; qd{1} v; qdd{1} acc; tau{1} tau"),
-    Header(tool="matlab, desired", columns="t t; q{1} q; q_des{1} ref; dq{1} v; u{1} other; tau{1} tau"),
+    Header(tool="matlab", columns="t t; q{1} q; q_des{1} ref; qd{1} v; qdd{1} acc; u{1} other; tau{1} tau"),
     Header(
         tool="camel case",
         columns="Timestamp t; jointPosMeasured{1} q; jointPosCommanded{1} ref; jointTorqueMeasured{1} tau; "
@@ -126,15 +125,10 @@ HEADERS = [
         columns="Time t; AIPos.A{1} q; ASPos.A{1} ref; MACur.A{1} i",
     ),
     Header(
-        tool="abb egm", step=4.0, unit="ms", angle="deg",
-        columns="time_ms t; joint_{1}_measured_position_deg q; joint_{1}_target_position_deg ref; motor_current_{1} i",
-    ),
-    Header(
         tool="drive software", step=250.0, unit="us", scale=1e4, effort="%",
         columns="time [µs] t; M{1} position actual value [inc] q; M{1} torque actual value [%] tau; "
         "M{1} following error other",
     ),
-    Header(tool="counts", scale=1e4, columns="time t; axis{1}_position q; axis{1}_torque tau"),
     Header(
         tool="two arms", open=(POSITION, EFFORT),
         columns="time t; left_q_{0} q; right_q_{0} other; left_tau_{0} tau; right_tau_{0} other",

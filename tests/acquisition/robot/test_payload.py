@@ -148,13 +148,6 @@ def recorded(path: Path, payload: Payload | None, /, **metadata: str) -> Path:
     return path
 
 
-@pytest.mark.parametrize("payload", [None, HEAVY, Payload(2.0), Payload(None, (0.1, 0.0, 0.0), "tool0")])
-def test_a_recording_has_its_payload(tmp_path, payload):
-    recording = read_recording(recorded(tmp_path / "a.mcap", payload))
-    assert recording.payload == payload
-    assert ("payload" in recording.metadata) == (payload is not None)
-
-
 def test_later_versions_may_say_more_of_a_payload_and_a_recovered_recording_keeps_it(tmp_path):
     """What this version does not know stays in copies."""
     text = '{"mass_kg": 2, "inertia_kg_m2": [1, 2, 3], "center_of_mass_m": [0, 0, 1]}'
