@@ -152,6 +152,17 @@ def test_true_rows_of_an_arm_that_settles_are_kept():
     assert (~rows_in_time(uneven, settling(uneven))).mean() < 0.005
 
 
+def test_stamps_of_a_log_with_stalls_are_found():
+    """90 of 6000 stamps are over half a period late, the others jitter by 20 µs."""
+    rng, t = np.random.default_rng(0), np.arange(6000) * 0.01
+    q = motion(t) + 1e-5 * rng.standard_normal((6000, 2))
+    stamps, wrong = t + 2e-5 * rng.standard_normal(6000), rng.choice(np.arange(10, 5980, 20), 90, replace=False)
+    stamps[wrong] += 0.01 * rng.uniform(0.5, 0.95, 90)
+    left_out = np.flatnonzero(~rows_in_time(stamps, q))
+    assert len(set(wrong) & set(left_out)) >= 88
+    assert len(set(left_out) - set(wrong)) < 18
+
+
 def test_grids_coarser_or_much_finer_than_the_rows_and_many_rows_left_out_are_told():
     def doubts(rate_hz: float, **found: int) -> list[str]:
         return rate_warnings(replace(on_grid(UNEVEN, rate_hz).report, **found))
