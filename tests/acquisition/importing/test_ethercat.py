@@ -225,41 +225,36 @@ def test_stations_that_came_back_in_another_order_are_refused(tmp_path):
 
 def damaged(rng: random.Random, bus: made_up.Bus) -> tuple[bytes, set[int]]:
     """A capture with lost, doubled, exchanged and flipped bytes; cycles whose process data have a flipped byte."""
-    start, spare = len(bus.start()), rng.random() < 0.75  # whether the start is undamaged but for flipped bits
-    cycle, packets = {}, []
-    for k, packet in enumerate(bus.packets(120)):
-        if spare and k < start:
-            cycle[packet] = -1
-            packets.append(packet)
-            continue
-        if rng.random() < 0.02:
-            continue
-        cycle[packet] = (packet[0] - made_up.BEGIN_NS) // bus.period_ns if k >= start else -1
-        packets.append(packet)
-        if rng.random() < 0.02:
-            again = (packet[0] + rng.choice((0, 2_000)), packet[1])
-            cycle[again] = cycle[packet]
-            packets.insert(len(packets) - rng.choice((0, 0, 1, 5, 30)), again)
+    start = len(bus.start())
+    spare = start if rng.random() < 0.85 else 0  # of so many packets only bits are flipped
+    packets = [
+        ((p[0] - made_up.BEGIN_NS) // bus.period_ns if k >= start else -1, p) for k, p in enumerate(bus.packets(120))
+    ]
+    packets = [packet for k, packet in enumerate(packets) if k < spare or rng.random() > 0.02]
+    for _ in range(rng.choice((0, 5, 10))):
+        k = rng.randrange(spare, len(packets) - 40)
+        cycle, (time_ns, frame) = packets[k]
+        packets.insert(k + rng.choice((1, 1, 2, 6, 31)), (cycle, (time_ns + rng.choice((0, 2_000)), frame)))
     for _ in range(rng.choice((0, 0, 3))):
-        k = rng.randrange(start if spare else 0, len(packets) - 40)
+        k = rng.randrange(spare, len(packets) - 40)
         j = k + rng.choice((1, 2, 40))
         packets[k], packets[j] = packets[j], packets[k]
-    records, spoilt = [made_up.record(packet) for packet in packets], set[int]()
+    records, spoilt = [made_up.record(packet) for _, packet in packets], set[int]()
     content = bytearray(made_up.pcap([]) + b"".join(records))
     ends = np.cumsum([24, *map(len, records)])
     for _ in range(rng.choice((0, 1, 5, 20))):
         in_head = int(ends[rng.randrange(len(records))]) + rng.randrange(8)
         at = rng.randrange(len(content)) if rng.random() < 0.7 else in_head
-        k = int(np.searchsorted(ends, at, "right")) - 1
         content[at] ^= 1 << rng.randrange(8)
-        if 0 <= k < len(records) and at - ends[k] - 16 in bus.process_bytes(packets[k][1]):
-            spoilt.add(cycle[packets[k]])
+        k = int(np.searchsorted(ends, at, "right")) - 1
+        if 0 <= k < len(records) and at - ends[k] - 16 in bus.process_bytes(packets[k][1][1]):
+            spoilt.add(packets[k][0])
     return bytes(content[: rng.randrange(len(content) // 2, len(content))] if rng.random() < 0.3 else content), spoilt
 
 
 def test_damaged_captures_give_true_rows_or_one_line(tmp_path):
-    rows, refused = 0, list[str]()
-    for seed in range(90):
+    rows, refused, seeds = 0, list[str](), 90
+    for seed in range(seeds):
         print(f"seed {seed}", end=" ")
         rng = random.Random(seed)
         bus = made_up.Bus(image=rng.choice(IMAGES), wrap=rng.choice(("", "vlan", "udp")), clock=rng.choice((0, 0, 4)))
@@ -270,9 +265,9 @@ def test_damaged_captures_give_true_rows_or_one_line(tmp_path):
             refused.append(str(error))
             continue
         rows += len(check(recording.samples, bus, spoilt))
-    print(f"\n{rows} rows of {90 * 120}; {len(refused)} refused: {set(refused)}")
-    assert rows > 90 * 120 // 3
-    assert len(refused) < 36  # most have a damaged start
+    print(f"\n{rows} rows of {seeds * 120}; {len(refused)} refused: {set(refused)}")
+    assert rows > seeds * 120 // 3
+    assert len(refused) < 0.4 * seeds  # most have a damaged start
     assert not any("\n" in text for text in refused)
 
 
