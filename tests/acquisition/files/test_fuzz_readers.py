@@ -125,8 +125,7 @@ def test_any_csv(tmp_path: Path, content: bytes, columns: list[str | int]) -> No
 
 @FUZZ
 @given(
-    text=changed_toml(),
-    numbers=st.lists(st.lists(st.floats(width=32), min_size=5, max_size=5), min_size=1, max_size=6),
+    text=changed_toml(), numbers=st.lists(st.lists(st.floats(width=32), min_size=5, max_size=5), min_size=1, max_size=6)
 )
 def test_any_import(tmp_path: Path, text: str, numbers: list[list[float]]) -> None:
     lines = [",".join(map(str, row)) for row in numbers]

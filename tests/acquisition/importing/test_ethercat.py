@@ -118,11 +118,7 @@ def test_stations_are_those_of_the_description_or_of_the_bus(tmp_path):
 
 WHOLE = "0x6041:16,0x6061:8,0:8,0x6064:32,0x6077:16"
 GAP, OUTPUTS = ",0:48", "0x6040:16,0x607A:32,0x6060:8,0:8"
-STATED = {
-    "lrd_lwr": [WHOLE + GAP] * 2,
-    "overlap": [WHOLE + GAP] * 2,
-    "lrw": [f"{OUTPUTS},{OUTPUTS},{WHOLE}", WHOLE],
-}
+STATED = {"lrd_lwr": [WHOLE + GAP] * 2, "overlap": [WHOLE + GAP] * 2, "lrw": [f"{OUTPUTS},{OUTPUTS},{WHOLE}", WHOLE]}
 
 
 @pytest.mark.parametrize("image", STATED)
