@@ -157,12 +157,6 @@ def urdf_arm(effort="80", elbow="", rail="", **instead):
     )
 
 
-def test_efforts_come_from_the_description_else_from_the_urdf():
-    assert [j.si("effort") for j in urdf_arm().joints] == [80.0, 40.0]
-    assert [j.si("effort") for j in urdf_arm("0").joints] == [None, 40.0]
-    assert [j.si("effort") for j in urdf_arm(elbow="effort_nm = 7", rail="effort_n = 8").joints] == [7.0, 8.0]
-
-
 @pytest.mark.parametrize(
     ("keys", "key", "value"),
     [
@@ -179,11 +173,19 @@ def test_an_effort_that_is_no_limit_is_refused(keys, key, value):
     assert (caught.value.key, caught.value.value) == (key, value)
 
 
-def test_the_limit_of_a_joint_is_the_smaller_of_its_own_and_of_its_drive():
-    limits = effort_limits(urdf_arm())
-    assert limits.names == ("joint elbow", "joint rail")
-    assert limits.limits == pytest.approx([0.3 * 2.0 * 50, 40.0])  # the saturation of the drive; the URDF
-    assert effort_limits(urdf_arm(elbow="effort_nm = 7")).limits == pytest.approx([7.0, 40.0])
+@pytest.mark.parametrize(
+    ("keys", "stated", "limits"),
+    [
+        ({}, [80.0, 40.0], [0.3 * 2.0 * 50, 40.0]),  # the saturation of the drive; the URDF
+        ({"effort": "0"}, [None, 40.0], [0.3 * 2.0 * 50, 40.0]),
+        ({"elbow": "effort_nm = 7", "rail": "effort_n = 8"}, [7.0, 8.0], [7.0, 8.0]),
+    ],
+)
+def test_the_limit_is_that_of_the_description_else_of_the_urdf_or_the_smaller_one_of_its_drive(keys, stated, limits):
+    robot = urdf_arm(**keys)
+    assert [joint.si("effort") for joint in robot.joints] == stated
+    assert effort_limits(robot).names == ("joint elbow", "joint rail")
+    assert effort_limits(robot).limits == pytest.approx(limits)
 
 
 def test_the_range_of_an_object_is_no_limit_and_a_coupled_motor_has_one_of_its_own():
