@@ -281,16 +281,12 @@ def test_of_two_controllers_one_is_named_and_one_of_other_joints_is_none(tmp_pat
     assert import_bag(alone, robot, tmp_path / "2.mcap", OPTIONS).reference.startswith(CONTROLLER)
 
 
-def with_nan(t):
-    return np.array([np.nan if t > 1 else 0.0, 0.0])
-
-
 @pytest.mark.parametrize(
     ("states", "problem"),
     [
         (states_of(reversed_reference, names=("elbow", "wrist")), "message 1: joints shoulder missing in elbow, wrist"),
         (states_of(reversed_reference, names=("finger",)), "has finger: expected the joints shoulder, elbow"),
-        (states_of(with_nan), "state 73: position of joint elbow = nan"),
+        (states_of(lambda t: np.array([np.nan if t > 1 else 0.0, 0.0])), "state 73: position of joint elbow = nan"),
         (states_of(reversed_reference, np.delete(OWN_NS, slice(50, 60))), "time: a gap of 0.1375 s"),
         (states_of(reversed_reference, OWN_NS + 10**10), "time: from 10.103 s to 11.8905 s after the first joint state"),
         ([], "has no messages"),

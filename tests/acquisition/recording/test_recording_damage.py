@@ -4,9 +4,10 @@ import json
 import struct
 import zlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import IO, Any
 
 import numpy as np
@@ -229,34 +230,17 @@ def test_no_file_a_folder_or_no_description(tmp_path, robot):
     assert read_recording(path).samples.tobytes() == ROW
 
 
-@dataclass
-class Connection:
-    """The session's end of the recorder's pipe: it has these messages, and hears nothing."""
-
-    messages: list[Any]
-
-    def poll(self, timeout_s: float) -> bool:
-        return bool(self.messages)
-
-    def recv(self) -> Any:
-        return self.messages.pop(0)
-
-    def send(self, message: object) -> None:
-        pass
-
-
-class Receiver:
-    """Of frames that `take` makes up."""
-
-    error, stopped, run = None, False, staticmethod(lambda: None)
-
-    def __init__(self, take: Callable[[], Block], sock: object = None) -> None:
-        self.take, self.sock = take, sock
-
-
-def recorded(path: Path, messages: list[Any], receiver: Receiver, sync_ids: list[int]) -> Any:
+def recorded(path: Path, messages: list[Any], receiver: SimpleNamespace, sync_ids: list[int]) -> Any:
+    """What the recorder's process makes of frames that `take` of the receiver makes up, and of the session's messages."""
     recorder = Recorder(path, robot_of(bus_text()), source="x", place="robot.toml")
-    return process._record(Connection(messages), recorder, receiver, np.array(sync_ids, int), None)  # type: ignore[arg-type]
+    pipe: Any = SimpleNamespace(
+        poll=lambda timeout_s: bool(messages), recv=lambda: messages.pop(0), send=lambda message: None
+    )
+    return process._record(pipe, recorder, receiver, np.array(sync_ids, int), None)  # type: ignore[arg-type]
+
+
+def receiver_of(take: Callable[[], Block], sock: object = None) -> SimpleNamespace:
+    return SimpleNamespace(take=take, sock=sock, error=None, stopped=False, run=lambda: None)
 
 
 def test_rows_are_whole_where_the_clock_is_set_forward(tmp_path, monkeypatch):
@@ -280,7 +264,7 @@ def test_rows_are_whole_where_the_clock_is_set_forward(tmp_path, monkeypatch):
         block["time_ns"] += before_ns
         return block
 
-    receiver = Receiver(take)
+    receiver = receiver_of(take)
     done = recorded(tmp_path / "a.mcap", messages, receiver, [0x80])
     assert (done.samples, done.warnings) == (60, ())
     recording = read_recording(tmp_path / "a.mcap")
@@ -301,7 +285,7 @@ def test_drops_of_the_recorders_own_socket_stand_in_the_recording(tmp_path, monk
 
     monkeypatch.setattr(process, "WallClock", partial(WallClock, lambda: now[0], lambda: now[0]))
     monkeypatch.setattr(process, "kernel_drops", lambda sock: 7 if sock is dropping else 0)
-    recorded(tmp_path / "a.mcap", messages, Receiver(take, dropping), [])
+    recorded(tmp_path / "a.mcap", messages, receiver_of(take, dropping), [])
     health = read_recording(tmp_path / "a.mcap").health
     assert len(health) > 1
     assert {h.counters["kernel_drops"] for h in health} == {7}

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import REPLAY, robot_named
+from conftest import REPLAY
 from descriptions import COUPLED, ONE_JOINT
 
 from acquisition.errors import BadInputError, RobotIdimError, one_line
@@ -29,17 +29,6 @@ def refused(text: str) -> RobotIdimError:
     assert "\n" not in str(caught.value)
     assert caught.value.place == "here"
     return caught.value
-
-
-def test_wrist_motors_of_the_tx40_are_coupled():
-    """q = inv(R) q_motor and tau = Rᵀ tau_motor, so tau_5 also gets 32 tau_motor_6 (data sheet of the record)."""
-    robot = robot_named("tx40")
-    q_motor = np.zeros((1, 6))
-    q_motor[0, 4] = 45.0
-    assert robot.joint_position(q_motor)[0].tolist() == pytest.approx([0, 0, 0, 0, 1, -1])
-    tau_motor = np.array([[0, 0, 0, 1.0, 1.0, 2.0]])
-    assert robot.joint_effort(tau_motor)[0].tolist() == pytest.approx([0, 0, 0, -48, 45 + 2 * 32, 2 * 32])
-    assert robot.effort_units == ("N m",) * 6
 
 
 def test_a_coupled_robot_by_hand():
