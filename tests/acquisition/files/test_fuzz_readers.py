@@ -142,7 +142,7 @@ EMPS = robot_named("emps")
 def test_changed_recordings(tmp_path: Path, whole: Path) -> None:
     """Bytes exchanged, dropped, doubled and moved, with and without the CRC that would tell at once."""
     content, chance, read = whole.read_bytes(), random.Random(0), 0
-    for _ in range(10 * EXAMPLES):
+    for _ in range(6 * EXAMPLES):
         data = bytearray(content[: len(content) - 8 * chance.randrange(2)])
         for _ in range(chance.randint(1, 3)):
             a, b = sorted(chance.randrange(8, len(data)) for _ in range(2))
@@ -160,4 +160,4 @@ def test_changed_recordings(tmp_path: Path, whole: Path) -> None:
         with one_line_or_fine():
             read_recording(tmp_path / "a.mcap")
             read += 1
-    assert read > 5  # some changes fall into what nobody reads; the others were refused
+    assert read > 2  # some changes fall into what nobody reads; the others were refused

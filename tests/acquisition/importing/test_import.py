@@ -231,13 +231,7 @@ def test_csv_mistakes(tmp_path, two, content, place, key, value, expected):
         ('unit = "mA"', 'unit = "mA"\ntable = 2', "effort.table", 2, "1 at most, the number of tables given"),
         ('unit = "mA"', 'unit = "mA"\ntable = 0', "effort.table", 0, "`int` >= 1"),
         ('unit = "mA"', 'unit = "mA"\nscale = 2', "effort", None, ""),
-        (
-            "sample_rate_hz = 500",
-            'sample_rate_hz = 500\neffort_timing = "late"',
-            "effort_timing",
-            "late",
-            "one of 'command', 'mean', 'measured', 'unknown'",
-        ),
+        ("sample", 'effort_timing = "x"\nsample', "effort_timing", "x", "one of 'command', 'mean', 'measured', 'unknown'"),
         ("[effort]", "[torque]", "top level", None, ""),
     ],
 )  # fmt: skip
