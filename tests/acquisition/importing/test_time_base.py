@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import REPLAY, robot_named
+from conftest import robot_named
 from jittered_time import MAP
 
 from acquisition.commands import main
@@ -201,18 +201,20 @@ def run(folder: Path, path: Path, text: str):
     return import_tables([path], ROBOT, folder / "map.toml", folder / "out.mcap")
 
 
-def test_a_counter_is_the_time(tmp_path):
+def test_a_counter_is_the_time(tmp_path, capsys):
     """Ticks of a millisecond, counted from 5000, four rows missing; stamps of a PC beside them are off by 1.2 ms."""
     ticks = 5000 + 10 * np.delete(np.arange(400), [40, 41, 200, 300])
     t = ticks * 1e-3
     path = table(tmp_path, columns(t, k=ticks, t=77.0 + t + 0.0012 * RNG.standard_normal(len(t))))
     found = run(tmp_path, path, TICKS_MAP)
-    samples = read_recording(found.out).samples
-    assert samples["stamp_ns"].tolist() == [5_000_000_000 + 10_000_000 * k for k in range(400)]
-    assert samples["position"] == pytest.approx(motion(5 + np.arange(400) / 100), abs=1e-5)
+    recording = read_recording(found.out)
+    assert recording.samples["stamp_ns"].tolist() == [5_000_000_000 + 10_000_000 * k for k in range(400)]
+    assert recording.samples["position"] == pytest.approx(motion(5 + np.arange(400) / 100), abs=1e-5)
     assert found.times.startswith("ticks of 396 rows: steps 10 to 30 ms, median 10 ms, jitter ")
     assert found.times.endswith("3 gaps, 4 rows missing, no doubled rows, interpolated to 100 Hz")
     assert found.warnings == ()
+    assert main(["info", str(found.out), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["times"] == recording.metadata["times"] == found.times
     both = run(tmp_path, path, TICKS_MAP.replace("tick_s", 'column = "t"\ntick_s'))
     assert float(both.times.split("stamps sd ")[1].split(" ms")[0]) == pytest.approx(1.2, rel=0.15)
     # By the stamps the same rows are rougher, and that is told; the fit repeats it.
@@ -281,14 +283,3 @@ def test_times_that_cannot_be_read_that_way(tmp_path, old, new, column, place, k
 def test_uneven_rows_are_refused_with_a_way_out(tmp_path):
     with pytest.raises(BadInputError, match=r"\(not uniform\); time.resample_hz interpolates rows to a uniform grid"):
         run(tmp_path, table(tmp_path, columns(UNEVEN, t=UNEVEN)), MAP.replace("resample_hz = 100", ""))
-
-
-def test_the_report_is_printed_kept_and_shown(tmp_path, capsys):
-    path, log = table(tmp_path, columns(UNEVEN, t=UNEVEN)), tmp_path / "log.mcap"
-    (tmp_path / "map.toml").write_text(MAP)
-    robot = str(REPLAY / "scara" / "robot.toml")
-    assert main(["import", str(path), "--robot", robot, "--map", str(tmp_path / "map.toml"), "-o", str(log)]) == 0
-    told = time_report(UNEVEN).text + ", interpolated to 100 Hz"
-    assert f"\ntimes: {told}\n" in capsys.readouterr().out
-    assert main(["info", str(log), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["times"] == told

@@ -139,7 +139,6 @@ def described(file: IO[bytes], metadata: Mapping[str, str], attachments: Mapping
 LAYOUT = "[('stamp_ns', '<i8'), ('position', '<f8', (2,)), ('effort', '<f8', (2,))]"
 FRAMES_LAYOUT = "[('time_ns', '<i8'), ('can_id', '<u4'), ('length', '|u1'), ('flags', '|u1'), ('data', '|u1', (8,))]"
 GOOD = {"schema_version": "1", "sample_rate_hz": "1000.0", "effort_unit": '["N m", "N m"]'}
-NEWER = {**GOOD, "schema_version": "3"}
 ROW = struct.pack("<q4d", 0, 0.0, 0.0, 0.0, 0.0)
 NOT_FINITE = struct.pack("<q4d", 0, 0.0, float("nan"), 0.0, 0.0)
 
@@ -148,8 +147,7 @@ NOT_FINITE = struct.pack("<q4d", 0, 0.0, float("nan"), 0.0, 0.0)
     ("metadata", "messages", "message"),
     [
         ({}, [], "holds no metadata record 'recording': expected a recording"),
-        (NEWER, [], "schema_version = 3: expected 2 at most; a newer robot-idim wrote"),
-        ({**NEWER, "schema_version": "99"}, [("/x", "", b"")], "schema_version = 99: expected 2 at most"),
+        ({**GOOD, "schema_version": "3"}, [("/x", "", b"")], "schema_version = 3: expected 2 at most; a newer robot-"),
         ({**GOOD, "schema_version": "one"}, [], "schema_version = 'one': expected a whole number"),
         ({**GOOD, "schema_version": "²"}, [], "schema_version = '²': expected a whole number"),
         ({**GOOD, "crc32": "00000000"}, [], "crc32 = '00000000': expected"),

@@ -77,7 +77,6 @@ OF_DRIVE = [
     ('tpdo = [{ objects = ["6041", "6064"] }, { objects = ["6074"], number = 1, can_id = 0x281 }]', "is used twice"),
     ('rpdo = [{ objects = ["6040"], can_id = 0x80 }]', "0x080: expected 0x181 to 0x57F"),
     ('rpdo = [{ objects = ["6040"], can_id = 0x601 }]', "rpdo 1 (mapping = 'table'): identifier 0x601: expected 0x181"),
-    ('rpdo = [{ objects = ["6040"], can_id = 0x701 }]', "identifier 0x701: expected 0x181 to 0x57F"),
     ('rpdo = [{ objects = ["6040"], can_id = 0x182 }]', "0x182 is that of a PDO of motor_1: expected one of its own"),
     ('rpdo = [{ objects = ["6040"], can_id = 0x800 }]', "expected `int` <= 2047"),
     ('rpdo = [{ objects = ["6040"], number = 5 }]', "can_id is missing"),
