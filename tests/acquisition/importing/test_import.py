@@ -177,6 +177,7 @@ def test_times_that_are_no_grid(tmp_path, two, time_s, rate, place, key, value, 
     (tmp_path / "a.csv").write_text("\n".join(["p1,p2,c1,c2,t", *rows]))
     found = refusal(tmp_path, two, with_time("s", rate), tmp_path / "a.csv")
     assert (*found[:3], found[3].split(";")[0]) == (place, key, value, expected)
+    assert ("time.resample_hz interpolates" in found[3]) == expected.startswith("0.0")
 
 
 CELLS = "4, as in line 1, the names of the columns; delete lines above them"

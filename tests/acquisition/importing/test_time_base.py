@@ -278,8 +278,3 @@ def test_times_that_cannot_be_read_that_way(tmp_path, old, new, column, place, k
     error = caught.value
     assert (error.place, error.key, error.value) == (f"{tmp_path}/{place}", key, value)
     assert not (tmp_path / "out.mcap").exists()
-
-
-def test_uneven_rows_are_refused_with_a_way_out(tmp_path):
-    with pytest.raises(BadInputError, match=r"\(not uniform\); time.resample_hz interpolates rows to a uniform grid"):
-        run(tmp_path, table(tmp_path, columns(UNEVEN, t=UNEVEN)), MAP.replace("resample_hz = 100", ""))
