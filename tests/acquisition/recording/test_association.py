@@ -152,3 +152,9 @@ def test_a_pause_in_which_a_sync_and_answers_were_lost_gives_no_row(sent):
     sync_ns = frames["time_ns"][frames["can_id"] == 0x80]
     found = decode(np.delete(frames, np.arange(4 * 700 + 2, 4 * 700 + 6)), robot, bus_of(robot), "log")
     assert np.delete(sync_ns, [700, 701]).tolist() == found.samples["stamp_ns"].tolist()
+
+
+def test_a_last_sync_that_is_not_recorded_stands_a_period_after_the_one_before():
+    found = decoded(f"{BEFORE} S 1:5 2:5 + 1:6 2:6")
+    assert np.diff(found.samples["stamp_ns"]).tolist() == [PERIOD_NS] * 5
+    assert found.syncs_lost == 1
