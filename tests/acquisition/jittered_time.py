@@ -11,8 +11,8 @@ from conftest import REPLAY
 from independent_robots import plant
 from independent_simulator import Imperfections, Runs, described_controller, references, simulate
 
-from acquisition.importing import ImportSummary, import_tables
-from acquisition.robot import Robot, load_robot
+from acquisition.importing import import_tables
+from acquisition.robot import load_robot
 from identification.data import load_signals
 from identification.methods import identify_ls
 from identification.model import InverseModel, described_parameters
@@ -42,10 +42,9 @@ side = "joint"
 
 @dataclass(frozen=True, kw_only=True)
 class Jittered:
-    """Of each run and parameter (S, b), whether the interval has the truth; what the last import said."""
+    """Of each run and parameter (S, b), whether the interval has the truth."""
 
     inside: np.ndarray
-    imported: ImportSummary
 
 
 def drawn(seed: int, duration_s: float) -> tuple[np.ndarray, np.ndarray]:
@@ -69,15 +68,10 @@ def write_table(folder: Path, runs: Runs, run: int, seed: int) -> Path:
     return path
 
 
-def described() -> Robot:
-    """The SCARA under the package's own rules."""
-    robot = load_robot(REPLAY / "scara" / "robot.toml")
-    return replace(robot, identification=type(robot.identification)())
-
-
 def covered(folder: Path, runs: int, duration_s: float = 10.0) -> Jittered:
     """Import and fit so many runs."""
-    body, robot, inside = plant(REPLAY / "scara" / "robot.toml"), described(), []
+    body, robot, inside = plant(REPLAY / "scara" / "robot.toml"), load_robot(REPLAY / "scara" / "robot.toml"), []
+    robot = replace(robot, identification=type(robot.identification)())  # the package's own rules
     controller, cell = described_controller(body), Imperfections(encoder_noise=1e-5, torque_noise_percent=2.0)
     (folder / "map.toml").write_text(MAP)
     for first in range(0, runs, CHUNK):
@@ -86,8 +80,8 @@ def covered(folder: Path, runs: int, duration_s: float = 10.0) -> Jittered:
         found = simulate(body, controller, path, cell, seed=first)
         for run, seed in enumerate(seeds):
             table = write_table(folder, found, run, seed)
-            imported = import_tables([table], robot, folder / "map.toml", folder / "log.mcap")
-            fit = identify_ls(load_signals(imported.out, robot), Overrides())
+            log = import_tables([table], robot, folder / "map.toml", folder / "log.mcap").out
+            fit = identify_ls(load_signals(log, robot), Overrides())
             true = described_parameters(InverseModel(robot), fit.base)
             inside.append((fit.intervals.low <= true) & (true <= fit.intervals.high))
-    return Jittered(inside=np.array(inside), imported=imported)
+    return Jittered(inside=np.array(inside))

@@ -20,28 +20,24 @@ DRIVES, PERIODS_MS = (2, 3, 6), (1, 2, 5, 10)
 
 @dataclass(frozen=True, kw_only=True)
 class Kind:
-    """What is wrong with a recording. `sync`: doubled, swapped, lost; `silent`: pauses of whole periods without a frame."""
+    """What is wrong with a recording. `sync`: doubled, swapped, lost; `silent`: pauses of whole periods without a frame;
+    `bursts`: some frames in a row are lost, SYNCs and PDOs alike, also at both ends.
+    """
 
     late: bool = False
     lost: bool = False
     doubled: bool = False
     sync: str = ""
     silent: bool = False
+    bursts: bool = False
 
     def __str__(self) -> str:
-        words = [name for name in ("late", "lost", "doubled", "silent") if getattr(self, name)]
-        return ", ".join(
-            (["on time"] if "late" not in words else []) + words + ([f"SYNC {self.sync}"] if self.sync else [])
-        )
+        words = [name for name in ("late", "lost", "doubled", "silent", "bursts") if getattr(self, name)]
+        return ", ".join(["on time"] * (not self.late) + words + [f"SYNC {self.sync}"] * bool(self.sync))
 
 
-MIXTURES = (
-    {},
-    {"late": True},
-    {"lost": True},
-    {"late": True, "lost": True},
-    {"late": True, "lost": True, "doubled": True},
-)
+LATE, LOST = {"late": True}, {"lost": True}
+MIXTURES: tuple[dict[str, bool], ...] = ({}, LATE, LOST, LATE | LOST, {"doubled": True} | LATE | LOST)
 KINDS = (
     *(Kind(**mixture) for mixture in MIXTURES),
     Kind(doubled=True),
@@ -93,43 +89,42 @@ def made(rng: np.random.Generator, kind: Kind) -> Made:
     if kind.silent:
         for k in rng.integers(20, SYNCS - 20, int(rng.integers(1, 4))).tolist():
             at[k:] += int(rng.integers(2, 120))
-    time, answers, drive = [at], [np.arange(SYNCS)], [np.full(SYNCS, -1)]
+    parts = [(at, np.arange(SYNCS), -1)]  # times, the SYNCs that they are or answer, and whose: a drive, or SYNC
     lateness = 10 ** rng.uniform(-3, -1.3) if rng.random() < 0.7 else rng.uniform(0.05, 0.3)
     reach, run = rng.uniform(0.3, 1.5), int(rng.choice([1, 1, 1, 3, 20]))  # a drive stays late for so many SYNCs
     for i in range(n):
-        jitter = (
-            0.1 * rng.random(SYNCS)
-            if rng.random() < 0.5
-            else np.abs(rng.normal(0.05, rng.choice([0.005, 0.03]), SYNCS))
-        )
-        delay = rng.uniform(0.03, 0.5) + jitter
+        even = rng.random() < 0.5
+        jitter = 0.1 * rng.random(SYNCS) if even else rng.normal(0.05, rng.choice([0.005, 0.03]), SYNCS)
+        delay = rng.uniform(0.03, 0.5) + np.abs(jitter)
         if kind.late:
             is_late = np.repeat(rng.random(SYNCS // run + 1) < lateness, run)[:SYNCS]
             delay = np.where(is_late, 0.9 + reach * rng.random(SYNCS), delay)
         step = 1e-3 * np.arange(SYNCS)  # two frames of one drive
         came = np.maximum.accumulate(at + delay - step) + step
-        time, answers, drive = [*time, came], [*answers, np.arange(SYNCS)], [*drive, np.full(SYNCS, i)]
+        parts.append((came, np.arange(SYNCS), i))
         if kind.doubled:
             copied = np.flatnonzero(rng.random(SYNCS) < COPIED)
             after = rng.choice([1e-4, 0.3], len(copied)) * rng.random(len(copied))
             last = np.append(came[1:], np.inf)[copied] - 1e-5  # a drive repeats before it sends the next
-            time, answers = [*time, np.minimum(came[copied] + after, last)], [*answers, copied]
-            drive.append(np.full(len(copied), i))
+            parts.append((np.minimum(came[copied] + after, last), copied, i))
     if kind.sync == "doubled":
         copied = np.flatnonzero(rng.random(SYNCS) < COPIED)
-        time.append(at[copied] + rng.choice([1e-3, 0.3]) * rng.random(len(copied)))
-        answers, drive = [*answers, copied], [*drive, np.full(len(copied), -1)]
-    whose, which, when = np.concatenate(drive), np.concatenate(answers), np.concatenate(time)
+        parts.append((at[copied] + rng.choice([1e-3, 0.3]) * rng.random(len(copied)), copied, -1))
+    when, which = (np.concatenate([part[k] for part in parts]) for k in (0, 1))
+    whose = np.concatenate([np.full(len(times), i) for times, _, i in parts])
     order = np.argsort(when, kind="stable")
     whose, which, when = whose[order], which[order], when[order]
+    keep = np.ones(len(when), bool)
     if kind.lost:
         share = 10 ** rng.uniform(np.log10(0.0005), np.log10(0.05))
-        keep = rng.random(len(when)) >= share
-        keep |= (whose < 0) & (kind.sync != "lost")
-        whose, which, when = whose[keep], which[keep], when[keep]
-    if kind.sync == "lost" and not kind.lost:
+        keep = (rng.random(len(when)) >= share) | (whose < 0) & (kind.sync != "lost")
+    elif kind.sync == "lost":
         keep = (whose >= 0) | (rng.random(len(when)) >= 0.01)
-        whose, which, when = whose[keep], which[keep], when[keep]
+    if kind.bursts:
+        for k in rng.integers(0, len(when), 5).tolist():
+            keep[k : k + int(rng.integers(3, 31))] = False
+        keep[: int(rng.integers(60))] = keep[-int(rng.integers(1, 60)) :] = False
+    whose, which, when = whose[keep], which[keep], when[keep]
     if kind.sync == "swapped":
         chosen = np.flatnonzero((whose < 0) & (rng.random(len(when)) < SWAPPED))
         stamped = "each" if ours else rng.choice(["each", "later"])

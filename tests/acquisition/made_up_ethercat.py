@@ -23,6 +23,7 @@ class Bus:
     clock: int = 0  # bytes of the distributed clocks' time that each cycle reads
     transfer: bool = True  # of the mapping, by SDO
     couplers: int = 0  # slaves without process data before the drives
+    silent: range = range(0)  # cycles in which the last drive does not answer
     stations: list[int] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -69,7 +70,6 @@ class Bus:
 
     def writes(self) -> Iterable[tuple[int, int, bytes]]:
         """Command, address and data of the datagrams that configure the bus."""
-        n = len(self.stations)
         for k, station in enumerate(self.stations):
             yield APWR, (-k & 0xFFFF) | 0x10 << 16, struct.pack("<H", station)
         for k, station in enumerate(self.stations):
@@ -85,7 +85,6 @@ class Bus:
             yield FPWR, station | 0x818 << 16, struct.pack("<HHBBBB", 0x1180, 10, 0x20, 0, 1, 0)
             yield FPWR, station | 0x600 << 16, struct.pack("<IHBBHBBB3x", written, 8, 0, 7, 0x1100, 0, 2, 1)
             yield FPWR, station | 0x610 << 16, struct.pack("<IHBBHBBB3x", read, 10, 0, 7, 0x1180, 0, 1, 1)
-        assert n == self.couplers + self.drives
 
     def sdos(self) -> Iterable[bytes]:
         """Bodies of the transfers that write the mapping."""
@@ -112,11 +111,12 @@ class Bus:
     def cycle(self, k: int) -> list[tuple[int, bytes, bytes]]:
         """Offset in ns in cycle k of each frame, out and back."""
         n, base = self.drives, 0x10000
-        reads = b"".join(self.inputs(k, i) + bytes(6) for i in range(n))
+        answers = n - (k in self.silent)
+        reads = b"".join((self.inputs(k, i) if i < answers else bytes(10)) + bytes(6) for i in range(n))
         writes = b"".join(self.outputs(k, i) + bytes(8) for i in range(n))
         empty = bytes(len(reads))
         if self.image == "lrd_lwr":
-            frames = [[(LRD, base, empty, reads, n), (LWR, base, writes, writes, n)]]
+            frames = [[(LRD, base, empty, reads, answers), (LWR, base, writes, writes, n)]]
         elif self.image == "lrw":
             out = b"".join(self.outputs(k, i) for i in range(n))
             given = b"".join(self.inputs(k, i) for i in range(n))

@@ -1,6 +1,5 @@
 """MAT files as people have them: structs, matrices either way round, objects of MATLAB's classes beside the numbers."""
 
-import io
 import struct
 import zlib
 
@@ -30,17 +29,14 @@ def matlab_object(name: bytes) -> bytes:
 
 def workspace() -> bytes:
     """What MATLAB writes at the end of a file with objects: a matrix without a name."""
-    dimensions = element(5, struct.pack("<2i", 1, 16))
-    return element(
-        14, element(6, struct.pack("<II", 9, 0)) + dimensions + element(1, b"") + element(2, bytes(range(16)))
-    )
+    content = element(1, b"") + element(2, bytes(range(16)))
+    return element(14, element(6, struct.pack("<II", 9, 0)) + element(5, struct.pack("<2i", 1, 16)) + content)
 
 
 def mat(tmp_path, variables, *, before=b"", behind=b""):
-    buffer = io.BytesIO()
-    scipy.io.savemat(buffer, variables)
-    whole = buffer.getvalue()
     path = tmp_path / "a.mat"
+    scipy.io.savemat(path, variables)
+    whole = path.read_bytes()
     path.write_bytes(whole[:128] + before + whole[128:] + behind)
     return path
 

@@ -3,15 +3,15 @@
 import can
 import numpy as np
 import pytest
-from made_up_buses import bus_of, bus_text, flat, robot_of, session
-from made_up_recordings import header, some_samples
+from made_up_buses import bus_text, flat, robot_of, session
+from made_up_recordings import header
 
 from acquisition.bus import read_log
 from acquisition.commands import main
 from acquisition.errors import BadInputError
 from acquisition.files import read_columns
 from acquisition.importing import export_csv, import_log, import_recording
-from acquisition.recording import ERROR, SENT, RecordingWriter, decode, read_recording
+from acquisition.recording import ERROR, SENT, RecordingWriter, read_recording
 from acquisition.session import Recorder
 from identification import load_signals
 
@@ -71,19 +71,18 @@ def test_a_pcan_trace_by_hand(tmp_path):
 
 def test_import_of_a_trace_asks_for_no_map(tmp_path, capsys):
     (tmp_path / "r.toml").write_text(bus_text())
-    command = ["--robot", str(tmp_path / "r.toml"), "-o", str(tmp_path / "a.mcap"), "--overwrite"]
+    command = ["--robot", tmp_path / "r.toml", "-o", tmp_path / "a.mcap", "--overwrite"]
     write_log(tmp_path / "a.trc", flat(session()))
-    assert main(["import", str(tmp_path / "a.trc"), *command]) == 0
-    assert "a.mcap: made up, 50 samples at 500 Hz" in capsys.readouterr().out
+    assert "a.mcap: made up, 50 samples at 500 Hz" in told(capsys, "import", tmp_path / "a.trc", *command)
     (tmp_path / "a.trc").write_text(TRC)
-    assert main(["import", str(tmp_path / "a.trc"), *command]) == 1
-    assert "a.trc: 1 SYNC (0x80) in 3 frames" in capsys.readouterr().err
-    for tables, told in (
+    for tables, words in (
+        (["a.trc"], "a.trc: 1 SYNC (0x80) in 3 frames"),
         (["a.trc", "b.csv"], "b.csv: a table needs --map MAP.toml"),
         (["a.trc"] * 2, "a second CAN log"),
     ):
-        assert main(["import", *(str(tmp_path / name) for name in tables), *command]) == 1
-        assert told in capsys.readouterr().err
+        said = told(capsys, "import", *(tmp_path / name for name in tables), *command)
+        assert said.startswith("1 ")
+        assert words in said
 
 
 def test_csv_holds_every_digit(tmp_path):
@@ -94,9 +93,8 @@ def test_csv_holds_every_digit(tmp_path):
     names = ["time_s", "joint_2_position_rad", "joint_1_effort_N_m", "joint_1_reference_rad"]
     table, samples = read_columns(out, names, len(names)), read_recording(mcap).samples
     assert table[:, 0] == pytest.approx(np.arange(50) * 0.002)
-    assert table[:, 1].tolist() == samples["position"][:, 1].tolist()
-    assert table[:, 2].tolist() == samples["effort"][:, 0].tolist()
-    assert table[:, 3].tolist() == samples["reference"][:, 0].tolist()
+    true = [samples["position"][:, 1], samples["effort"][:, 0], samples["reference"][:, 0]]
+    assert table[:, 1:].tolist() == np.stack(true, axis=1).tolist()
 
 
 @pytest.mark.parametrize(
@@ -107,24 +105,16 @@ def test_csv_holds_every_digit(tmp_path):
         ("a.blf", b"LOGGjunk", "damaged after 0 frames"),
         ("a.asc", b"\xff\xfe\n", "holds no (CAN )?frames|damaged"),
         ("a.txt", b"x", "suffix '.txt': expected .log"),
-        ("a.trc", b"", "holds no (CAN )?frames"),
         ("a.trc", b";$FILEVERSION=1.1\n;\n", "holds no (CAN )?frames"),
         ("a.trc", b"1)  1059.9  Rx  0181  8  00 00\n", "damaged"),
-        (
-            "a.trc",
-            b";$FILEVERSION=1.1\n1)  1059.9  Rx  0181  8  00 00\n",
-            "damaged: TRCReader: Failed to parse message '1\\)",
-        ),
+        ("a.trc", b";$FILEVERSION=1.1\n1)  1059.9  Rx  0181  8  00 00\n", r"damaged: TRCReader: .* message '1\)"),
         (
             "a.trc",
             b";$FILEVERSION=1.2\n1)  1059.9 1  Rx  0080  0\n",
-            "version 1.2 of PCAN's format: expected one of 1.0, 1.1",
+            "version 1.2 of PCAN's format: expected one of 1.0",
         ),
-        (
-            "a.log",
-            b"(1.0) can0 080#\n(1.1) can0 181#001122334455667788\n",
-            r"frame 2 \(0x181\): 9 bytes: expected 8 at most",
-        ),
+        ("a.log", b"(1.0) can0 080#\n(1.1) can0 181#001122334455667788\n", r"frame 2 \(0x181\): 9 bytes: expected 8"),
+        ("a.log", b"(1.2) can0 181##1000102030405060708090A0B\n", r"holds no (CAN )?frames \(1 of CAN FD\)"),
     ],
 )
 def test_logs_that_are_none(tmp_path, name, content, expected):
@@ -166,42 +156,22 @@ def test_frames_of_a_log_that_are_left_out(tmp_path, channel, more, left_out, co
     assert recording.metadata.get("left_out", "") == "".join(left_out)
 
 
-def test_two_interfaces_are_not_taken_for_one_and_can_fd_alone_is_no_log(tmp_path):
+def test_two_interfaces_are_not_taken_for_one(tmp_path):
     log = tmp_path / "a.log"
     write_log(log, flat(session()))
     log.write_text(log.read_text() + log.read_text().replace("can0", "can1"))
-    with pytest.raises(BadInputError) as caught:
+    with pytest.raises(BadInputError, match="frames: 150 of interface can0, 150 of interface can1") as caught:
         import_log(log, tmp_path / "o.mcap", ROBOT, "robot.toml")
-    told = "frames: 150 of interface can0, 150 of interface can1: expected one interface: filter the log, or name one"
-    assert str(caught.value) == f"{log}: {told} of them as bus.channel in robot.toml"
-    log.write_text("(1.2) can0 181##1000102030405060708090A0B\n")
-    with pytest.raises(BadInputError, match=r"a\.log: holds no (CAN )?frames \(1 of CAN FD\): expected some"):
-        import_log(log, tmp_path / "o.mcap", ROBOT, "robot.toml")
+    assert caught.value.place == str(log)
 
 
 def test_what_has_no_frames_or_no_samples_is_told(tmp_path):
-    for name in ("a.mcap", "b.mcap"):
-        with RecordingWriter(tmp_path / name, header(ROBOT, 500.0)) as writer:
-            if name == "a.mcap":
-                writer.samples(some_samples(3))
+    with RecordingWriter(tmp_path / "a.mcap", header(ROBOT, 500.0)):
+        pass
     with pytest.raises(BadInputError, match=r"holds no (CAN )?frames"):
         import_recording(tmp_path / "a.mcap", tmp_path / "o.mcap", None, "x")
     with pytest.raises(BadInputError, match="holds no joint samples"):
-        export_csv(tmp_path / "b.mcap", tmp_path / "o.csv")
-
-
-def lossy(share: float) -> np.ndarray:
-    """A session of which a share of drive 1's PDOs is lost."""
-    frames = flat(session(syncs=400, targets=True))
-    of_first = np.flatnonzero(frames["can_id"] == 0x181)[10:-10]
-    return np.delete(frames, of_first[:: round(1 / share)])
-
-
-def recorded(path, frames, samples=None) -> None:
-    with RecordingWriter(path, header(ROBOT, 500.0)) as writer:
-        writer.frames("can0", frames)
-        if samples is not None:
-            writer.samples(samples)
+        export_csv(tmp_path / "a.mcap", tmp_path / "o.csv")
 
 
 def recorder_of(path, frames) -> Recorder:
@@ -218,7 +188,8 @@ def told(capsys, *arguments) -> str:
 
 def test_why_there_are_no_samples_is_said_by_all_who_need_some(tmp_path, capsys):
     log, cut = tmp_path / "a.mcap", tmp_path / "cut.mcap"
-    recorder = recorder_of(log, lossy(1 / 8))
+    frames = flat(session(syncs=400, targets=True))
+    recorder = recorder_of(log, np.delete(frames, np.flatnonzero(frames["can_id"] == 0x181)[10:-10:8]))
     why = "12.0% of the PDOs of a drive are missing: expected 5% at most"
     assert why in recorder.finish(3 * 10**9).no_samples
     assert read_recording(log).samples is None
@@ -261,30 +232,15 @@ def test_a_late_sync_of_ours_is_called_late(tmp_path, capsys):
 
 
 def test_what_goes_block_by_block_is_the_same(tmp_path, monkeypatch, capsys):
-    frames = flat(session(targets=True))
-    recorded(tmp_path / "a.mcap", frames)
-    import_recording(tmp_path / "a.mcap", tmp_path / "b.mcap", None, "x")
-    export_csv(tmp_path / "b.mcap", tmp_path / "b.csv")
-    overview = told(capsys, "info", tmp_path / "b.mcap")
-    for name in ("rows._AT_ONCE", "rows._TAKEN", "decoding._AT_ONCE"):
-        monkeypatch.setattr(f"acquisition.recording.{name}", 7)
-    assert told(capsys, "info", tmp_path / "b.mcap") == overview
-    import_recording(tmp_path / "a.mcap", tmp_path / "c.mcap", None, "x")
-    b, c = (read_recording(tmp_path / name).samples for name in ("b.mcap", "c.mcap"))
-    assert b.tobytes() == c.tobytes()
-    export_csv(tmp_path / "b.mcap", tmp_path / "c.csv")
-    assert (tmp_path / "c.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
-
-
-def test_recovery_copies_samples_where_their_frames_do_not_decode(tmp_path, capsys):
-    """Frames that lost too much."""
-    log, cut, out = tmp_path / "a.mcap", tmp_path / "cut.mcap", tmp_path / "out.mcap"
-    samples = decode(flat(session(syncs=400, targets=True)), ROBOT, bus_of(ROBOT), "x").samples
-    recorded(log, lossy(1 / 8), samples)
-    cut.write_bytes(log.read_bytes()[:-8])
-    text = told(capsys, "import", cut, "-o", out)
-    recovered = read_recording(out)
-    assert "12.0% of the PDOs of a drive are missing" in text
-    assert "made up, 400 samples at" in text
-    assert recovered.samples.tobytes() == samples.tobytes()
-    assert recovered.events[-1].text.endswith("the 400 samples before the cut are copied")
+    with RecordingWriter(tmp_path / "a.mcap", header(ROBOT, 500.0)) as writer:
+        writer.frames("can0", flat(session(targets=True)))
+    made = []
+    for name in ("b", "c"):
+        recording, table = tmp_path / f"{name}.mcap", tmp_path / f"{name}.csv"
+        import_recording(tmp_path / "a.mcap", recording, None, "x")
+        export_csv(recording, table)
+        overview = told(capsys, "info", tmp_path / "b.mcap")
+        made.append((read_recording(recording).samples.tobytes(), table.read_bytes(), overview))
+        for constant in ("rows._AT_ONCE", "rows._TAKEN", "decoding._AT_ONCE"):
+            monkeypatch.setattr(f"acquisition.recording.{constant}", 7)
+    assert made[0] == made[1]

@@ -20,12 +20,16 @@ from acquisition.robot import (
     robot_from_files,
 )
 from identification.data import Signals, load_signals
-from identification.methods import identify, identify_ls
+from identification.methods import identify
 from identification.regression import Overrides, make_problem, make_settings
 
 T = np.arange(4000) / 1000
-ROBOT = robot_named("scara")
 TX40 = robot_named("tx40")
+
+
+@pytest.fixture(scope="module")
+def session() -> Signals:
+    return load_signals(REPLAY / "scara" / "session.mcap")
 
 
 def moving(n: int = 6) -> np.ndarray:
@@ -91,83 +95,65 @@ def test_what_no_robot_does_is_refused(q, words, without):
 
 @pytest.mark.parametrize("speed_limit", [True, False])
 def test_a_jump_of_72_degrees_in_one_sample_is_refused(speed_limit):
-    robot = TX40
-    if not speed_limit:
-        joints = tuple(msgspec.structs.replace(joint, speed_deg_s=None) for joint in robot.joints)
-        robot = dataclasses.replace(robot, joints=joints)
+    joints = tuple(msgspec.structs.replace(joint, speed_deg_s=None) for joint in TX40.joints)
     q = moving()
     q[2000:, 2] += math.radians(72)
-    told = refusal(q, robot)
+    told = refusal(q, TX40 if speed_limit else dataclasses.replace(TX40, joints=joints))
     assert told.startswith("log: joint joint_3 jumps by ")
     assert ("2.000 s" in told, "a counter that wrapped" in told) == (True, True)
     assert ("limit 430 deg/s" in told) == speed_limit
 
 
-@pytest.mark.parametrize(("peak_m_s", "refused"), [(29.0, False), (31.0, True)])
-def test_an_axis_without_a_stated_speed_moves_at_30_m_s_at_most(peak_m_s, refused):
+def test_an_axis_without_a_stated_speed_moves_at_30_m_s_at_most():
     emps = robot_named("emps")
     axis = msgspec.structs.replace(emps.joints[0], speed_m_s=None, position_m=(-10.0, 10.0))
     emps, w = dataclasses.replace(emps, joints=(axis,)), 2 * np.pi * 4
-    q = peak_m_s / w * np.sin(w * T)[:, None]
-    if refused:
-        assert "joint axis at" in refusal(q, emps)
-    else:
-        assert check_recorded_positions(emps, T, q, "log") == ()
+    swing = np.sin(w * T)[:, None] / w
+    assert check_recorded_positions(emps, T, 29.0 * swing, "log") == ()
+    assert "joint axis at" in refusal(31.0 * swing, emps)
 
 
 @pytest.mark.parametrize(("ratio", "jump"), [(2.5, False), (4.0, True)])
 def test_one_step_over_three_times_its_neighbours_is_called_a_jump(ratio, jump):
     q = moving()
-    steps = np.zeros(len(T))
-    steps[2000:2002] = steps[2003:2005] = 0.05  # 50 rad/s
-    steps[2002] = ratio * 0.05
-    q[:, 2] += np.cumsum(steps) - np.cumsum(steps)[-1] / 2
+    for k, factor in enumerate((1, 1, ratio, 1, 1)):
+        q[2000 + k :, 2] += 0.05 * factor  # 50 rad/s
+    q[:, 2] -= 0.1 + 0.025 * ratio
     assert ("jumps" in refusal(q)) == jump
 
 
-def test_a_fit_refuses_what_no_robot_did_and_tells_of_small_overshoots():
-    signals = load_signals(REPLAY / "scara" / "session.mcap")
-    q = np.array(signals.q)
+def test_a_fit_refuses_what_no_robot_did_and_tells_of_small_overshoots(session):
+    q, (_, high) = np.array(session.q), session.robot.joints[0].si("position")
     q[6000:, 0] += math.radians(72)
     with pytest.raises(BadInputError, match=r"session.mcap: joint shoulder jumps by 71.98 deg"):
-        identify_ls(dataclasses.replace(signals, q=q), Overrides())
-    limits = signals.robot.joints[0].si("position")
-    shifted: Signals = dataclasses.replace(
-        signals, q=signals.q + np.array([limits[1] + 0.2 - signals.q[:, 0].max(), 0])
+        make_settings(dataclasses.replace(session, q=q), Overrides())
+    shifted = dataclasses.replace(session, q=session.q + np.array([high + 0.2 - session.q[:, 0].max(), 0]))
+    assert any(
+        "joint shoulder at" in text and "limits" in text for text in make_settings(shifted, Overrides()).warnings
     )
-    assert any("joint shoulder at" in text and "limits" in text for text in identify_ls(shifted, Overrides()).warnings)
 
 
-def test_real_records_pass_and_wrong_units_are_refused_at_import(tmp_path, emps, tx40):
+def test_real_records_pass_and_a_wrong_ratio_is_refused_at_import(tmp_path, emps, tx40):
     for path in (emps, tx40):
         signals = load_signals(path)
         check_recorded_positions(signals.robot, signals.t_s, signals.q, path.name)
-    folder, out = REPLAY / "emps", tmp_path / "out.mcap"
-    table_map = tmp_path / "map.toml"
-    text = (folder / "map.toml").read_text()
-    table_map.write_text(text.replace('unit = "m"', 'side = "motor"\nunit = "rad"'))
-    import_tables([needs_data("emps", "DATA_EMPS.mat")], load_robot(folder / "robot.toml"), table_map, out)
-    out.unlink()
-    wide = load_robot(folder / "robot.toml")
-    motor = type(wide.motors[0])(name="m", drive_gain=35.0, drive_gain_unit="N/V")
-    fast = dataclasses.replace(wide, motors=(motor,), R=np.array([[0.1]]))
+    folder, out, table_map = REPLAY / "emps", tmp_path / "out.mcap", tmp_path / "map.toml"
+    table_map.write_text((folder / "map.toml").read_text().replace('unit = "m"', 'side = "motor"\nunit = "rad"'))
+    robot = load_robot(folder / "robot.toml")
+    motor = type(robot.motors[0])(name="m", drive_gain=35.0, drive_gain_unit="N/V")
+    fast = dataclasses.replace(robot, motors=(motor,), R=np.array([[0.1]]))
     with pytest.raises(BadInputError, match=r"DATA_EMPS.mat: joint axis at .* m, .* s: limits -0.15 m and 0.15 m"):
         import_tables([needs_data("emps", "DATA_EMPS.mat")], fast, table_map, out)
     assert not out.exists()
 
 
-def urdf_arm(effort="80", elbow="", rail=""):
-    files = {
-        "robot.toml": TURN_AND_SLIDE_TOML.format(elbow=elbow, rail=rail),
-        "robot.urdf": TURN_AND_SLIDE.format(effort=effort),
-    }
-    return robot_from_files({name: text.encode() for name, text in files.items()}, "here")
-
-
-def test_efforts_come_from_the_description_else_from_the_urdf():
-    assert [j.si("effort") for j in urdf_arm().joints] == [80.0, 40.0]
-    assert [j.si("effort") for j in urdf_arm("0").joints] == [None, 40.0]
-    assert [j.si("effort") for j in urdf_arm(elbow="effort_nm = 7", rail="effort_n = 8").joints] == [7.0, 8.0]
+def urdf_arm(effort="80", elbow="", rail="", **instead):
+    text = TURN_AND_SLIDE_TOML.format(elbow=elbow, rail=rail)
+    for old, new in instead.values():
+        text = text.replace(old, new)
+    return robot_from_files(
+        {"robot.toml": text.encode(), "robot.urdf": TURN_AND_SLIDE.format(effort=effort).encode()}, "here"
+    )
 
 
 @pytest.mark.parametrize(
@@ -186,11 +172,19 @@ def test_an_effort_that_is_no_limit_is_refused(keys, key, value):
     assert (caught.value.key, caught.value.value) == (key, value)
 
 
-def test_the_limit_of_a_joint_is_the_smaller_of_its_own_and_of_its_drive():
-    limits = effort_limits(urdf_arm())
-    assert limits.names == ("joint elbow", "joint rail")
-    assert limits.limits == pytest.approx([0.3 * 2.0 * 50, 40.0])  # the saturation of the drive; the URDF
-    assert effort_limits(urdf_arm(elbow="effort_nm = 7")).limits == pytest.approx([7.0, 40.0])
+@pytest.mark.parametrize(
+    ("keys", "stated", "limits"),
+    [
+        ({}, [80.0, 40.0], [0.3 * 2.0 * 50, 40.0]),  # the saturation of the drive; the URDF
+        ({"effort": "0"}, [None, 40.0], [0.3 * 2.0 * 50, 40.0]),
+        ({"elbow": "effort_nm = 7", "rail": "effort_n = 8"}, [7.0, 8.0], [7.0, 8.0]),
+    ],
+)
+def test_the_limit_is_that_of_the_description_else_of_the_urdf_or_the_smaller_one_of_its_drive(keys, stated, limits):
+    robot = urdf_arm(**keys)
+    assert [joint.si("effort") for joint in robot.joints] == stated
+    assert effort_limits(robot).names == ("joint elbow", "joint rail")
+    assert effort_limits(robot).limits == pytest.approx(limits)
 
 
 def test_the_range_of_an_object_is_no_limit_and_a_coupled_motor_has_one_of_its_own():
@@ -205,57 +199,30 @@ def test_the_range_of_an_object_is_no_limit_and_a_coupled_motor_has_one_of_its_o
 
 
 def test_efforts_in_newton_metres_do_not_limit_amperes():
-    robot = robot_from_files(
-        {
-            "robot.toml": TURN_AND_SLIDE_TOML.format(elbow="", rail="")
-            .replace('drive_gain = 2.0\ndrive_gain_unit = "N m/A"', 'effort_unit = "A"')
-            .replace('effort_unit = "N"', 'effort_unit = "A"')
-            .encode(),
-            "robot.urdf": TURN_AND_SLIDE.format(effort="80").encode(),
-        },
-        "here",
-    )
-    limits = effort_limits(robot)
+    gain, force = 'drive_gain = 2.0\ndrive_gain_unit = "N m/A"', 'effort_unit = "N"'
+    limits = effort_limits(urdf_arm(elbow_in=(gain, 'effort_unit = "A"'), rail_in=(force, 'effort_unit = "A"')))
     assert (limits.names, limits.units) == (("joint elbow",), ("A",))
     assert limits.limits == pytest.approx([0.3 * 50])
 
 
-@pytest.mark.parametrize(
-    ("key", "ratio", "told"),
-    [
-        ("effort_nm", 1.19, False),
-        ("effort_nm", 1.21, True),
-        ("saturation", 1.19, False),
-        ("saturation", 1.21, True),
-        ("rated_torque_nm", 5.0, False),
-    ],
-)
-def test_an_effort_a_fifth_beyond_its_limit_is_told_and_its_fit_not_trusted(key, ratio, told):
-    signals = load_signals(REPLAY / "scara" / "session.mcap")
-    robot, peak = signals.robot, np.abs(signals.effort[:, 0]).max()
-    limit = {key: float(peak / ratio) / (1.0 if key == "effort_nm" else abs(robot.R[0, 0]))}
-    (first, *joints), (motor, *motors), bus = robot.joints, robot.motors, robot.bus
-    if key == "effort_nm":
-        first = msgspec.structs.replace(first, **limit)
-    elif key == "saturation":
-        motor = msgspec.structs.replace(motor, **limit)
-    else:
-        bus = msgspec.structs.replace(bus, drive=(msgspec.structs.replace(bus.drive[0], **limit), *bus.drive[1:]))
-    robot = dataclasses.replace(robot, joints=(first, *joints), motors=(motor, *motors), bus=bus)
-    fit = identify(dataclasses.replace(signals, robot=robot), Overrides(), method="iv")
-    text = f"effort of joint shoulder up to {peak:.4g} N m: limit {peak / ratio:.4g} N m"
-    assert (text in fit.warnings, fit.trust.verdict) == (told, "caution" if told else "trust")
-    assert fit.trust.finding == ("effort beyond its limit" if told else "")
-    assert [line.text.split(": check")[0] for line in fit.trust.lines if line.test == "effort"] == [text] * told
+def limited(signals: Signals, effort_nm: float) -> Signals:
+    """Signals of a robot whose joints have this limit of effort."""
+    joints = tuple(msgspec.structs.replace(joint, effort_nm=effort_nm) for joint in signals.robot.joints)
+    return dataclasses.replace(signals, robot=dataclasses.replace(signals.robot, joints=joints))
 
 
-def test_the_limit_of_a_urdf_counts_and_gains_that_are_looked_for_are_not_judged_by_it():
-    effort = np.array([[10.0, 40.0], [-35.0, -47.9]])
-    assert check_recorded_efforts(urdf_arm(), effort) == ()
-    told = ("effort of joint elbow up to 37 N m: limit 30 N m", "effort of joint rail up to 50 N: limit 40 N")
-    assert check_recorded_efforts(urdf_arm(), np.array([[-37.0, 50.0]])) == told
-    signals = load_signals(REPLAY / "scara" / "session.mcap")
-    joints = tuple(msgspec.structs.replace(joint, effort_nm=0.01) for joint in signals.robot.joints)
-    low = dataclasses.replace(signals, robot=dataclasses.replace(signals.robot, joints=joints))
+def test_a_fit_to_efforts_beyond_a_limit_is_not_trusted(session):
+    fit = identify(limited(session, 0.01), Overrides(), method="iv")
+    (line,) = (line for line in fit.trust.lines if line.test == "effort")
+    assert line.text.startswith("effort of joint shoulder up to ")
+    assert line.text.split(": check")[0].split("; ") == [text for text in fit.warnings if text.startswith("effort of ")]
+    assert (fit.trust.verdict, fit.trust.finding) == ("caution", "effort beyond its limit")
+
+
+def test_an_effort_a_fifth_beyond_its_limit_is_told_but_where_gains_are_looked_for(session):
+    assert check_recorded_efforts(urdf_arm(), np.array([[10.0, 40.0], [-35.9, -47.9]])) == ()
+    told = ("effort of joint elbow up to 36.1 N m: limit 30 N m", "effort of joint rail up to 48.1 N: limit 40 N")
+    assert check_recorded_efforts(urdf_arm(), np.array([[-36.1, 48.1]])) == told
+    low = limited(session, 0.01)
     assert len(make_settings(low, Overrides()).overloads) == 2
     assert make_problem(low, Overrides(gains=("all",))).settings.overloads == ()

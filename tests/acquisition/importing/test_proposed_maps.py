@@ -16,160 +16,131 @@ N = 6
 NAMES = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint", "wrist_3_joint")
 
 
+POSITION, REFERENCE, VELOCITY, EFFORT = "position", "reference", "velocity", "effort"
+TABLES = {"q": POSITION, "ref": REFERENCE, "v": VELOCITY, "tau": EFFORT, "i": EFFORT}
+
+
 @dataclass(frozen=True, kw_only=True)
 class Header:
-    """What a tool writes: `columns` maps names to quantities; `{0}` counts from 0, `{1}` from 1, `{n}` names a joint.
+    """What a tool writes: `columns` are names and quantities; `{0}` counts from 0, `{1}` from 1, `{n}` names a joint.
 
-    `truth` has the quantities that belong into the map's tables; `units` those that the table or the format fixes.
+    `angle` and `effort` are units that the table or the format fixes; tables that are `open` cannot be told.
     """
 
     tool: str
-    columns: dict[str, str]
-    truth: dict[str, str]
-    units: dict[str, str]
+    columns: str
+    angle: str = ""
+    effort: str = ""
+    open: tuple[str, ...] = ()
     step: float = 0.004
     unit: str = "s"
     separator: str = ","
     joints: int = N
-    scale: float = 1.0  # of positions, from rad
+    scale: float = 0.0  # of positions, from rad
+
+    @property
+    def quantities(self) -> dict[str, str]:
+        """What each column has."""
+        return dict(part.rsplit(" ", 1) for part in self.columns.split("; "))
+
+    @property
+    def truth(self) -> dict[str, str]:
+        """The quantities that belong into the map's tables; of torques and currents, currents."""
+        return {TABLES[x]: x for x in TABLES if x in self.quantities.values() and TABLES[x] not in self.open}
+
+    @property
+    def units(self) -> dict[str, str]:
+        angles = {POSITION: self.angle, REFERENCE: self.angle, VELOCITY: f"{self.angle}/s"} if self.angle else {}
+        return angles | {EFFORT: self.effort}
 
 
-POSITION, REFERENCE, VELOCITY, EFFORT = "position", "reference", "velocity", "effort"
-RAD = {POSITION: "rad", REFERENCE: "rad", VELOCITY: "rad/s"}
-DEG = {POSITION: "deg", REFERENCE: "deg", VELOCITY: "deg/s"}
-
+STATE = "/arm_controller/controller_state"
 HEADERS = [
     Header(
-        tool="ur rtde", separator=" ",
-        columns={"timestamp": "t", "target_q_{0}": "ref", "target_qd_{0}": "vref", "target_qdd_{0}": "acc",
-                 "target_current_{0}": "other", "target_moment_{0}": "other", "actual_q_{0}": "q", "actual_qd_{0}": "v",
-                 "actual_current_{0}": "i", "actual_current_window_{0}": "other", "joint_control_output_{0}": "other",
-                 "actual_TCP_pose_{0}": "other", "actual_TCP_speed_{0}": "other", "joint_temperatures_{0}": "other",
-                 "actual_joint_voltage_{0}": "other", "actual_current_as_torque_{0}": "tau"},
-        truth={POSITION: "q", REFERENCE: "ref", VELOCITY: "v", EFFORT: "i"}, units={**RAD, EFFORT: "A"},
+        tool="ur rtde", separator=" ", angle="rad", effort="A",
+        columns="timestamp t; target_q_{0} ref; target_qd_{0} vref; target_qdd_{0} acc; target_current_{0} other; "
+        "target_moment_{0} other; actual_q_{0} q; actual_qd_{0} v; actual_current_{0} i; actual_current_window_{0} other; "
+        "joint_control_output_{0} other; actual_TCP_pose_{0} other; actual_TCP_speed_{0} other; joint_temperatures_{0} other; "
+        "actual_joint_voltage_{0} other; actual_current_as_torque_{0} tau",
     ),
     Header(
-        tool="ur rtde, torque only",
-        columns={"timestamp": "t", "actual_q_{0}": "q", "target_moment_{0}": "other", "target_q_{0}": "ref"},
-        truth={POSITION: "q", REFERENCE: "ref"}, units=RAD,
+        tool="ur rtde, torque only", angle="rad",
+        columns="timestamp t; actual_q_{0} q; target_moment_{0} other; target_q_{0} ref",
     ),
     Header(
-        tool="libfranka", step=1.0, unit="ms", joints=7,
-        columns={"time": "t", "success_rate": "other", "state.q[{0}]": "q", "state.q_d[{0}]": "ref", "state.dq[{0}]": "v",
-                 "state.dq_d[{0}]": "vref", "state.tau_J[{0}]": "tau", "state.tau_ext_hat_filtered[{0}]": "other",
-                 "cmd.q_d[{0}]": "other", "cmd.dq_d[{0}]": "vref", "cmd.O_T_EE_d[{0}]": "other", "cmd.tau_J_d[{0}]": "other"},
-        truth={POSITION: "q", REFERENCE: "ref", VELOCITY: "v", EFFORT: "tau"}, units={**RAD, EFFORT: "N m"},
+        tool="libfranka", step=1.0, unit="ms", joints=7, angle="rad", effort="N m",
+        columns="time t; success_rate other; state.q[{0}] q; state.q_d[{0}] ref; state.dq[{0}] v; state.dq_d[{0}] vref; "
+        "state.tau_J[{0}] tau; state.tau_ext_hat_filtered[{0}] other; cmd.q_d[{0}] other; cmd.dq_d[{0}] vref; "
+        "cmd.O_T_EE_d[{0}] other; cmd.tau_J_d[{0}] other",
     ),
     Header(
-        tool="libfranka before 0.14", step=1.0, unit="ms", joints=7, separator=", ",
-        columns={"duration": "t", "success rate": "other", "q[{0}]": "q", "q_d[{0}]": "ref", "dq[{0}]": "v",
-                 "dq_d[{0}]": "vref",
-                 "tau_J[{0}]": "tau", "tau_ext_hat_filtered[{0}]": "other", " q_d[{0}]": "other", " dq_d[{0}]": "vref",
-                 "tau_J_d[{0}]": "other"},
-        truth={POSITION: "q", REFERENCE: "ref", VELOCITY: "v", EFFORT: "tau"}, units={**RAD, EFFORT: "N m"},
+        tool="libfranka before 0.14", step=1.0, unit="ms", joints=7, separator=", ", angle="rad", effort="N m",
+        columns="duration t; success rate other; q[{0}] q; q_d[{0}] ref; dq[{0}] v; dq_d[{0}] vref; tau_J[{0}] tau; "
+        "tau_ext_hat_filtered[{0}] other;  q_d[{0}] other;  dq_d[{0}] vref; tau_J_d[{0}] other",
     ),
     Header(
-        tool="panda-py", step=0.001, joints=7,
-        columns={"time": "t", "q_{0}": "q", "dq_{0}": "v", "theta_{0}": "other", "dtheta_{0}": "other", "tau_J_{0}": "tau",
-                 "tau_J_d_{0}": "other", "dtau_J_{0}": "other", "q_d_{0}": "ref"},
-        truth={POSITION: "q", REFERENCE: "ref", VELOCITY: "v", EFFORT: "tau"}, units={**RAD, EFFORT: "N m"},
+        tool="panda-py", step=0.001, joints=7, angle="rad", effort="N m",
+        columns="time t; q_{0} q; dq_{0} v; theta_{0} other; dtheta_{0} other; tau_J_{0} tau; tau_J_d_{0} other; "
+        "dtau_J_{0} other; q_d_{0} ref",
     ),
     Header(
-        tool="ros2_control, controller_state",
-        columns={"__time": "t", "/arm_controller/controller_state/reference/positions[{0}]": "ref",
-                 "/arm_controller/controller_state/reference/velocities[{0}]": "vref",
-                 "/arm_controller/controller_state/feedback/positions[{0}]": "q",
-                 "/arm_controller/controller_state/feedback/velocities[{0}]": "v",
-                 "/arm_controller/controller_state/feedback/effort[{0}]": "tau",
-                 "/arm_controller/controller_state/error/positions[{0}]": "other"},
-        truth={POSITION: "q", REFERENCE: "ref", VELOCITY: "v", EFFORT: "tau"}, units=RAD,
+        tool="ros2_control, controller_state", angle="rad",
+        columns=f"__time t; {STATE}/reference/positions[{{0}}] ref; {STATE}/reference/velocities[{{0}}] vref; "
+        f"{STATE}/feedback/positions[{{0}}] q; {STATE}/feedback/velocities[{{0}}] v; {STATE}/feedback/effort[{{0}}] tau; "
+        f"{STATE}/error/positions[{{0}}] other",
     ),
     Header(
-        tool="joint_states by name", step=2e6, unit="ns",
-        columns={"%time": "t", "/joint_states/{n}/position": "q", "/joint_states/{n}/velocity": "v",
-                 "/joint_states/{n}/effort": "tau"},
-        truth={POSITION: "q", VELOCITY: "v", EFFORT: "tau"}, units=RAD,
+        tool="joint_states by name", step=2e6, unit="ns", angle="rad",
+        columns="%time t; /joint_states/{n}/position q; /joint_states/{n}/velocity v; /joint_states/{n}/effort tau",
     ),
     Header(
-        tool="twincat nc", step=1.0, unit="ms", separator=";", scale=57.3,
-        columns={"Time [ms]": "t", "Axis {1}.ActPos": "q", "Axis {1}.SetPos": "ref", "Axis {1}.ActVelo": "v",
-                 "Axis {1}.SetVelo": "vref", "Axis {1}.ActTorque": "tau", "Axis {1}.PosDiff": "other"},
-        truth={POSITION: "q", REFERENCE: "ref", VELOCITY: "v", EFFORT: "tau"}, units=DEG,
+        tool="twincat nc", step=1.0, unit="ms", separator=";", angle="deg",
+        columns="Time [ms] t; Axis {1}.ActPos q; Axis {1}.SetPos ref; Axis {1}.ActVelo v; Axis {1}.SetVelo vref; "
+        "Axis {1}.ActTorque tau; Axis {1}.PosDiff other",
     ),
     Header(
-        tool="german", step=0.002, separator=";", scale=57.3,
-        columns={"Zeit": "t", "Ist-Position Achse {1} [°]": "q", "Soll-Position Achse {1} [°]": "ref",
-                 "Motorstrom Achse {1} [A]": "i", "Temperatur Achse {1} [°C]": "other"},
-        truth={POSITION: "q", REFERENCE: "ref", EFFORT: "i"}, units={**DEG, EFFORT: "A"},
+        tool="german", step=0.002, separator=";", angle="deg", effort="A",
+        columns="Zeit t; Ist-Position Achse {1} [°] q; Soll-Position Achse {1} [°] ref; Motorstrom Achse {1} [A] i; "
+        "Temperatur Achse {1} [°C] other",
     ),
     Header(
-        tool="french", step=2.0, unit="ms", separator="\t",
-        columns={"temps (ms)": "t", "position_mesurée_{1} (rad)": "q", "vitesse_{1} (rad/s)": "v", "couple_{1} (Nm)": "tau",
-                 "consigne_position_{1} (rad)": "ref"},
-        truth={POSITION: "q", REFERENCE: "ref", VELOCITY: "v", EFFORT: "tau"}, units={**RAD, EFFORT: "N m"},
+        tool="french", step=2.0, unit="ms", separator="\t", angle="rad", effort="N m",
+        columns="temps (ms) t; position_mesurée_{1} (rad) q; vitesse_{1} (rad/s) v; couple_{1} (Nm) tau; "
+        "consigne_position_{1} (rad) ref",
     ),
+    Header(tool="italian", columns="tempo t; posizione_{1} q; velocità_{1} v; coppia_{1} tau"),
     Header(
-        tool="italian", columns={"tempo": "t", "posizione_{1}": "q", "velocità_{1}": "v", "coppia_{1}": "tau"},
-        truth={POSITION: "q", VELOCITY: "v", EFFORT: "tau"}, units={},
+        tool="spanish", angle="deg", effort="mA",
+        columns="tiempo_s t; posición_{1}_deg q; velocidad_{1}_deg_s v; corriente_{1}_mA i",
     ),
-    Header(
-        tool="spanish", columns={"tiempo_s": "t", "posición_{1}_deg": "q", "velocidad_{1}_deg_s": "v", "corriente_{1}_mA": "i"},
-        truth={POSITION: "q", VELOCITY: "v", EFFORT: "i"}, units={**DEG, EFFORT: "mA"}, scale=57.3,
-    ),
-    Header(
-        tool="chinese", columns={"时间": "t", "关节{1}实际位置": "q", "关节{1}目标位置": "ref", "关节{1}实际力矩": "tau"},
-        truth={POSITION: "q", REFERENCE: "ref", EFFORT: "tau"}, units=DEG, scale=57.3,
-    ),
-    Header(
-        tool="matlab", columns={"t": "t", "q{1}": "q", "qd{1}": "v", "qdd{1}": "acc", "tau{1}": "tau"},
-        truth={POSITION: "q", VELOCITY: "v", EFFORT: "tau"}, units={},
-    ),
-    Header(
-        tool="matlab, desired",
-        columns={"t": "t", "q{1}": "q", "q_des{1}": "ref", "dq{1}": "v", "u{1}": "other", "tau{1}": "tau"},
-        truth={POSITION: "q", REFERENCE: "ref", VELOCITY: "v", EFFORT: "tau"}, units={},
-    ),
+    Header(tool="chinese", columns="时间 t; 关节{1}实际位置 q; 关节{1}目标位置 ref; 关节{1}实际力矩 tau", angle="deg"),
+    Header(tool="matlab", columns="t t; q{1} q; q_des{1} ref; qd{1} v; qdd{1} acc; u{1} other; tau{1} tau"),
     Header(
         tool="camel case",
-        columns={"Timestamp": "t", "jointPosMeasured{1}": "q", "jointPosCommanded{1}": "ref", "jointTorqueMeasured{1}": "tau",
-                 "jointTorqueExternal{1}": "other"},
-        truth={POSITION: "q", REFERENCE: "ref", EFFORT: "tau"}, units={},
+        columns="Timestamp t; jointPosMeasured{1} q; jointPosCommanded{1} ref; jointTorqueMeasured{1} tau; "
+        "jointTorqueExternal{1} other",
     ),
     Header(
-        tool="kuka rsi", step=4.0, unit="ms", scale=57.3,
-        columns={"Time": "t", "AIPos.A{1}": "q", "ASPos.A{1}": "ref", "MACur.A{1}": "i"}, truth={}, units={},
+        tool="kuka rsi", step=4.0, unit="ms", scale=57.3, open=(POSITION, REFERENCE, EFFORT),
+        columns="Time t; AIPos.A{1} q; ASPos.A{1} ref; MACur.A{1} i",
     ),
     Header(
-        tool="abb egm", step=4.0, unit="ms", scale=57.3,
-        columns={"time_ms": "t", "joint_{1}_measured_position_deg": "q", "joint_{1}_target_position_deg": "ref",
-                 "motor_current_{1}": "i"},
-        truth={POSITION: "q", REFERENCE: "ref", EFFORT: "i"}, units=DEG,
+        tool="drive software", step=250.0, unit="us", scale=1e4, effort="%",
+        columns="time [µs] t; M{1} position actual value [inc] q; M{1} torque actual value [%] tau; "
+        "M{1} following error other",
     ),
     Header(
-        tool="drive software", step=250.0, unit="us", scale=1e4,
-        columns={"time [µs]": "t", "M{1} position actual value [inc]": "q", "M{1} torque actual value [%]": "tau",
-                 "M{1} following error": "other"},
-        truth={POSITION: "q", EFFORT: "tau"}, units={EFFORT: "%"},
+        tool="two arms", open=(POSITION, EFFORT),
+        columns="time t; left_q_{0} q; right_q_{0} other; left_tau_{0} tau; right_tau_{0} other",
     ),
     Header(
-        tool="counts", scale=1e4,
-        columns={"time": "t", "axis{1}_position": "q", "axis{1}_torque": "tau"},
-        truth={POSITION: "q", EFFORT: "tau"}, units={},
-    ),
-    Header(
-        tool="two arms",
-        columns={"time": "t", "left_q_{0}": "q", "right_q_{0}": "other", "left_tau_{0}": "tau", "right_tau_{0}": "other"},
-        truth={}, units={},
-    ),
-    Header(
-        tool="two efforts", columns={"time": "t", "q_{0}": "q", "joint_torque_{0}": "tau", "motor_current_{0}": "i"},
-        truth={POSITION: "q"}, units={},
+        tool="two efforts", open=(EFFORT,),
+        columns="time t; q_{0} q; joint_torque_{0} tau; motor_current_{0} i",
     ),
     Header(
         tool="tool and temperature",
-        columns={"time": "t", "joint_{0}_position": "q", "joint_{0}_current": "i", "joint_{0}_temperature": "other",
-                 "tcp_position_{0}": "other", "tcp_force_{0}": "other"},
-        truth={POSITION: "q", EFFORT: "i"}, units={},
+        columns="time t; joint_{0}_position q; joint_{0}_current i; joint_{0}_temperature other; tcp_position_{0} other; "
+        "tcp_force_{0} other",
     ),
 ]  # fmt: skip
 
@@ -178,39 +149,35 @@ def values(header: Header, rows: int = 600) -> dict[str, np.ndarray]:
     """Quantities (rows, joints) that a moving arm may have; all are different."""
     seconds = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[header.unit] * header.step
     t, k = np.arange(rows) * seconds, np.arange(header.joints)
-    length = t[-1]
-    w = 2 * np.pi * (2 + k) / length
-    q = 1.3 * np.sin(np.outer(t, w) + k)
-    v = 1.3 * w * np.cos(np.outer(t, w) + k)
-    ref = 1.3 * np.sin(np.outer(t + 0.001 * length, w) + k)
+    scale = header.scale or (57.3 if header.angle == "deg" else 1.0)
+    w = 2 * np.pi * (2 + k) / t[-1]
+    q = scale * 1.3 * np.sin(np.outer(t, w) + k)
+    v = scale * 1.3 * w * np.cos(np.outer(t, w) + k)
+    ref = scale * 1.3 * np.sin(np.outer(t + 0.001 * t[-1], w) + k)
     noise = np.random.default_rng(5)
-    given = {"q": header.scale * q, "ref": header.scale * ref, "v": header.scale * v, "vref": 1.01 * header.scale * v}
     others = {
         name: noise.normal(size=q.shape) * size for name, size in (("i", 3), ("tau", 40), ("acc", 9), ("other", 77))
     }
-    return given | others | {"t": (header.step * np.arange(rows))[:, None] + 17 * header.step}
+    times = (header.step * np.arange(rows))[:, None] + 17 * header.step
+    return {"q": q, "ref": ref, "v": v, "vref": 1.01 * v, "t": times, **others}
 
 
-def write(path: Path, header: Header, rows: int = 600) -> list[str]:
+def write(path: Path, header: Header) -> list[str]:
     """The table; what each column is, as `q 0`."""
-    names, what, columns = [], [], []
-    for pattern, quantity in header.columns.items():
-        found = values(header, rows)[quantity]
-        for j in range(found.shape[1] if "{" in pattern else 1):
+    names, what, columns, given = [], [], [], values(header)
+    for pattern, quantity in header.quantities.items():
+        for j in range(given[quantity].shape[1] if "{" in pattern else 1):
             names.append(pattern.replace("{0}", str(j)).replace("{1}", str(j + 1)).replace("{n}", NAMES[j % N]))
             what.append(f"{quantity} {j}")
-            columns.append(found[:, j])
-    comma = header.separator == ";"
-    lines = [
-        header.separator.join(f"{x:.9g}".replace(".", "," if comma else ".") for x in row)
-        for row in zip(*columns, strict=True)
-    ]
+            columns.append(given[quantity][:, j])
+    point = "," if header.separator == ";" else "."
+    lines = [header.separator.join(f"{x:.9g}".replace(".", point) for x in row) for row in zip(*columns, strict=True)]
     path.write_text("\n".join([header.separator.join(names), *lines, ""]), encoding="utf-8")
     return what
 
 
 def robot_of(header: Header) -> Robot:
-    joints = [NAMES[j] if any("{n}" in name for name in header.columns) else f"j{j + 1}" for j in range(header.joints)]
+    joints = NAMES if "{n}" in header.columns else [f"j{j + 1}" for j in range(header.joints)]
     row = "dh = { alpha_deg = 0, d_m = 0, theta_deg = 0, r_m = 0 }\n"
     text = "".join(
         f'[[joint]]\nname = "{name}"\ntype = "revolute"\n{row}[[motor]]\nname = "m_{name}"\neffort_unit = "A"\n'
@@ -222,49 +189,27 @@ def robot_of(header: Header) -> Robot:
 @pytest.mark.parametrize("described", [True, False])
 @pytest.mark.parametrize("header", HEADERS, ids=lambda header: header.tool)
 def test_no_column_is_in_a_wrong_table_and_no_unit_is_wrong(tmp_path, header, described):
+    """With a description all tables are found but where the names do not tell: units, and the side of efforts, are left."""
     what = write(tmp_path / "x.csv", header)
-    robot = robot_of(header) if described else None
-    proposed = tomllib.loads(propose_map(tmp_path / "x.csv", robot))
-    names = [
-        x.strip()
-        for x in (tmp_path / "x.csv").read_text().splitlines()[0].split(header.separator.strip() or header.separator)
-    ]
+    proposed = tomllib.loads(propose_map(tmp_path / "x.csv", robot_of(header) if described else None))
+    first, mark = (tmp_path / "x.csv").read_text().splitlines()[0], header.separator.strip() or header.separator
+    names = [x.strip() for x in first.split(mark)]
     for table in (POSITION, REFERENCE, VELOCITY, EFFORT):
         found = proposed.get(table, {"columns": [FILL_IN], "unit": FILL_IN})
         if found["columns"] != [FILL_IN]:
             numbers = [c - 1 if isinstance(c, int) else names.index(c) for c in found["columns"]]
             assert [what[k] for k in numbers] == [f"{header.truth.get(table)} {j}" for j in range(header.joints)], table
+        elif described:
+            assert table == VELOCITY or table not in header.truth
         if found["unit"] != FILL_IN:
             assert found["unit"] == header.units.get(table), table
-    if "time" in proposed:
+    if described or "time" in proposed:
         assert proposed["time"]["unit"] == header.unit
     assert "effort_timing" not in proposed
 
 
-def is_complete(proposed: dict, header: Header) -> bool:
-    """Whether all columns that there are have been found: units, and the side of efforts, are left."""
-    expected = {
-        k
-        for k, x in (("position", "q"), ("reference", "ref"), ("effort", "i"), ("effort", "tau"))
-        if x in header.columns.values()
-    }
-    return "time" in proposed and all(proposed.get(k, {"columns": [FILL_IN]})["columns"] != [FILL_IN] for k in expected)
-
-
-def test_most_maps_are_complete_but_for_units(tmp_path):
-    incomplete = []
-    for header in HEADERS:
-        write(tmp_path / "x.csv", header)
-        if not is_complete(tomllib.loads(propose_map(tmp_path / "x.csv", robot_of(header))), header):
-            incomplete.append(header.tool)
-    assert len(HEADERS) - len(incomplete) >= 20
-    assert incomplete == ["kuka rsi", "two arms", "two efforts"]
-
-
 def test_a_reference_that_does_not_move_as_the_position_and_a_speed_that_is_none_are_not_taken(tmp_path):
-    columns = {"t": "t", "q{1}": "q", "q_ref{1}": "other", "dq{1}": "acc", "tau{1}": "tau"}
-    header = Header(tool="wrong names", columns=columns, truth={}, units={})
-    write(tmp_path / "x.csv", header)
+    write(tmp_path / "x.csv", Header(tool="wrong names", columns="t t; q{1} q; q_ref{1} other; dq{1} acc; tau{1} tau"))
     text = propose_map(tmp_path / "x.csv", None)
     assert tomllib.loads(text)["reference"]["columns"] == [FILL_IN]
     assert "velocity" not in tomllib.loads(text)
@@ -279,24 +224,22 @@ Endtime of export{0}133238090049920000{0}Monday, March 20, 2023{0}19:03:24.992
 """
 
 
-@pytest.mark.parametrize("separator", ["\t", ";"])
-@pytest.mark.parametrize("times", ["one", "each"])
-def test_an_export_of_twincat_scope(tmp_path, monkeypatch, capsys, separator, times):
+@pytest.mark.parametrize(("separator", "each"), [("\t", True), (";", False)])
+def test_an_export_of_twincat_scope(tmp_path, monkeypatch, capsys, separator, each):
     """Above the table are lines on the project and the channels; each channel may have its own times."""
-    header = Header(tool="", columns={}, truth={}, units={}, step=2.0, unit="ms", joints=2, scale=57.3)
+    header = Header(tool="", columns="", step=2.0, unit="ms", joints=2, angle="deg")
     given, names, columns = values(header), [], []
     for j in range(2):
         for name, x in (("ActPos", given["q"]), ("SetPos", given["ref"]), ("ActTorque", given["tau"])):
             names.append(f"Axis {j + 1}.{name}")
-            columns += [2.0 * np.arange(len(x))] * (times == "each" or not columns) + [x[:, j]]
+            columns += [2.0 * np.arange(len(x))] * (each or not columns) + [x[:, j]]
     pairs = {"Name": names, "SymbolComment": [""] * 6, "Data-Type": ["REAL64"] * 6, "SampleTime[ms]": ["2"] * 6}
     lines = [
-        separator.join(x for k, text in enumerate(texts) for x in (*[key] * (times == "each" or not k), text))
+        separator.join(x for k, text in enumerate(texts) for x in (*[key] * (each or not k), text))
         for key, texts in pairs.items()
     ]
     rows = [separator.join(f"{x:.9g}".replace(".", ",") for x in row) for row in zip(*columns, strict=True)]
-    text = SCOPE.format(separator) + "\n".join([*lines, "", *rows, "EOF", ""])
-    (tmp_path / "x.csv").write_text(text)
+    (tmp_path / "x.csv").write_text(SCOPE.format(separator) + "\n".join([*lines, "", *rows, "EOF", ""]))
     description = robot_of(header).files["robot.toml"]
     (tmp_path / "robot.toml").write_bytes(description.replace(b'effort_unit = "A"', b'effort_unit = "N m"'))
     monkeypatch.chdir(tmp_path)
@@ -304,9 +247,8 @@ def test_an_export_of_twincat_scope(tmp_path, monkeypatch, capsys, separator, ti
     assert main(command) == 0
     proposed = (tmp_path / "x.map.toml").read_text()
     assert tomllib.loads(proposed)["time"]["unit"] == "ms"
-    (tmp_path / "x.map.toml").write_text(
-        proposed.replace('unit = "FILL IN"', 'unit = "N m"').replace('side = "FILL IN"', 'side = "joint"')
-    )
+    stated = proposed.replace('unit = "FILL IN"', 'unit = "N m"').replace('side = "FILL IN"', 'side = "joint"')
+    (tmp_path / "x.map.toml").write_text(stated)
     assert main(command) == 0
     assert "x.mcap: arm, 600 samples at 500 Hz, effort in N m, with reference\n" in capsys.readouterr().out
     samples = read_recording(tmp_path / "x.mcap").samples
@@ -322,17 +264,14 @@ def test_uneven_times_are_interpolated_and_a_time_that_fits_two_units_is_open(tm
     assert tomllib.loads(propose_map(tmp_path / "x.csv", None))["time"]["unit"] == FILL_IN
 
 
-def test_lines_of_units_below_the_names_are_skipped(tmp_path):
+def test_lines_of_units_below_the_names_are_skipped_and_without_names_all_is_open(tmp_path):
     rows = "".join(f"{0.01 * k:.2f};{np.sin(k):.6f};1\n" for k in range(300))
-    (tmp_path / "x.csv").write_text("t;q;tau\ns;rad;Nm\nLREAL;LREAL;LREAL\n" + rows)
-    with_units = propose_map(tmp_path / "x.csv", None)
-    (tmp_path / "x.csv").write_text("t;q;tau\n" + rows)
-    assert with_units == propose_map(tmp_path / "x.csv", None)
-    assert tomllib.loads(with_units)["position"]["columns"] == ["q"]
-
-
-def test_a_table_without_a_header_leaves_all_open(tmp_path):
-    (tmp_path / "x.csv").write_text("0,1,2\n1,2,3\n2,3,4\n")
-    proposed = tomllib.loads(propose_map(tmp_path / "x.csv", None))
-    assert [proposed[table]["columns"] for table in (POSITION, EFFORT)] == [[FILL_IN]] * 2
-    assert proposed["sample_rate_hz"] == FILL_IN
+    proposed = []
+    for head in ("t;q;tau\ns;rad;Nm\nLREAL;LREAL;LREAL\n", "t;q;tau\n", ""):
+        (tmp_path / "x.csv").write_text(head + rows)
+        proposed.append(propose_map(tmp_path / "x.csv", None))
+    assert proposed[0] == proposed[1]
+    named, unnamed = map(tomllib.loads, proposed[1:])
+    assert named["position"]["columns"] == ["q"]
+    assert [unnamed[table]["columns"] for table in (POSITION, EFFORT)] == [[FILL_IN]] * 2
+    assert unnamed["sample_rate_hz"] == FILL_IN

@@ -3,13 +3,10 @@
 import numpy as np
 import pytest
 from conftest import needs_data
-from hypothesis import given
-from hypothesis import strategies as st
 from made_up_buses import block, bus_of, bus_text, counts, flat, frame, robot_of, session
 
 from acquisition.errors import BadInputError
-from acquisition.recording import ERROR, EXTENDED, FRAME, REMOTE_REQUEST, Decoded, decode, gaps, written_by_master
-from acquisition.recording.rows import unwrap
+from acquisition.recording import ERROR, EXTENDED, REMOTE_REQUEST, Decoded, decode, gaps, written_by_master
 from acquisition.robot import resolve
 
 ROBOT = robot_of(bus_text())
@@ -55,39 +52,28 @@ def test_missing_duplicate_and_short_pdos():
     right(found, lost=(10, 30))
     assert [(p.duplicate, p.missing, p.short) for p in found.pdos] == [(0, 2, 1), (1, 0, 0)]
     assert found.warnings[0] == "2 samples are missing in 2 gaps"
-
-
-@pytest.mark.parametrize("sync_recorded", [True, False])
-def test_syncs_without_a_sample_are_counted(sync_recorded):
-    """Also beside one that was not recorded, but has its sample."""
-    intervals = session()
-    del intervals[10][1]
-    if not sync_recorded:
-        del intervals[30][0]
+    # A SYNC without a sample is counted, also beside one that was not recorded, but has its sample.
+    assert (found.counters["uncertain"], found.syncs_lost) == (2, 0)
+    del intervals[40][0]
     found = decoded(intervals)
-    right(found, lost=(10,))
-    assert found.counters["uncertain"] == 1
-    assert found.syncs_lost == (not sync_recorded)
-    assert ("1 SYNC were answered but not recorded" in found.warnings) is not sync_recorded
+    right(found, lost=(10, 30))
+    assert (found.counters["uncertain"], found.syncs_lost) == (2, 1)
+    assert "1 SYNC were answered but not recorded" in found.warnings
 
 
 def test_a_drive_that_starts_later_and_one_that_ends_earlier():
-    intervals = session()
-    for k in range(5):
-        del intervals[k][1]
-    for k in range(45, 50):
-        del intervals[k][2]
-    right(decoded(intervals), first=5, lost=tuple(range(45, 50)))
+    frames = flat(session())
+    rows = np.arange(len(frames))
+    out = (rows < 15) & (frames["can_id"] == 0x181) | (rows >= 135) & (frames["can_id"] == 0x182)
+    right(decode(frames[~out], ROBOT, BUS, "log"), first=5, lost=tuple(range(45, 50)))
 
 
 def test_frames_of_others_do_not_matter():
-    clean = flat(session())
     noise = []
-    for k in range(50):
-        t = 1_000_000_000 + k * 2_000_000
+    for t in range(1_000_000_000, 1_100_000_000, 2_000_000):
         noise += [frame(t + 1, 0x181, b"12345678", flag) for flag in (EXTENDED, ERROR, REMOTE_REQUEST)]
         noise += [frame(t + 2, 0x701, b"\5"), frame(t + 3, 0x581, bytes(8)), frame(t + 4, 0x80, b"", EXTENDED)]
-    both = np.concatenate([clean, block(noise)])
+    both = np.concatenate([flat(session()), block(noise)])
     found = decode(both[np.argsort(both["time_ns"], kind="stable")], ROBOT, BUS, "log")
     right(found)
     assert found.warnings == ()
@@ -96,22 +82,19 @@ def test_frames_of_others_do_not_matter():
 @pytest.mark.parametrize("way", [1, -1])
 def test_a_period_that_is_not_the_described_one_is_refused(way):
     """By more than 5 %, and warned of by more than 1 %."""
-    warned = decode(flat(session(period_ns=2_000_000 + way * 98_000)), ROBOT, BUS, "log")
+    warned = decoded(session(period_ns=2_000_000 + way * 98_000))
     assert warned.warnings[0].endswith("ms: expected 2 ms as robot.toml says")
-    off_ns = 2_000_000 + way * 102_000
     with pytest.raises(BadInputError) as caught:
-        decode(flat(session(period_ns=off_ns)), ROBOT, BUS, "log")
-    told, expected = str(caught.value), f"expected {off_ns * 1e-9:.3g};"
-    assert told.startswith(
-        f"log: SYNC came every {off_ns * 1e-6:.4g} ms; bus.sync_period_s = 0.002 in robot.toml: {expected}"
-    )
+        decoded(session(period_ns=2_000_000 + way * 102_000))
+    assert str(caught.value).startswith(f"log: SYNC came every {2 + way * 0.102:.4g} ms; bus.sync_period_s = 0.002 in ")
+    assert caught.value.expected.startswith(f"{2e-3 + way * 102e-6:.3g};")
 
 
 def test_a_pause_of_sync_is_no_other_period():
     """Half of the session's time is one pause: its samples show a gap, and their rate is what it was."""
-    intervals = [[frame(f[0] + 100_000_000 * (k >= 25), *f[1:2], f[4].tobytes()[: f[2]], f[3]) for f in rows]
-                 for k, rows in enumerate(session())]  # fmt: skip
-    found = decoded(intervals)
+    frames = flat(session())
+    frames["time_ns"][75:] += 100_000_000
+    found = decode(frames, ROBOT, BUS, "log")
     assert found.period_s == pytest.approx(0.002, rel=1e-9)
     assert found.jitter_s == pytest.approx((0, 0), abs=1e-9)
     (gap,) = gaps(found.samples, 500.0)
@@ -123,24 +106,14 @@ def test_a_pause_of_sync_is_no_other_period():
 @pytest.mark.parametrize("way", [1, -1])
 def test_a_counter_that_wraps_goes_on(way, at_once, monkeypatch):
     """Drive 1 comes to the end of 32 bits at SYNC 20, and its targets one SYNC earlier; back again at 40."""
-
-    def value(k: int) -> int:
-        return way * (2**31 + 10 - abs(30 - k))
-
-    def wrapped(counts: int) -> bytes:
-        return (counts % 2**32).to_bytes(4, "little")
-
+    values = [way * (2**31 + 10 - abs(30 - k)) for k in range(51)]
     monkeypatch.setattr("acquisition.recording.decoding._AT_ONCE", at_once)
-
-    intervals = session(targets=True)
-    for k, rows in enumerate(intervals):
-        t, _, _, flags, data = rows[1]
-        rows[1] = frame(t, 0x181, data.tobytes()[:2] + wrapped(value(k)) + data.tobytes()[6:], flags)
-        t, _, _, flags, data = rows[3]
-        rows[3] = frame(t, 0x201, data.tobytes()[:2] + wrapped(value(k + 1)), flags)
-    found = decoded(intervals)
-    codec = BUS.drives[0].position_codec
-    expected = codec.si(np.array([value(k) for k in range(50)])) / 50
+    frames = flat(session(targets=True))
+    for can_id, theirs in ((0x181, values[:-1]), (0x201, values[1:])):
+        words = (np.array(theirs) % 2**32).astype("<u4").view(np.uint8).reshape(-1, 4)
+        frames["data"][frames["can_id"] == can_id, 2:6] = words
+    found = decode(frames, ROBOT, BUS, "log")
+    expected = BUS.drives[0].position_codec.si(np.array(values[:-1])) / 50
     assert found.samples["position"][:, 0] == pytest.approx(expected, rel=1e-12)
     assert found.samples["reference"][:, 0] == pytest.approx(expected, rel=1e-12)
     first_s = 0.04 if way == 1 else 0.042  # -2^31 is still held
@@ -148,39 +121,23 @@ def test_a_counter_that_wraps_goes_on(way, at_once, monkeypatch):
     assert found.warnings == (told,)
 
 
-@given(st.lists(st.integers(-(2**31) + 1, 2**31 - 1), min_size=1, max_size=20), st.integers(-(2**31), 2**31 - 1))
-def test_what_wrapped_is_unwrapped(steps, start):
-    counts = np.cumsum([start, *steps])
-    found, rows = unwrap((counts + 2**31) % 2**32 - 2**31, 32)
-    assert found.tolist() == counts.tolist()
-    assert rows.tolist() == (np.flatnonzero(np.diff((counts + 2**31) // 2**32)) + 1).tolist()
-
-
 @pytest.mark.parametrize(
-    ("frames", "expected"),
-    [
-        (np.zeros(0, FRAME), "log: 0 SYNC"),
-        (flat(session(1)), "no frame 0x182 of 8 bytes"),
-        (flat(session(2, 1)), "log: 1 SYNC"),
-    ],
+    ("intervals", "expected"),
+    [([], "log: 0 SYNC"), (session(1), "no frame 0x182 of 8 bytes"), (session(2, 1), "log: 1 SYNC")],
 )
-def test_what_cannot_be_decoded(frames, expected):
+def test_what_cannot_be_decoded(intervals, expected):
     with pytest.raises(BadInputError, match=expected):
-        decode(frames, ROBOT, BUS, "log")
-
-
-def third_party_log() -> np.ndarray:
-    lines = needs_data("can_logs", "third_party_2drives.log").read_text().split("\n")
-    rows = []
-    for time, _, text in (line.split() for line in lines if line):
-        can_id, _, data = text.partition("#")
-        rows.append(frame(int(time[1:-1].replace(".", "")) * 1000, int(can_id, 16), bytes.fromhex(data)))
-    return block(rows)
+        decoded(intervals)
 
 
 def test_traffic_of_a_third_party_is_decoded_exactly():
     """Mapping out of the master's SDO writes; three PDOs came after the next SYNC; the motion is known."""
-    frames = third_party_log()
+    rows = []
+    for line in needs_data("can_logs", "third_party_2drives.log").read_text().splitlines():
+        time, _, text = line.split()
+        can_id, _, data = text.partition("#")
+        rows.append(frame(int(time[1:-1].replace(".", "")) * 1000, int(can_id, 16), bytes.fromhex(data)))
+    frames = block(rows)
     text = bus_text(2, period_s=0.01, ratio=1.0, drive='mapping = "traffic"').replace("65536", "6553600")
     robot = robot_of(text.replace("node = 1\n", "node = 5\n").replace("node = 2\n", "node = 6\n"))
     bus = resolve(robot, "robot.toml", written_by_master(frames))

@@ -1,6 +1,7 @@
 """A recording is read while it is written: the same rows as when it is whole, and one line where it cannot go on."""
 
 import os
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -21,15 +22,11 @@ BUS = bus_of(ROBOT)
 
 def late_by(intervals: list[list[object]], by: np.ndarray, node: int) -> Block:
     """Frames where the PDO of a node for SYNC k comes `by[k]` intervals later, in order; at the end all are there."""
-    rows: list[list[object]] = [[row for row in interval if row[1] != 0x180 + node] for interval in intervals]  # type: ignore[index]
-    last = len(intervals) - 1
-    for k, to in enumerate(np.minimum(np.maximum.accumulate(np.arange(last + 1) + by), last).tolist()):
-        (pdo,) = (row for row in intervals[k] if row[1] == 0x180 + node)  # type: ignore[index]
-        sync_ns = intervals[to][0][0]  # type: ignore[index]
-        rows[to].append((sync_ns + 100_000 + 10 * k % 90_000, *pdo[1:]))  # type: ignore[index]
-    for interval in rows:
-        interval.sort(key=lambda row: row[0])  # type: ignore[index]
-    return flat(rows)
+    frames = flat(intervals)
+    sync_ns, theirs = frames["time_ns"][frames["can_id"] == 0x80], frames["can_id"] == 0x180 + node
+    k = np.arange(len(by))
+    frames["time_ns"][theirs] = sync_ns[np.minimum(np.maximum.accumulate(k + by), k[-1])] + 100_000 + 10 * k % 90_000
+    return frames[np.argsort(frames["time_ns"], kind="stable")]
 
 
 def tenths(frames: Block) -> list[int]:
@@ -55,17 +52,16 @@ def shown(path: Path, frames: Block) -> Block:
     return np.concatenate([f.rows for f in written(path, frames, tenths(frames)) if f.rows is not None])
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=6, deadline=None)
 @given(st.integers(0, 2**32), st.sampled_from([0.0, 0.02, 0.3]), st.booleans())
 def test_rows_are_those_of_the_whole_recording(tmp_path_factory, seed, share, targets):
     """Late PDOs at the borders of blocks included, to the bit."""
     rng = np.random.default_rng(seed)
-    intervals = session(syncs=1500, targets=targets)
-    by = rng.integers(1, 4, 1500) * (rng.random(1500) < share)
-    frames = late_by(intervals, by, 2)
+    by = rng.integers(1, 4, 800) * (rng.random(800) < share)
+    frames = late_by(session(syncs=800, targets=targets), by, 2)
     rows = shown(tmp_path_factory.mktemp("follow") / "log.mcap", frames)
     whole = decode(frames, ROBOT, BUS, "log").samples
-    assert len(whole) == 1500
+    assert len(whole) == 800
     assert rows.tobytes() == whole.tobytes()
 
 
@@ -89,40 +85,15 @@ def test_a_drive_late_for_long_waits_and_is_in_order(tmp_path):
     assert rows.tobytes() == decode(frames, ROBOT, BUS, "log").samples.tobytes()
 
 
-@pytest.mark.parametrize("seed", range(6))
-def test_where_frames_are_lost_no_other_row_is_shown(tmp_path, seed):
-    rng = np.random.default_rng(seed)
-    frames = late_by(session(syncs=1500), rng.integers(1, 4, 1500) * (rng.random(1500) < 0.02), 2)
-    kept = np.ones(len(frames), bool)
-    for at in rng.integers(0, len(frames), 6):
-        kept[at : at + rng.integers(1, 12)] = False
-    frames = frames[kept]
-    rows = shown(tmp_path / "log.mcap", frames)
-    whole = decode(frames, ROBOT, BUS, "log").samples
-    both, here, there = np.intersect1d(rows["stamp_ns"], whole["stamp_ns"], return_indices=True)
-    assert len(both) > 0.95 * len(whole)
-    np.testing.assert_array_equal(rows["position"][here], whole["position"][there])
-
-
 def test_a_counter_that_wraps_in_dropped_frames_counts_on(tmp_path):
-    robot, frames = robot_of(bus_text(2)), flat(session(syncs=3000))
+    frames = flat(session(syncs=1500))
     pdo = (frames["can_id"] > 0x180) & (frames["can_id"] < 0x200)
-    values = np.ascontiguousarray(frames["data"]).view([("status", "<u2"), ("position", "<i4"), ("effort", "<i2")])[
-        :, 0
-    ]
-    values["position"][pdo] += 2**31 - 1 - 5000
-    frames["data"] = values.view(np.uint8).reshape(-1, 8)
+    payload = frames["data"].view([("status", "<u2"), ("position", "<i4"), ("effort", "<i2")])[:, 0]
+    payload["position"][pdo] += 2**31 - 1 - 5000
     rows = shown(tmp_path / "log.mcap", frames)
-    whole = decode(frames, robot, BUS, "log")
+    whole = decode(frames, ROBOT, BUS, "log")
     assert any("wrapped" in text for text in whole.warnings)
     np.testing.assert_allclose(rows["position"], whole.samples["position"], rtol=1e-12)
-
-
-def begun(path: Path) -> tuple[RecordingWriter, RecordingFollower]:
-    writer = RecordingWriter(path, header(ROBOT, 500.0))
-    writer.frames("can0", flat(session(syncs=100)))
-    writer.flush()
-    return writer, RecordingFollower(path)
 
 
 @pytest.mark.parametrize(
@@ -130,21 +101,22 @@ def begun(path: Path) -> tuple[RecordingWriter, RecordingFollower]:
     [
         (lambda path: path.unlink(), "is gone"),
         (lambda path: os.truncate(path, 100), "was cut"),
-        (lambda path: (path.with_suffix(".new").write_bytes(path.read_bytes()), path.with_suffix(".new").rename(path)),
-         "was replaced"),
-        (lambda path: path.write_bytes(path.read_bytes() + b"\x06" + (9).to_bytes(8, "little") + b"not chunk"), "damaged at"),
+        (lambda path: Path(shutil.copy(path, path.with_suffix(".new"))).rename(path), "was replaced"),
+        (lambda path: path.write_bytes(path.read_bytes() + b"\x06\x09" + bytes(7) + b"not chunk"), "damaged at"),
     ],
-)  # fmt: skip
+)
 def test_a_file_that_cannot_be_followed_any_more(tmp_path, harm, text):
     path = tmp_path / "log.mcap"
-    writer, follower = begun(path)
-    assert follower.read() is False or follower.rows is not None
-    harm(path)
-    with pytest.raises(BadInputError, match=text) as raised:
-        follower.read()
+    with RecordingWriter(path, header(ROBOT, 500.0)) as writer:
+        writer.frames("can0", flat(session(syncs=100)))
+        writer.flush()
+        follower = RecordingFollower(path)
+        assert follower.read() is False or follower.rows is not None
+        harm(path)
+        with pytest.raises(BadInputError, match=text) as raised:
+            follower.read()
     assert str(raised.value).startswith(f"{path}: ")
     assert "\n" not in str(raised.value)
-    writer.close()
 
 
 def test_half_a_record_is_awaited(tmp_path):

@@ -3,9 +3,11 @@
 import json
 import struct
 import zlib
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import IO, Any
 
 import numpy as np
@@ -17,16 +19,15 @@ from mcap.writer import Writer
 from acquisition.bus import WallClock
 from acquisition.errors import BadInputError
 from acquisition.importing import import_recording
-from acquisition.recording import FRAME, read_recording
+from acquisition.recording import FRAME, Block, read_recording
 from acquisition.recording import content as mcap_content
-from acquisition.robot import Robot
 from acquisition.session import Recorder, process
 
 
 def test_a_cut_at_any_byte_leaves_a_prefix_or_one_line(whole, tmp_path):
     data, full = whole.read_bytes(), read_recording(whole)
     rng = np.random.default_rng(2)
-    cuts = sorted({*range(40), *range(len(data) - 40, len(data)), *rng.integers(0, len(data), 500).tolist()})
+    cuts = sorted({*range(20), *range(len(data) - 20, len(data)), *rng.integers(0, len(data), 120).tolist()})
     lengths = []
     for length in cuts:
         (tmp_path / "cut.mcap").write_bytes(data[:length])
@@ -38,34 +39,26 @@ def test_a_cut_at_any_byte_leaves_a_prefix_or_one_line(whole, tmp_path):
         assert is_prefix(part, full)
         assert (part.metadata, part.attachments) == (full.metadata, full.attachments)
         lengths.append(0 if part.samples is None else len(part.samples))
+    for length in cuts[80:-20:8]:
+        (tmp_path / "cut.mcap").write_bytes(data[: min(length, len(data) - 600)] + bytes(4096))  # unwritten disk space
+        part = read_recording(tmp_path / "cut.mcap")
+        assert part.cut
+        assert is_prefix(part, full)
     assert lengths == sorted(lengths)  # a longer file never tells less
     assert set(lengths) == {0, 40, 80, 120, 160, 200, 240}  # each flush counts
 
 
-def test_unwritten_disk_space_behind_a_cut_is_a_cut(whole, tmp_path):
-    data, full = whole.read_bytes(), read_recording(whole)
-    for length in range(3000, len(data) - 600, 997):
-        (tmp_path / "cut.mcap").write_bytes(data[:length] + bytes(4096))
-        part = read_recording(tmp_path / "cut.mcap")
-        assert part.cut
-        assert is_prefix(part, full)
-
-
 def spoilt(path: Path, data: bytearray, place: int, bit: int) -> Path:
     """A file of the data with one bit changed."""
-    data[place] ^= bit
-    path.write_bytes(data)
-    data[place] ^= bit
+    path.write_bytes(data[:place] + bytes([data[place] ^ bit]) + data[place + 1 :])
     return path
 
 
 def test_a_flipped_bit_is_an_error_or_changes_nothing(whole, tmp_path):
     data, full = bytearray(whole.read_bytes()), read_recording(whole)
-    rng = np.random.default_rng(3)
-    refused = 0
-    places = [*range(60), *range(len(data) - 60, len(data)), *rng.integers(0, len(data), 1000).tolist()]
-    for place in places:
-        bit = 1 << int(rng.integers(8))
+    rng, refused = np.random.default_rng(3), 0
+    places = [*range(60), *range(len(data) - 60, len(data)), *rng.integers(0, len(data), 250).tolist()]
+    for place, bit in zip(places, (1 << rng.integers(8, size=len(places))).tolist(), strict=True):
         found = attempt(spoilt(tmp_path / "bad.mcap", data, place, bit))
         refused += isinstance(found, str)
         assert isinstance(found, str) or same(found, full), f"byte {place} bit {bit}"
@@ -107,7 +100,7 @@ def test_recovers_a_cut_file(robot, tmp_path, with_frames):
 
 def test_what_unpacks_to_too_much_is_refused(tmp_path, robot, whole, monkeypatch):
     with (tmp_path / "bomb.mcap").open("wb") as file:
-        writer = described(file, robot)
+        writer = described(file, GOOD, robot.files)
         channel = writer.register_channel("/samples", "numpy", writer.register_schema("x", "numpy", LAYOUT.encode()))
         writer.add_message(channel, 0, bytes(70 * 2**20), 0)
         writer.finish()
@@ -124,29 +117,22 @@ def record(
 ) -> None:
     """An MCAP file of our own making, that need not be a recording."""
     with path.open("wb") as file:
-        writer = Writer(file)
-        writer.start()
-        if metadata:
-            add_metadata(writer, metadata)
-        for name, content in attachments.items():
-            writer.add_attachment(0, 0, name, "", content)
+        writer = described(file, metadata, attachments)
         for topic, layout, content in messages:
             schema = writer.register_schema("x", "numpy", layout.encode())
             writer.add_message(writer.register_channel(topic, "numpy", schema), 5, content, 5)
         writer.finish()
 
 
-def add_metadata(writer: Writer, metadata: dict[str, str]) -> None:
-    crc = f"{zlib.crc32(json.dumps(sorted(metadata.items())).encode()):08x}"
-    writer.add_metadata("recording", {"crc32": crc, **metadata})
-
-
-def described(file: IO[bytes], robot: Robot) -> Writer:
+def described(file: IO[bytes], metadata: Mapping[str, str], attachments: Mapping[str, bytes]) -> Writer:
     """The beginning of a recording that is still to get its data, in one chunk."""
     writer = Writer(file, chunk_size=2**30)
     writer.start()
-    add_metadata(writer, GOOD)
-    writer.add_attachment(0, 0, "robot.toml", "", robot.files["robot.toml"])
+    if metadata:
+        crc = f"{zlib.crc32(json.dumps(sorted(metadata.items())).encode()):08x}"
+        writer.add_metadata("recording", {"crc32": crc, **metadata})
+    for name, content in attachments.items():
+        writer.add_attachment(0, 0, name, "", content)
     return writer
 
 
@@ -161,8 +147,7 @@ NOT_FINITE = struct.pack("<q4d", 0, 0.0, float("nan"), 0.0, 0.0)
     ("metadata", "messages", "message"),
     [
         ({}, [], "holds no metadata record 'recording': expected a recording"),
-        ({**GOOD, "schema_version": "3"}, [], "schema_version = 3: expected 2 at most; a newer robot-idim wrote"),
-        ({**GOOD, "schema_version": "99"}, [("/x", "", b"")], "schema_version = 99: expected 2 at most"),
+        ({**GOOD, "schema_version": "3"}, [("/x", "", b"")], "schema_version = 3: expected 2 at most; a newer robot-"),
         ({**GOOD, "schema_version": "one"}, [], "schema_version = 'one': expected a whole number"),
         ({**GOOD, "schema_version": "²"}, [], "schema_version = '²': expected a whole number"),
         ({**GOOD, "crc32": "00000000"}, [], "crc32 = '00000000': expected"),
@@ -174,7 +159,6 @@ NOT_FINITE = struct.pack("<q4d", 0, 0.0, float("nan"), 0.0, 0.0)
         (GOOD, [("/samples", LAYOUT, ROW[:-1])], "39 bytes: expected blocks of whole rows of 40 bytes"),
         (GOOD, [("/samples", LAYOUT, ROW[:-1]), ("/samples", LAYOUT, b"1")], "expected blocks of whole rows"),
         (GOOD, [("/samples", LAYOUT, ROW + ROW)], "row 2: stamp_ns = 0: expected growing stamps"),
-        (GOOD, [("/samples", LAYOUT, b"\xff" * 8 + ROW[8:])], "row 1: stamp_ns = -1: expected growing stamps"),
         (GOOD, [("/samples", LAYOUT, b"\xff" * 7 + b"\x7f" + ROW[8:])], "row 1: stamp_ns = 9223372036854775807"),
         (GOOD, [("/samples", LAYOUT, NOT_FINITE)], "row 1: position of joint 2 = nan: expected a finite number"),
         (GOOD, [("/samples", LAYOUT, ROW), ("/samples", "[]", ROW)], "/samples changes its layout"),
@@ -183,15 +167,14 @@ NOT_FINITE = struct.pack("<q4d", 0, 0.0, float("nan"), 0.0, 0.0)
         (GOOD, [("/can/a/frames", FRAMES_LAYOUT, bytes(7) + b"\xff" + bytes(14))], "time_ns = -72057594037927936"),
         (GOOD, [("/events", "", b'{"kind": 1}')], "/events: Expected `str`, got `int`"),
         (GOOD, [("/events", "", b"[" * 5000)], "/events: "),
-        (GOOD, [("/health", "", b'{"drops": "many"}')], "/health: Expected `float | null`"),
+        (GOOD, [("/health", "", b'{"drops": "many"}')], r"/health: Expected `float \| null`"),
     ],
 )
 def test_files_that_are_no_recording_are_refused_in_one_line(tmp_path, robot, metadata, messages, message):
-    path = tmp_path / "odd.mcap"
-    record(path, metadata, dict(robot.files), messages)
-    with pytest.raises(BadInputError, match=message.replace("| null", r"\| null")) as caught:
-        read_recording(path)
-    assert str(caught.value).startswith(str(path))
+    record(tmp_path / "odd.mcap", metadata, dict(robot.files), messages)
+    with pytest.raises(BadInputError, match=message) as caught:
+        read_recording(tmp_path / "odd.mcap")
+    assert str(caught.value).startswith(str(tmp_path / "odd.mcap"))
     assert "\n" not in str(caught.value)
 
 
@@ -201,23 +184,25 @@ def test_files_that_are_no_recording_are_refused_in_one_line(tmp_path, robot, me
         (lambda writer: writer.add_metadata("recording", GOOD), "damaged at byte .* a second metadata record 'recording'"),
         (lambda writer: writer.add_attachment(0, 0, "robot.toml", "", b""), r"a second attachment 'robot\.toml'"),
         (lambda writer: writer.add_message(7, 0, b"", 0), "a message on channel 7, which is not described"),
-        (lambda writer: writer.add_message(writer.register_channel("/x", "", 0), 0, b"", 0), None),
     ],
 )  # fmt: skip
-def test_what_stands_twice_or_belongs_to_nothing_is_damage_and_an_empty_channel_is_none(
-    tmp_path, robot, change, message
-):
+def test_what_stands_twice_or_belongs_to_nothing_is_damage(tmp_path, robot, change, message):
     with (tmp_path / "a.mcap").open("wb") as file:
-        writer = described(file, robot)
-        writer.register_channel("/samples", "numpy", writer.register_schema("x", "numpy", LAYOUT.encode()))
+        writer = described(file, GOOD, robot.files)
         change(writer)
         writer.finish()
-    if message is None:
-        recording = read_recording(tmp_path / "a.mcap")
-        assert (recording.samples, recording.frames) == (None, {})
-        return
     with pytest.raises(BadInputError, match=message):
         read_recording(tmp_path / "a.mcap")
+
+
+def test_an_empty_channel_is_none(tmp_path, robot):
+    with (tmp_path / "a.mcap").open("wb") as file:
+        writer = described(file, GOOD, robot.files)
+        writer.register_channel("/samples", "numpy", writer.register_schema("x", "numpy", LAYOUT.encode()))
+        writer.add_message(writer.register_channel("/x", "", 0), 0, b"", 0)
+        writer.finish()
+    recording = read_recording(tmp_path / "a.mcap")
+    assert (recording.samples, recording.frames) == (None, {})
 
 
 @pytest.mark.parametrize("content", [b"", b"time,q1\n0,1\n", b"\x89MCAP0\r", b"\x89HDF\r\n\x1a\n" * 50])
@@ -243,20 +228,17 @@ def test_no_file_a_folder_or_no_description(tmp_path, robot):
     assert read_recording(path).samples.tobytes() == ROW
 
 
-class Connection:
-    """The session's end of the recorder's pipe: it has these messages, and hears nothing."""
+def recorded(path: Path, messages: list[Any], receiver: SimpleNamespace, sync_ids: list[int]) -> Any:
+    """What the recorder's process makes of frames that `take` of the receiver makes up, and of the session's messages."""
+    recorder = Recorder(path, robot_of(bus_text()), source="x", place="robot.toml")
+    pipe: Any = SimpleNamespace(
+        poll=lambda timeout_s: bool(messages), recv=lambda: messages.pop(0), send=lambda message: None
+    )
+    return process._record(pipe, recorder, receiver, np.array(sync_ids, int), None)  # type: ignore[arg-type]
 
-    def __init__(self, messages: list[Any]) -> None:
-        self._messages = messages
 
-    def poll(self, timeout_s: float) -> bool:
-        return bool(self._messages)
-
-    def recv(self) -> Any:
-        return self._messages.pop(0)
-
-    def send(self, message: object) -> None:
-        pass
+def receiver_of(take: Callable[[], Block], sock: object = None) -> SimpleNamespace:
+    return SimpleNamespace(take=take, sock=sock, error=None, stopped=False, run=lambda: None)
 
 
 def test_rows_are_whole_where_the_clock_is_set_forward(tmp_path, monkeypatch):
@@ -264,28 +246,24 @@ def test_rows_are_whole_where_the_clock_is_set_forward(tmp_path, monkeypatch):
     before_ns, further_ns = 1_800_000_000_000, 3_600_000_000_000
     true, now, wall = flat(session(syncs=60)), [0], [before_ns]
     monkeypatch.setattr(process, "WallClock", partial(WallClock, lambda: now[0] + wall[0], lambda: now[0]))
-    messages: list[Any] = [("clock", 0)]
-
-    class Receiver:
-        error, sock, stopped = None, None, False
-        run = staticmethod(lambda: None)
-        blocks = iter(np.split(true, [50, 100]))
-
-        def take(self) -> Any:
-            block = next(self.blocks, true[:0]).copy()
-            if len(block):
-                now[0] = int(block["time_ns"][-1])
-            if len(block) > 0 and now[0] >= true["time_ns"][70]:
-                wall[0] = before_ns + further_ns
-                block["time_ns"][block["time_ns"] >= true["time_ns"][70]] += further_ns
-            elif not len(block) and not self.stopped:
-                messages.append(("stop", now[0]))
-            block["time_ns"] += before_ns
-            return block
-
     monkeypatch.setattr(process, "kernel_drops", lambda sock: 0)
-    recorder = Recorder(tmp_path / "a.mcap", robot_of(bus_text()), source="x", place="robot.toml")
-    done = process._record(Connection(messages), recorder, Receiver(), np.array([0x80]), None)  # type: ignore[arg-type]
+    messages: list[Any] = [("clock", 0)]
+    blocks = iter(np.split(true, [50, 100]))
+
+    def take() -> Block:
+        block = next(blocks, true[:0]).copy()
+        if len(block):
+            now[0] = int(block["time_ns"][-1])
+        elif not receiver.stopped:
+            messages.append(("stop", now[0]))
+        if len(block) and now[0] >= true["time_ns"][70]:
+            wall[0] = before_ns + further_ns
+            block["time_ns"][block["time_ns"] >= true["time_ns"][70]] += further_ns
+        block["time_ns"] += before_ns
+        return block
+
+    receiver = receiver_of(take)
+    done = recorded(tmp_path / "a.mcap", messages, receiver, [0x80])
     assert (done.samples, done.warnings) == (60, ())
     recording = read_recording(tmp_path / "a.mcap")
     assert recording.samples["stamp_ns"].tolist() == true["time_ns"][true["can_id"] == 0x80].tolist()
@@ -297,20 +275,15 @@ def test_rows_are_whole_where_the_clock_is_set_forward(tmp_path, monkeypatch):
 def test_drops_of_the_recorders_own_socket_stand_in_the_recording(tmp_path, monkeypatch):
     now, messages, dropping = [0], [], object()
 
-    class Receiver:
-        error, sock, stopped = None, dropping, False
-        run = staticmethod(lambda: None)
-
-        def take(self) -> Any:
-            now[0] += 600_000_000  # a status each time
-            if now[0] > 1_500_000_000:
-                messages.append(("stop", now[0]))
-            return np.zeros(0, FRAME)
+    def take() -> Block:
+        now[0] += 600_000_000  # a status each time
+        if now[0] > 1_500_000_000:
+            messages.append(("stop", now[0]))
+        return np.zeros(0, FRAME)
 
     monkeypatch.setattr(process, "WallClock", partial(WallClock, lambda: now[0], lambda: now[0]))
     monkeypatch.setattr(process, "kernel_drops", lambda sock: 7 if sock is dropping else 0)
-    recorder = Recorder(tmp_path / "a.mcap", robot_of(bus_text()), source="x", place="robot.toml")
-    process._record(Connection(messages), recorder, Receiver(), np.zeros(0, np.int64), None)  # type: ignore[arg-type]
+    recorded(tmp_path / "a.mcap", messages, receiver_of(take, dropping), [])
     health = read_recording(tmp_path / "a.mcap").health
     assert len(health) > 1
     assert {h.counters["kernel_drops"] for h in health} == {7}

@@ -12,34 +12,31 @@ from acquisition.robot import parse_homed, refuse_load, refuse_out_of_range, res
 
 
 def test_what_a_description_may_leave_out_and_its_pdos_are_one_each_way():
-    drive = bus_of(robot_of(bus_text())).drives[1]
-    assert [(p.can_id, str([str(e) for e in p.entries]), p.length) for p in (*drive.tpdos, *drive.rpdos)] == [
-        (0x182, "['6041:0', '6064:0', '6074:0']", 8),
-        (0x202, "['6040:0', '607A:0']", 6),
+    bus = bus_of(robot_of(bus_text()))
+    file, given, drive = bus.file, bus.file.drive[0], bus.drives[1]
+    assert [(p.can_id, entries(p), p.length) for p in (*drive.tpdos, *drive.rpdos)] == [
+        (0x182, ["6041:0", "6064:0", "6074:0"], 8),
+        (0x202, ["6040:0", "607A:0"], 6),
     ]
-    assert drive.effort.scale == pytest.approx(0.42e-3)
-    assert drive.rated == {0x6076: 420}
-    assert "torque demand" in drive.effort.provenance
-    assert "6074:0" in drive.effort.provenance
+    assert (drive.effort.scale, drive.rated) == (pytest.approx(0.42e-3), {0x6076: 420})
     actual = bus_of(robot_of(bus_text().replace("reference =", "actual ="))).drives[0]
     assert "the actual value instead of the reference" in actual.effort.provenance
-    bus = bus_of(robot_of(bus_text(1)))
-    file, drive = bus.file, bus.file.drive[0]
-    assert (drive.status, drive.control, drive.position, drive.target) == ("6041", "6040", "6064", "607A")
-    assert (drive.sign, drive.effort_sign, drive.zero_counts, drive.mapping) == (1, None, 0, "table")
-    assert (drive.rated_current_unit, drive.rated_torque_unit) == ("mA", "mN m")
+    assert (given.status, given.control, given.position, given.target) == ("6041", "6040", "6064", "607A")
+    assert (given.sign, given.effort_sign, given.zero_counts, given.mapping) == (1, None, 0, "table")
+    assert (given.rated_current_unit, given.rated_torque_unit) == ("mA", "mN m")
     assert (file.bitrate, file.sync_producer, file.sync_can_id, file.heartbeat_s) == (1_000_000, "recorder", 0x80, 0.1)
     assert file.loopback  # frames stay on this machine
     assert bus.period_ns == 2_000_000
 
 
 def test_a_rate_of_six_axes():
-    assert bus_of(robot_of(bus_text(6))).load == pytest.approx(0.7775)
-    bus = bus_of(robot_of(bus_text(6, period_s=0.001)))  # for a listener, who sends none of it
-    expected = "bus.sync_period_s = 0.001: 156% of 1000000 bit/s: expected 95% at most: 0.0016 s"
-    with pytest.raises(BadInputError, match=re.escape(expected)):
-        refuse_load(bus, "robot.toml")
-    refuse_load(bus_of(robot_of(bus_text(6))), "robot.toml")
+    bus = bus_of(robot_of(bus_text(6)))
+    assert bus.load == pytest.approx(0.7775)
+    refuse_load(bus, "robot.toml")
+    fast = bus_of(robot_of(bus_text(6, period_s=0.001)))  # for a listener, who sends none of it
+    with pytest.raises(BadInputError, match="156% of 1000000 bit/s") as caught:
+        refuse_load(fast, "robot.toml")
+    assert (caught.value.key, caught.value.expected[:20]) == ("bus.sync_period_s", "95% at most: 0.0016 ")
 
 
 CHANGES = [
@@ -80,7 +77,6 @@ OF_DRIVE = [
     ('tpdo = [{ objects = ["6041", "6064"] }, { objects = ["6074"], number = 1, can_id = 0x281 }]', "is used twice"),
     ('rpdo = [{ objects = ["6040"], can_id = 0x80 }]', "0x080: expected 0x181 to 0x57F"),
     ('rpdo = [{ objects = ["6040"], can_id = 0x601 }]', "rpdo 1 (mapping = 'table'): identifier 0x601: expected 0x181"),
-    ('rpdo = [{ objects = ["6040"], can_id = 0x701 }]', "identifier 0x701: expected 0x181 to 0x57F"),
     ('rpdo = [{ objects = ["6040"], can_id = 0x182 }]', "0x182 is that of a PDO of motor_1: expected one of its own"),
     ('rpdo = [{ objects = ["6040"], can_id = 0x800 }]', "expected `int` <= 2047"),
     ('rpdo = [{ objects = ["6040"], number = 5 }]', "can_id is missing"),
@@ -143,53 +139,50 @@ def test_ends_of_ranges(change):
 
 def test_targets_beyond_what_the_object_holds():
     robot = robot_of(bus_text(2).replace("node = 2\n", "node = 2\nsign = -1\n"))
-    bus = bus_of(robot)
-    most = (2**31 - 1) / 65536 / 50 * 2 * np.pi  # of joint 1, at a ratio of 50
+    bus, most = bus_of(robot), (2**31 - 1) / 65536 / 50 * 2 * np.pi  # of joint 1, at a ratio of 50
     path = np.zeros((5, 2))
-    path[3] = most * (1 - 1e-12), most * (1 - 1e-12)
+    path[3] = most * (1 - 1e-12)
     refuse_out_of_range(path, robot, bus, "x")
-    for column, value, told in (
-        (0, most * 1.001, "node 1 (motor_1) = 2149631"),
-        (1, most * 1.001, "node 2 (motor_2) = -2149631"),
-        (0, np.nan, "node 1 (motor_1) = nan counts"),
-        (1, 1e308, "node 2 (motor_2) = -inf counts"),
+    for target, told in (
+        ([most * 1.001, 0], "node 1 (motor_1) = 2149631"),
+        ([0, most * 1.001], "node 2 (motor_2) = -2149631"),
+        ([np.nan, 0], "node 1 (motor_1) = nan counts"),
+        ([0, 1e308], "node 2 (motor_2) = -inf counts"),
     ):
-        path[3] = 0.0
-        path[3, column] = value
-        with pytest.raises(BadInputError, match=re.escape(f"x: at 0.006 s: target of {told}")) as caught:
+        path[3] = target
+        with pytest.raises(BadInputError, match=re.escape(f"x: at 0.006 s: target of {told}")):
             refuse_out_of_range(path, robot, bus, "x")
-        assert str(caught.value).endswith("counts: expected -2147483648 to 2147483647")
 
 
 @pytest.mark.parametrize(
     ("kind", "unit", "counts", "expected"),
     [
-        ("revolute", '"A"', "counts_per_turn", None),
-        ("revolute", '"A"', "counts_per_m", "moves no prismatic joint: expected counts_per_turn"),
-        ("prismatic", '"A"', "counts_per_turn", None),  # a spindle
-        ("prismatic", '"A"', "counts_per_m", None),
-        ("prismatic", '"N"', "counts_per_m", None),
-        ("prismatic", '"N"', "counts_per_turn", "gives a force: expected counts_per_m"),
-        ("prismatic", '"N m"', "counts_per_m", "gives a torque: expected counts_per_turn"),
+        ("revolute", "A", "counts_per_turn", None),
+        ("revolute", "A", "counts_per_m", "moves no prismatic joint: expected counts_per_turn"),
+        ("prismatic", "A", "counts_per_turn", None),  # a spindle
+        ("prismatic", "A", "counts_per_m", None),
+        ("prismatic", "N", "counts_per_m", None),
+        ("prismatic", "N", "counts_per_turn", "gives a force: expected counts_per_m"),
+        ("prismatic", "N m", "counts_per_m", "gives a torque: expected counts_per_turn"),
     ],
 )
 def test_counts_per_turn_of_motors_that_turn(kind, unit, counts, expected):
-    rule = {'"A"': "mA", '"N"': "mN", '"N m"': "mN m"}[unit]
-    text = bus_text(1, drive=f'reference_rule = "{rule}"').replace('effort_unit = "N m"', f"effort_unit = {unit}")
+    text = bus_text(1, drive=f'reference_rule = "m{unit}"').replace('"N m"', f'"{unit}"')
     text = text.replace("counts_per_turn", counts).replace('"revolute"', f'"{kind}"')
-    text = "\n".join(line for line in text.split("\n") if kind == "revolute" or "_deg" not in line or "dh" in line)
+    if kind == "prismatic":
+        text = re.sub("^[a-z]+(_error)?_deg.*$", "", text, flags=re.MULTILINE)
     if expected is None:
         assert bus_of(robot_of(text)).drives[0].name == "motor_1"
     else:
         refused(text, expected)
 
 
-@pytest.mark.parametrize(
-    ("name", "key"), [("6064", (0x6064, 0)), ("60c2:2", (0x60C2, 2)), ("1018:10", (0x1018, 10)), ("2031:255", (0x2031, 255))]
-)  # fmt: skip
-def test_names_of_objects(name, key):
+def test_names_of_objects():
     """The index is hexadecimal, the sub-index decimal."""
-    assert parse_homed(name) == (*key, None)
+    assert parse_homed("6064") == (0x6064, 0, None)
+    assert parse_homed("60c2:2") == (0x60C2, 2, None)
+    assert parse_homed("1018:10") == (0x1018, 10, None)
+    assert parse_homed("2031:255") == (0x2031, 255, None)
 
 
 def entries(pdo) -> list[str]:

@@ -21,23 +21,24 @@ def robot_with(low: float = -150, high: float = 60, speed: float = 200, accelera
     return robot_of(f'{first}name = "joint_2"{second}')
 
 
-def told(q: np.ndarray, robot: Robot) -> str:
+def told(values: np.ndarray, robot: Robot) -> str:
+    """What is wrong with a motion of the second joint."""
     with pytest.raises(BadInputError) as caught:
-        check_limits(q, robot, PERIOD_S, "here")
+        check(values, robot)
     return str(caught.value)
 
 
-def second_joint(values: np.ndarray) -> np.ndarray:
-    return np.column_stack([np.zeros(len(values)), values])
+def check(values: np.ndarray, robot: Robot) -> None:
+    check_limits(np.column_stack([np.zeros(len(values)), values]), robot, PERIOD_S, "here")
 
 
 @pytest.mark.parametrize(("sign", "limit_deg"), [(1, 60.0), (-1, 150.0)])
 def test_positions_at_and_beyond_each_end(sign, limit_deg):
     """A slow ramp to the end and back passes; a billionth of the larger limit, 150 degrees, beyond it is rounding."""
     ramp = np.sin(np.linspace(0, np.pi, 5001)) ** 2 * sign
-    check_limits(second_joint(ramp * (limit_deg + 0.9e-9 * 150) * DEG), robot_with(), PERIOD_S, "here")
-    told(second_joint(ramp * (limit_deg + 1.1e-9 * 150) * DEG), robot_with())
-    beyond = told(second_joint(ramp * (limit_deg + 0.01) * DEG), robot_with())
+    check(ramp * (limit_deg + 0.9e-9 * 150) * DEG, robot_with())
+    told(ramp * (limit_deg + 1.1e-9 * 150) * DEG, robot_with())
+    beyond = told(ramp * (limit_deg + 0.01) * DEG, robot_with())
     # The first row beyond: where the sine squared is the share of the end in the way.
     k = int(np.ceil(np.arcsin(np.sqrt(limit_deg / (limit_deg + 0.01))) / np.pi * 5000))
     found = f"at {k * PERIOD_S:.4g} s: position of joint_2 = {sign * limit_deg * DEG:.4g} rad"
@@ -46,13 +47,12 @@ def test_positions_at_and_beyond_each_end(sign, limit_deg):
 
 @pytest.mark.parametrize("sign", [1, -1])
 def test_speed_on_each_side(sign):
-    """A ramp of 200 deg/s between rows that are at rest; the steps at its ends need acceleration, which is not limited here."""
+    """A ramp of 200 deg/s between rows at rest; the steps at its ends need acceleration, which is not limited here."""
     robot = robot_with(acceleration=1e9)
-    steps = np.r_[np.zeros(5), np.full(100, 200 * DEG * PERIOD_S), np.zeros(5)]
-    ramp = np.r_[0.0, np.cumsum(steps)]
-    check_limits(second_joint(sign * ramp), robot, PERIOD_S, "here")
+    ramp = sign * np.r_[0.0, np.cumsum(np.r_[np.zeros(5), np.full(100, 200 * DEG * PERIOD_S), np.zeros(5)])]
+    check(ramp, robot)
     expected = f"here: at 0.012 s: speed of joint_2 = {sign * 200.2 * DEG:.4g} rad/s: expected -3.491 to 3.491"
-    assert told(second_joint(sign * 1.001 * ramp), robot) == expected
+    assert told(1.001 * ramp, robot) == expected
 
 
 @pytest.mark.parametrize("sign", [1, -1])
@@ -62,42 +62,30 @@ def test_acceleration_on_each_side(sign, braking):
     a = 4000 * DEG
     gentle, steep = np.full(20, a / 2), np.full(10, 1.001 * a)
     up, down = (gentle, -steep) if braking else (steep, -gentle)
-    accelerations = np.r_[up, np.zeros(5), down]
-    speeds = np.r_[0.0, np.cumsum(accelerations) * PERIOD_S]
+    speeds = np.r_[0.0, np.cumsum(np.r_[up, np.zeros(5), down]) * PERIOD_S]
     speeds[-1] = 0.0
-    path = np.r_[0.0, 0.0, np.cumsum(speeds * PERIOD_S), 0.0]
+    path = sign * np.r_[0.0, 0.0, np.cumsum(speeds * PERIOD_S), 0.0]
     path[-1] = path[-2]
-    robot = robot_with(speed=1e6)
-    message = told(second_joint(sign * path), robot)
-    value = sign * (-1 if braking else 1) * 1.001 * a
-    assert f"acceleration of joint_2 = {value:.4g} rad/s²: expected -69.81 to 69.81" in message
-    check_limits(second_joint(sign * path / 1.002), robot, PERIOD_S, "here")
+    robot, value = robot_with(speed=1e6), sign * (-1 if braking else 1) * 1.001 * a
+    assert f"acceleration of joint_2 = {value:.4g} rad/s²: expected -69.81 to 69.81" in told(path, robot)
+    check(path / 1.002, robot)
 
 
 def test_a_reference_that_does_not_begin_or_end_at_rest():
     """The first and last step count from standstill: 0.1 rad at once are 25000 rad/s²."""
     robot = robot_with(speed=1e6, acceleration=1e6)
     for value in (np.nan, np.inf, -np.inf, 1e308):  # no number is within a limit
-        q = second_joint(np.array([0, 0, value, 0, 0]))
-        assert re.fullmatch(r"here: at 0.004 s: position of joint_2 = .*: expected -2.618 to 1.047", told(q, robot))
+        said = told(np.array([0, 0, value, 0, 0]), robot)
+        assert re.fullmatch(r"here: at 0.004 s: position of joint_2 = .*: expected -2.618 to 1.047", said)
     for path in (np.r_[0.0, np.full(9, 0.1)], np.r_[np.full(9, 0.0), 0.1]):
-        assert "acceleration of joint_2 = 2.5e+04 rad/s²" in told(second_joint(path), robot)
+        assert "acceleration of joint_2 = 2.5e+04 rad/s²" in told(path, robot)
 
 
-@pytest.mark.parametrize(
-    ("line", "quantity"),
-    [
-        ("position_deg = [-150, 150]\n", "position"),
-        ("speed_deg_s = 200\n", "speed"),
-        ("acceleration_deg_s2 = 4000\n", "acceleration"),
-        ("following_error_deg = 5\n", "following error"),
-    ],
-)
-def test_nothing_moves_without_limits(line, quantity):
-    robot = robot_of(bus_text(2).replace(line, "", 1))
-    assert told(np.zeros((3, 2)), robot) == (
-        f"here: joint[0] (joint_1): no limit of {quantity}: expected one in robot.toml before anything moves"
-    )
+@pytest.mark.parametrize("quantity", ["position", "speed", "acceleration", "following error"])
+def test_nothing_moves_without_limits(quantity):
+    text = re.sub(f"^{quantity.replace(' ', '_')}_deg.*$", "", bus_text(2), count=1, flags=re.MULTILINE)
+    said = told(np.zeros(3), robot_of(text))
+    assert said.startswith(f"here: joint[0] (joint_1): no limit of {quantity}: ")
 
 
 @pytest.mark.parametrize(
@@ -108,31 +96,20 @@ def test_nothing_moves_without_limits(line, quantity):
     ],
 )
 def test_an_approach_takes_a_tenth_of_the_limits(speed, acceleration, seconds):
-    robot = robot_with(speed=speed, acceleration=acceleration)
+    """From rest to rest, both joints together and in a straight line."""
     start, end = np.array([0.1, -80 * DEG]), np.array([0.05, 10 * DEG])
-    q = approach(start, end, robot, PERIOD_S)
-    assert q[0].tolist() == start.tolist()
-    assert q[-1] == pytest.approx(end, abs=1e-15)
+    q = approach(start, end, robot_with(speed=speed, acceleration=acceleration), PERIOD_S)
     assert (len(q) - 1) * PERIOD_S == pytest.approx(seconds, abs=2 * PERIOD_S)
-    dq = np.diff(np.r_[q[:1], q, q[-1:]], axis=0) / PERIOD_S
-    ddq = np.diff(dq, axis=0) / PERIOD_S
-    fastest = max(np.abs(dq[:, 1]).max() / (speed * DEG), np.abs(ddq[:, 1]).max() / (acceleration * DEG))
-    assert fastest == pytest.approx(0.1, rel=0.01)
-    # From rest to rest, monotonous, both joints together and in a straight line.
-    assert np.abs(ddq[[0, -1]]).max() < 0.05 * np.abs(ddq).max()
-    assert (np.diff(q[:, 1]) >= 0).all()
-    share = (q - start) / (end - start)
-    assert share[:, 0] == pytest.approx(share[:, 1], abs=1e-12)
-    assert share[len(q) // 2, 0] == pytest.approx(0.5, abs=0.01)
+    x = np.arange(len(q)) / (len(q) - 1)
+    assert q == pytest.approx(start + np.outer(10 * x**3 - 15 * x**4 + 6 * x**5, end - start), abs=1e-12)
 
 
 def test_a_joint_with_the_longest_way_sets_the_duration_of_an_approach():
-    robot = robot_with(speed=200, acceleration=1e6)
-    one = approach(np.zeros(2), np.array([1.0, 0.0]), robot, PERIOD_S)
-    other = approach(np.zeros(2), np.array([0.2, -1.0]), robot, PERIOD_S)
-    assert len(one) == pytest.approx(1.875 / (20 * DEG) / PERIOD_S, abs=2)
-    assert len(other) == pytest.approx(len(one), abs=1)
-    assert (len(approach(np.zeros(2), np.zeros(2), robot, PERIOD_S)) - 1) * PERIOD_S == pytest.approx(0.2)
+    robot, ends = robot_with(speed=200, acceleration=1e6), ([1.0, 0.0], [0.2, -1.0], [0.0, 0.0])
+    one, other, none = (len(approach(np.zeros(2), np.array(end), robot, PERIOD_S)) for end in ends)
+    assert one == pytest.approx(1.875 / (20 * DEG) / PERIOD_S, abs=2)
+    assert other == pytest.approx(one, abs=1)
+    assert (none - 1) * PERIOD_S == pytest.approx(0.2)
 
 
 def test_a_series_and_its_derivatives_by_hand():
@@ -146,35 +123,27 @@ def test_a_series_and_its_derivatives_by_hand():
     assert ddq[:, 0] == pytest.approx([0.8 * w**2, -0.3 * w**2 - 0.8 * w**2, 0.8 * w**2])
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_a_random_series_fills_eight_tenths_of_one_limit_and_none_more(seed):
-    robot = robot_with(low=-150, high=60, speed=100, acceleration=300)
-    for period_s in (1.0, 5.0, 60.0):
-        reference = fourier_reference(robot, period_s=period_s, seed=seed)
-        assert reference.sine.shape == reference.cosine.shape == (2, 5)
-        q, dq, ddq = reference.at(np.linspace(0, period_s, 20001))
-        for j, (low, high, speed, acceleration) in enumerate(((-150, 150, 200, 4000), (-150, 60, 100, 300))):
-            shares = (
-                np.ptp(q[:, j]) / ((high - low) * DEG),
-                np.abs(dq[:, j]).max() / (speed * DEG),
-                np.abs(ddq[:, j]).max() / (acceleration * DEG),
-            )
-            assert max(shares) == pytest.approx(0.8, rel=1e-3)
-            assert (q[:, j].max() + q[:, j].min()) / 2 == pytest.approx((low + high) / 2 * DEG, abs=1e-4)
-        # At rest at the beginning and at the end.
-        assert np.abs(dq[[0, -1]]).max() < 1e-9 * np.abs(dq).max()
-        assert np.abs(ddq[[0, -1]]).max() < 1e-9 * np.abs(ddq).max()
-        assert q[-1] == pytest.approx(q[0])
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("period_s", [1.0, 5.0, 60.0])
+def test_a_random_series_fills_eight_tenths_of_one_limit_and_none_more(seed, period_s):
+    """It is at rest at the beginning and at the end."""
+    reference = fourier_reference(robot_with(speed=100, acceleration=300), period_s=period_s, seed=seed)
+    assert reference.sine.shape == reference.cosine.shape == (2, 5)
+    q, dq, ddq = reference.at(np.linspace(0, period_s, 20001))
+    for j, (low, high, speed, acceleration) in enumerate(((-150, 150, 200, 4000), (-150, 60, 100, 300))):
+        used = np.ptp(q[:, j]), np.abs(dq[:, j]).max(), np.abs(ddq[:, j]).max()
+        assert max(np.array(used) / DEG / (high - low, speed, acceleration)) == pytest.approx(0.8, rel=1e-3)
+        assert (q[:, j].max() + q[:, j].min()) / 2 == pytest.approx((low + high) / 2 * DEG, abs=1e-4)
+    for x in (dq, ddq):
+        assert np.abs(x[[0, -1]]).max() < 1e-9 * np.abs(x).max()
+    assert q[-1] == pytest.approx(q[0])
 
 
 def test_a_random_series_of_a_joint_without_limits_of_speed_and_of_another_seed():
-    text = bus_text(1)
-    for line in ("speed_deg_s = 200", "acceleration_deg_s2 = 4000"):
-        text = text.replace(line, "")
-    reference = fourier_reference(robot_of(text), period_s=10.0, seed=3)
+    robot = robot_of(bus_text(1).replace("speed_deg_s = 200", "").replace("acceleration_deg_s2 = 4000", ""))
+    reference, again, other = (fourier_reference(robot, period_s=10.0, seed=seed) for seed in (3, 3, 4))
     q, _, _ = reference.at(np.linspace(0, 10, 20001))
     assert [q.min(), q.max()] == pytest.approx([-120 * DEG, 120 * DEG], abs=1e-4)
-    again, other = (fourier_reference(robot_of(text), period_s=10.0, seed=seed) for seed in (3, 4))
     assert again.sine.tolist() == reference.sine.tolist()
     assert other.sine.tolist() != reference.sine.tolist()
 
@@ -204,12 +173,10 @@ def test_a_table_is_a_spline_at_rest_at_its_ends(tmp_path):
     ("rows", "period_s", "expected"),
     [
         ("0,0,0", 0.002, "time_s: expected two rows or more, with growing times"),
-        ("0,0,0\n0,1,0", 0.002, "time_s: expected two rows or more, with growing times"),
         ("0,0,0\n1,1,0\n0.5,0,0", 0.002, "time_s: expected two rows or more, with growing times"),
         ("0,0,0\n1e-310,0,1\n1,0,0", 0.002, "rows 1e-310 s apart or more, positions up to 1: expected positions in rad"),
         ("0,0,0\n1,0,1e308\n2,0,-1e308", 0.002, "rows 1 s apart or more, positions up to 1e+308: expected positions"),
         ("0,0,0\n1e12,1,1", 0.002, "time_s: 1e+12 s from first to last: expected 86400 s at most, with SYNC every 0.002 s"),
-        ("0,0,0\n1e300,1,1", 0.002, "time_s: 1e+300 s from first to last: expected 86400 s at most"),
         ("-1e308,0,0\n1e308,1,1", 0.002, "time_s: inf s from first to last: expected 86400 s at most"),
         ("0,0,0\n86401,1,1", 1.0, "time_s: 86401 s from first to last: expected 86400 s at most"),
         ("0,0,0\n6000,1,1", 1e-4, "time_s: 6000 s from first to last: expected 5000 s at most, with SYNC every 0.0001"),
