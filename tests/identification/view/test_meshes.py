@@ -43,7 +43,7 @@ def meshes_drawn(path, tmp_path):
     return [bytes(c["Asset3D:blob"][0]) for c in shapes if "Asset3D:blob" in c]
 
 
-@pytest.mark.parametrize("name", ["meshes/l.stl", "package://arm/meshes/l.stl", "package://meshes/l.stl"])
+@pytest.mark.parametrize("name", ["meshes/l.stl", "package://arm/meshes/l.stl"])
 def test_a_recording_viewed_in_another_folder_has_its_meshes(name, tmp_path):
     robot = load_robot(described(tmp_path / "arm", name))
     path = recorded(tmp_path / "log.mcap", robot)
