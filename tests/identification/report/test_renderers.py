@@ -76,17 +76,6 @@ def test_markdown_takes_no_text_for_markup():
     assert rule == "|---|--:|--:|--:|"
 
 
-def test_a_wide_table_is_printed_whole_in_a_narrow_terminal(capsys, monkeypatch):
-    for name, value in (("COLUMNS", "40"), ("FORCE_COLOR", "1"), ("LINES", "50")):
-        monkeypatch.setenv(name, value)
-    numbers = [Number(1000.0 + k / 7, ".6f") for k in range(30)]
-    headings = columns(numbers=tuple(f"heading of {k}" for k in range(30)))
-    print_whole(Document(title="wide", sections=(Section(table=Table(columns=headings, rows=(tuple(numbers),))),)))
-    out = capsys.readouterr().out
-    assert "…" not in out
-    assert all(number.text in out for number in numbers)
-
-
 def test_a_row_has_a_cell_for_each_column():
     with pytest.raises(ValueError, match="a row of 1 cells in a table of 2 columns"):
         Table(columns=columns("a", "b"), rows=(("x",),))
