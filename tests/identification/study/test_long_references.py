@@ -4,15 +4,12 @@ from dataclasses import replace
 
 import msgspec
 import numpy as np
-import pytest
 from conftest import robot_named
 
 from identification.methods import Iteration, identify_iv
 from identification.model import InverseModel, base_parameters
 from identification.regression import Overrides, differentiate
 from identification.study import Noise, closed_loop, random_reference, study_truth
-
-LONG = (10.0, 300.0, 3600.0)
 
 
 def condition(name: str, duration_s: float) -> float:
@@ -26,9 +23,8 @@ def condition(name: str, duration_s: float) -> float:
     return float(np.linalg.cond(W))
 
 
-@pytest.mark.parametrize("name", ["emps", "scara"])
-def test_five_minutes_and_an_hour_excite_as_ten_seconds_do(name):
-    conditions = [condition(name, duration_s) for duration_s in LONG]
+def test_an_hour_excites_as_ten_seconds_do():
+    conditions = [condition("scara", duration_s) for duration_s in (10.0, 3600.0)]
     assert conditions[0] < 25
     np.testing.assert_allclose(conditions, conditions[0], rtol=0.02)
 
