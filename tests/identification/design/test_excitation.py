@@ -514,11 +514,6 @@ def test_the_page_shows_the_reference_between_its_limits(tx40_excitation, tmp_pa
                 assert (low[1][0], high[1][0]) == joint.si("position")
             elif j == 0:
                 assert [low[1][0], high[1][0]] == pytest.approx([-60.0, 60.0])
-        turns = np.array(file.moving[f"/robot/reference/joints/{j + 1}"]["Transform3D:quaternion"])[:, 0]
-        t_s = np.array([t.total_seconds() for t in file.moving[f"/robot/reference/joints/{j + 1}"]["time"]])
-        turned = np.abs(np.diff(found.reference.at(t_s)[0][:, j]))
-        share = np.abs((turns[1:] * turns[:-1]).sum(axis=1)).clip(max=1.0)
-        assert 2 * np.arccos(share) == pytest.approx(turned, abs=2e-3)
     marks = [mark for chart in interval_charts(found) for mark in chart.columns[0].marks]
     halves = [[mark.value for mark in marks if mark.color == color] for color in (ORANGE, GREY)]
     assert halves == [pytest.approx(found.half), pytest.approx(found.plain_half)]
@@ -526,12 +521,10 @@ def test_the_page_shows_the_reference_between_its_limits(tx40_excitation, tmp_pa
 
 def test_the_report_has_the_intervals_and_the_limits_in_use(tx40_excitation):
     _, found, _ = tx40_excitation
-    expected, limits = excitation_document(replace(found, warnings=("a warning",))).sections
+    expected, limits = excitation_document(found).sections
     first = expected.table.rows[0]
-    assert first[0] == "ZZ1R"
     halves = [1.96 * found.sigma[0], 1.96 * found.plain[0], found.plain[0] / found.sigma[0]]
-    assert [cell.exact for cell in first[2:5]] == pytest.approx(halves, rel=1e-4)
-    assert limits.warnings[-1] == "a warning"
+    assert [first[0], *(cell.exact for cell in first[2:5])] == ["ZZ1R", *(pytest.approx(x, rel=1e-4) for x in halves)]
     assert [row[0] for row in limits.table.rows] == [*(f"joint_{j}" for j in range(1, 7)), "motor motor_5"]
     assert limits.table.rows[0][4].exact == pytest.approx(80.0, abs=0.5)
 

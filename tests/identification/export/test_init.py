@@ -65,7 +65,7 @@ def test_the_parameters_give_the_torque_of_the_urdf(here, capsys, names):
 
 def test_init_writes_what_the_urdf_says_and_marks_the_rest(here, capsys):
     status, out, err = run(capsys, "init", "arm.urdf", "-o", "robot.toml")
-    text = (here / "robot.toml").read_text()
+    text, robot = (here / "robot.toml").read_text(), load_robot("robot.toml")
     assert (status, err) == (0, "")
     assert out.splitlines()[:6] == [
         "robot.toml: 3 joints of arm.urdf",
@@ -75,13 +75,10 @@ def test_init_writes_what_the_urdf_says_and_marks_the_rest(here, capsys):
         "locked at zero: finger: prismatic",
         "locked at zero: thumb: prismatic, mimics finger",
     ]
-    assert "#     thumb: prismatic, mimics finger\n" in text
-    for links in ("column", "arm, sensor", "beam, tool, left, right"):  # that move with one joint
-        assert f"\n# {links}\n" in text
-    robot = load_robot("robot.toml")
-    assert robot.name == "made up"
+    for line in ("#     thumb: prismatic, mimics finger", "# column", "# arm, sensor", "# beam, tool, left, right"):
+        assert f"\n{line}\n" in text  # links that move with one joint
     turn, slide = robot.joints[0], robot.joints[2]
-    assert turn.si("position") == pytest.approx((-2, 1.5), rel=1e-9)
+    assert (robot.name, turn.si("position")) == ("made up", pytest.approx((-2, 1.5), rel=1e-9))
     assert (turn.si("speed"), turn.effort_nm) == pytest.approx((3, 40), rel=1e-9)
     assert (slide.si("position"), slide.si("speed"), slide.effort_n) == ((0.1, 0.4), 0.5, 90)
     assert (robot.parameters["Fv1"], robot.parameters["Fc1"]) == (0.6, 0.25)
@@ -321,21 +318,38 @@ def test_a_link_without_mass_is_part_of_one_that_has_some(here, capsys):
     assert load_robot("robot.toml").parameters["M2"] == pytest.approx(0.4)
 
 
-def test_impossible_moments_are_noted_and_used(here, capsys):
-    flat = '<inertia ixx="0.02" ixy="0" ixz="0" iyy="0.03" iyz="0" izz="0.06"/>'
-    (here / "arm.urdf").write_text(urdf(arm=link("arm", inertia=flat)))
-    status, out, _ = run(capsys, "init", "arm.urdf", "-o", "robot.toml")
-    note = "note: link arm: principal moments 0.02, 0.03, 0.06 kg m²: impossible, one exceeds the sum of the others"
-    assert (status, note in out, f"# {note}" in (here / "robot.toml").read_text()) == (0, True, True)
+FLAT = '<inertia ixx="0.02" ixy="0" ixz="0" iyy="0.03" iyz="0" izz="0.06"/>'
+LOCKED = joint("flap", "floating", "base", "x") + joint("crank", "planar", "x", "y") + link("x") + link("y")
 
 
-def test_a_joint_that_is_locked_is_not_asked_for_limits_or_an_axis(here, capsys):
-    off = joint("flap", "floating", "base", "x") + joint("crank", "planar", "x", "y") + link("x") + link("y")
-    (here / "arm.urdf").write_text(urdf(off=off, finger=joint("finger", "revolute", "tool", "left", axis="0 0 0")))
-    status, out, _ = run(capsys, "init", "arm.urdf", *NAMES)
+@pytest.mark.parametrize(
+    ("changes", "options", "noted"),
+    [
+        (
+            {"arm": link("arm", inertia=FLAT)}, [],  # used as they are
+            ["# note: link arm: principal moments 0.02, 0.03, 0.06 kg m²: impossible, one exceeds the sum of the others"],
+        ),
+        (
+            {"off": LOCKED, "finger": joint("finger", "revolute", "tool", "left", axis="0 0 0")}, NAMES,  # no axis needed
+            ["#     flap: floating", "#     crank: planar", "#     finger: revolute"],
+        ),
+        # Two fingers that mimic nothing would be two chains of one length.
+        (
+            {"thumb": joint("right_finger", "prismatic", "tool", "right")}, [],
+            ["#     finger: prismatic", "#     right_finger: prismatic"],
+        ),
+    ],
+)  # fmt: skip
+def test_what_is_odd_or_locked_is_noted(here, capsys, changes, options, noted):
+    (here / "arm.urdf").write_text(urdf(**changes))
+    status, out, _ = run(capsys, "init", "arm.urdf", *options)
     assert status == 0
-    for name in ("flap: floating", "crank: planar", "finger: revolute"):
-        assert f"#     {name}\n" in out
+    assert all(f"{line}\n" in out for line in noted)
+
+
+def test_fingers_are_the_joints_where_there_is_nothing_else(here, capsys):
+    (here / "hand.urdf").write_text(f'<robot name="h">{PARTS["tool"]}{PARTS["left"]}{PARTS["finger"]}</robot>')
+    assert "1 joints of hand.urdf" in run(capsys, "init", "hand.urdf", "-o", "hand.toml")[1]
 
 
 @pytest.mark.parametrize(
@@ -377,12 +391,3 @@ def test_options_of_motors_that_do_not_go_together(here, capsys):
         assert refused(capsys, "init", "arm.urdf", *given).startswith(f"{key} = ")
     wrong = refused(capsys, "init", "arm.urdf", "--effort", "A", "--ratio", "1,2")
     assert "--ratio = 2 values: expected one, or 3 for turn, lift, slide" in wrong
-
-
-def test_fingers_are_named_and_left_out_unless_there_is_nothing_else(here, capsys):
-    """Two fingers that mimic nothing would be two chains of one length."""
-    (here / "arm.urdf").write_text(urdf(thumb=joint("right_finger", "prismatic", "tool", "right")))
-    out = run(capsys, "init", "arm.urdf", "-o", "robot.toml")[1]
-    assert "locked at zero: finger: prismatic\nlocked at zero: right_finger: prismatic\n" in out
-    (here / "hand.urdf").write_text(f'<robot name="h">{PARTS["tool"]}{PARTS["left"]}{PARTS["finger"]}</robot>')
-    assert "1 joints of hand.urdf" in run(capsys, "init", "hand.urdf", "-o", "hand.toml")[1]

@@ -117,14 +117,14 @@ def test_a_run_goes_on_where_the_last_one_stopped(fleet, tmp_path):
 def test_stored_fits_of_other_versions_open_or_are_made_again(fleet, tmp_path):
     (folder := tmp_path / "arm").mkdir()
     shutil.copy(fleet / "1.mcap", folder)
-    rows, fits = run(folder), list[str]()
+    rows = run(folder)
     (stored,) = (tmp_path / "store").iterdir()
     content = json.loads(stored.read_text())
     older = {"Fv1": {"value": 1.0, "low": 0.0, "high": 2.0, "unit": "N s/m"}}  # without its name
-    for count, change in ((0, {"folder": "arm"}), (1, {"parameters": older}), (2, {"file": 1})):
+    for change, made in (({"folder": "arm"}, 0), ({"parameters": older}, 1), ({"file": 1}, 1)):
+        fits = list[str]()
         stored.write_text(json.dumps({**content, **change}))
-        assert run(folder, fits.append) == rows
-        assert len(fits) == count
+        assert (run(folder, fits.append), len(fits)) == (rows, made)
 
 
 def test_recordings_of_a_folder_are_fitted_together_if_they_are_of_one_robot(fleet, tmp_path):

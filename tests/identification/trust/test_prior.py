@@ -7,6 +7,7 @@ from functools import cache
 import msgspec
 import numpy as np
 import pytest
+from command_runs import refused, run
 from hunt import fit_by_default, fit_by_least_squares
 from independent_robots import with_payload
 from independent_simulator import Imperfections, references, simulate
@@ -14,7 +15,6 @@ from independent_urdf import RATE_HZ, arm_of, robot_of
 from urdfs import SIX, six_joints
 
 from acquisition.robot import Payload
-from identification.commands import main
 from identification.methods import fit_document, fit_file
 from identification.model import InverseModel, base_parameters, base_prior
 from identification.report import to_markdown
@@ -46,15 +46,6 @@ def told(signals):
     return fit, line
 
 
-def test_the_arm_of_a_urdf_has_its_equations_of_motion():
-    model = InverseModel(robot_of(six_joints(), NAMES))
-    q, dq, ddq = np.random.default_rng(1).uniform(-2, 2, (3, 20, 6))
-    M, bias = arm_of(six_joints())[0].rigid(q, dq)
-    chi = np.zeros(model.p)
-    chi[model.of_links] = model.link_parameters().ravel()
-    np.testing.assert_allclose(model.regressor(q, dq, ddq) @ chi, (M @ ddq[..., None])[..., 0] + bias, atol=1e-11)
-
-
 def test_the_prior_is_the_torque_of_the_links_where_no_rotor_is_regrouped():
     head = 'type = "revolute"\nrotor_inertia = false\n'
     text = six_joints((1.1, 0.9, 1.2, 0.8, 1.0, 1.3))
@@ -76,7 +67,7 @@ def test_the_prior_is_the_torque_of_the_links_where_no_rotor_is_regrouped():
     assert len(named) < len(found)
     expressions = dict(zip(base.names, base.expressions, strict=True))
     assert not any("Ia" in expressions[name] for name in named)
-    # a link without inertials leaves out whatever it is regrouped into
+    # A link without inertials leaves out whatever it is regrouped into.
     without = InverseModel(robot_of(six_joints((1, 1, 1, 1, 1, 0)), NAMES))
     left = base_prior(without, base_parameters(without))[0]
     assert left
@@ -165,47 +156,41 @@ def test_the_held_out_error_is_that_of_these_links_with_all_else_fitted_to_the_o
     assert data.prior_error_percent == pytest.approx(100 * np.sqrt(squares[0] / squares[1]), rel=0.01)
 
 
-@pytest.fixture(scope="module")
-def written(tmp_path_factory):
-    """A folder with a recording, its fit, and URDFs."""
-    there = tmp_path_factory.mktemp("prior")
-    write_signals(there / "log.mcap", recorded(), source="independent simulator")
-    (there / "arm.urdf").write_text(six_joints((2.0,) * 6))
-    (there / "other.urdf").write_text(six_joints().replace("elbow", "knee"))
-    (there / "longer.urdf").write_text(six_joints().replace("0.3922", "0.4"))
-    (there / "empty.urdf").write_text(six_joints((0,) * 6))
-    files = ["--json", str(there / "fit.json"), "--report", str(there / "r.md")]
-    assert main(["fit", str(there / "log.mcap"), *files]) == 0
-    return there
-
-
-def test_the_report_and_the_file_have_the_prior(written):
-    stored = json.loads((written / "fit.json").read_text())
-    assert stored["prior_source"] == "URDF"
-    assert stored["prior_held_out_error_percent"] > 1
+def test_the_report_and_the_files_have_the_prior_and_a_fit_is_compared_with_a_urdf(tmp_path, capsys):
+    write_signals(tmp_path / "log.mcap", recorded(), source="independent simulator")
+    fit, report, arm = (tmp_path / name for name in ("fit.json", "r.md", "arm.urdf"))
+    command = "fit", tmp_path / "log.mcap", "--method", "wls", "--json", fit, "--report", report
+    assert run(capsys, *command)[0] == 0
+    stored = json.loads(fit.read_text())
+    assert (stored["prior_source"], stored["prior_held_out_error_percent"] > 1) == ("URDF", True)
     prior = {one["name"]: one["prior"] for one in stored["parameters"] if "prior" in one}
     model = InverseModel(recorded().robot)
     assert prior == pytest.approx(base_prior(model, base_parameters(model))[0])
-    report = (written / "r.md").read_text()
-    assert "| parameter | value | ±95% | in % | prior | unit |" in report
+    assert "| parameter | value | ±95% | in % | prior | unit |" in report.read_text()
     held = (f"{stored[key]:.2f} %" for key in ("prior_held_out_error_percent", "held_out_error_percent"))
-    assert "torque error held out: links of the URDF {}, fit {}".format(*held) in report
+    assert "torque error held out: links of the URDF {}, fit {}".format(*held) in report.read_text()
 
-
-def test_a_fit_is_compared_with_a_urdf(written, capsys):
-    fit, arm = str(written / "fit.json"), str(written / "arm.urdf")
-    assert main(["compare", fit, arm, "--json", str(written / "compared.json"), "--all"]) == 0
-    out = capsys.readouterr().out.translate(str.maketrans("┃│", "  ")).splitlines()
-    assert next(line for line in out if "value" in line).split() == ["name", "unit", "value", "±95%", "prior", "ratio"]
-    cells = next(line.split() for line in out if line.strip().startswith("MZ2R"))
-    value, _, prior, ratio = map(float, cells[-4:])
+    arm.write_text(six_joints((2.0,) * 6))
+    status, out, _ = run(capsys, "compare", fit, arm, "--json", tmp_path / "compared.json", "--all")
+    assert status == 0
+    lines = out.translate(str.maketrans("┃│", "  ")).splitlines()
+    assert next(line for line in lines if "value" in line).split() == [
+        "name",
+        "unit",
+        "value",
+        "±95%",
+        "prior",
+        "ratio",
+    ]
+    value, _, prior, ratio = map(float, next(line.split() for line in lines if line.strip().startswith("MZ2R"))[-4:])
     assert ratio == pytest.approx(value / prior, rel=0.01)
     assert ratio == pytest.approx(0.5, rel=0.02)  # the URDF has twice the links of the arm
-    compared = json.loads((written / "compared.json").read_text())
+    compared = json.loads((tmp_path / "compared.json").read_text())
     assert (compared["a"], compared["b"]) == ("fit", "arm")
-    refused = {"other": "elbow", "longer": "moves differently", "empty": "inertials", "none": "cannot be read"}
-    for name, words in refused.items():
-        assert main(["compare", fit, str(written / f"{name}.urdf")]) == 1
-        error = capsys.readouterr().err
-        assert words in error
-        assert error.count("\n") == 1
+    for text, words in (
+        (six_joints().replace("elbow", "knee"), "elbow"),
+        (six_joints().replace("0.3922", "0.4"), "moves differently"),
+        (six_joints((0,) * 6), "inertials"),
+    ):
+        arm.write_text(text)
+        assert words in refused(capsys, "compare", fit, arm)

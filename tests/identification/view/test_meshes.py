@@ -9,7 +9,6 @@ from pictured_fits import Written, urdf_robot
 
 from acquisition.errors import BadInputError
 from acquisition.files import meshes
-from acquisition.importing import import_recording
 from acquisition.recording import RecordingWriter, read_recording
 from acquisition.robot import load_robot, robot_from_files
 from identification.data import load_signals
@@ -58,18 +57,6 @@ def test_meshes_are_attached_only_where_asked_for(tmp_path):
     robot = load_robot(described(tmp_path / "arm", asked=""))
     assert set(robot.files) == {"robot.toml", "robot.urdf"}
     assert meshes_drawn(recorded(tmp_path / "log.mcap", robot), tmp_path) == []
-
-
-def test_a_recovered_recording_has_them_too(tmp_path):
-    robot = load_robot(described(tmp_path / "arm"))
-    whole = recorded(tmp_path / "log.mcap", robot).read_bytes()
-    (tmp_path / "cut.mcap").write_bytes(whole[:-40])
-    import_recording(tmp_path / "cut.mcap", tmp_path / "out.mcap")
-    assert read_recording(tmp_path / "out.mcap").attachments == {
-        "robot.toml": robot.files["robot.toml"],
-        "robot.urdf": robot.files["robot.urdf"],
-        "mesh:meshes/l.stl": TRIANGLE,
-    }
 
 
 def test_a_mesh_of_a_kind_that_is_not_known_is_not_written(tmp_path):

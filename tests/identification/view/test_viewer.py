@@ -192,16 +192,6 @@ def test_what_was_not_recorded_or_done_is_not_shown(written):
     assert all(unfiltered.holds(origin, kind) for origin, (kind, _) in unfiltered.views.items())
 
 
-def test_a_fit_that_leaves_nothing_has_no_residual_page(written):
-    signals = made_up()
-    fit = fitted(signals)
-    nothing = np.zeros((200, 2))
-    rows = {"t_s": signals.t_s[:200], "tau": nothing, "tau_predicted": nothing, "speed": nothing}
-    views = written(signals, replace(fit, **rows)).views
-    assert not any(origin.startswith("/residual") for origin in views)
-    assert len(views) == 4 * signals.robot.n + 2
-
-
 def test_the_report_tells_result_settings_and_parameters(written):
     signals = made_up(types=("revolute",), unit="A")
     fit = fitted(signals)
