@@ -14,7 +14,6 @@ SCARA = REPLAY / "scara" / "session.mcap"
 
 
 def answer(capsys, *arguments: object) -> str:
-    """What a command that succeeds prints."""
     assert main([str(x) for x in arguments]) == 0
     return capsys.readouterr().out
 

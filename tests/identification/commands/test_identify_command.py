@@ -2,7 +2,6 @@
 
 import json
 import re
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -78,14 +77,6 @@ def test_validate_applies_a_fit_to_another_recording(capsys, tmp_path):
         assert least < json.loads(errors.read_text())["relative_error_percent"] < most
 
 
-def test_base_prints_expressions(capsys, tmp_path):
-    status, out, _ = run(capsys, "base", REPLAY / "tx40" / "robot.toml", "--json", tmp_path / "base.json")
-    assert status == 0
-    assert "TX40: 60 base parameters" in out
-    assert "ZZ2 + Ia2 + 0.050625 (M3 + M4 + M5 + M6)" in out
-    assert len(json.loads((tmp_path / "base.json").read_text())["parameters"]) == 60
-
-
 def test_simulation_is_repeatable(capsys, tmp_path):
     options = ["--duration-s", 2, "--effort-noise-percent", 1]
     asymmetric = REPLAY / "emps" / "robot_published_asymmetric.toml"
@@ -115,21 +106,6 @@ def test_a_recording_is_replaced_only_where_that_is_asked_for(capsys, tmp_path):
 def write_samples(path: Path, robot: Robot, samples: np.ndarray) -> None:
     with RecordingWriter(path, header(robot)) as writer:
         writer.samples(samples)
-
-
-def test_bad_recordings_are_refused_in_one_line(capsys, tmp_path):
-    path, out, whole = tmp_path / "log.mcap", tmp_path / "fit.json", SESSION.read_bytes()
-    assert "cannot be read: No such file" in refused(capsys, "fit", path, "--json", out)
-    middle = len(whole) // 2
-    flipped = whole[:middle] + bytes([whole[middle] ^ 1]) + whole[middle + 1 :]
-    for content, message in (
-        (b"time,q\n0,1\n", "is not an MCAP file"),
-        (whole[:middle], f"{path}: is cut"),
-        (flipped, "damaged"),
-    ):
-        path.write_bytes(content)
-        assert message in refused(capsys, "fit", path, "--json", out)
-    assert not out.exists()
 
 
 def test_gaps_short_recordings_and_stillness_are_named(capsys, tmp_path):
@@ -164,14 +140,6 @@ def test_unknown_gains_give_volts_and_a_warning(capsys, tmp_path):
     first, viscous, dry = json.loads((tmp_path / "fit.json").read_text())["parameters"][:3]
     assert [(p["name"], p["unit"]) for p in (first, viscous, dry)] == [("M1", "V s²/m"), ("Fv1", "V s/m"), ("Fc1", "V")]
     assert first["value"] == pytest.approx(2.7, rel=0.01)
-
-
-def test_outputs_are_whole_or_not_there(capsys, tmp_path):
-    copy = tmp_path / "log.mcap"
-    shutil.copy(SESSION, copy)
-    assert "no folder" in refused(capsys, "fit", copy, "--json", tmp_path / "none" / "fit.json")
-    assert "expected a file, found a folder" in refused(capsys, "fit", copy, "--json", tmp_path)
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["log.mcap"]
 
 
 ONE = {"name": "MX2", "value": 1, "sigma": 1, "unit": "kg m"}

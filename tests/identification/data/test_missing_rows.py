@@ -20,7 +20,6 @@ def shares(q):
 
 
 def drawn(rows, percent):
-    """Rows (N,) bool, so many of each hundred, none of them beside another."""
     at = np.random.default_rng(3).choice(np.arange(5, rows - 5, 2), round(0.01 * percent * rows), replace=False)
     return np.isin(np.arange(rows), at)
 

@@ -81,7 +81,6 @@ def test_a_killed_worker_of_dask_is_replaced_and_one_that_cannot_work_is_told(cl
 
 
 def test_a_cluster_of_one_worker_does_the_tasks():
-    """joblib would do them here."""
     distributed = pytest.importorskip("distributed")
     with distributed.LocalCluster(n_workers=1, processes=False, dashboard_address=":0") as dask:
         threads = list(Work(dask.scheduler_address).run(thread, [()]))
@@ -90,7 +89,6 @@ def test_a_cluster_of_one_worker_does_the_tasks():
 
 
 def test_a_script_needs_no_guard():
-    """Not even one that is read from standard input."""
     script = "from identification import Work\nprint(*Work(2).run(pow, [(k, 2) for k in range(4)]))\n"
     done = subprocess.run([sys.executable, "-"], input=script, capture_output=True, text=True, timeout=60)
     assert (done.stdout, done.stderr) == ("0 1 4 9\n", "")

@@ -112,7 +112,6 @@ def test_a_series_begins_and_ends_at_rest_and_is_what_its_basis_says():
 
 @pytest.mark.parametrize("robot", [SCARA, ASYMMETRIC], ids=["scara", "tx40"])
 def test_the_gradient_is_that_of_differences(robot):
-    """Central differences in random directions, and along single coefficients, to 1e-6 of the largest component."""
     model, base, _ = modelled(robot)
     information, basis, x = information_of(robot, model, base), SERIES.basis(40), random_x(robot)
     plain = np.exp(np.random.default_rng(1).uniform(-1, 1, base.b))
@@ -178,7 +177,6 @@ def test_efforts_count_friction_at_its_full_size():
 
 
 def test_information_is_that_of_least_squares():
-    """sigma against the covariance of an explicit weighted regression."""
     model, base, _ = modelled(SCARA)
     information = information_of(SCARA, model, base)
     motion = motion_of(random_x(SCARA), SERIES.basis(60))
@@ -333,7 +331,6 @@ def test_noise_is_stated_or_that_of_a_fit_or_a_share_of_the_torque(tmp_path):
 
 @pytest.fixture(scope="module")
 def earlier(tmp_path_factory):
-    """A simulated recording of the SCARA with load friction."""
     path, robot = tmp_path_factory.mktemp("earlier") / "log.mcap", loaded_scara(("viscous", "coulomb", "load"))
     q_ref = fourier_reference(robot, period_s=3.0, seed=1).at(np.arange(3001) / 1000)[0]
     write_signals(path, closed_loop(robot, q_ref, 1000.0, noise=Noise(), seed=1), source="simulated")
@@ -533,7 +530,6 @@ PAYLOAD = Payload(2.0, (0.03, 0.02, 0.08))
 
 
 def loaded(robot, payload=PAYLOAD):
-    """The direct model with the payload."""
     model, base, _ = modelled(robot)
     chi = base.standard_parameters(described_parameters(model, base))
     return direct_model(model, add_payload(model, chi, payload))

@@ -126,7 +126,6 @@ def test_the_choice_does_not_depend_on_the_order_of_the_recordings():
 
 
 def test_a_recording_that_the_others_cannot_predict_is_named():
-    """The elbow moves in one of three recordings: the others say nothing of it. Of two no part is left."""
     still = []
     for signals in several()[:2]:
         q = signals.q.copy()

@@ -38,7 +38,6 @@ def states(n, speed=2.0, acceleration=5.0, count=40):
 
 
 def values_of(model, seed=1):
-    """Standard parameters of a physical robot: its expected links, changed; random friction and rotors, offsets."""
     physical, rng = physical_parameters(model), np.random.default_rng(seed)
     chi = physical.start.copy()
     chi[physical.links] *= rng.uniform(0.5, 2.0, (len(physical.links), 1))
@@ -50,7 +49,6 @@ def values_of(model, seed=1):
 
 
 def exported(model, chi, folder, **outputs):
-    """Texts written by format, and the report."""
     paths = {name: folder / f"out.{name}" for name in ("urdf", "mjcf", "toml") if outputs.get(name, True)}
     made, document = export_model(split_parameters(model, chi, "fit.json"), "fit.json", **paths)
     write_models(made)
@@ -72,7 +70,6 @@ def in_pinocchio(urdf, names, q, dq, ddq):
 
 
 def rnea(model, q, dq, ddq):
-    """Torques (N, n); a continuous joint has cosine and sine as its coordinates."""
     data, found = model.createData(), np.empty_like(dq)
     for k in range(len(q)):
         joints = zip(q[k], list(model.joints)[1:], strict=True)
@@ -88,7 +85,6 @@ def tx40_model():
 
 @pytest.mark.parametrize("name", ["tx40", "scara", "emps"])
 def test_a_new_urdf_has_the_torques_of_the_links(name, tmp_path):
-    """Viscous and dry friction too where no motor turns several joints; an arm on a wall."""
     robot = robot_named(name)
     if name == "tx40":
         robot = dataclasses.replace(robot, gravity=np.array([9.81, 0.0, 0.0]))
@@ -141,19 +137,6 @@ def inverse_in_mujoco(text, q, dq, ddq, *, friction):
         mujoco.mj_inverse(model, data)
         found[k] = data.qfrc_inverse
     return found, model
-
-
-@pytest.mark.parametrize("name", ["tx40", "scara"])
-def test_an_mjcf_has_the_torques_of_links_rotors_and_viscous_friction(name, tmp_path):
-    """The coupled wrist of the TX40 included, at any speed and acceleration; constraints off."""
-    model = InverseModel(robot := robot_named(name))
-    chi = values_of(model)
-    texts, _ = exported(model, chi, tmp_path, urdf=False, toml=False)
-    q, dq, ddq = states(robot.n)
-    found, loaded = inverse_in_mujoco(texts["mjcf"], q, dq, ddq, friction=False)
-    expected = torque(model, chi, q, dq, ddq, without=["coulomb", "offset"])
-    np.testing.assert_allclose(found, expected, atol=1e-9)
-    assert (loaded.ntendon, loaded.nu) == (1 if name == "tx40" else 0, 4 if name == "scara" else robot.n)
 
 
 def test_frictionloss_is_dry_friction_where_it_is_saturated(tx40_model, tmp_path):
@@ -272,7 +255,6 @@ def losses(document, title):
 
 
 def test_losses_of_a_format_are_reported_with_their_torque(tx40_model, tmp_path):
-    """Rotors, offsets and the coupled motor: the torque that is missing, computed a second time from the files."""
     chi = values_of(tx40_model)
     texts, document = exported(tx40_model, chi, tmp_path)
     of_urdf, of_mjcf = losses(document, "out.urdf"), losses(document, "out.mjcf")
@@ -343,7 +325,6 @@ def test_rotations_are_those_of_their_angles_and_quaternions():
 
 @pytest.fixture(scope="module")
 def fits(tmp_path_factory):
-    """Files of a fit, as it is and made consistent."""
     folder, fit = tmp_path_factory.mktemp("fits"), ls_of(SCARA)
     files = {name: folder / f"{name}.json" for name in ("free", "consistent")}
     for path, made in zip(files.values(), (fit, with_consistent(fit)), strict=True):
@@ -544,7 +525,6 @@ def test_actuators_move_mujocos_robot_as_the_law_moves_the_simulated_one(name, s
 
 @pytest.mark.parametrize("name", ["tx40", "scara"])
 def test_a_found_law_is_written_where_the_description_has_none(name, tmp_path, capsys):
-    """The description of the TX40 has a bandwidth alone, that of the SCARA a law, which stays."""
     stored, toml = read_fit(REPLAY / name / "fit.json"), tmp_path / "new.toml"
     assert run(capsys, "export", REPLAY / name / "fit.json", "--toml", toml)[0] == 0
     described, now = (robot_named(name).controller, load_robot(toml).controller)

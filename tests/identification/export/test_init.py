@@ -245,7 +245,6 @@ def massless(name):
 
 
 def turn(rest=LIMIT, kind="revolute", parent="base", name="turn", axis="0 0 1"):
-    """The URDF with another first joint."""
     return urdf(turn=joint(name, kind, parent, "column", rest, axis))
 
 

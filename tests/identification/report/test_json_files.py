@@ -19,7 +19,6 @@ SCARA = REPLAY / "scara" / "session.mcap"
 
 @pytest.fixture(scope="module")
 def fits(tmp_path_factory):
-    """Files of two fits of one recording, by method."""
     folder, files = tmp_path_factory.mktemp("fits"), {}
     for method, fit in (("iv", iv_of(SCARA)), ("wls", ls_of(SCARA))):
         files[method] = folder / f"{method}.json"
@@ -28,7 +27,6 @@ def fits(tmp_path_factory):
 
 
 def keys(value, place="") -> set[str]:
-    """All keys of JSON content as paths; those of a list's elements under one."""
     if isinstance(value, dict):
         return {p for key, x in value.items() for p in (f"{place}.{key}", *keys(x, f"{place}.{key}"))}
     return {p for x in value for p in keys(x, f"{place}[]")} if isinstance(value, list) else set()

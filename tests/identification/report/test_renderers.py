@@ -5,7 +5,6 @@ import re
 
 import pytest
 
-from acquisition.errors import BadInputError
 from identification.report import (
     Document,
     Number,
@@ -14,7 +13,6 @@ from identification.report import (
     columns,
     print_whole,
     to_markdown,
-    write_markdown,
 )
 
 VALUES = (1.23456789, -0.000123456, 98765.4321)
@@ -79,10 +77,3 @@ def test_markdown_takes_no_text_for_markup():
 def test_a_row_has_a_cell_for_each_column():
     with pytest.raises(ValueError, match="a row of 1 cells in a table of 2 columns"):
         Table(columns=columns("a", "b"), rows=(("x",),))
-
-
-def test_a_report_in_markdown_is_written_to_its_file(tmp_path):
-    write_markdown(tmp_path / "report.md", REPORT)
-    assert (tmp_path / "report.md").read_text(encoding="utf-8") == to_markdown(REPORT)
-    with pytest.raises(BadInputError):
-        write_markdown(tmp_path / "missing" / "report.md", REPORT)

@@ -46,7 +46,6 @@ PROGRAMS = {program.name: program for program in (ACQUIRE, IDENTIFY)}
 
 
 def printed(capsys, command):
-    """The lines that a command prints; none of its errors is of more than one line."""
     program, *arguments = shlex.split(command)
     status = PROGRAMS[program].main(arguments)
     out, err = capsys.readouterr()

@@ -111,7 +111,6 @@ def test_each_law_is_the_sampled_loop(structure, estimate, kind, saturation):
 @pytest.mark.parametrize("saturation", [np.inf, 3.0])
 @pytest.mark.parametrize("structure", LAWS)
 def test_known_torque_and_feedforward_act_on_the_sampled_loop(structure, saturation):
-    """Pulses of the motor's effort, counted before the saturation, and a force on the mass, which it does not see."""
     robot = axis(structure, "exact", saturation)
     (*_, model), path = modelled(robot), path_of("sine")
     k = np.arange(TICKS)
@@ -156,7 +155,6 @@ def test_viscous_friction_of_each_direction_slows_its_own(way):
 
 
 def test_a_loop_of_another_gain_and_motor_matrix_acts_at_the_motors():
-    """Two coupled motors at rest, off the reference: tau = Rᵀ G Kp R e, worked out entry by entry."""
     R, e = np.array([[2.0, 0.0], [3.0, -4.0]]), np.array([0.01, 0.02])
     model = direct_model(
         dynamics := InverseModel(load_robot(REPLAY / "scara" / "robot.toml")),

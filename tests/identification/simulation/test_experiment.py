@@ -22,7 +22,6 @@ from identification.simulation.instruments import simulate_instruments
 
 @pytest.mark.parametrize("name", ["scara", "emps"])
 def test_the_simulated_motion_is_that_of_the_robot_without_noise(name):
-    """With the true parameters only friction near standstill differs: far less than one sample of delay would."""
     toml = REPLAY / name / "robot.toml"
     body = plant(toml, smooth=0.002)
     reference = references(body, range(1), duration_s=3.0, rate_hz=1000.0)
@@ -54,7 +53,6 @@ def test_the_simulated_motion_is_that_of_the_robot_without_noise(name):
 
 
 def test_blocks_of_a_long_recording_give_what_its_rows_give(monkeypatch):
-    """Simulated, filtered and factored block by block: the estimate, its intervals and the errors are those of one pass."""
     signals = load_signals(REPLAY / "scara" / "session.mcap")
     problem = make_problem(signals, Overrides(decimation=5))
     whole = rows_of_recording(problem)

@@ -52,7 +52,6 @@ def test_energy_is_kept_without_friction():
 
 
 def test_a_pd_loop_is_the_double_integrator_it_is_designed_as():
-    """A step of a mass under the surrogate PD: the closed form of a second order system with zeta = 0.8."""
     _, model = model_of("emps", Fv=0.0, Fc=0.0, Off=0.0)
     rate = 20_000.0
     loop = surrogate_loop(5.0, np.array([95.1089]), rate)
@@ -116,7 +115,6 @@ def scara_pid(saturation: float) -> tuple[DirectModel, ControlLaw]:
 
 
 def test_a_saturated_motor_holds_its_own_integral_only():
-    """At rest, off the reference: the effort of motor 2 grows by Ki e T at each instant, while motor 1 is at its limit."""
     model, loop = scara_pid(saturation=0.5)
     zero, reference = still(2, 0.01), still(2, 0.01) + np.array([1.0, 0.3])
     control = Control(model, loop, zero[0], zero[0])
@@ -128,7 +126,6 @@ def test_a_saturated_motor_holds_its_own_integral_only():
 
 @pytest.mark.parametrize("estimate", ["exact", "backward_difference", "two_sample_mean"])
 def test_spans_of_a_reference_one_after_the_other_are_the_whole_of_it(estimate):
-    """Position, speed, integral, modes of friction and the positions before go on from span to span."""
     model, loop = scara_pid(saturation=300.0)
     loop = dataclasses.replace(loop, velocity_estimate=estimate)
     t_s = np.arange(900)[:, None] / RATE
@@ -174,7 +171,6 @@ def test_a_surrogate_holds_a_vertical_axis_up():
 
 
 def test_a_simulation_that_cannot_go_on_says_why_and_is_not_clipped():
-    """It leaves its reference in the last steps or before, or no robot has its parameters."""
     _, model = model_of("emps")
     loop = dataclasses.replace(surrogate_loop(1.0, np.array([95.0]), RATE), Kp=np.array([9e8]), Kd=np.array([9e6]))
     done = simulate(model, loop, still(1, 0.06), start=(np.array([1e-3]), np.zeros(1)), bound=0.1)
@@ -204,16 +200,6 @@ def test_noise_at_the_first_instant_does_not_go_into_the_integral():
     control = Control(held, dataclasses.replace(loop, gravity=True), off, off)
     control.take(Reference(q_ref, q_ref, q_ref))
     np.testing.assert_allclose(control._integral, 0.0, atol=1e-12)
-
-
-def test_substeps_show_the_motion_between_the_controllers_instants():
-    _, model = model_of("emps")
-    loop = surrogate_loop(5.0, np.array([95.0]), RATE)
-    start = (np.array([1e-3]), np.array([0.05]))
-    coarse, fine = (simulate(model, loop, still(1, 0.2), start=start, substeps=s) for s in (1, 8))
-    assert len(fine.q) == 8 * len(coarse.q)
-    np.testing.assert_allclose(fine.q[::8], coarse.q, atol=5e-6)
-    assert (np.diff(fine.tau.reshape(-1, 8), axis=1) == 0).all()  # held in between
 
 
 TURN_SLIDE_TURN = 'name = "turn slide turn"\n[controller]\nbandwidth_hz = 5\n' + "".join(
@@ -255,7 +241,6 @@ def test_parameters_that_no_robot_has_are_told_from_those_that_can_be_simulated(
 
 
 def test_direct_model_is_the_inverse_of_the_inverse_model():
-    """M(q) from the direct model against the regressor: the torque of a unit acceleration less that at rest."""
     dynamics, model = model_of("tx40")
     chi = described_chi(dynamics)
     rng = np.random.default_rng(0)

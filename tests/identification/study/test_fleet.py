@@ -5,10 +5,8 @@ import json
 import shutil
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
-from math import erfc
 from pathlib import Path
 
-import numpy as np
 import pyarrow.parquet
 import pytest
 from conftest import REPLAY, robot_named
@@ -85,13 +83,6 @@ def test_what_is_beyond_both_intervals_is_marked_and_what_is_inside_is_not(tmp_p
     for other in {"robot": "S"}, {"file": "b/1.mcap"}, {"method": "wls"}, {"verdict": "do not use"}, {"start": None}:
         rows = [made_row(0, 10.0, 1.0), made_row(1, 20.0, 1.0, **other), made_row(2, 10.5, 1.0)]
         assert [row.changed for row in study.with_changes(rows)] == ["", "", ""], other
-
-
-def test_six_of_a_thousand_equal_values_are_marked():
-    """Both intervals are 1.96 sigma: |a - b| > 2 * 1.96 sigma, where a - b has the deviation sqrt(2) sigma."""
-    values = np.random.default_rng(1).normal(5.0, 0.1, 40_000)
-    rows = study.with_changes([made_row(k, x, 0.196) for k, x in enumerate(values.tolist())])
-    assert np.mean([row.changed != "" for row in rows]) == pytest.approx(erfc(1.96), rel=0.2)
 
 
 def test_a_run_goes_on_where_the_last_one_stopped(fleet, tmp_path):

@@ -67,7 +67,6 @@ def test_motion_and_torque_are_those_of_the_other_simulator(name):
     ],
 )
 def test_noise_has_the_deviation_that_it_has_in_the_other_simulator(name, own, theirs):
-    """What it changes of torque and position, after it has gone through the loop."""
     mean = "torque" not in str(theirs) and "coloured" not in str(theirs)  # noise of the recorded torque comes after it
     one, other = (
         [a - b for a, b in zip(noisy, quiet, strict=True)]

@@ -19,8 +19,6 @@ SCARA = REPLAY / "scara" / "session.mcap"
 
 
 class Tasks:
-    """Records the tasks, and answers each with the same values."""
-
     remote = False
 
     def __init__(self, values):
@@ -33,7 +31,6 @@ class Tasks:
 
 
 def test_noise_of_the_real_record_moves_least_squares_and_not_instrumental_variables(emps, capsys):
-    """10 µm behind the rule's filter: LS by over 5 half-widths, IV by less than 1; any start gives the same digits."""
     fits = vary(RecordingFile.at(emps), None, Work())
     largest = np.max([moves_of(fits, name) for name in fits[0].values], axis=0)
     moves = dict(zip((fit.variant.to for fit in fits), largest, strict=True))

@@ -13,7 +13,6 @@ TRUE = np.array([1.0, 2.0])
 
 
 def fit_of_run(off: tuple[float, float], verdict: str = "trust", **others: object) -> RunFit:
-    """Of intervals with half-widths of 0.1, off the truth by so many of them."""
     middle = TRUE + 0.1 * np.array(off)
     known = {"essential": np.array([True, False]), "positive": True}
     known |= {"beta": TRUE, "error": 0.1, "low": middle - 0.1, "high": middle + 0.1, **others}

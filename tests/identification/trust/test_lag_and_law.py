@@ -45,7 +45,6 @@ def with_controller(signals: Signals, **keys: object) -> Signals:
 
 
 def late_scara() -> Signals:
-    """By two samples."""
     signals = recorded("scara")
     return replace(signals, effort=signals.effort[np.maximum(np.arange(len(signals.q)) - 2, 0)])
 

@@ -18,13 +18,11 @@ from identification.trust.columns import missing_terms
 
 
 def white(name: str) -> SetUp:
-    """A clean cell."""
     cell = Imperfections(encoder_noise=1e-6 if name == "emps" else 1e-5, torque_noise_percent=2.0)
     return replace(sound(name, np.random.default_rng(1)), cell=cell, timing="command", substeps=1)
 
 
 def arm() -> SetUp:
-    """The TX40, under a PD that is described."""
     toml = REPLAY / "tx40" / "robot.toml"
     body = plant(toml)
     controller = designed_pd(body, 10.0, 500.0)

@@ -33,17 +33,6 @@ def off_percent(fit: Fit, signals: Signals) -> float:
 # Ends and rows
 
 
-def test_the_cutoff_alone_does_not_decide_on_the_ends():
-    """With raw end samples in the end rows, the default was 5 to 6 times worse than a cut-off that is a little higher."""
-    robot = robot_named("scara")
-    q_ref = random_reference(robot, duration_s=6.0, sample_rate_hz=1000.0, seed=1)
-    signals = closed_loop(robot, q_ref, 1000.0, noise=Noise(effort_percent=5.0), seed=1)
-    fits = [identify_ls(signals, Overrides(cutoff_hz=cutoff_hz)) for cutoff_hz in (25.0, 25.0025)]
-    assert [fit.settings.edges for fit in fits] == ["smooth", "smooth"]
-    errors = [off_percent(fit, signals) for fit in fits]
-    assert errors[0] == pytest.approx(errors[1], rel=0.1)
-
-
 def test_a_description_asks_for_matlabs_edges():
     signals = signals_of(SCARA)
     given = msgspec.structs.replace(signals.robot.identification, edges="matlab")
@@ -96,7 +85,6 @@ def test_recordings_at_low_rates_converge_under_a_surrogate_of_10_hz():
 
 @pytest.mark.parametrize(("name", "method", "joint"), [("emps", "wls", 0), ("scara", "iv", 1)])
 def test_an_effort_of_the_wrong_sign_is_told_with_its_joint_and_a_right_one_is_not(name, method, joint, request):
-    """Of the EMPS it is the real recording."""
     signals = signals_of(SCARA if name == "scara" else request.getfixturevalue("emps"))
     right = identify(signals, Overrides(), method="ols").trust.line("physical")
     assert (right.level, right.value > 0) == ("ok", True)
@@ -137,7 +125,6 @@ def test_a_result_not_to_be_trusted_is_written_and_ends_with_status_3(tmp_path, 
 
 
 def with_keys(folder: Path, *keys: str) -> str:
-    """The SCARA's description with keys of `[identification]`."""
     text = (SCARA.parent / "robot.toml").read_text()
     assert "[identification]" not in text
     (folder / "robot.toml").write_text("\n".join([text, "[identification]", *keys, ""]))

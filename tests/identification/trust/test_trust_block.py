@@ -59,7 +59,6 @@ OF_ALL |= {"consistent", "essential"}
 
 @cache
 def recorded(name: str, cell: Imperfections = WHITE, fault: str = "") -> Signals:
-    """A run of 10 s, of the TX40 of 5 s."""
     toml, arm = REPLAY / name / "robot.toml", name == "tx40"
     described = plant(toml)
     controller = designed_pd(described, 10.0, 500.0) if arm else described_controller(described)
@@ -84,7 +83,6 @@ def without_gains(signals: Signals, unit: str = "A") -> Signals:
 
 @cache
 def examined(method: str, name: str, cell: Imperfections = WHITE, fault: str = "") -> tuple[Fit, FitData]:
-    """A fit, and the evidence that its tests looked at."""
     return looked_at(method, recorded(name, cell, fault))
 
 
@@ -195,7 +193,6 @@ def test_the_error_is_that_behind_the_rules_filter():
     ],
 )
 def test_what_resists_may_be_below_zero_by_chance_once_a_joint(below, level):
-    """In half-widths of the interval."""
     _, evidence = examined("wls", "scara")
     estimate, half = evidence.estimate, evidence.intervals.half
     beta = estimate.beta.copy()
@@ -234,7 +231,6 @@ def test_the_ways_an_iteration_ends():
 
 @pytest.mark.parametrize("method", ["iv", "wls"])
 def test_a_column_is_solved_with_the_others(method):
-    """Coefficient, residual and t are those of the system with one column more, with itself as its instrument."""
     fit, evidence = examined(method, "scara", fault="drift")
     system, n = evidence.observed.system, 2
     W, Y = system.weighted(fit.estimate.weights)
@@ -293,7 +289,6 @@ def test_a_relative_gain_is_named():
 
 
 def block_errors(evidence: FitData, blocks: int) -> tuple[float, float]:
-    """Held-out and training error in percent, each block predicted by least squares of the rows of the others."""
     W, Y, counts = evidence.W, evidence.Y, evidence.observed.counts
     T, n = counts.shape
     time = np.tile(np.arange(T), n)
@@ -447,7 +442,6 @@ def test_a_long_recording_is_tested_as_its_rows_are(method):
 
 
 def test_sums_over_spans_are_those_of_their_rows():
-    """Least squares of the spans' own instants, held out or alone, is that of the rows at these instants."""
     (_, evidence), (fit, long) = examined("wls", "scara"), examined_as_long("wls")
     T, n, b = len(evidence.observed.tau), 2, len(fit.estimate.names)
     for part in (slice(0, round(T / 5)), slice(round(T / 5), round(2 * T / 5)), slice(round(T / 2), T)):

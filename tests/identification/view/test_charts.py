@@ -27,7 +27,6 @@ from identification.view.svg_panels import HEAD, LEFT, PITCH, RIGHT, draw_graph,
 
 
 def found(column, **given):
-    """Marks of a column with these attributes."""
     return [m for m in column.marks if all(getattr(m, name) == value for name, value in given.items())]
 
 

@@ -6,7 +6,6 @@ import shutil
 import time
 from dataclasses import replace
 from functools import cache
-from importlib.resources import files
 
 import numpy as np
 import pytest
@@ -18,7 +17,7 @@ from scipy import signal
 
 from identification.commands import main
 from identification.view import draw_fit, join_pictures, write_html, write_rrd
-from identification.view.colors import CLASSES, SKY
+from identification.view.colors import SKY
 from identification.view.panels import Curve, Graph, Log, Plot, Rows, Scene
 from identification.view.panels import Page as PageOfPanels
 from identification.view.signal_panels import _welch
@@ -144,25 +143,6 @@ def test_a_spectrum_is_that_of_welch(length):
     x = np.random.default_rng(1).standard_normal(1700).cumsum()
     expected = signal.welch(x, 250.0, nperseg=length, detrend="linear")[1]
     np.testing.assert_allclose(_welch(x, length, 250.0), expected, rtol=1e-9, atol=1e-12 * expected.max())
-
-
-def luminance(code):
-    shares = [int(code[k : k + 2], 16) / 255 for k in (1, 3, 5)]
-    linear = [s / 12.92 if s <= 0.04045 else ((s + 0.055) / 1.055) ** 2.4 for s in shares]
-    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
-
-
-def test_every_colour_has_a_contrast_of_4_5_to_1_in_light_and_dark():
-    style = files("identification.view").joinpath("report.css").read_text(encoding="utf-8")
-    light, dark = (
-        dict(re.findall(r"--(\w+): (#\w{6})", part)) for part in style.split("@media (prefers-color-scheme: dark)")
-    )
-    for colors in (light, dark):
-        assert set(CLASSES.values()) | {"text", "ground", "line"} == set(colors)
-        for name in [*CLASSES.values(), "text"]:
-            low, high = sorted(luminance(colors[key]) for key in (name, "ground"))
-            assert (high + 0.05) / (low + 0.05) >= 4.5, name
-        assert len({colors[name] for name in CLASSES.values()}) == len(CLASSES)
 
 
 RUNS = {

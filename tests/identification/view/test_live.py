@@ -145,7 +145,6 @@ def test_a_recording_that_ends_is_one_line(tmp_path, recorded, monkeypatch, caps
 
 
 def state(rrd: Path) -> tuple[str, list[int]]:
-    """Text and color of the last state."""
     text, colors = "", []
     for chunk in RrdReader(rrd).stream():
         batch = chunk.to_record_batch()

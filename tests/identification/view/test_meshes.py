@@ -20,7 +20,6 @@ TRIANGLE = bytes(80) + np.uint32(1).tobytes() + np.float32([0, 0, 1, 0, 0, 0, 1,
 
 
 def described(folder, name="meshes/l.stl", asked="urdf_meshes = true\n"):
-    """A robot.toml in `folder`, and beside it a URDF whose links have the mesh `name`."""
     made = urdf_robot(f"<mesh filename='{name}'/>")
     (folder / "meshes").mkdir(parents=True, exist_ok=True)
     (folder / "meshes" / "l.stl").write_bytes(TRIANGLE)
@@ -36,7 +35,6 @@ def recorded(path, robot):
 
 
 def meshes_drawn(path, tmp_path):
-    """The meshes in the Rerun file of a recording."""
     write_rrd(tmp_path / "view.rrd", draw_recording(load_signals(path), Overrides()))
     shapes = [c for path, c in Written(tmp_path / "view.rrd").static.items() if "/visual_geometries/" in path]
     return [bytes(c["Asset3D:blob"][0]) for c in shapes if "Asset3D:blob" in c]

@@ -1,14 +1,12 @@
 """The Rerun file of a fit: its layout shows only what is there, and what is there is what was measured and modelled."""
 
 import re
-import resource
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from pictured_fits import FS, Written, fitted, fitted_iv, made_up, scara
 
-from acquisition.errors import BadInputError
 from identification.model import InverseModel
 from identification.regression import Decimation, FilteredMotion, differentiate, predicted_torque
 from identification.view import curves, draw_fit, rerun_panels, write_rrd
@@ -215,20 +213,6 @@ def test_each_fit_is_an_application_of_its_own(written):
     signals = made_up()
     files = [written(signals, fit) for fit in (fitted(signals), fitted(signals), fitted(signals, cutoff_hz=30.0))]
     assert files[0].application == files[1].application != files[2].application
-
-
-def test_a_disk_that_fills_up_leaves_what_was_there(tmp_path):
-    path = tmp_path / "fit.rrd"
-    path.write_bytes(b"before")
-    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, limits[1]))
-    try:
-        with pytest.raises(BadInputError, match="cannot be written"):
-            write_rrd(path, draw_fit(made_up(), fitted(made_up())))
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
-    assert path.read_bytes() == b"before"
-    assert list(tmp_path.iterdir()) == [path]
 
 
 def test_a_failure_half_way_leaves_nothing_and_is_silent(tmp_path, monkeypatch, capfd):

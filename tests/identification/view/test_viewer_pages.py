@@ -69,7 +69,6 @@ def test_poses_are_as_many_as_a_screen_shows():
 
 @pytest.fixture
 def mesh(tmp_path):
-    """A tetrahedron as a binary STL in a ROS package `arm`."""
     corners = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.4]], dtype="<f4")
     faces = np.zeros(4, np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "<u2")]))
     faces["corners"] = corners[[[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]]
