@@ -5,15 +5,7 @@ import re
 
 import pytest
 
-from identification.report import (
-    Document,
-    Number,
-    Section,
-    Table,
-    columns,
-    print_whole,
-    to_markdown,
-)
+from identification.report import Document, Number, Section, Table, columns, print_whole, to_markdown
 
 VALUES = (1.23456789, -0.000123456, 98765.4321)
 FORMS = (".4f", "+.2g", ".1f")
@@ -53,12 +45,7 @@ def test_the_three_renderers_give_the_same_cells(capsys):
     terminal, markdown = capsys.readouterr().out, to_markdown(REPORT)
     _, *rows = markdown_cells(markdown)
     assert (
-        rows
-        == terminal_cells(terminal)
-        == [
-            ["a|b\\", "1.2346", "-0.00012", "98765.4"],
-            ["none", "-", "-", "> 1000"],
-        ]
+        rows == terminal_cells(terminal) == [["a|b\\", "1.2346", "-0.00012", "98765.4"], ["none", "-", "-", "> 1000"]]
     )
     for text in (terminal, markdown):
         assert text.index("a robot: fit") < text.index("status: solved") < text.index("parameters")

@@ -7,13 +7,7 @@ from independent_robots import plant
 from independent_simulator import Imperfections, described_controller, description, references, simulate
 
 from identification.data import load_signals
-from identification.estimation import (
-    SPANS,
-    instrumental_variables,
-    intervals,
-    intervals_of,
-    weighted_least_squares,
-)
+from identification.estimation import SPANS, instrumental_variables, intervals, intervals_of, weighted_least_squares
 from identification.model import InverseModel, base_parameters, described_parameters
 from identification.regression import Overrides, make_problem, row_blocks, rows_of_recording
 from identification.simulation.experiment import Experiment

@@ -10,14 +10,7 @@ from loops import free, simulate
 
 from acquisition.robot import robot_from_files
 from identification.methods import Iteration, identify_iv, regular_start
-from identification.model import (
-    DirectModel,
-    InverseModel,
-    base_parameters,
-    direct_model,
-    inertias,
-    why_not_positive,
-)
+from identification.model import DirectModel, InverseModel, base_parameters, direct_model, inertias, why_not_positive
 from identification.regression import Overrides
 from identification.simulation import ClosedLoop, Control, ControlLaw, Encoder, Reference, surrogate_loop
 from identification.study import Noise, closed_loop, random_reference

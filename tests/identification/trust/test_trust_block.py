@@ -11,14 +11,7 @@ import pytest
 from conftest import REPLAY, ROOT
 from fits_of_records import iv_of, ls_of, signals_of
 from independent_robots import plant
-from independent_simulator import (
-    Imperfections,
-    described_controller,
-    description,
-    designed_pd,
-    references,
-    simulate,
-)
+from independent_simulator import Imperfections, described_controller, description, designed_pd, references, simulate
 from looked_at import looked_at
 from scipy.signal import lfilter
 

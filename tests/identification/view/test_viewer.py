@@ -190,24 +190,6 @@ def test_what_was_not_recorded_or_done_is_not_shown(written):
     assert all(unfiltered.holds(origin, kind) for origin, (kind, _) in unfiltered.views.items())
 
 
-def test_the_report_tells_result_settings_and_parameters(written):
-    signals = made_up(types=("revolute",), unit="A")
-    fit = fitted(signals)
-    text = written(signals).static["/report"]["TextDocument:text"][0]
-    moving = fit.errors[-1].moving_relative_error_percent
-    assert text.startswith(
-        f"# made up: WLS (as requested), solved, {fit.trust.verdict}: {fit.trust.finding}; {moving:.3g} %"
-    )
-    assert fit.warnings, "the drive gain is not known"
-    assert all(f"warning: {warning}" in text for warning in fit.warnings)
-    for name, value, unit in zip(fit.estimate.names, fit.estimate.beta, fit.base.units, strict=True):
-        (row,) = re.findall(rf"^\| {name} \| ([^ ]+) \|", text, flags=re.MULTILINE)
-        assert float(row) == pytest.approx(value, rel=1e-3)
-        assert f"| {unit} |" in text
-    for part in ("made_up.mcap", "0" * 64, "low-pass 50 Hz", "WLS"):
-        assert part in text
-
-
 def test_each_fit_is_an_application_of_its_own(written):
     """A viewer has one layout per application: another fit's titles would stand over this one's curves."""
     signals = made_up()
