@@ -66,17 +66,6 @@ def test_options_and_keys_change_the_fit(capsys, tmp_path):
     assert [p["name"] for p in essential["parameters"]] == essential["essential"]["names"]
 
 
-def test_validate_applies_a_fit_to_another_recording(capsys, tmp_path):
-    fit, other, errors = tmp_path / "fit.json", tmp_path / "other.mcap", tmp_path / "errors.json"
-    assert run(capsys, "simulate", SCARA, "-o", other, "--seed", 77, "--duration-s", 4)[0] == 0
-    content = json.loads((REPLAY / "scara" / "fit.json").read_text())
-    for factor, least, most in ((1.0, 0.0, 2.0), (1.5, 20.0, 100.0)):
-        content["parameters"][0]["value"] *= factor
-        fit.write_text(json.dumps(content))
-        assert run(capsys, "validate", fit, other, "--json", errors)[0] == 0
-        assert least < json.loads(errors.read_text())["relative_error_percent"] < most
-
-
 def test_simulation_is_repeatable(capsys, tmp_path):
     options = ["--duration-s", 2, "--effort-noise-percent", 1]
     asymmetric = REPLAY / "emps" / "robot_published_asymmetric.toml"

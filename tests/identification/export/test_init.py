@@ -1,6 +1,5 @@
 """A URDF as a description by init, which other commands ask for; dynamics against pinocchio's own reading."""
 
-import json
 import tomllib
 from pathlib import Path
 
@@ -11,7 +10,6 @@ import pytest
 from command_runs import run
 from urdfs import ARM, BOX, LIMIT, PARTS, joint, link, urdf
 
-from acquisition.commands import main as acquire
 from acquisition.errors import RobotIdimError
 from acquisition.robot import check_limits, lines_to_fill_in, load_robot, resolve
 from acquisition.simulated import driven_plant
@@ -159,17 +157,6 @@ def test_the_example_of_the_drives_is_one(here, capsys):
     check_limits(np.tile(middle, (3, 1)), robot, 0.002, "nowhere")
 
 
-@pytest.mark.parametrize("command", ["base", "excite -o a.csv", "fit log.mcap --robot", "check"])
-def test_other_commands_ask_for_the_description_of_a_urdf(here, capsys, command):
-    name, *options = command.split()
-    program = acquire if name == "check" else main
-    assert program([name, *options, "arm.urdf"] if name == "fit" else [name, "arm.urdf", *options]) == 1
-    said = capsys.readouterr().err
-    expected = "expected a robot.toml; `robot-identify init arm.urdf -o robot.toml` makes one"
-    assert said.endswith(f": arm.urdf: is a URDF: {expected}\n")
-    assert said.count("\n") == 1
-
-
 def test_a_joint_without_limits_has_them_by_options_or_is_named(here, capsys):
     """No range of 1 rad: a continuous joint, one without <limit>, one whose limits are equal."""
     equal = LIMIT.replace("-2", "0").replace("1.5", "0")
@@ -230,14 +217,6 @@ def test_values_that_are_none_are_wrong_usage(here, capsys, values):
     with pytest.raises(SystemExit) as end:
         main(["init", "arm.urdf", f"--acceleration={values}"])
     assert end.value.code == 2
-
-
-def test_a_simulation_of_the_description_of_a_urdf_is_fitted(here, capsys):
-    assert run(capsys, "init", "arm.urdf", *NAMES, *STATED, "-o", "robot.toml")[0] == 0
-    assert run(capsys, "simulate", "robot.toml", "--duration-s", "4", "--rate-hz", "200", "-o", "log.mcap")[0] == 0
-    assert run(capsys, "fit", "log.mcap", "--method", "wls", "--json", "fit.json")[0] in (0, 3)
-    fit = {p["name"]: p["value"] for p in json.loads((here / "fit.json").read_text())["parameters"]}
-    assert fit["Fv1"] == pytest.approx(0.6, rel=0.02)
 
 
 def massless(name):

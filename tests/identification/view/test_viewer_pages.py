@@ -265,15 +265,6 @@ def test_colors_are_those_of_okabe_and_ito():
     assert len(set(JOINTS)) == len(JOINTS)
 
 
-def test_a_picture_that_cannot_be_written_does_not_cost_the_fit(capfd, tmp_path):
-    table = run(capfd, "fit", SESSION)[1].replace("report with charts: --report session.html\n", "")
-    (tmp_path / "closed").write_text("a file where a folder should be")
-    outputs = "--json", tmp_path / "fit.json", "--rrd", tmp_path / "closed" / "fit.rrd"
-    status, out, err = run(capfd, "fit", SESSION, *outputs)
-    assert (status, err.count("\n"), out) == (1, 1, table)
-    assert json.loads((tmp_path / "fit.json").read_text())["status"] == "converged"
-
-
 def test_command_view(capsys, tmp_path):
     rrd, page = tmp_path / "view.rrd", tmp_path / "view.html"
     status, out, err = run(capsys, "view", SESSION, "-o", rrd)
