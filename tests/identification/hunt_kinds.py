@@ -126,10 +126,6 @@ def times_effort(factor: Array) -> Callable[[Signals], Signals]:
     return lambda signals: replace(signals, effort=factor * signals.effort)
 
 
-def gain_of_record(s: SetUp, rng: Rng) -> SetUp:
-    return s.changed(times_effort(of_a_joint(s, rng, off(rng, 5, 50))))
-
-
 def drive_gain(s: SetUp, rng: Rng) -> SetUp:
     """Described wrong: the record is right in the drive's own unit."""
     factor = of_a_joint(s, rng, off(rng, 5, 50))
@@ -171,18 +167,10 @@ def sign_of_wrist(s: SetUp, rng: Rng) -> SetUp:
     return s.changed(of_motors(lambda efforts: factor * efforts))
 
 
-def radians_as_degrees(s: SetUp, rng: Rng) -> SetUp:
-    return s.changed(lambda x: replace(x, q=np.radians(x.q), q_ref=np.radians(x.q_ref)))
-
-
 def late(s: SetUp, rng: Rng) -> SetUp:
     """By half samples; a command, or a mean where nothing is stated."""
     mean = s.timing != "command" and rng.random() < 1 / 2
     return s.in_cell(lag=rng.integers(2, 11) / 2, recorded="mean" if mean else "command")
-
-
-def mean_for_command(s: SetUp, rng: Rng) -> SetUp:
-    return replace(s.in_cell(recorded="mean"), timing="command")
 
 
 def ratio(s: SetUp, rng: Rng) -> SetUp:
@@ -198,31 +186,11 @@ def ratio(s: SetUp, rng: Rng) -> SetUp:
     return replace(s, robot=replace(s.robot, R=R, motors=motors)).changed(change)
 
 
-def saturated(s: SetUp, rng: Rng) -> SetUp:
-    return replace(s, saturated=rng.uniform(0.5, 0.9))
-
-
-def asymmetric(s: SetUp, rng: Rng) -> SetUp:
-    return s.with_friction(asymmetry=rng.uniform(0.2, 0.5))
-
-
-def stribeck(s: SetUp, rng: Rng) -> SetUp:
-    return s.with_friction(stribeck=0.5)
-
-
 def cogging(s: SetUp, rng: Rng) -> SetUp:
     """10 to 50 % of the Coulomb friction; pitches of 2 to 10 mm, or 12 to 36 a turn."""
     pitch = rng.uniform(2e-3, 1e-2) if s.name == "emps" else 2 * np.pi / rng.integers(12, 37)
     amplitude = rng.uniform(0.1, 0.5) * s.body.friction.coulomb
     return replace(s, body=replace(s.body, cogging=amplitude, pitch=np.full(s.body.n, pitch)))
-
-
-def friction_drifts(s: SetUp, rng: Rng) -> SetUp:
-    return s.in_cell(friction_drift=rng.choice([-1, 1]) * rng.uniform(0.2, 0.4))
-
-
-def rate(s: SetUp, rng: Rng) -> SetUp:
-    return s.changed(lambda signals: at_rate(signals, signals.sample_rate_hz * off(rng, 1, 1)))
 
 
 def controller_gains(s: SetUp, rng: Rng) -> SetUp:
@@ -250,14 +218,6 @@ def twelve_bits(s: SetUp, rng: Rng) -> SetUp:
     return s.in_cell(encoder_noise=0.0, encoder_step=(high - low) / 4096)
 
 
-def slow(s: SetUp, rng: Rng) -> SetUp:
-    return replace(s, highest_hz=rng.uniform(0.12, 0.25))
-
-
-def short(s: SetUp, rng: Rng) -> SetUp:
-    return replace(s, duration_s=2.0)
-
-
 def payload_midway(s: SetUp, rng: Rng) -> SetUp:
     """The axis carries more; or the forearm carries at half its length what adds to its inertia."""
     part, body = rng.uniform(0.1, 0.4), plant(REPLAY / s.name / "robot.toml", smooth=SMOOTH, closed_form=False)
@@ -266,20 +226,12 @@ def payload_midway(s: SetUp, rng: Rng) -> SetUp:
     return replace(s, later=with_payload(body, part * s.robot.parameters["ZZ2"] / 0.25**2, (0.25, 0.0, 0.0)))
 
 
-def no_reference(s: SetUp, rng: Rng) -> SetUp:
+def without_reference(s: SetUp) -> SetUp:
     return s.changed(lambda signals: replace(signals, q_ref=None))
 
 
-def no_controller(s: SetUp, rng: Rng) -> SetUp:
+def without_law(s: SetUp) -> SetUp:
     return replace(s, robot=without_control_law(s.robot))
-
-
-def late_without_reference(s: SetUp, rng: Rng) -> SetUp:
-    return no_reference(late(s, rng), rng)
-
-
-def late_without_controller(s: SetUp, rng: Rng) -> SetUp:
-    return no_controller(late(s, rng), rng)
 
 
 def resonance(s: SetUp, rng: Rng) -> SetUp:
@@ -290,11 +242,6 @@ def resonance(s: SetUp, rng: Rng) -> SetUp:
 def backlash(s: SetUp, rng: Rng) -> SetUp:
     body = two_mass(s.body, share=rng.uniform(0.1, 0.5), free_hz=100.0, damping=0.3, play=rng.uniform(1e-4, 5e-4))
     return replace(s, body=body, substeps=8)
-
-
-def tilt(s: SetUp, rng: Rng) -> SetUp:
-    toml = REPLAY / s.name / "robot.toml"
-    return replace(s, body=plant(toml, smooth=SMOOTH, tilt_rad=np.deg2rad(rng.uniform(1, 5))))
 
 
 def length(s: SetUp, rng: Rng) -> SetUp:
@@ -309,10 +256,6 @@ def held(s: SetUp, rng: Rng) -> SetUp:
     if rng.random() < 1 / 2:
         rotor[joint, joint] += 1e6
     return replace(s, held=joint, body=replace(s.body, rotor=rotor))
-
-
-def delayed(s: SetUp, rng: Rng) -> SetUp:
-    return s.in_cell(actuation_delay_s=rng.uniform(1.0, 3.0) / s.controller.rate_hz)
 
 
 def denied_rotor(s: SetUp, rng: Rng) -> SetUp:
@@ -341,10 +284,6 @@ def at_clock(x: Array, rate: float) -> Array:
     return np.stack([np.interp(at, k, column) for column in x.T], axis=1)
 
 
-def nothing(s: SetUp, rng: Rng) -> SetUp:
-    return s
-
-
 BOTH = ("emps", "scara")
 ASSUMED = "assumed"  # named as what no test can tell
 CORRECTED = "corrected"  # in a line of any level: the fault was found, and cured
@@ -364,9 +303,11 @@ class Kind:
     unseen: tuple[str, ...] = field(default=())
 
 
-CLEAN = Kind(change=nothing)
+CLEAN = Kind(change=lambda s, rng: s)
 KINDS = {
-    "gain of the record ±5-50 %": Kind(change=gain_of_record, named=(("control law", ""),)),
+    "gain of the record ±5-50 %": Kind(
+        change=lambda s, rng: s.changed(times_effort(of_a_joint(s, rng, off(rng, 5, 50)))), named=(("control law", ""),)
+    ),
     "described drive gain ±5-50 %": Kind(change=drive_gain, named=(("added columns", "gain"),), unseen=("emps",)),
     "sign": Kind(change=sign, named=(("physical", "sign"), ("control law", "sign"), ("signs and order", "sign"))),
     "efforts of two motors exchanged": Kind(
@@ -374,34 +315,57 @@ KINDS = {
     ),
     "sign of a coupled motor": Kind(change=sign_of_wrist, named=(("signs and order", "wrong sign"),), robots=("tx40",)),
     "radians declared as degrees": Kind(
-        change=radians_as_degrees, named=(("positions", "radians"),), robots=("scara",)
+        change=lambda s, rng: s.changed(lambda x: replace(x, q=np.radians(x.q), q_ref=np.radians(x.q_ref))),
+        named=(("positions", "radians"),),
+        robots=("scara",),
     ),
     "torque 1-5 samples late": Kind(change=late, named=LATE),
-    "mean said to be held": Kind(change=mean_for_command, named=LATE),
+    "mean said to be held": Kind(
+        change=lambda s, rng: replace(s.in_cell(recorded="mean"), timing="command"), named=LATE
+    ),
     "described ratio ±2-30 %": Kind(change=ratio, unseen=BOTH),
-    "saturated at 50-90 %": Kind(change=saturated, named=(("", "saturates"),)),
-    "asymmetric friction 20-50 %": Kind(change=asymmetric, named=(("added columns", "asymmetric"),)),
-    "Stribeck 50 %": Kind(change=stribeck, named=(("added columns", "Stribeck"),)),
+    "saturated at 50-90 %": Kind(
+        change=lambda s, rng: replace(s, saturated=rng.uniform(0.5, 0.9)), named=(("", "saturates"),)
+    ),
+    "asymmetric friction 20-50 %": Kind(
+        change=lambda s, rng: s.with_friction(asymmetry=rng.uniform(0.2, 0.5)), named=(("added columns", "asymmetric"),)
+    ),
+    "Stribeck 50 %": Kind(change=lambda s, rng: s.with_friction(stribeck=0.5), named=(("added columns", "Stribeck"),)),
     "cogging": Kind(change=cogging),
-    "friction drifts 20-40 %": Kind(change=friction_drifts, named=(("halves", ""), ("added columns", "drift"))),
-    "rate 1 %": Kind(change=rate, named=(("control law", ""),), unseen=BOTH),
+    "friction drifts 20-40 %": Kind(
+        change=lambda s, rng: s.in_cell(friction_drift=rng.choice([-1, 1]) * rng.uniform(0.2, 0.4)),
+        named=(("halves", ""), ("added columns", "drift")),
+    ),
+    "rate 1 %": Kind(
+        change=lambda s, rng: s.changed(lambda signals: at_rate(signals, signals.sample_rate_hz * off(rng, 1, 1))),
+        named=(("control law", ""),),
+        unseen=BOTH,
+    ),
     "controller gains × 0.5-2": Kind(change=controller_gains, named=(("control law", ""),)),
     "PI said to be P": Kind(change=undescribed_integral, named=(("control law", ""),)),
     "0.2-2 % of rows lost": Kind(change=lost_rows, named=(("rows", "missing"),)),
     "12 bit over the range": Kind(change=twelve_bits),
-    "slow motion": Kind(change=slow),
-    "2 s": Kind(change=short),
+    "slow motion": Kind(change=lambda s, rng: replace(s, highest_hz=rng.uniform(0.12, 0.25))),
+    "2 s": Kind(change=lambda s, rng: replace(s, duration_s=2.0)),
     "payload midway 10-40 %": Kind(change=payload_midway, named=(("halves", ""),)),
-    "no reference": Kind(change=no_reference),
-    "no controller": Kind(change=no_controller),
-    "late, no reference": Kind(change=late_without_reference, named=LATE),
-    "late, no controller": Kind(change=late_without_controller, named=LATE),
+    "no reference": Kind(change=lambda s, rng: without_reference(s)),
+    "no controller": Kind(change=lambda s, rng: without_law(s)),
+    "late, no reference": Kind(change=lambda s, rng: without_reference(late(s, rng)), named=LATE),
+    "late, no controller": Kind(change=lambda s, rng: without_law(late(s, rng)), named=LATE),
     "resonance 8-25 Hz": Kind(change=resonance, robots=("emps",)),
     "backlash 0.1-0.5 mm": Kind(change=backlash, robots=("emps",)),
-    "tilt 1-5°": Kind(change=tilt, named=(("added columns", "tilt"),), robots=("scara",)),
+    "tilt 1-5°": Kind(
+        change=lambda s, rng: replace(
+            s, body=plant(REPLAY / s.name / "robot.toml", smooth=SMOOTH, tilt_rad=np.deg2rad(rng.uniform(1, 5)))
+        ),
+        named=(("added columns", "tilt"),),
+        robots=("scara",),
+    ),
     "DH length 1-6 %": Kind(change=length, robots=("scara",), unseen=("scara",)),
     "one joint held": Kind(change=held, robots=("scara",)),
-    "delay 1-3 ticks behind the command": Kind(change=delayed, named=LATE),
+    "delay 1-3 ticks behind the command": Kind(
+        change=lambda s, rng: s.in_cell(actuation_delay_s=rng.uniform(1.0, 3.0) / s.controller.rate_hz), named=LATE
+    ),
     "rotor denied": Kind(change=denied_rotor, named=(("added columns", "rotor"),), robots=("scara",)),
     "zero of a joint 2°": Kind(change=zero_of_joint, named=((ASSUMED, "zeros"),), robots=("scara",), unseen=("scara",)),
     "clocks 0.1 % apart": Kind(change=clocks_apart, named=(("added columns", "clock"),)),

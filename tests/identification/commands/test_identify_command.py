@@ -2,19 +2,19 @@
 
 import json
 import re
-import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 from command_runs import refused, run
 from conftest import REPLAY, robot_named
+from made_up_recordings import header
 
-from acquisition.recording import Header, RecordingWriter, read_recording, sample_dtype
+from acquisition.recording import RecordingWriter, read_recording, sample_dtype
 from acquisition.robot import Robot, robot_from_files
 from identification.commands import main
 
-SESSION = REPLAY / "scara" / "session.mcap"
+SESSION, SCARA = REPLAY / "scara" / "session.mcap", REPLAY / "scara" / "robot.toml"
 
 
 def test_fit_prints_a_table_and_writes_json(capsys, tmp_path):
@@ -32,17 +32,13 @@ def test_fit_prints_a_table_and_writes_json(capsys, tmp_path):
     assert {"method", "status", "relative_error_percent", "condition_number", "rows", "provenance"} <= set(fit)
     assert (fit["sample_rate_hz"], fit["cutoff_hz"], fit["decimation"]) == (1000.0, 25.0, 40)
     assert [j["name"] for j in fit["joints"]] == ["shoulder", "elbow"]
-    assert {"relative_error_percent", "moving_relative_error_percent", "standing_relative_error_percent"} <= set(
-        fit["joints"][0]
-    )
     assert len(fit["provenance"]["sha256"]) == 64
     assert f"{fit['parameters'][0]['value']:.8f}"[:5] in out
 
 
-@pytest.mark.parametrize("name", ["scara", "tx40", "emps"])
-def test_the_same_description_beside_a_recording_prints_the_same_bytes(name, capsys):
-    session, robot = REPLAY / name / "session.mcap", REPLAY / name / "robot.toml"
-    assert run(capsys, "fit", session) == run(capsys, "fit", session, "--robot", robot)
+def test_the_same_description_beside_a_recording_prints_the_same_bytes(capsys):
+    command = "fit", SESSION, "--method", "wls"
+    assert run(capsys, *command) == run(capsys, *command, "--robot", SCARA)
 
 
 def test_a_verdict_that_is_asked_for_is_in_the_exit_status(capsys, tmp_path):
@@ -59,8 +55,7 @@ def test_a_verdict_that_is_asked_for_is_in_the_exit_status(capsys, tmp_path):
 
 def test_options_and_keys_change_the_fit(capsys, tmp_path):
     robot = tmp_path / "robot.toml"
-    text = (REPLAY / "scara" / "robot.toml").read_text()
-    robot.write_text(text + '\n[identification]\nspan = "all"\ndecimation = 20\n')
+    robot.write_text(SCARA.read_text() + '\n[identification]\nspan = "all"\ndecimation = 20\n')
     for name, options in {
         "none.json": ["--cutoff-hz", "none", "--method", "ols", "--robot", robot],
         "essential.json": ["--essential"],
@@ -71,41 +66,20 @@ def test_options_and_keys_change_the_fit(capsys, tmp_path):
     assert [p["name"] for p in essential["parameters"]] == essential["essential"]["names"]
 
 
-def test_validate_applies_a_fit_to_another_recording(capsys, tmp_path):
-    fit, other, errors = tmp_path / "fit.json", tmp_path / "other.mcap", tmp_path / "errors.json"
-    assert run(capsys, "fit", SESSION, "--json", fit)[0] == 0
-    assert run(capsys, "simulate", REPLAY / "scara" / "robot.toml", "-o", other, "--seed", 77)[0] == 0
-    assert run(capsys, "validate", fit, other, "--json", errors)[0] == 0
-    assert json.loads(errors.read_text())["relative_error_percent"] < 2.0
-    spoilt = json.loads(fit.read_text())
-    spoilt["parameters"][0]["value"] *= 1.5
-    fit.write_text(json.dumps(spoilt))
-    assert run(capsys, "validate", fit, other, "--json", errors)[0] == 0
-    assert json.loads(errors.read_text())["relative_error_percent"] > 20.0
-
-
-def test_base_prints_expressions(capsys, tmp_path):
-    status, out, _ = run(capsys, "base", REPLAY / "tx40" / "robot.toml", "--json", tmp_path / "base.json")
-    assert status == 0
-    assert "TX40: 60 base parameters" in out
-    assert "ZZ2 + Ia2 + 0.050625 (M3 + M4 + M5 + M6)" in out
-    assert len(json.loads((tmp_path / "base.json").read_text())["parameters"]) == 60
-
-
 def test_simulation_is_repeatable(capsys, tmp_path):
     options = ["--duration-s", 2, "--effort-noise-percent", 1]
     asymmetric = REPLAY / "emps" / "robot_published_asymmetric.toml"
     assert "no [parameters] to simulate with" in refused(capsys, "simulate", asymmetric, "-o", tmp_path / "c.mcap")
     for name in ("a.mcap", "b.mcap"):
-        assert run(capsys, "simulate", REPLAY / "scara" / "robot.toml", "-o", tmp_path / name, *options)[0] == 0
+        assert run(capsys, "simulate", SCARA, "-o", tmp_path / name, *options)[0] == 0
     a, b = (read_recording(tmp_path / name).samples for name in ("a.mcap", "b.mcap"))
     assert a.tobytes() == b.tobytes()
 
 
 def test_a_recording_is_replaced_only_where_that_is_asked_for(capsys, tmp_path):
-    log, scara = tmp_path / "session.mcap", REPLAY / "scara" / "robot.toml"
+    log = tmp_path / "session.mcap"
     log.write_bytes(b"old")
-    simulate = ["simulate", scara, "--duration-s", 1, "-o", log]
+    simulate = ["simulate", SCARA, "--duration-s", 1, "-o", log]
     told = refused(capsys, *simulate)
     assert told.startswith(f"robot-identify: {log}: already exists")
     assert told.rstrip().endswith("-o, or --overwrite")
@@ -119,24 +93,8 @@ def test_a_recording_is_replaced_only_where_that_is_asked_for(capsys, tmp_path):
 
 
 def write_samples(path: Path, robot: Robot, samples: np.ndarray) -> None:
-    header = Header(robot=robot, source="test", sample_rate_hz=1000.0, effort_provenance="made for a test")
-    with RecordingWriter(path, header) as writer:
+    with RecordingWriter(path, header(robot)) as writer:
         writer.samples(samples)
-
-
-def test_bad_recordings_are_refused_in_one_line(capsys, tmp_path):
-    path, out, whole = tmp_path / "log.mcap", tmp_path / "fit.json", SESSION.read_bytes()
-    assert "cannot be read: No such file" in refused(capsys, "fit", path, "--json", out)
-    middle = len(whole) // 2
-    flipped = whole[:middle] + bytes([whole[middle] ^ 1]) + whole[middle + 1 :]
-    for content, message in (
-        (b"time,q\n0,1\n", "is not an MCAP file"),
-        (whole[:middle], f"{path}: is cut"),
-        (flipped, "damaged"),
-    ):
-        path.write_bytes(content)
-        assert message in refused(capsys, "fit", path, "--json", out)
-    assert not out.exists()
 
 
 def test_gaps_short_recordings_and_stillness_are_named(capsys, tmp_path):
@@ -171,14 +129,6 @@ def test_unknown_gains_give_volts_and_a_warning(capsys, tmp_path):
     first, viscous, dry = json.loads((tmp_path / "fit.json").read_text())["parameters"][:3]
     assert [(p["name"], p["unit"]) for p in (first, viscous, dry)] == [("M1", "V s²/m"), ("Fv1", "V s/m"), ("Fc1", "V")]
     assert first["value"] == pytest.approx(2.7, rel=0.01)
-
-
-def test_outputs_are_whole_or_not_there(capsys, tmp_path):
-    copy = tmp_path / "log.mcap"
-    shutil.copy(SESSION, copy)
-    assert "no folder" in refused(capsys, "fit", copy, "--json", tmp_path / "none" / "fit.json")
-    assert "expected a file, found a folder" in refused(capsys, "fit", copy, "--json", tmp_path)
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["log.mcap"]
 
 
 ONE = {"name": "MX2", "value": 1, "sigma": 1, "unit": "kg m"}

@@ -39,7 +39,6 @@ def test_a_narrow_terminal_loses_no_digit_of_a_fit(narrow, capsys, tmp_path):
 
 
 def test_the_readme_shows_the_real_record_as_it_is_printed(emps, capsys):
-    """Its tables are without their frames there."""
     print_whole(fit_document(signals_of(emps), identify(signals_of(emps), Overrides())), short=True)
     printed = [re.findall(r"[^\s│┃]+", line) for line in capsys.readouterr().out.splitlines()]
     section = (ROOT / "identification" / "README.md").read_text().split("\n## The report of a fit\n")[1]
@@ -51,20 +50,6 @@ def test_the_readme_shows_the_real_record_as_it_is_printed(emps, capsys):
             assert line in [whole[: len(line)] for whole in printed]
         else:
             assert [*line, last] in printed
-
-
-def document(table: Table) -> Document:
-    return Document(title="a report", sections=(Section(title="a table", table=table),))
-
-
-def test_long_texts_are_folded_and_numbers_are_not(narrow, capsys):
-    headings = columns("name", "expression", numbers=("a/long/folder/and/a/file.json",))
-    print_whole(document(Table(columns=headings, rows=(("M1", "one and " * 12, "-123456.789012345678"),))))
-    told = capsys.readouterr().out
-    assert "-123456.789012345678" in told
-    assert told.count("one") == 12
-    assert "a/long/folder/and/a/" in told
-    assert "…" not in told
 
 
 @pytest.mark.parametrize("name", ["run[bold].mcap", "run[/b].mcap", "run:smile:.mcap"])

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from conftest import REPLAY, robot_named
-from hunt import fit_by_default, fit_by_least_squares
+from fits_of_records import ls_of, signals_of
 from hunt_kinds import KINDS, sound
 from independent_simulator import with_lost_rows
 
 from identification.data import load_signals, position_steps, signals_from_arrays
-
-SHARES = (0.2, 1.0, 2.0)  # percent
+from identification.methods import identify_ls
+from identification.regression import Overrides
 
 
 def shares(q):
@@ -20,21 +20,20 @@ def shares(q):
 
 
 def drawn(rows, percent):
-    """Rows (N,) bool, so many of each hundred, none of them beside another."""
     at = np.random.default_rng(3).choice(np.arange(5, rows - 5, 2), round(0.01 * percent * rows), replace=False)
     return np.isin(np.arange(rows), at)
 
 
-def short(name, seed):
-    return replace(sound(name, np.random.default_rng(seed)), duration_s=4.0)
+def short(name, seed, duration_s=4.0):
+    return replace(sound(name, np.random.default_rng(seed)), duration_s=duration_s, substeps=1)
 
 
 @pytest.fixture(scope="module")
 def q():
-    return {name: sound(name, np.random.default_rng(1)).recording(1).q for name in ("emps", "scara")}
+    return {name: short(name, 1, 10.0).recording(1).q for name in ("emps", "scara")}
 
 
-@pytest.mark.parametrize("percent", SHARES)
+@pytest.mark.parametrize("percent", [0.2, 2.0])
 @pytest.mark.parametrize("name", ["emps", "scara"])
 def test_the_share_is_told_to_a_tenth_of_a_percent(q, name, percent):
     q = q[name]
@@ -47,20 +46,18 @@ def test_the_share_is_told_to_a_tenth_of_a_percent(q, name, percent):
     assert of_held[:2].max() < 0.3 * of_held[2]
 
 
-@pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("name", ["emps", "scara"])
-def test_nothing_is_found_where_nothing_is_lost(name, seed):
-    signals = short(name, seed).recording(100 + seed)
-    assert shares(signals.q).max() == 0
-    assert position_steps(signals.q).moving > 0.5 * len(signals.q)
+def test_nothing_is_found_where_nothing_is_lost(q, name):
+    assert shares(q[name]).max() == 0
+    assert position_steps(q[name]).moving > 0.5 * len(q[name])
 
 
-@pytest.mark.parametrize("what", ["12 bit over the range", "slow motion", "Stribeck 50 %", "saturated at 50-90 %"])
-@pytest.mark.parametrize("step", [None, 1e-5])
+@pytest.mark.parametrize(
+    ("what", "step"), [("12 bit over the range", None), ("slow motion", 1e-5), ("Stribeck 50 %", 1e-5)]
+)
 def test_nothing_is_found_in_coarse_or_slow_motion(what, step):
     """Counts of 10 µm beside those of the kind."""
-    rng = np.random.default_rng(3)
-    setup = KINDS[what].change(replace(sound("emps", rng), duration_s=4.0), rng)
+    setup = KINDS[what].change(short("emps", 3), np.random.default_rng(3))
     setup = setup if step is None else setup.in_cell(encoder_step=step, encoder_noise=0.0)
     assert shares(setup.recording(7).q).max() == 0
 
@@ -83,20 +80,19 @@ def line_of(fit):
 
 
 def test_the_real_axis_has_all_its_rows_and_the_real_arm_a_slow_encoder(emps, tx40):
-    axis, arm = load_signals(emps), load_signals(tx40)
-    assert line_of(fit_by_least_squares(axis)) is None
-    note = line_of(fit_by_least_squares(arm))
+    axis, arm = signals_of(emps), signals_of(tx40)
+    assert line_of(ls_of(emps)) is None
+    note = line_of(ls_of(tx40))
     assert (note.level, note.value) == ("ok", None)
     assert "encoder of joint joint_3" in note.text
     assert max(shares(axis.q[::50]).max(), shares(arm.q[2::5]).max()) == 0  # coarse and abrupt motion at a low rate
 
 
-def test_the_verdict_of_arrays_and_recordings_with_lost_rows_is_caution():
+def test_the_verdict_of_arrays_with_lost_rows_is_caution():
     signals = short("scara", 1).recording(1)
     lossy = with_lost_rows(signals, drawn(len(signals.q), 1.0))
     arrays = signals_from_arrays(lossy.q, lossy.effort, lossy.sample_rate_hz, robot_named("scara"), lossy.q_ref)
-    for fit in (fit_by_default(lossy), fit_by_least_squares(arrays)):
-        line = line_of(fit)
-        assert line.level == "caution"
-        assert line.value == pytest.approx(1.0, abs=0.1)
-        assert fit.trust.verdict != "trust"
+    fit = identify_ls(arrays, Overrides())
+    line = line_of(fit)
+    assert (line.level, line.value) == ("caution", pytest.approx(1.0, abs=0.1))
+    assert fit.trust.verdict != "trust"

@@ -57,7 +57,7 @@ def weighted_regressor(problem) -> np.ndarray:
     return s.decimator.filtered(weights_at(problem, m.t_s)[:, None] * whole.transpose(1, 2, 0)).transpose(0, 2, 1)
 
 
-@pytest.mark.parametrize(("count", "own"), [(1, ()), (3, ()), (3, ("Off",))])
+@pytest.mark.parametrize(("count", "own"), [(1, ()), (3, ("Off",))])
 def test_parts_are_held_out_one_by_one(count, own):
     """By hand: weighted rows of the other parts, recordings or fifths, error of moving rows; own offsets fitted to it."""
     recordings = Recordings(sources=several(own)[:count])
@@ -126,7 +126,6 @@ def test_the_choice_does_not_depend_on_the_order_of_the_recordings():
 
 
 def test_a_recording_that_the_others_cannot_predict_is_named():
-    """The elbow moves in one of three recordings: the others say nothing of it. Of two no part is left."""
     still = []
     for signals in several()[:2]:
         q = signals.q.copy()
@@ -223,27 +222,21 @@ def test_the_page_has_each_joint_over_all_recordings(terms, own, monkeypatch):
     np.testing.assert_allclose(found, expected, rtol=1e-9)
 
 
-@pytest.mark.parametrize("count", [1, 3])
-def test_the_page_of_the_command_has_the_friction_of_both_fits(tmp_path, count, monkeypatch):
-    files, drawn = [], []
-    for signals in several()[:count]:
-        files.append(str(tmp_path / signals.recording))
-        write_signals(tmp_path / signals.recording, signals, source="test")
+def test_the_page_of_the_command_has_the_friction_of_both_fits(tmp_path, monkeypatch):
+    signals, file, drawn = several()[0], tmp_path / "log.mcap", []
+    write_signals(file, signals, source="test")
     monkeypatch.setattr(view, "write_html", lambda path, picture: drawn.append(picture))
     monkeypatch.setattr(charts, "MAX_DOTS", 100)
-    assert main(["friction", *files, "--torque-lag-s", "none", "--report", str(tmp_path / "a.html")]) == 0
+    assert main(["friction", str(file), "--torque-lag-s", "none", "--report", str(tmp_path / "a.html")]) == 0
     ((page,),) = (picture.pages for picture in drawn)
-    given = select_friction(Recordings(sources=several()[:count]), WITHOUT_LAG).overrides
     assert list(page.groups) == ["shoulder", "elbow"]
+    given = select_friction(Recordings(sources=(signals,)), WITHOUT_LAG).overrides
     for k, (name, terms) in enumerate({"usual": (frozenset(),) * 2, "recommended": (ROOT | LOAD, LOAD)}.items()):
-        signals = (dataclasses.replace(one, robot=with_terms(one.robot, terms)) for one in several()[:count])
-        fit = identify_ls(Recordings(sources=tuple(signals)), given)
-        each = zip(page.groups.values(), charts.friction_charts(fit, name), fit.speed.T, strict=True)
-        for group, wanted, v in each:
-            chart, v = group[k], v[np.abs(v) > 0.02 * np.abs(v).max()]
-            assert (chart.title, chart.path) == (wanted.title, wanted.path)
-            assert chart.title.startswith(f"friction {chart.path[1]}, {name} [")
-            for curve, other in zip(chart.curves, wanted.curves, strict=True):
+        fit = identify_ls(dataclasses.replace(signals, robot=with_terms(signals.robot, terms)), given)
+        for group, wanted in zip(page.groups.values(), charts.friction_charts(fit, name), strict=True):
+            assert (group[k].title, group[k].path) == (wanted.title, wanted.path)
+            assert wanted.title.startswith(f"friction {wanted.path[1]}, {name} [")
+            for curve, other in zip(group[k].curves, wanted.curves, strict=True):
                 np.testing.assert_allclose(curve.line, other.line, rtol=1e-6)
-            points = np.concatenate([points for points, _ in chart.dots])
-            np.testing.assert_allclose(np.sort(points[:, 0]), np.sort(v[:: len(v) // 100]))
+            points, expected = (np.concatenate([dots for dots, _ in one.dots]) for one in (group[k], wanted))
+            assert len(points) == len(expected) <= 2 * 100

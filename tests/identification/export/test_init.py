@@ -1,7 +1,5 @@
 """A URDF as a description by init, which other commands ask for; dynamics against pinocchio's own reading."""
 
-import json
-import re
 import tomllib
 from pathlib import Path
 
@@ -12,8 +10,7 @@ import pytest
 from command_runs import run
 from urdfs import ARM, BOX, LIMIT, PARTS, joint, link, urdf
 
-from acquisition.commands import main as acquire
-from acquisition.errors import BadInputError, RobotIdimError
+from acquisition.errors import RobotIdimError
 from acquisition.robot import check_limits, lines_to_fill_in, load_robot, resolve
 from acquisition.simulated import driven_plant
 from identification import read_robot
@@ -50,7 +47,7 @@ def torque_of_the_urdf(text, names, states):
     return np.array(tau)
 
 
-@pytest.mark.parametrize("names", [ARM, (*ARM, "finger"), ("turn", "slide")])
+@pytest.mark.parametrize("names", [(*ARM, "finger"), ("turn", "slide")])
 def test_the_parameters_give_the_torque_of_the_urdf(here, capsys, names):
     """Fixed and locked links are part of the link that carries them; the axis of the first joint is along none of the frame."""
     assert run(capsys, "init", "arm.urdf", "--joints", ",".join(names), "-o", "robot.toml")[0] == 0
@@ -66,7 +63,7 @@ def test_the_parameters_give_the_torque_of_the_urdf(here, capsys, names):
 
 def test_init_writes_what_the_urdf_says_and_marks_the_rest(here, capsys):
     status, out, err = run(capsys, "init", "arm.urdf", "-o", "robot.toml")
-    text = (here / "robot.toml").read_text()
+    text, robot = (here / "robot.toml").read_text(), load_robot("robot.toml")
     assert (status, err) == (0, "")
     assert out.splitlines()[:6] == [
         "robot.toml: 3 joints of arm.urdf",
@@ -76,13 +73,10 @@ def test_init_writes_what_the_urdf_says_and_marks_the_rest(here, capsys):
         "locked at zero: finger: prismatic",
         "locked at zero: thumb: prismatic, mimics finger",
     ]
-    assert "#     thumb: prismatic, mimics finger\n" in text
-    for links in ("column", "arm, sensor", "beam, tool, left, right"):  # that move with one joint
-        assert f"\n# {links}\n" in text
-    robot = load_robot("robot.toml")
-    assert robot.name == "made up"
+    for line in ("#     thumb: prismatic, mimics finger", "# column", "# arm, sensor", "# beam, tool, left, right"):
+        assert f"\n{line}\n" in text  # links that move with one joint
     turn, slide = robot.joints[0], robot.joints[2]
-    assert turn.si("position") == pytest.approx((-2, 1.5), rel=1e-9)
+    assert (robot.name, turn.si("position")) == ("made up", pytest.approx((-2, 1.5), rel=1e-9))
     assert (turn.si("speed"), turn.effort_nm) == pytest.approx((3, 40), rel=1e-9)
     assert (slide.si("position"), slide.si("speed"), slide.effort_n) == ((0.1, 0.4), 0.5, 90)
     assert (robot.parameters["Fv1"], robot.parameters["Fc1"]) == (0.6, 0.25)
@@ -122,30 +116,30 @@ def test_the_bus_of_a_scan_stands_in_the_place_of_the_example_drives(here, capsy
     assert f"to be filled in: {len(marked) - 1} lines" in printed  # the first line says what the mark means
 
 
-def test_a_bus_with_other_drives_than_joints_is_refused(here, capsys):
+def test_what_is_there_is_not_replaced_and_the_urdf_is_found_from_the_output(here, capsys):
     (here / "bus.toml").write_text(BUS)
     said = refused(capsys, "init", "arm.urdf", "--bus", "bus.toml", "-o", "robot.toml")
     assert said == "bus.toml: drives = 2: expected 3 [[bus.drive]], one for each joint of the URDF"
-    assert "is an input too" in refused(capsys, "init", "arm.urdf", "--bus", "bus.toml", "-o", "bus.toml")
     assert not (here / "robot.toml").exists()
+    (here / "robot.toml").write_text("mine")
+    said = refused(capsys, "init", "arm.urdf", "-o", "robot.toml")
+    assert said == "robot.toml: already exists: expected a new name, or --overwrite"
+    assert (here / "robot.toml").read_text() == "mine"
+    for out in (["--bus", "bus.toml", "-o", "bus.toml"], ["-o", "arm.urdf"]):
+        assert "is an input too" in refused(capsys, "init", "arm.urdf", *out)
+    (here / "cell").mkdir()
+    assert run(capsys, "init", "arm.urdf", "-o", "cell/robot.toml")[0] == 0
+    assert load_robot("cell/robot.toml").n == 3
+    options = ["--effort", "N m", "--torque-sensor", "--overwrite", "-o", "robot.toml"]
+    status, out, _ = run(capsys, "init", "arm.urdf", *options)
+    assert (status, load_robot("robot.toml").joints[0].rotor_inertia) == (0, False)
+    assert "rotor_inertia = false: torque sensors do not measure rotors; a motor's torque includes its rotor" in out
 
 
 def test_without_an_output_the_file_is_printed(here, capsys):
     status, out, _ = run(capsys, "init", "arm.urdf", *NAMES)
     assert (status, tomllib.loads(out)["urdf"]) == (0, "arm.urdf")
-    assert "#     finger: prismatic\n" in out
     assert sorted(path.name for path in here.iterdir()) == ["arm.urdf"]
-
-
-def test_an_existing_file_is_not_replaced_and_the_urdf_is_found_from_it(here, capsys):
-    (here / "robot.toml").write_text("mine")
-    said = refused(capsys, "init", "arm.urdf", "-o", "robot.toml")
-    assert said == "robot.toml: already exists: expected a new name, or --overwrite"
-    assert (here / "robot.toml").read_text() == "mine"
-    assert "is an input too" in refused(capsys, "init", "arm.urdf", "-o", "arm.urdf")
-    (here / "cell").mkdir()
-    assert run(capsys, "init", "arm.urdf", "-o", "cell/robot.toml")[0] == 0
-    assert load_robot("cell/robot.toml").n == 3
 
 
 def test_the_example_of_the_drives_is_one(here, capsys):
@@ -163,46 +157,22 @@ def test_the_example_of_the_drives_is_one(here, capsys):
     check_limits(np.tile(middle, (3, 1)), robot, 0.002, "nowhere")
 
 
-def test_base_names_the_joints_of_the_urdf(here, capsys):
-    run(capsys, "init", "arm.urdf", *NAMES, "-o", "robot.toml")
-    status, printed, _ = run(capsys, "base", "robot.toml", "--json", "base.json")
-    assert status == 0
-    assert json.loads((here / "base.json").read_text())["joint_names"] == list(ARM)
-    assert re.search(r"3\W+slide\W+prismatic", printed)
-
-
-@pytest.mark.parametrize(
-    "command", ["base", "excite -o a.csv", "simulate -o a.mcap", "study", "fit log.mcap --robot", "check"]
-)
-def test_other_commands_ask_for_the_description_of_a_urdf(here, capsys, command):
-    name, *options = command.split()
-    program = acquire if name == "check" else main
-    assert program([name, *options, "arm.urdf"] if name == "fit" else [name, "arm.urdf", *options]) == 1
-    said = capsys.readouterr().err
-    expected = "expected a robot.toml; `robot-identify init arm.urdf -o robot.toml` makes one"
-    assert said.endswith(f": arm.urdf: is a URDF: {expected}\n")
-    assert said.count("\n") == 1
-
-
 def test_a_joint_without_limits_has_them_by_options_or_is_named(here, capsys):
     """No range of 1 rad: a continuous joint, one without <limit>, one whose limits are equal."""
-    for turn in ("continuous", "revolute"):
-        (here / "arm.urdf").write_text(urdf(turn=joint("turn", turn, "base", "column")))
-        assert run(capsys, "init", "arm.urdf", *NAMES, *STATED, "-o", f"{turn}.toml")[0] == 0
-        text = (here / f"{turn}.toml").read_text()
-        assert "# position_deg = [LOWEST, HIGHEST] # FILL IN" in text
-        assert "# speed_deg_s = ... # FILL IN" in text
-        assert run(capsys, "base", f"{turn}.toml")[0] == 0
-        error = refused(capsys, "study", f"{turn}.toml", "--runs", "1")
-        assert "joint turn: joint[0].position_deg is missing: expected [lowest, highest]" in error
-        of_range = [*NAMES, *STATED, "--range", "3,3,0.3", "--speed", "2,2,0.2", "-o", f"{turn}_moves.toml"]
-        assert run(capsys, "init", "arm.urdf", *of_range)[0] == 0
-        limits = load_robot(f"{turn}_moves.toml").joints[0]
-        assert (limits.si("position"), limits.si("speed")) == (pytest.approx((-3, 3)), pytest.approx(2))
     equal = LIMIT.replace("-2", "0").replace("1.5", "0")
-    for kind, limit in (("continuous", LIMIT), ("revolute", equal)):  # it turns on and on
+    for kind, limit in (("continuous", ""), ("revolute", ""), ("continuous", LIMIT), ("revolute", equal)):
         (here / "arm.urdf").write_text(urdf(turn=joint("turn", kind, "base", "column", limit)))
         assert "# position_deg = [LOWEST, HIGHEST] # FILL IN" in run(capsys, "init", "arm.urdf", *NAMES)[1]
+        if limit:
+            continue
+        assert run(capsys, "init", "arm.urdf", *NAMES, *STATED, "-o", f"{kind}.toml")[0] == 0
+        assert "# speed_deg_s = ... # FILL IN" in (here / f"{kind}.toml").read_text()
+        error = refused(capsys, "study", f"{kind}.toml", "--runs", "1")
+        assert "joint turn: joint[0].position_deg is missing: expected [lowest, highest]" in error
+        of_range = [*NAMES, *STATED, "--range", "3,3,0.3", "--speed", "2,2,0.2", "-o", f"{kind}_moves.toml"]
+        assert run(capsys, "init", "arm.urdf", *of_range)[0] == 0
+        limits = load_robot(f"{kind}_moves.toml").joints[0]
+        assert (limits.si("position"), limits.si("speed")) == (pytest.approx((-3, 3)), pytest.approx(2))
 
 
 def test_options_and_limits_of_the_urdf_hold_together(here):
@@ -249,25 +219,11 @@ def test_values_that_are_none_are_wrong_usage(here, capsys, values):
     assert end.value.code == 2
 
 
-def test_a_study_and_a_simulation_of_the_description_of_a_urdf(here, capsys):
-    assert run(capsys, "init", "arm.urdf", *NAMES, *STATED, "-o", "robot.toml")[0] == 0
-    short = ["--duration-s", "4", "--rate-hz", "200"]
-    assert run(capsys, "simulate", "robot.toml", *short, "-o", "log.mcap")[0] == 0
-    assert run(capsys, "fit", "log.mcap", "--json", "fit.json")[0] in (0, 3)
-    fit = {p["name"]: p["value"] for p in json.loads((here / "fit.json").read_text())["parameters"]}
-    assert fit["Fv1"] == pytest.approx(0.6, rel=0.02)
-    assert run(capsys, "study", "robot.toml", *short, "--runs", "1", "--json", "study.json")[0] == 0
-    study = json.loads((here / "study.json").read_text())
-    assert dict(zip(study["parameters"], study["true"], strict=True))["Fv1"] == 0.6
-    assert study["runs"][0]["ls"]["error"] < 0.5
-
-
 def massless(name):
     return f'<link name="{name}"/>\n'
 
 
 def turn(rest=LIMIT, kind="revolute", parent="base", name="turn", axis="0 0 1"):
-    """The URDF with another first joint."""
     return urdf(turn=joint(name, kind, parent, "column", rest, axis))
 
 
@@ -340,31 +296,38 @@ def test_a_link_without_mass_is_part_of_one_that_has_some(here, capsys):
     assert load_robot("robot.toml").parameters["M2"] == pytest.approx(0.4)
 
 
-def test_impossible_moments_are_noted_and_used(here, capsys):
-    flat = '<inertia ixx="0.02" ixy="0" ixz="0" iyy="0.03" iyz="0" izz="0.06"/>'
-    (here / "arm.urdf").write_text(urdf(arm=link("arm", inertia=flat)))
-    status, out, _ = run(capsys, "init", "arm.urdf", "-o", "robot.toml")
-    note = "note: link arm: principal moments 0.02, 0.03, 0.06 kg m²: impossible, one exceeds the sum of the others"
-    assert (status, note in out, f"# {note}" in (here / "robot.toml").read_text()) == (0, True, True)
+FLAT = '<inertia ixx="0.02" ixy="0" ixz="0" iyy="0.03" iyz="0" izz="0.06"/>'
+LOCKED = joint("flap", "floating", "base", "x") + joint("crank", "planar", "x", "y") + link("x") + link("y")
 
 
-def test_a_joint_that_is_locked_is_not_asked_for_limits_or_an_axis(here, capsys):
-    off = joint("flap", "floating", "base", "x") + joint("crank", "planar", "x", "y") + link("x") + link("y")
-    (here / "arm.urdf").write_text(urdf(off=off, finger=joint("finger", "revolute", "tool", "left", axis="0 0 0")))
-    status, out, _ = run(capsys, "init", "arm.urdf", *NAMES)
+@pytest.mark.parametrize(
+    ("changes", "options", "noted"),
+    [
+        (
+            {"arm": link("arm", inertia=FLAT)}, [],  # used as they are
+            ["# note: link arm: principal moments 0.02, 0.03, 0.06 kg m²: impossible, one exceeds the sum of the others"],
+        ),
+        (
+            {"off": LOCKED, "finger": joint("finger", "revolute", "tool", "left", axis="0 0 0")}, NAMES,  # no axis needed
+            ["#     flap: floating", "#     crank: planar", "#     finger: revolute"],
+        ),
+        # Two fingers that mimic nothing would be two chains of one length.
+        (
+            {"thumb": joint("right_finger", "prismatic", "tool", "right")}, [],
+            ["#     finger: prismatic", "#     right_finger: prismatic"],
+        ),
+    ],
+)  # fmt: skip
+def test_what_is_odd_or_locked_is_noted(here, capsys, changes, options, noted):
+    (here / "arm.urdf").write_text(urdf(**changes))
+    status, out, _ = run(capsys, "init", "arm.urdf", *options)
     assert status == 0
-    for name in ("flap: floating", "crank: planar", "finger: revolute"):
-        assert f"#     {name}\n" in out
+    assert all(f"{line}\n" in out for line in noted)
 
 
-def test_errors_carry_their_data(here):
-    with pytest.raises(BadInputError) as error:
-        read_chain(Path("arm.urdf"), ("turn", "elbow"))
-    assert (error.value.place, error.value.key, error.value.value) == ("arm.urdf", "--joints", "elbow")
-    robot = robot_of_chain(read_chain(Path("arm.urdf"), ARM))
-    with pytest.raises(BadInputError) as unstated:
-        _ = robot.bandwidth_hz
-    assert (unstated.value.place, unstated.value.key) == ("robot made up", "controller.bandwidth_hz")
+def test_fingers_are_the_joints_where_there_is_nothing_else(here, capsys):
+    (here / "hand.urdf").write_text(f'<robot name="h">{PARTS["tool"]}{PARTS["left"]}{PARTS["finger"]}</robot>')
+    assert "1 joints of hand.urdf" in run(capsys, "init", "hand.urdf", "-o", "hand.toml")[1]
 
 
 @pytest.mark.parametrize(
@@ -406,20 +369,3 @@ def test_options_of_motors_that_do_not_go_together(here, capsys):
         assert refused(capsys, "init", "arm.urdf", *given).startswith(f"{key} = ")
     wrong = refused(capsys, "init", "arm.urdf", "--effort", "A", "--ratio", "1,2")
     assert "--ratio = 2 values: expected one, or 3 for turn, lift, slide" in wrong
-
-
-def test_a_description_is_replaced_if_that_is_asked_for(here, capsys):
-    assert run(capsys, "init", "arm.urdf", "-o", "robot.toml")[0] == 0
-    options = ["--effort", "N m", "--torque-sensor", "--overwrite", "-o", "robot.toml"]
-    status, out, _ = run(capsys, "init", "arm.urdf", *options)
-    assert (status, load_robot("robot.toml").joints[0].rotor_inertia) == (0, False)
-    assert "rotor_inertia = false: torque sensors do not measure rotors; a motor's torque includes its rotor" in out
-
-
-def test_fingers_are_named_and_left_out_unless_there_is_nothing_else(here, capsys):
-    """Two fingers that mimic nothing would be two chains of one length."""
-    (here / "arm.urdf").write_text(urdf(thumb=joint("right_finger", "prismatic", "tool", "right")))
-    out = run(capsys, "init", "arm.urdf", "-o", "robot.toml")[1]
-    assert "locked at zero: finger: prismatic\nlocked at zero: right_finger: prismatic\n" in out
-    (here / "hand.urdf").write_text(f'<robot name="h">{PARTS["tool"]}{PARTS["left"]}{PARTS["finger"]}</robot>')
-    assert "1 joints of hand.urdf" in run(capsys, "init", "hand.urdf", "-o", "hand.toml")[1]

@@ -5,17 +5,7 @@ import re
 
 import pytest
 
-from acquisition.errors import BadInputError
-from identification.report import (
-    Document,
-    Number,
-    Section,
-    Table,
-    columns,
-    print_whole,
-    to_markdown,
-    write_markdown,
-)
+from identification.report import Document, Number, Section, Table, columns, print_whole, to_markdown
 
 VALUES = (1.23456789, -0.000123456, 98765.4321)
 FORMS = (".4f", "+.2g", ".1f")
@@ -55,12 +45,7 @@ def test_the_three_renderers_give_the_same_cells(capsys):
     terminal, markdown = capsys.readouterr().out, to_markdown(REPORT)
     _, *rows = markdown_cells(markdown)
     assert (
-        rows
-        == terminal_cells(terminal)
-        == [
-            ["a|b\\", "1.2346", "-0.00012", "98765.4"],
-            ["none", "-", "-", "> 1000"],
-        ]
+        rows == terminal_cells(terminal) == [["a|b\\", "1.2346", "-0.00012", "98765.4"], ["none", "-", "-", "> 1000"]]
     )
     for text in (terminal, markdown):
         assert text.index("a robot: fit") < text.index("status: solved") < text.index("parameters")
@@ -76,24 +61,6 @@ def test_markdown_takes_no_text_for_markup():
     assert rule == "|---|--:|--:|--:|"
 
 
-def test_a_wide_table_is_printed_whole_in_a_narrow_terminal(capsys, monkeypatch):
-    for name, value in (("COLUMNS", "40"), ("FORCE_COLOR", "1"), ("LINES", "50")):
-        monkeypatch.setenv(name, value)
-    numbers = [Number(1000.0 + k / 7, ".6f") for k in range(30)]
-    headings = columns(numbers=tuple(f"heading of {k}" for k in range(30)))
-    print_whole(Document(title="wide", sections=(Section(table=Table(columns=headings, rows=(tuple(numbers),))),)))
-    out = capsys.readouterr().out
-    assert "…" not in out
-    assert all(number.text in out for number in numbers)
-
-
 def test_a_row_has_a_cell_for_each_column():
     with pytest.raises(ValueError, match="a row of 1 cells in a table of 2 columns"):
         Table(columns=columns("a", "b"), rows=(("x",),))
-
-
-def test_a_report_in_markdown_is_written_to_its_file(tmp_path):
-    write_markdown(tmp_path / "report.md", REPORT)
-    assert (tmp_path / "report.md").read_text(encoding="utf-8") == to_markdown(REPORT)
-    with pytest.raises(BadInputError):
-        write_markdown(tmp_path / "missing" / "report.md", REPORT)

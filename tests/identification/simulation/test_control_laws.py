@@ -12,7 +12,7 @@ from scipy.linalg import expm
 from acquisition.robot import load_robot, robot_from_files
 from identification.errors import BadInputError
 from identification.model import InverseModel, described_parameters, direct_model, inertias
-from identification.simulation import Control, ControlLaw, Reference, recorded_loop, surrogate_loop
+from identification.simulation import Control, ControlLaw, Reference, recorded_loop
 
 MASS, VISCOUS, GAIN, RATIO, T = 20.0, 5.0, 10.0, 2.0, 1e-3
 TICKS = 400
@@ -32,32 +32,21 @@ def axis(structure: str, estimate: str, saturation: float):
     kp, kd, ki = LAWS[structure]
     integral = f"integral_gain = [{ki}]\n" if ki else ""
     limit = f"saturation = {saturation}\n" if np.isfinite(saturation) else ""
-    return robot_from_files(
-        {
-            "robot.toml": (
-                'name = "axis"\n[[joint]]\nname = "x"\ntype = "prismatic"\n'
-                "dh = { alpha_deg = 90, d_m = 0, theta_deg = 0, r_m = 0 }\nrotor_inertia = false\ncoulomb = false\n"
-                f'[[motor]]\nname = "m"\ndrive_gain = {GAIN}\ndrive_gain_unit = "N/A"\nratio = {RATIO}\n{limit}'
-                f'[controller]\nbandwidth_hz = 5\nstructure = "{structure}"\nsample_rate_hz = {1 / T}\n'
-                f'position_gain = [{kp}]\nvelocity_gain = [{kd}]\n{integral}velocity_estimate = "{estimate}"\n'
-                f"[parameters]\nM1 = {MASS}\nFv1 = {VISCOUS}\n"
-            ).encode()
-        },
-        "axis.toml",
+    text = (
+        'name = "axis"\n[[joint]]\nname = "x"\ntype = "prismatic"\n'
+        "dh = { alpha_deg = 90, d_m = 0, theta_deg = 0, r_m = 0 }\nrotor_inertia = false\ncoulomb = false\n"
+        f'[[motor]]\nname = "m"\ndrive_gain = {GAIN}\ndrive_gain_unit = "N/A"\nratio = {RATIO}\n{limit}'
+        f'[controller]\nbandwidth_hz = 5\nstructure = "{structure}"\nsample_rate_hz = {1 / T}\n'
+        f'position_gain = [{kp}]\nvelocity_gain = [{kd}]\n{integral}velocity_estimate = "{estimate}"\n'
+        f"[parameters]\nM1 = {MASS}\nFv1 = {VISCOUS}\n"
     )
+    return robot_from_files({"robot.toml": text.encode()}, "axis.toml")
 
 
 REST = (np.zeros(1), np.zeros(1))
 
 
-def by_hand(
-    structure: str,
-    estimate: str,
-    path: np.ndarray,
-    saturation: float,
-    ahead: np.ndarray | None = None,
-    force: np.ndarray | None = None,
-) -> tuple[np.ndarray, np.ndarray]:
+def by_hand(structure: str, estimate: str, path: np.ndarray, saturation: float, ahead=None, force=None):
     """Position and motor effort of the sampled loop along the reference path: position, speed, acceleration (3, TICKS).
 
     `ahead` (TICKS,) is added to the motor's effort, `force` (TICKS,) to that on the mass.
@@ -122,7 +111,6 @@ def test_each_law_is_the_sampled_loop(structure, estimate, kind, saturation):
 @pytest.mark.parametrize("saturation", [np.inf, 3.0])
 @pytest.mark.parametrize("structure", LAWS)
 def test_known_torque_and_feedforward_act_on_the_sampled_loop(structure, saturation):
-    """Pulses of the motor's effort, counted before the saturation, and a force on the mass, which it does not see."""
     robot = axis(structure, "exact", saturation)
     (*_, model), path = modelled(robot), path_of("sine")
     k = np.arange(TICKS)
@@ -132,16 +120,6 @@ def test_known_torque_and_feedforward_act_on_the_sampled_loop(structure, saturat
     q, effort = by_hand(structure, "exact", path, saturation, ahead, force)
     np.testing.assert_allclose(done.q[::4, 0], q, atol=5e-7)
     np.testing.assert_allclose(done.tau[::4, 0], GAIN * RATIO * effort, atol=1e-3 * np.abs(GAIN * RATIO * effort).max())
-
-
-def test_a_surrogate_holds_what_the_known_torque_does_not():
-    """At rest under a constant force a surrogate stands at its reference: without sag."""
-    robot = axis("pd", "exact", np.inf)
-    *_, model = modelled(robot)
-    references = Reference(*np.zeros((3, TICKS, 1)), known_torque=np.full((TICKS, 1), 30.0))
-    done = simulate(model, surrogate_loop(5.0, np.array([MASS]), 1 / T), references)
-    assert np.abs(done.q).max() < 1e-12
-    assert done.tau[:, 0] == pytest.approx(-30.0)
 
 
 @pytest.mark.parametrize("structure", LAWS)
@@ -168,9 +146,8 @@ def test_viscous_friction_of_each_direction_slows_its_own(way):
     Fv, Fc = (160.0, 15.0) if way > 0 else (240.0, 25.0)
     model = direct_model(dynamics, chi)
     zero, speed = np.zeros((1, 1)), np.full((1, 1), way * 0.2)
-    assert model.torque(zero, speed, zero) == pytest.approx(way * (Fv * 0.2 + Fc))
-    row = dynamics.regressor(zero, speed, zero)[0, 0] @ chi
-    assert row == pytest.approx(way * (Fv * 0.2 + Fc))
+    for torque in (model.torque(zero, speed, zero), dynamics.regressor(zero, speed, zero)[0, 0] @ chi):
+        assert torque == pytest.approx(way * (Fv * 0.2 + Fc))
     start = (np.zeros(1), np.array([way * 0.5]))
     done = simulate(model, free(1, 1 / T), np.zeros((TICKS, 1)), start=start, substeps=4)
     t = T / 4 * np.arange(4 * TICKS)
@@ -178,7 +155,6 @@ def test_viscous_friction_of_each_direction_slows_its_own(way):
 
 
 def test_a_loop_of_another_gain_and_motor_matrix_acts_at_the_motors():
-    """Two coupled motors at rest, off the reference: tau = Rᵀ G Kp R e, worked out entry by entry."""
     R, e = np.array([[2.0, 0.0], [3.0, -4.0]]), np.array([0.01, 0.02])
     model = direct_model(
         dynamics := InverseModel(load_robot(REPLAY / "scara" / "robot.toml")),
@@ -211,18 +187,15 @@ def test_a_loop_begun_in_motion_along_its_reference_asks_for_nothing(estimate):
     np.testing.assert_allclose(done.q, path, atol=1e-12)
 
 
-def test_an_integral_starts_within_the_limit():
+@pytest.mark.parametrize(("limit", "effort"), [(np.inf, 0.4), (0.3, 0.3)])
+def test_an_integral_starts_within_the_limit(limit, effort):
     """8 N to hold at 20 N/A take 0.4 A; of a limit of 0.3 A no more than that is in the integral."""
-    for limit, effort in ((np.inf, 0.4), (0.3, 0.3)):
-        robot = axis("pid", "exact", limit)
-        dynamics = InverseModel(robot)
-        model = direct_model(dynamics, np.array([{"M1": MASS}.get(name, 0.0) for name in dynamics.names]))
-        pushed, zero = replace(model, offset=np.array([8.0])), np.zeros((2, 1))
-        loop = recorded_loop(robot)
-        control = Control(pushed, loop, zero[0], zero[0])
-        control.take(Reference(zero, zero, zero))
-        assert loop.Ki * control._integral == pytest.approx(effort)
-        assert control.torque(0, zero[0], zero[0]) == pytest.approx(effort * GAIN * RATIO)
+    robot = axis("pid", "exact", limit)
+    (*_, model), loop, zero = modelled(robot), recorded_loop(robot), np.zeros((2, 1))
+    control = Control(replace(model, offset=np.array([8.0])), loop, zero[0], zero[0])
+    control.take(Reference(zero, zero, zero))
+    assert loop.Ki * control._integral == pytest.approx(effort)
+    assert control.torque(0, zero[0], zero[0]) == pytest.approx(effort * GAIN * RATIO)
 
 
 @pytest.mark.parametrize(("force", "moves"), [(14.0, False), (16.0, True), (-24.0, False), (-26.0, True)])

@@ -1,7 +1,5 @@
 """The package's simulation of an experiment against the independent simulator: same instants, same law, same motion."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from conftest import REPLAY
@@ -9,13 +7,7 @@ from independent_robots import plant
 from independent_simulator import Imperfections, described_controller, description, references, simulate
 
 from identification.data import load_signals
-from identification.estimation import (
-    SPANS,
-    instrumental_variables,
-    intervals,
-    intervals_of,
-    weighted_least_squares,
-)
+from identification.estimation import SPANS, instrumental_variables, intervals, intervals_of, weighted_least_squares
 from identification.model import InverseModel, base_parameters, described_parameters
 from identification.regression import Overrides, make_problem, row_blocks, rows_of_recording
 from identification.simulation.experiment import Experiment
@@ -24,11 +16,10 @@ from identification.simulation.instruments import simulate_instruments
 
 @pytest.mark.parametrize("name", ["scara", "emps"])
 def test_the_simulated_motion_is_that_of_the_robot_without_noise(name):
-    """With the true parameters only friction near standstill differs: far less than one sample of delay would."""
     toml = REPLAY / name / "robot.toml"
     body = plant(toml, smooth=0.002)
     reference = references(body, range(1), duration_s=3.0, rate_hz=1000.0)
-    runs = simulate(body, described_controller(body), reference, Imperfections())
+    runs = simulate(body, described_controller(body), reference, Imperfections(), substeps=1)
     robot = description(toml)
     signals = runs.signals(robot, 0)
     dynamics = InverseModel(robot)
@@ -55,12 +46,8 @@ def test_the_simulated_motion_is_that_of_the_robot_without_noise(name):
     assert (np.linalg.norm(tau - recorded, axis=0) < 0.02 * np.linalg.norm(recorded, axis=0)).all()
 
 
-@pytest.mark.parametrize("without_reference", [False, True])
-def test_blocks_of_a_long_recording_give_what_its_rows_give(monkeypatch, without_reference):
-    """Simulated, filtered and factored block by block: the estimate, its intervals and the errors are those of one pass."""
+def test_blocks_of_a_long_recording_give_what_its_rows_give(monkeypatch):
     signals = load_signals(REPLAY / "scara" / "session.mcap")
-    if without_reference:
-        signals = replace(signals, q_ref=None)
     problem = make_problem(signals, Overrides(decimation=5))
     whole = rows_of_recording(problem)
     full = weighted_least_squares(whole.system)

@@ -1,6 +1,5 @@
 """How far settings, noise of the position and the start move least squares and instrumental variables."""
 
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -20,8 +19,6 @@ SCARA = REPLAY / "scara" / "session.mcap"
 
 
 class Tasks:
-    """Records the tasks, and answers each with the same values."""
-
     remote = False
 
     def __init__(self, values):
@@ -34,19 +31,14 @@ class Tasks:
 
 
 def test_noise_of_the_real_record_moves_least_squares_and_not_instrumental_variables(emps, capsys):
-    """10 µm behind the rule's filter: LS by over 5 half-widths, IV by less than 1; any start gives the same digits."""
-    began = time.process_time()
     fits = vary(RecordingFile.at(emps), None, Work())
-    spent = time.process_time() - began
     largest = np.max([moves_of(fits, name) for name in fits[0].values], axis=0)
     moves = dict(zip((fit.variant.to for fit in fits), largest, strict=True))
     ls, iv, *_ = moves["1e-05 m rms"]
-    print(f"{spent:.1f} s of CPU; 10 µm: LS {ls:.2g}, IV {iv:.2g}; 20 µm: {moves['2e-05 m rms']}")
     assert (ls > 5, iv < 1) == (True, True)
     for start in ("0.001", "1000"):
         assert moves[start][1] < 1e-9
     assert {fit.ended for fit in fits} == {"converged"}
-    assert spent < 60
     print_whole(sensitivity_document("emps.mcap", fits), short=True)
     printed = [line.split() for line in capsys.readouterr().out.splitlines()]
     section = (

@@ -13,7 +13,6 @@ TRUE = np.array([1.0, 2.0])
 
 
 def fit_of_run(off: tuple[float, float], verdict: str = "trust", **others: object) -> RunFit:
-    """Of intervals with half-widths of 0.1, off the truth by so many of them."""
     middle = TRUE + 0.1 * np.array(off)
     known = {"essential": np.array([True, False]), "positive": True}
     known |= {"beta": TRUE, "error": 0.1, "low": middle - 0.1, "high": middle + 0.1, **others}
@@ -58,16 +57,14 @@ def test_coverage_spread_and_bias_are_those_of_the_printed_intervals():
 
 
 def test_a_run_has_the_intervals_and_verdicts_of_its_fits():
-    study = Study(noise=Noise(effort_percent=1.0), duration_s=4.0)
+    study = Study(noise=Noise(effort_percent=1.0), duration_s=3.0)
     files = robot_named("scara").files
     found, again, other = (one_run(files, study, number) for number in (1, 1, 2))
     for one in (found.ls, found.iv):
         np.testing.assert_allclose(0.5 * (one.low + one.high), one.beta)
         assert (one.high > one.low).all()
-        assert one.positive
-        assert one.essential.any()
+        assert (one.positive, one.essential.any(), one.error < 0.05) == (True, True, True)
         assert one.verdict in ("trust", "caution", "do not use")
-        assert one.error < 0.05
     assert found.ls.beta.tolist() == again.ls.beta.tolist()
     assert not np.isin(found.ls.beta, other.ls.beta).any()
     seeded = one_run(files, replace(study, seed=1), 1)

@@ -4,23 +4,24 @@ import json
 from dataclasses import replace
 from functools import cache
 
+import msgspec
 import numpy as np
 import pytest
-from hunt import fit_by_default
+from command_runs import refused, run
+from hunt import fit_by_default, fit_by_least_squares
 from independent_robots import with_payload
 from independent_simulator import Imperfections, references, simulate
 from independent_urdf import RATE_HZ, arm_of, robot_of
 from urdfs import SIX, six_joints
 
 from acquisition.robot import Payload
-from identification.commands import main
 from identification.methods import fit_document, fit_file
 from identification.model import InverseModel, base_parameters, base_prior
 from identification.report import to_markdown
 from identification.study import write_signals
 
 NAMES = [name for name, *_ in SIX]
-RUNS, TOLD = 2, NAMES[:5]  # wrist_3 turns its own axis: its links need next to no torque, no prior can tell its gain
+TOLD = NAMES[:5]  # wrist_3 turns its own axis: its links need next to no torque, no prior can tell its gain
 CELL = Imperfections(torque_noise_percent=2.0, encoder_noise=2e-5)
 
 
@@ -28,44 +29,21 @@ CELL = Imperfections(torque_noise_percent=2.0, encoder_noise=2e-5)
 def runs(payload_kg: float = 0.0):
     body, law = arm_of(six_joints())
     body = with_payload(body, payload_kg) if payload_kg else body
-    count = 1 if payload_kg else RUNS
-    reference = references(body, range(count), duration_s=10, rate_hz=RATE_HZ)
-    return simulate(body, law, reference, CELL, seed=1, substeps=6)
+    return simulate(body, law, references(body, range(1), duration_s=10, rate_hz=RATE_HZ), CELL, seed=1, substeps=3)
 
 
 @cache
-def recorded(run: int):
+def recorded():
     """A recording whose description has the links of the arm times 0.7 to 1.4."""
-    factors = np.random.default_rng(run).uniform(0.7, 1.4, len(NAMES))
-    return runs().signals(robot_of(six_joints(factors), NAMES), run)
-
-
-def times(signals, j: int, gain: float):
-    effort = signals.effort.copy()
-    effort[:, j] *= gain
-    return replace(signals, effort=effort)
-
-
-def exchanged(signals, a: int, b: int, *columns: str):
-    order = np.arange(len(NAMES))
-    order[[a, b]] = b, a
-    return replace(signals, **{name: getattr(signals, name)[:, order] for name in columns})
+    factors = np.random.default_rng(0).uniform(0.7, 1.4, len(NAMES))
+    return runs().signals(robot_of(six_joints(factors), NAMES), 0)
 
 
 def told(signals):
-    fit = fit_by_default(signals)
+    fit = fit_by_least_squares(signals)
     line = fit.trust.line("prior")
     assert line.level != "do not use"
     return fit, line
-
-
-def test_the_arm_of_a_urdf_has_its_equations_of_motion():
-    model = InverseModel(robot_of(six_joints(), NAMES))
-    q, dq, ddq = np.random.default_rng(1).uniform(-2, 2, (3, 20, 6))
-    M, bias = arm_of(six_joints())[0].rigid(q, dq)
-    chi = np.zeros(model.p)
-    chi[model.of_links] = model.link_parameters().ravel()
-    np.testing.assert_allclose(model.regressor(q, dq, ddq) @ chi, (M @ ddq[..., None])[..., 0] + bias, atol=1e-11)
 
 
 def test_the_prior_is_the_torque_of_the_links_where_no_rotor_is_regrouped():
@@ -89,52 +67,49 @@ def test_the_prior_is_the_torque_of_the_links_where_no_rotor_is_regrouped():
     assert len(named) < len(found)
     expressions = dict(zip(base.names, base.expressions, strict=True))
     assert not any("Ia" in expressions[name] for name in named)
-    # a link without inertials leaves out whatever it is regrouped into
+    # A link without inertials leaves out whatever it is regrouped into.
     without = InverseModel(robot_of(six_joints((1, 1, 1, 1, 1, 0)), NAMES))
     left = base_prior(without, base_parameters(without))[0]
     assert left
     assert not any("6" in expressions[name] for name in left)
 
 
-@pytest.mark.parametrize("run", range(RUNS))
-def test_links_off_by_forty_percent_are_no_fault(run):
-    fit, line = told(recorded(run))
+def test_links_off_by_forty_percent_are_no_fault():
+    fit = fit_by_default(recorded())
+    line = fit.trust.line("prior")
     assert (fit.trust.verdict, line.level) == ("trust", "ok"), line.text
     assert {one.name for one in line.figures} == set(TOLD)
     assert all(0.6 < one.value < 1.5 for one in line.figures)
     assert fit.data.prior_error_percent > 3 * fit.trust.line("held-out blocks").value
 
 
-def test_a_wrong_gain_is_named_at_its_joint():
-    cases = [(j, gain, j % RUNS) for j, gain in zip(range(5), (10, 3, 10, 3, 3), strict=True)]
-    named = 0
-    for j, gain, run in cases:
-        fit, line = told(times(recorded(run), j, gain))
-        assert fit.trust.verdict != "trust"
-        named += line.text.startswith(f"torque of {NAMES[j]} is ") and line.level == "caution"
-    assert named > 0.8 * len(cases)
+def with_columns(names: str, order=range(6), gain=1.0):
+    """The recording with other columns of these arrays."""
+    return replace(recorded(), **{name: gain * getattr(recorded(), name)[:, list(order)] for name in names.split()})
 
 
-@pytest.mark.parametrize(("a", "b"), [(0, 1), (2, 3)])
-def test_exchanged_columns_are_named(a, b):
-    for of, columns in (("efforts", ["effort"]), ("positions", ["q", "q_ref"])):
-        fit, line = told(exchanged(recorded(0), a, b, *columns))
-        assert fit.trust.verdict != "trust"
-        assert line.text.startswith(f"recorded {of} of joints {NAMES[a]} and {NAMES[b]} exchanged?"), line.text
-
-
-def test_radians_declared_as_degrees_are_named():
-    signals = recorded(1)
-    fit, line = told(replace(signals, q=np.deg2rad(signals.q), q_ref=np.deg2rad(signals.q_ref)))
+@pytest.mark.parametrize(
+    ("signals", "said"),
+    [
+        (("effort", range(6), [10, 1, 1, 1, 1, 1]), "torque of pan is "),
+        (("effort", range(6), [1, 1, 1, 3, 1, 1]), "torque of wrist_1 is "),
+        (("effort", [1, 0, 2, 3, 4, 5]), "recorded efforts of joints pan and lift exchanged?"),
+        (("q q_ref", [0, 1, 3, 2, 4, 5]), "recorded positions of joints elbow and wrist_1 exchanged?"),
+        (("q q_ref", range(6), np.pi / 180), "position of all joints in rad declared as degrees?"),
+    ],
+)
+def test_a_fault_of_the_recording_is_named_at_its_joints(signals, said):
+    fit, line = told(with_columns(*signals))
     assert fit.trust.verdict != "trust"
-    assert line.text.startswith("position of all joints in rad declared as degrees?")
+    assert line.level == "caution"
+    assert line.text.startswith(said), line.text
 
 
 def test_a_prior_that_is_off_everywhere_is_no_fault_of_the_recording():
-    _, line = told(replace(recorded(0), robot=robot_of(six_joints((0.05, 9, 9, 0.02, 0.02, 0.02)), NAMES)))
+    _, line = told(replace(recorded(), robot=robot_of(six_joints((0.05, 9, 9, 0.02, 0.02, 0.02)), NAMES)))
     assert line.level == "cannot tell"
     assert "the prior is off everywhere" in line.text
-    line = told(replace(recorded(0), robot=robot_of(six_joints((0.2,) * 6), NAMES)))[1]
+    line = told(replace(recorded(), robot=robot_of(six_joints((0.2,) * 6), NAMES)))[1]
     assert line.level == "caution"
     assert line.text.startswith("torques are 5 times what the URDF's links need: ")
 
@@ -152,16 +127,16 @@ def test_without_gains_or_inertials_there_is_no_prior():
         robot_of(six_joints(), NAMES, joint=lambda toml: toml.replace('"N m"', '"A"')),
         robot_of(six_joints((0,) * 6), NAMES),
     ):
-        fit = fit_by_default(replace(recorded(0), robot=robot))
+        signals = replace(recorded(), robot=robot)
+        fit = fit_by_least_squares(signals)
         assert not any(line.test == "prior" for line in fit.trust.lines)
-        assert "prior" not in to_markdown(fit_document(recorded(0), fit)).replace("a-priori", "")
+        assert "| prior |" not in to_markdown(fit_document(signals, fit))
         stored = fit_file(fit)
-        assert not stored.prior_source
-        assert not any(one.prior for one in stored.parameters)
+        assert {stored.prior_source, *(one.prior for one in stored.parameters)} == {msgspec.UNSET}
 
 
 def test_the_held_out_error_is_that_of_these_links_with_all_else_fitted_to_the_other_blocks():
-    fit = fit_by_default(recorded(1))
+    fit = fit_by_default(recorded())
     data, problem = fit.data, fit.problem
     system, weights = data.observed.system, fit.estimate.weights
     known = np.array([data.prior.get(name, 0.0) for name in system.names])
@@ -181,47 +156,41 @@ def test_the_held_out_error_is_that_of_these_links_with_all_else_fitted_to_the_o
     assert data.prior_error_percent == pytest.approx(100 * np.sqrt(squares[0] / squares[1]), rel=0.01)
 
 
-@pytest.fixture(scope="module")
-def written(tmp_path_factory):
-    """A folder with a recording, its fit, and URDFs."""
-    there = tmp_path_factory.mktemp("prior")
-    write_signals(there / "log.mcap", recorded(0), source="independent simulator")
-    (there / "arm.urdf").write_text(six_joints((2.0,) * 6))
-    (there / "other.urdf").write_text(six_joints().replace("elbow", "knee"))
-    (there / "longer.urdf").write_text(six_joints().replace("0.3922", "0.4"))
-    (there / "empty.urdf").write_text(six_joints((0,) * 6))
-    files = ["--json", str(there / "fit.json"), "--report", str(there / "r.md")]
-    assert main(["fit", str(there / "log.mcap"), *files]) == 0
-    return there
-
-
-def test_the_report_and_the_file_have_the_prior(written):
-    stored = json.loads((written / "fit.json").read_text())
-    assert stored["prior_source"] == "URDF"
-    assert stored["prior_held_out_error_percent"] > 1
+def test_the_report_and_the_files_have_the_prior_and_a_fit_is_compared_with_a_urdf(tmp_path, capsys):
+    write_signals(tmp_path / "log.mcap", recorded(), source="independent simulator")
+    fit, report, arm = (tmp_path / name for name in ("fit.json", "r.md", "arm.urdf"))
+    command = "fit", tmp_path / "log.mcap", "--method", "wls", "--json", fit, "--report", report
+    assert run(capsys, *command)[0] == 0
+    stored = json.loads(fit.read_text())
+    assert (stored["prior_source"], stored["prior_held_out_error_percent"] > 1) == ("URDF", True)
     prior = {one["name"]: one["prior"] for one in stored["parameters"] if "prior" in one}
-    model = InverseModel(recorded(0).robot)
+    model = InverseModel(recorded().robot)
     assert prior == pytest.approx(base_prior(model, base_parameters(model))[0])
-    report = (written / "r.md").read_text()
-    assert "| parameter | value | ±95% | in % | prior | unit |" in report
+    assert "| parameter | value | ±95% | in % | prior | unit |" in report.read_text()
     held = (f"{stored[key]:.2f} %" for key in ("prior_held_out_error_percent", "held_out_error_percent"))
-    assert "torque error held out: links of the URDF {}, fit {}".format(*held) in report
+    assert "torque error held out: links of the URDF {}, fit {}".format(*held) in report.read_text()
 
-
-def test_a_fit_is_compared_with_a_urdf(written, capsys):
-    fit, arm = str(written / "fit.json"), str(written / "arm.urdf")
-    assert main(["compare", fit, arm, "--json", str(written / "compared.json"), "--all"]) == 0
-    out = capsys.readouterr().out.translate(str.maketrans("┃│", "  ")).splitlines()
-    assert next(line for line in out if "value" in line).split() == ["name", "unit", "value", "±95%", "prior", "ratio"]
-    cells = next(line.split() for line in out if line.strip().startswith("MZ2R"))
-    value, _, prior, ratio = map(float, cells[-4:])
+    arm.write_text(six_joints((2.0,) * 6))
+    status, out, _ = run(capsys, "compare", fit, arm, "--json", tmp_path / "compared.json", "--all")
+    assert status == 0
+    lines = out.translate(str.maketrans("┃│", "  ")).splitlines()
+    assert next(line for line in lines if "value" in line).split() == [
+        "name",
+        "unit",
+        "value",
+        "±95%",
+        "prior",
+        "ratio",
+    ]
+    value, _, prior, ratio = map(float, next(line.split() for line in lines if line.strip().startswith("MZ2R"))[-4:])
     assert ratio == pytest.approx(value / prior, rel=0.01)
     assert ratio == pytest.approx(0.5, rel=0.02)  # the URDF has twice the links of the arm
-    compared = json.loads((written / "compared.json").read_text())
+    compared = json.loads((tmp_path / "compared.json").read_text())
     assert (compared["a"], compared["b"]) == ("fit", "arm")
-    refused = {"other": "elbow", "longer": "moves differently", "empty": "inertials", "none": "cannot be read"}
-    for name, words in refused.items():
-        assert main(["compare", fit, str(written / f"{name}.urdf")]) == 1
-        error = capsys.readouterr().err
-        assert words in error
-        assert error.count("\n") == 1
+    for text, words in (
+        (six_joints().replace("elbow", "knee"), "elbow"),
+        (six_joints().replace("0.3922", "0.4"), "moves differently"),
+        (six_joints((0,) * 6), "inertials"),
+    ):
+        arm.write_text(text)
+        assert words in refused(capsys, "compare", fit, arm)

@@ -7,18 +7,18 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from command_runs import refused
+from command_runs import refused, run
 from conftest import REPLAY, robot_named
 from fits_of_records import iv_of, ls_of, signals_of
 
 from acquisition.recording import Header, RecordingWriter, read_recording
 from acquisition.robot import LowSpeed, Robot, robot_from_files
-from identification.commands import main
 from identification.data import Signals, load_signals
 from identification.errors import BadInputError
-from identification.methods import Fit, Iteration, identify, identify_iv, identify_ls
+from identification.methods import Fit, Iteration, fit_file, identify, identify_iv, identify_ls, idim
 from identification.model import InverseModel, described_parameters
 from identification.regression import Overrides
+from identification.report import write_json
 from identification.study import Noise, closed_loop, random_reference
 
 SCARA = REPLAY / "scara" / "session.mcap"
@@ -31,19 +31,6 @@ def off_percent(fit: Fit, signals: Signals) -> float:
 
 
 # Ends and rows
-
-
-def test_the_cutoff_alone_does_not_decide_on_the_ends():
-    """With raw end samples in the end rows, the default was 5 to 6 times worse than a cut-off that is a little higher."""
-    robot, errors = robot_named("scara"), {25.0: [], 25.0025: []}
-    for seed in (1, 2):
-        q_ref = random_reference(robot, duration_s=6.0, sample_rate_hz=1000.0, seed=seed)
-        signals = closed_loop(robot, q_ref, 1000.0, noise=Noise(effort_percent=5.0), seed=seed)
-        for cutoff_hz in errors:
-            fit = identify_ls(signals, Overrides(cutoff_hz=cutoff_hz))
-            assert fit.settings.edges == "smooth"
-            errors[cutoff_hz].append(off_percent(fit, signals))
-    assert np.mean(errors[25.0]) == pytest.approx(np.mean(errors[25.0025]), rel=0.1)
 
 
 def test_a_description_asks_for_matlabs_edges():
@@ -96,36 +83,18 @@ def test_recordings_at_low_rates_converge_under_a_surrogate_of_10_hz():
 # Wrong signs
 
 
-def wrong_sign(signals: Signals, joint: int) -> Signals:
-    sign = np.ones(signals.robot.n)
-    sign[joint] = -1
-    return dataclasses.replace(signals, effort=signals.effort * sign)
-
-
-@pytest.fixture(params=["emps", "scara", "tx40"])
-def recorded(request) -> tuple[Signals, int]:
-    """A recording, and the joint whose effort is to have the wrong sign; of EMPS and TX40 the real ones."""
-    path = SCARA if request.param == "scara" else request.getfixturevalue(request.param)
-    return signals_of(path), {"emps": 0, "scara": 1, "tx40": 4}[request.param]
-
-
-@pytest.mark.parametrize("method", ["wls", "iv"])
-def test_an_effort_of_the_wrong_sign_is_told_with_its_joint(recorded, method):
-    signals, joint = recorded
-    fit, name = identify(wrong_sign(signals, joint), Overrides(), method=method), signals.robot.joints[joint].name
-    assert any(f"check the sign of effort and position of joint {name}" in text for text in fit.distrust)
-    assert fit.trust.verdict == "do not use"
-    assert fit.trust.line("physical").value < 0
-    assert any("below zero" in text for text in fit.distrust)
-    assert any("inertia matrix is not positive" in text for text in fit.distrust)
+@pytest.mark.parametrize(("name", "method", "joint"), [("emps", "wls", 0), ("scara", "iv", 1)])
+def test_an_effort_of_the_wrong_sign_is_told_with_its_joint_and_a_right_one_is_not(name, method, joint, request):
+    signals = signals_of(SCARA if name == "scara" else request.getfixturevalue("emps"))
+    right = identify(signals, Overrides(), method="ols").trust.line("physical")
+    assert (right.level, right.value > 0) == ("ok", True)
+    sign = np.where(np.arange(signals.robot.n) == joint, -1, 1)
+    fit = identify(dataclasses.replace(signals, effort=signals.effort * sign), Overrides(), method=method)
+    told = f"check the sign of effort and position of joint {signals.robot.joints[joint].name}"
+    for part in (told, "below zero", "inertia matrix is not positive"):
+        assert any(part in text for text in fit.distrust)
+    assert (fit.trust.verdict, fit.trust.line("physical").value < 0) == ("do not use", True)
     assert fit.status in ("solved", "not_confirmed", "diverged")
-
-
-def test_a_right_sign_is_not_doubted(recorded):
-    for method in ("ols", "wls"):
-        line = identify(recorded[0], Overrides(), method=method).trust.line("physical")
-        assert line.level == "ok"
-        assert line.value > 0
 
 
 def rewritten(path, robot: Robot, samples) -> None:
@@ -134,31 +103,28 @@ def rewritten(path, robot: Robot, samples) -> None:
         writer.samples(samples)
 
 
-@pytest.mark.parametrize("method", ["ols", "iv"])
-def test_a_result_not_to_be_trusted_is_written_and_ends_with_status_3(method, tmp_path, capsys):
+def test_a_result_not_to_be_trusted_is_written_and_ends_with_status_3(tmp_path, capsys):
     recording = read_recording(SCARA)
     samples = np.array(recording.samples)
     samples["effort"][:, 1] *= -1
     log, out = tmp_path / "log.mcap", tmp_path / "fit.json"
     rewritten(log, recording.robot, samples)
-    assert main(["fit", str(log), "--method", method, "--json", str(out)]) == 3
-    told = capsys.readouterr()
-    assert told.err.startswith("robot-identify: not to be trusted: ")
-    assert told.err.count("\n") == 1
-    assert "of joint elbow" in told.err
-    assert "do not use: physical: " in told.out
+    status, printed, err = run(capsys, "fit", log, "--method", "iv", "--json", out)
+    assert (status, err.count("\n")) == (3, 1)
+    assert err.startswith("robot-identify: not to be trusted: ")
+    assert "of joint elbow" in err
+    assert "do not use: physical: " in printed
     written = json.loads(out.read_text())
     assert written["verdict"] == "do not use"
     assert [doubt["severe"] for doubt in written["doubts"]] == [True]
     severe = [line for line in written["trust"] if line["level"] == "do not use"]
     assert all(set(line) == {"test", "level", "value", "text"} for line in severe)
     assert "physical" in [line["test"] for line in severe]
-    assert main(["validate", str(out), str(SCARA)]) == 0
-    assert "of joint elbow" in capsys.readouterr().out
+    status, printed, _ = run(capsys, "validate", out, SCARA)
+    assert (status, "of joint elbow" in printed) == (0, True)
 
 
 def with_keys(folder: Path, *keys: str) -> str:
-    """The SCARA's description with keys of `[identification]`."""
     text = (SCARA.parent / "robot.toml").read_text()
     assert "[identification]" not in text
     (folder / "robot.toml").write_text("\n".join([text, "[identification]", *keys, ""]))
@@ -168,13 +134,12 @@ def with_keys(folder: Path, *keys: str) -> str:
 def test_no_fixed_point_and_too_large_an_error_end_with_status_3(tmp_path, capsys):
     out = tmp_path / "fit.json"
     robot = with_keys(tmp_path, "max_iterations = 1")
-    assert main(["fit", str(SCARA), "--method", "iv", "--robot", robot, "--json", str(out)]) == 3
-    assert "not to be trusted: status max_iterations: after 1 passes" in capsys.readouterr().err
+    status, _, err = run(capsys, "fit", SCARA, "--method", "iv", "--robot", robot, "--json", out)
+    assert (status, "not to be trusted: status max_iterations: after 1 passes" in err) == (3, True)
     assert json.loads(out.read_text())["status"] == "max_iterations"
-    assert main(["validate", str(out), str(SCARA), "--max-error-percent", "50"]) == 0
-    assert capsys.readouterr().err == ""
-    assert main(["validate", str(out), str(SCARA), "--max-error-percent", "0.1"]) == 3
-    assert "expected at most 0.1 %" in capsys.readouterr().err
+    for most, expected in (("50", 0), ("0.1", 3)):
+        status, _, err = run(capsys, "validate", out, SCARA, "--max-error-percent", most)
+        assert (status, f"expected at most {most} %" in err) == (expected, expected == 3)
 
 
 # The best pass
@@ -182,8 +147,6 @@ def test_no_fixed_point_and_too_large_an_error_end_with_status_3(tmp_path, capsy
 
 def test_without_a_fixed_point_the_pass_that_tracks_best_is_returned(monkeypatch):
     """Passes 2 and 3 get a share of the torque as noise: the first one's simulated robot tracks best."""
-    import identification.methods.idim as idim
-
     solve, calls = idim.instrumental_variables, []
 
     def spoilt(system, Z, weights):
@@ -203,80 +166,71 @@ def test_without_a_fixed_point_the_pass_that_tracks_best_is_returned(monkeypatch
 # Settings and descriptions
 
 
-@pytest.mark.parametrize("method", ["ols", "wls"])
-def test_a_start_of_iv_is_refused_with_least_squares(capsys, method):
-    told = refused(capsys, "fit", SCARA, "--method", method, "--start", "ls")
-    assert "--start" in told
-    assert "has no effect" in told
+def test_a_start_of_iv_is_refused_with_least_squares(capsys):
+    assert "--start" in refused(capsys, "fit", SCARA, "--method", "wls", "--start", "ls")
 
 
 def test_validate_takes_the_settings_of_the_fit(capsys, tmp_path):
     fit, errors = tmp_path / "fit.json", tmp_path / "errors.json"
     robot = with_keys(tmp_path, 'span = "all"', "low_speed_percent = 7", "decimation = 20")
-    assert main(["fit", str(SCARA), "--cutoff-hz", "40", "--robot", robot, "--json", str(fit)]) == 0
+
+    def used(*keys: str, options: tuple[str, ...] = ()) -> list[object]:
+        assert run(capsys, "validate", fit, SCARA, "--json", errors, *options)[0] == 0
+        return [json.loads(errors.read_text())[key] for key in keys]
+
+    assert run(capsys, "fit", SCARA, "--cutoff-hz", "40", "--robot", robot, "--json", fit)[0] == 0
     stored = json.loads(fit.read_text())
     assert stored["low_speed_percent"] == {"ls": 7.0, "iv": 7.0}
     assert (stored["edges"], stored["span_rule"], stored["span"]) == ("smooth", "all", "all samples")
-    assert main(["validate", str(fit), str(SCARA), "--json", str(errors)]) == 0
-    used = json.loads(errors.read_text())
-    assert (used["cutoff_hz"], used["decimation"], used["span"]) == (40.0, 20, "all samples")
-    assert main(["validate", str(fit), str(SCARA), "--cutoff-hz", "none", "--json", str(errors)]) == 0
-    used = json.loads(errors.read_text())
-    assert (used["cutoff_hz"], used["decimation"]) == (None, 20)
+    assert used("cutoff_hz", "decimation", "span") == [40.0, 20, "all samples"]
+    assert used("cutoff_hz", "decimation", options=("--cutoff-hz", "none")) == [None, 20]
     fit.write_text(json.dumps({**stored, "cutoff_hz": None, "edges": "matlab", "sample_rate_hz": 500.0}))
-    assert main(["validate", str(fit), str(SCARA), "--json", str(errors)]) == 0
-    used = json.loads(errors.read_text())
-    assert (used["cutoff_hz"], used["decimation"], used["edges"]) == (None, 40, "matlab")
-    capsys.readouterr()
-
-
-def with_other_text(old: str, new: str) -> Robot:
-    text = (REPLAY / "scara" / "robot.toml").read_text()
-    assert old in text
-    return robot_from_files({"robot.toml": text.replace(old, new).encode()}, "other.toml")
+    assert used("cutoff_hz", "decimation", "edges") == [None, 40, "matlab"]
 
 
 def test_validate_uses_the_fits_description_where_the_recordings_does_not_fit(capsys, tmp_path):
     fit, log, errors = tmp_path / "fit.json", tmp_path / "log.mcap", tmp_path / "errors.json"
-    assert main(["fit", str(SCARA), "--json", str(fit)]) == 0
-    rewritten(log, with_other_text("d_m = 0.5", "d_m = 0.4"), read_recording(SCARA).samples)
-    assert main(["validate", str(fit), str(log), "--json", str(errors)]) == 0
-    good = json.loads(errors.read_text())["relative_error_percent"]
-    assert "does not have the parameters of the fit (ZZ1R" in capsys.readouterr().out
+    assert run(capsys, "fit", SCARA, "--json", fit)[0] == 0
+    text = (REPLAY / "scara" / "robot.toml").read_text().replace("d_m = 0.5", "d_m = 0.4")
+    rewritten(log, robot_from_files({"robot.toml": text.encode()}, "other.toml"), read_recording(SCARA).samples)
+
+    def validated() -> tuple[dict, str]:
+        status, out, _ = run(capsys, "validate", fit, log, "--json", errors)
+        assert status == 0
+        return json.loads(errors.read_text()), " ".join(out.split())
+
+    good, told = validated()
+    assert good["relative_error_percent"] < 1.0
+    assert "does not have the parameters of the fit (ZZ1R" in told
     # Without a description of its own the fit is used as it is, and that is said.
     stored = json.loads(fit.read_text())
     del stored["description"]
     fit.write_text(json.dumps(stored))
-    assert main(["validate", str(fit), str(log), "--json", str(errors)]) == 0
-    assert json.loads(errors.read_text())["joints"][1]["relative_error_percent"] > 10
-    assert good < 1.0
-    assert "perhaps not the same quantities" in " ".join(capsys.readouterr().out.split())
+    bad, told = validated()
+    assert bad["joints"][1]["relative_error_percent"] > 10
+    assert "perhaps not the same quantities" in told
 
 
 def test_compare_goes_by_what_parameters_stand_for(capsys, tmp_path):
     a, b, old = (tmp_path / f"{name}.json" for name in ("a", "b", "old"))
-    assert main(["fit", str(SCARA), "--json", str(a)]) == 0
-    text = json.loads(a.read_text())
-    other = json.loads(a.read_text())
-    other["description"]["robot.toml"] = text["description"]["robot.toml"].replace("d_m = 0.5", "d_m = 0.4")
+    write_json(a, fit_file(ls_of(SCARA)))
+    content, other = (json.loads(a.read_text()) for _ in range(2))
+    other["description"]["robot.toml"] = content["description"]["robot.toml"].replace("d_m = 0.5", "d_m = 0.4")
     other["parameters"][0]["expression"] = "ZZ1 + 0.16 M2"
     other["parameters"][3]["name"] = "ZZ2R"
     b.write_text(json.dumps(other))
-    capsys.readouterr()
-    assert main(["compare", str(a), str(b)]) == 0
-    told = capsys.readouterr().out
-    assert "of 7 parameters in both 7 within 1 sigma" in told
-    assert "only in a: ZZ1R" in told
-    assert "only in b: ZZ1R of b" in told
-    assert "the link frames differ: two different DH rows" in told
-    for p in text["parameters"]:
+    for p in content["parameters"]:
         del p["expression"]
-    old.write_text(json.dumps(text))
-    assert main(["compare", str(a), str(old)]) == 0
-    told = capsys.readouterr().out
-    assert "matched by name" in told
-    assert "of 8 parameters in both" in told
-    assert "link frames" not in told
+    old.write_text(json.dumps(content))
+    frames = "the link frames differ: two different DH rows"
+    for file, said in (
+        (b, {"of 7 parameters in both 7 within 1 sigma", "only in a: ZZ1R", "only in b: ZZ1R of b", frames}),
+        (old, {"of 8 parameters in both", "matched by name"}),
+    ):
+        status, told, _ = run(capsys, "compare", a, file)
+        assert status == 0
+        assert all(part in told for part in said)
+        assert (frames in told) == (frames in said)
 
 
 # Samples at real SYNC times

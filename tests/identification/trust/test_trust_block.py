@@ -11,14 +11,7 @@ import pytest
 from conftest import REPLAY, ROOT
 from fits_of_records import iv_of, ls_of, signals_of
 from independent_robots import plant
-from independent_simulator import (
-    Imperfections,
-    described_controller,
-    description,
-    designed_pd,
-    references,
-    simulate,
-)
+from independent_simulator import Imperfections, described_controller, description, designed_pd, references, simulate
 from looked_at import looked_at
 from scipy.signal import lfilter
 
@@ -59,19 +52,16 @@ OF_ALL |= {"consistent", "essential"}
 
 @cache
 def recorded(name: str, cell: Imperfections = WHITE, fault: str = "") -> Signals:
-    """A run of 10 s, of the TX40 of 5 s."""
-    toml = REPLAY / name / "robot.toml"
+    toml, arm = REPLAY / name / "robot.toml", name == "tx40"
     described = plant(toml)
-    controller = designed_pd(described, 10.0, 1000.0) if name == "tx40" else described_controller(described)
+    controller = designed_pd(described, 10.0, 500.0) if arm else described_controller(described)
     body = plant(toml, tilt_rad=np.deg2rad(3.0) if fault == "tilt of gravity" else 0.0)
     friction = {"asymmetric friction": {"asymmetry": 0.2}, "Stribeck friction": {"stribeck": 0.5}}.get(fault, {})
     body = replace(body, friction=replace(body.friction, **friction))
     cell = replace(cell, drift_percent=30.0 if fault == "drift" else 0.0)
-    reference = references(
-        described, range(5, 6), duration_s=5.0 if name == "tx40" else 10.0, rate_hz=controller.rate_hz
-    )
-    runs = simulate(body, controller, reference, cell, seed=5)
-    return runs.signals(description(toml, controller if name == "tx40" else None), 0)
+    reference = references(described, range(5, 6), duration_s=5.0 if arm else 10.0, rate_hz=controller.rate_hz)
+    runs = simulate(body, controller, reference, cell, seed=5, substeps=2 if arm else 1)
+    return runs.signals(description(toml, controller if arm else None), 0)
 
 
 def cut(signals: Signals, first: int, last: int) -> Signals:
@@ -86,13 +76,11 @@ def without_gains(signals: Signals, unit: str = "A") -> Signals:
 
 @cache
 def examined(method: str, name: str, cell: Imperfections = WHITE, fault: str = "") -> tuple[Fit, FitData]:
-    """A fit, and the evidence that its tests looked at."""
     return looked_at(method, recorded(name, cell, fault))
 
 
 @cache
 def examined_as_long(method: str) -> tuple[Fit, FitData]:
-    """The same of the SCARA as of a recording whose rows are not held."""
     return looked_at(method, recorded("scara"), long=True)
 
 
@@ -112,29 +100,25 @@ def test_the_worst_line_is_the_verdict():
         trust = Trust(lines=worst_first([line(level) for level in levels]))
         assert trust.verdict == verdict
         assert [LEVELS.index(x.level) for x in trust.lines] == sorted(LEVELS.index(level) for level in levels)
-    assert Trust(lines=(line("not made"),)).verdict == "trust"
-    assert Trust(lines=(line("not made"),)).finding == ""
-    assert Trust(lines=(line("caution", "lag"),)).finding == "lag"
-    assert Trust(lines=(line("caution", "added columns", "offset missing"),)).finding == "offset missing"
+    for one, finding in (
+        (line("not made"), ""),
+        (line("caution", "lag"), "lag"),
+        (line("caution", "added columns", "offset missing"), "offset missing"),
+    ):
+        assert Trust(lines=(one,)).finding == finding
 
 
 @pytest.mark.parametrize("method", ["iv", "wls"])
-def test_a_clean_recording_is_trusted(method):
+def test_a_clean_recording_is_trusted_and_what_nobody_checked_is_named(method):
     """Least squares cannot find the lag, and half a millisecond more or less is much of the shoulder's small friction."""
     fit, _ = looked_at(method, recorded("scara"), torque_lag_s=None if method == "iv" else -0.5e-3)
     lines = {x.test: x for x in fit.trust.lines}
     assert set(lines) == OF_ALL | ({"instruments"} if method == "iv" else {"position noise"})
     assert {x.level for x in lines.values()} == {"ok"}
     assert (fit.distrust, fit.trust.verdict) == ((), "trust")
-
-
-@pytest.mark.parametrize("method", ["iv", "wls"])
-def test_what_nobody_checked_is_named(method):
-    """Whatever stands under `assumed` may be wrong, and the verdict stays."""
-    fit, _ = examined(method, "scara")
     assumed = {one.what: one for one in fit.trust.assumed}
     both = {"drive gains", "ratios", "lengths", "sample rate", "zeros", "rotors"}
-    assert set(assumed) == (both if method == "iv" else both | {"encoder noise"})
+    assert set(assumed) == (both if method == "iv" else both | {"encoder noise", "lag"})
     assert assumed["sample rate"].value == "1000 Hz"
     assert all(one.value and one.why for one in assumed.values())
 
@@ -202,7 +186,6 @@ def test_the_error_is_that_behind_the_rules_filter():
     ],
 )
 def test_what_resists_may_be_below_zero_by_chance_once_a_joint(below, level):
-    """In half-widths of the interval."""
     _, evidence = examined("wls", "scara")
     estimate, half = evidence.estimate, evidence.intervals.half
     beta = estimate.beta.copy()
@@ -241,7 +224,6 @@ def test_the_ways_an_iteration_ends():
 
 @pytest.mark.parametrize("method", ["iv", "wls"])
 def test_a_column_is_solved_with_the_others(method):
-    """Coefficient, residual and t are those of the system with one column more, with itself as its instrument."""
     fit, evidence = examined(method, "scara", fault="drift")
     system, n = evidence.observed.system, 2
     W, Y = system.weighted(fit.estimate.weights)
@@ -265,14 +247,14 @@ def test_a_column_is_solved_with_the_others(method):
     assert lack.t == pytest.approx(estimate.beta[-1] / sigma, rel=1e-6)
 
 
-@pytest.mark.parametrize("fault", ["asymmetric friction", "drift", "Stribeck friction"])
-@pytest.mark.parametrize("method", ["iv", "wls"])
+@pytest.mark.parametrize(
+    ("method", "fault"), [("iv", "asymmetric friction"), ("wls", "drift"), ("wls", "Stribeck friction")]
+)
 def test_what_the_model_lacks_is_named_first(method, fault):
     found = examined(method, "scara", fault=fault)[0].trust
     told = found.line("added columns")
-    assert told.level == "caution"
+    assert (told.level, found.verdict) == ("caution", "caution")
     assert told.text.startswith(f"{fault} of joint ")
-    assert found.verdict != "trust"
 
 
 def test_a_column_has_the_size_of_the_fault():
@@ -300,7 +282,6 @@ def test_a_relative_gain_is_named():
 
 
 def block_errors(evidence: FitData, blocks: int) -> tuple[float, float]:
-    """Held-out and training error in percent, each block predicted by least squares of the rows of the others."""
     W, Y, counts = evidence.W, evidence.Y, evidence.observed.counts
     T, n = counts.shape
     time = np.tile(np.arange(T), n)
@@ -326,7 +307,7 @@ def test_held_out_blocks_are_predicted_by_the_fit_of_the_others(method):
 
 def test_a_fit_that_does_not_generalise_is_a_caution():
     """Of 60 parameters, from 2.6 s; physical ones generalise better, where the drive gains let them be found."""
-    signals = cut(recorded("tx40", fault="tilt of gravity"), 0, 2600)
+    signals = cut(recorded("tx40", fault="tilt of gravity"), 0, 1300)
     short = identify_ls(signals, Overrides()).trust.line("held-out blocks")
     assert short.level == "caution"
     held, trained = (float(x) for x in re.findall(r"([0-9.]+) %", short.text))
@@ -341,9 +322,9 @@ def test_halves_differ_where_the_torque_changes_its_scale():
     later = np.where(signals.t_s > signals.t_s[-1] / 2, 1.1, 1.0)[:, None]
     changed = identify_ls(replace(signals, effort=signals.effort * later), Overrides())
     assert changed.trust.line("halves").level == "caution"
+    assert ls_of(REPLAY / "tx40" / "session.mcap").trust.line("halves").level == "ok"  # of 60 parameters
     fit, evidence = examined("wls", "scara")
     assert fit.trust.line("halves").level == "ok"
-    assert ls_of(REPLAY / "tx40" / "session.mcap").trust.line("halves").level == "ok"  # of 60 parameters
     # The statistic from the two halves' own least squares: correlations of the formula, deviations of the cosines by the
     # share of white noise that they find in the residuals, I - W(W'W)⁻¹W' of it.
     n, b = 2, len(fit.estimate.names)
@@ -373,16 +354,14 @@ def test_halves_differ_where_the_torque_changes_its_scale():
 def test_the_noise_of_an_end_sample_is_told():
     """MATLAB's edge rule leaves the last sample of the torque at full size in the end row."""
     signals = recorded("scara")
-    stop = identify_ls(signals, Overrides(torque_lag_s=0.0)).settings.stop
+    stop = examined("wls", "scara")[0].settings.stop
     effort = signals.effort.copy()
     effort[stop - 1] += 2.0
     noisy = replace(signals, effort=effort)
     fits = (identify_ls(noisy, Overrides(edges=edges, torque_lag_s=0.0)) for edges in ("smooth", "matlab"))
     smooth, raw = (fit.trust.line("ends") for fit in fits)
-    assert smooth.level == "ok"
-    assert raw.level == "caution"
+    assert (smooth.level, raw.level) == ("ok", "caution")
     assert raw.value > 4 * smooth.value
-    assert 'edges = "smooth"' in raw.text
 
 
 def test_noise_of_the_position_biases_least_squares_and_is_told():
@@ -391,17 +370,12 @@ def test_noise_of_the_position_biases_least_squares_and_is_told():
     told = fit.trust.line("position noise")
     assert (told.level, fit.trust.verdict) == ("caution", "caution")
     assert told.value > 1
-    assert "--method iv" in told.text
     by_iv, _ = examined("iv", "emps", COARSE)
-    assert "position noise" not in {x.test for x in by_iv.trust.lines}
-    assert by_iv.iv is not None
     assert by_iv.iv.contrast > 1
-    quiet, _ = examined("wls", "emps")
-    assert quiet.trust.line("position noise").level == "ok"
-    raw = identify_ls(recorded("scara"), Overrides(cutoff_hz=0.0)).trust.line("position noise")
-    assert raw.level == "cannot tell"
-    high = identify_ls(recorded("scara"), Overrides(cutoff_hz=350.0)).trust.line("position noise")
-    assert (high.level, "350 Hz" in high.text) == ("cannot tell", True)
+    assert examined("wls", "emps")[0].trust.line("position noise").level == "ok"
+    for cutoff_hz in (0.0, 350.0):
+        unseen = identify_ls(recorded("emps"), Overrides(cutoff_hz=cutoff_hz)).trust.line("position noise")
+        assert unseen.level == "cannot tell"
 
 
 def test_noise_that_falls_with_frequency_is_seen_by_its_spectrum():
@@ -413,10 +387,10 @@ def test_noise_that_falls_with_frequency_is_seen_by_its_spectrum():
 
 def test_the_move_that_position_noise_is_told_by_is_the_mean_of_both_signs():
     """It grows with the variance of the noise: what moves the estimate with the noise's sign cancels."""
-    fits = (examined("wls", "emps", replace(COARSE, encoder_noise=noise))[0] for noise in (2e-6, 6e-6))
+    fits = (examined("wls", "emps", replace(COARSE, encoder_noise=noise))[0] for noise in (6e-6, 2e-5))
     told = [fit.trust.line("position noise").text for fit in fits]
     small, large = (float(re.search(r"\(([0-9.]+) %\)", text)[1]) for text in told)
-    assert large / small == pytest.approx(9.0, rel=0.25)
+    assert large / small == pytest.approx(100 / 9, rel=0.25)
 
 
 def test_weak_instruments_and_those_that_are_w():
@@ -442,24 +416,18 @@ def test_a_long_recording_is_tested_as_its_rows_are(method):
     (fit, evidence), (long, of_blocks) = examined(method, "scara"), examined_as_long(method)
     assert (evidence.observed.reduced, of_blocks.observed.reduced) == (False, True)
     rows = 5e-8 if method == "wls" else 0.01
-    told, wanted = (x.trust.line("held-out blocks") for x in (long, fit))
-    assert (told.level, told.value) == ("ok", pytest.approx(wanted.value, rel=0.01))
-    assert [x.name for x in told.figures] == [x.name for x in wanted.figures]
-    for one, other in zip(told.figures, wanted.figures, strict=True):
-        assert one.value == pytest.approx(other.value, rel=0.05 if method == "iv" else 0.01)
+    for test, rel in (("held-out blocks", 0.01), ("halves", 0.2), ("ends", 5 * rows), ("added columns", 0.05)):
+        told, wanted = (x.trust.line(test) for x in (long, fit))
+        assert (told.level, told.value) == (wanted.level, pytest.approx(wanted.value, rel=rel))
+        assert test != "ends" or method == "iv" or told.text == wanted.text
+        for one, other in zip(told.figures, wanted.figures, strict=True):
+            assert test != "held-out blocks" or one.value == pytest.approx(other.value, rel=0.05)
     whole = (slice(0, len(evidence.observed.tau)),)
     found, expected = (x.error(whole, x.estimate.beta) for x in (of_blocks, evidence))
     assert found == pytest.approx(expected, rel=rows)
-    told, wanted = (x.trust.line("halves") for x in (long, fit))
-    assert (told.level, told.value) == ("ok", pytest.approx(wanted.value, rel=0.2))
-    told, wanted = (x.trust.line("ends") for x in (long, fit))
-    assert (told.level, told.value) == ("ok", pytest.approx(wanted.value, rel=5 * rows))
-    assert method == "iv" or told.text == wanted.text
     np.testing.assert_array_equal(of_blocks.predicted, long.tau_predicted)
     made, wanted = ([x.test for x in one.trust.lines if x.level == "not made"] for one in (long, fit))
     assert (made, long.trust.verdict) == (wanted, fit.trust.verdict)
-    told, wanted = (x.trust.line("added columns") for x in (long, fit))
-    assert (told.level, told.value) == (wanted.level, pytest.approx(wanted.value, rel=0.05))
     lag, other = long.lags[0], fit.lags[0]
     assert lag.value_s == pytest.approx(other.value_s, abs=2e-5)
     np.testing.assert_allclose(lag.moved, other.moved, rtol=0.2, atol=0.5 * fit.intervals.half.max())
@@ -467,7 +435,6 @@ def test_a_long_recording_is_tested_as_its_rows_are(method):
 
 
 def test_sums_over_spans_are_those_of_their_rows():
-    """Least squares of the spans' own instants, held out or alone, is that of the rows at these instants."""
     (_, evidence), (fit, long) = examined("wls", "scara"), examined_as_long("wls")
     T, n, b = len(evidence.observed.tau), 2, len(fit.estimate.names)
     for part in (slice(0, round(T / 5)), slice(round(T / 5), round(2 * T / 5)), slice(round(T / 2), T)):
@@ -489,39 +456,20 @@ def test_sums_over_spans_are_those_of_their_rows():
         assert evidence.error((slice(covered[0], covered[-1] + 1),), beta) == pytest.approx(error, rel=1e-7)
 
 
-def test_a_long_recording_that_changes_is_doubted():
-    """Torque of the second half 10 % larger; a raw end sample; 60 parameters from 2.6 s."""
-    signals = recorded("scara")
-    stop = identify_ls(signals, Overrides(torque_lag_s=0.0)).settings.stop
-    later = np.where(signals.t_s > signals.t_s[-1] / 2, 1.1, 1.0)[:, None]
-    noise = np.zeros_like(signals.effort)
-    noise[stop - 1] = 2.0
-    raised, noisy = replace(signals, effort=signals.effort * later), replace(signals, effort=signals.effort + noise)
-    assert looked_at("wls", raised, long=True)[0].trust.line("halves").level == "caution"
-    told, wanted = (
-        looked_at("wls", noisy, long=x, edges="matlab", torque_lag_s=0.0)[0].trust.line("ends") for x in (True, False)
-    )
-    assert (told.level, told.text) == ("caution", wanted.text)
-    short = cut(recorded("tx40", fault="tilt of gravity"), 0, 2600)
-    told, wanted = (looked_at("wls", short, long=x)[0].trust.line("held-out blocks") for x in (True, False))
-    assert (told.level, told.value) == ("caution", pytest.approx(wanted.value, rel=0.1))
-
-
 @pytest.mark.parametrize("long", [False, True])
 def test_a_half_without_motion_of_a_joint_determines_nothing_of_it(long):
     signals = recorded("scara")
     q, middle = signals.q.copy(), len(signals.q) // 2
     q[:middle, 1] = q[middle, 1]
     told = looked_at("wls", replace(signals, q=q), long=long, decimation=10)[0].trust.line("halves")
-    assert told.level == "not made"
-    assert "a half alone does not determine the parameters" in told.text
+    assert (told.level, "a half alone" in told.text) == ("not made", True)
 
 
 # Tests that cannot be made
 
 
 def test_a_short_recording_has_no_halves():
-    trust = identify_ls(cut(recorded("tx40", fault="tilt of gravity"), 4000, 4700), Overrides(cutoff_hz=0.0)).trust
+    trust = identify_ls(cut(recorded("tx40", fault="tilt of gravity"), 2000, 2350), Overrides(cutoff_hz=0.0)).trust
     assert trust.line("halves").level == "not made"
     assert "record longer" in trust.line("halves").text
 

@@ -20,8 +20,6 @@ FLAGS = ("--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars",
 
 
 class Browser:
-    """One window."""
-
     def __init__(self, address: str) -> None:
         self._session = address
         logs = {"browser": "ALL", "performance": "ALL"}
@@ -62,13 +60,6 @@ class Browser:
         entries = [json.loads(entry["message"])["message"] for entry in self._ask("/se/log", {"type": "performance"})]
         return [e["params"]["request"]["url"] for e in entries if e["method"] == "Network.requestWillBeSent"]
 
-    def picture(self, path: Path, *, top: int = 0, height: int = 1600) -> None:
-        """A picture of the page from `top` pixels on."""
-        width = self.run("return innerWidth")
-        clip = {"x": 0, "y": top, "width": width, "height": height, "scale": 1}
-        found = self.cdp("Page.captureScreenshot", format="png", captureBeyondViewport=True, clip=clip)
-        path.write_bytes(base64.b64decode(found["data"]))
-
     def pdf(self) -> bytes:
         """The page as printed."""
         return base64.b64decode(self.cdp("Page.printToPDF", preferCSSPageSize=True, printBackground=True)["data"])
@@ -80,7 +71,6 @@ class Browser:
 
 @contextmanager
 def browser() -> Iterator[Browser]:
-    """A browser, ended afterwards."""
     assert DRIVER is not None
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]

@@ -13,13 +13,7 @@ from identification.study import Run, RunFit
 from identification.trust import Figure, Trust, TrustLine
 from identification.view import charts
 from identification.view.axes import decades, linear, logarithmic
-from identification.view.charts import (
-    MAX_ROWS,
-    STUDY_ROWS,
-    deviation_charts,
-    study_chart,
-    trust_charts,
-)
+from identification.view.charts import MAX_ROWS, STUDY_ROWS, deviation_charts, study_chart, trust_charts
 from identification.view.colors import GREEN, GREY, LIGHT, ORANGE, PURPLE, SKY, VERMILLION
 from identification.view.panels import Column, Curve, Graph, Mark, Rows
 from identification.view.signal_panels import spectrum_charts
@@ -27,7 +21,6 @@ from identification.view.svg_panels import HEAD, LEFT, PITCH, RIGHT, draw_graph,
 
 
 def found(column, **given):
-    """Marks of a column with these attributes."""
     return [m for m in column.marks if all(getattr(m, name) == value for name, value in given.items())]
 
 

@@ -6,7 +6,6 @@ import shutil
 import time
 from dataclasses import replace
 from functools import cache
-from importlib.resources import files
 
 import numpy as np
 import pytest
@@ -18,7 +17,7 @@ from scipy import signal
 
 from identification.commands import main
 from identification.view import draw_fit, join_pictures, write_html, write_rrd
-from identification.view.colors import CLASSES, SKY
+from identification.view.colors import SKY
 from identification.view.panels import Curve, Graph, Log, Plot, Rows, Scene
 from identification.view.panels import Page as PageOfPanels
 from identification.view.signal_panels import _welch
@@ -64,12 +63,10 @@ def page_of(picture, tmp_path):
     return Page((tmp_path / "report.html").read_text(encoding="utf-8"))
 
 
-@pytest.mark.parametrize("record", [SCARA, TX40], ids=["scara", "tx40"])
-def test_the_file_stands_alone_and_is_small(record, tmp_path):
-    signals, fit = signals_of(record), iv_of(record)
+def test_the_file_stands_alone_and_is_small(tmp_path):
+    signals, fit = signals_of(TX40), iv_of(TX40)
     start = time.process_time()
-    drawn = draw_fit(signals, fit)
-    page = page_of(drawn, tmp_path)
+    page = page_of(picture(TX40), tmp_path)
     assert time.process_time() - start < 1.0, "0.2 s on a machine with nothing else to do"
     assert (tmp_path / "report.html").stat().st_size < 1_000_000
     names = {name for name, _ in page.tags}
@@ -78,19 +75,13 @@ def test_the_file_stands_alone_and_is_small(record, tmp_path):
     assert policy == "default-src 'none'; style-src 'unsafe-inline'"
     text = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert not re.search(r"(href|src)=|url\(|@import|https?:|\bnan\b|\binf\b|NaN", text)
-    for attrs in (attrs for _, attrs in page.tags):
-        assert not any(key.startswith("on") for key in attrs)
+    assert not [key for _, attrs in page.tags for key in attrs if key.startswith("on")]
     for svg in page.all("svg"):
-        width, height = (float(x) for x in svg["viewbox"].split()[2:])
-        assert width > 0
-        assert height > 0
+        assert min(float(x) for x in svg["viewbox"].split()[2:]) > 0
         assert svg["aria-label"]
     said = " ".join(page.texts)
-    assert f"verdict: {fit.trust.verdict}" in said
-    assert "assumed: drive gains" in said
-    assert signals.sha256 in said
-    assert f"numpy {np.__version__}" in said
-    assert "passes from start" in said
+    for part in (f"verdict: {fit.trust.verdict}", "assumed: drive gains", signals.sha256, f"numpy {np.__version__}"):
+        assert part in said
 
 
 def test_the_result_stands_before_the_appendix(tmp_path):
@@ -133,9 +124,8 @@ def test_the_report_of_several_recordings_has_the_signals_of_each(tmp_path):
     both = join_pictures([drawn, draw_fit(signals_of(SCARA), ls_of(SCARA))])
     names = [page.name for page in both.pages]
     assert names[: len(drawn.pages)] == [page.name for page in drawn.pages]
-    assert {name.split(":")[0] for name in names[len(drawn.pages) :]} == {
-        "overview", "residual", "signal", "motion",
-    }  # fmt: skip
+    more = {name.split(":")[0] for name in names[len(drawn.pages) :]}
+    assert more == {"overview", "residual", "signal", "motion"}
 
 
 def test_a_legend_names_what_is_drawn_once(tmp_path):
@@ -155,57 +145,35 @@ def test_a_spectrum_is_that_of_welch(length):
     np.testing.assert_allclose(_welch(x, length, 250.0), expected, rtol=1e-9, atol=1e-12 * expected.max())
 
 
-def luminance(code):
-    shares = [int(code[k : k + 2], 16) / 255 for k in (1, 3, 5)]
-    linear = [s / 12.92 if s <= 0.04045 else ((s + 0.055) / 1.055) ** 2.4 for s in shares]
-    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+RUNS = {
+    "fit": "fit log.mcap",
+    "validate": "validate fit.json log.mcap",
+    "compare": "compare fit.json truth.json",
+    "friction": "friction log.mcap",
+    "sensitivity": "sensitivity log.mcap --position-noise 1e-4",
+    "study": "study robot.toml --runs 2 --duration-s 3 --workers 1",
+    "excite": "excite robot.toml -o ref.csv --harmonics=2 --periods=1 --period=3",
+}
 
 
-def test_every_colour_has_a_contrast_of_4_5_to_1_in_light_and_dark():
-    style = files("identification.view").joinpath("report.css").read_text(encoding="utf-8")
-    light, dark = (
-        dict(re.findall(r"--(\w+): (#\w{6})", part)) for part in style.split("@media (prefers-color-scheme: dark)")
-    )
-    for colors in (light, dark):
-        assert set(CLASSES.values()) | {"text", "ground", "line"} == set(colors)
-        for name in [*CLASSES.values(), "text"]:
-            low, high = sorted(luminance(colors[key]) for key in (name, "ground"))
-            assert (high + 0.05) / (low + 0.05) >= 4.5, name
-        assert len({colors[name] for name in CLASSES.values()}) == len(CLASSES)
-
-
-@pytest.mark.parametrize("ending", ["md", "html", "pdf"])
-def test_commands_write_their_report(ending, tmp_path, capsys, monkeypatch):
+@pytest.mark.parametrize("name", RUNS)
+def test_commands_write_their_report(name, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    scara = REPLAY / "scara"
-    shutil.copy(SCARA, tmp_path / "log.mcap")
-    runs = {
-        "fit": ["fit", "log.mcap"],
-        "validate": ["validate", scara / "fit.json", "log.mcap"],
-        "compare": ["compare", scara / "fit.json", scara / "truth.json"],
-        "friction": ["friction", "log.mcap"],
-        "sensitivity": ["sensitivity", "log.mcap", "--position-noise", "1e-4"],
-        "study": ["study", scara / "robot.toml", "--runs", "2", "--duration-s", "3", "--workers", "1"],
-        "excite": ["excite", scara / "robot.toml", "-o", "ref.csv", "--harmonics=2", "--periods=1", "--period=3"],
-    }
-    for name, arguments in runs.items():
-        status = main([*map(str, arguments), "--report", f"{name}.{ending}"])
-        captured = capsys.readouterr()
-        assert status == (1 if ending == "pdf" else 0), (name, captured.err)
-        assert (tmp_path / f"{name}.{ending}").exists() == (ending != "pdf"), name
-        if ending == "html":
-            page = Page((tmp_path / f"{name}.html").read_text(encoding="utf-8"))
-            assert page.all("svg"), name
-            assert page.all("h1"), name
-        if ending == "pdf":
-            assert "expected .md or .html" in captured.err
+    for file in ("session.mcap", "robot.toml", "fit.json", "truth.json"):
+        shutil.copy(REPLAY / "scara" / file, tmp_path / file.replace("session", "log"))
+    assert main([*RUNS[name].split(), "--report", "a.pdf"]) == 1
+    assert "expected .md or .html" in capsys.readouterr().err
+    assert not (tmp_path / "a.pdf").exists()
+    assert main([*RUNS[name].split(), "--report", "a.html"]) == 0
+    page = Page((tmp_path / "a.html").read_text(encoding="utf-8"))
+    assert page.all("svg")
+    assert page.all("h1")
 
 
 @needs_chromium
-@pytest.mark.parametrize("record", [SCARA, TX40], ids=["scara", "tx40"])
-def test_chromium_shows_it_without_requests_messages_or_sideways_scroll(record, tmp_path):
+def test_chromium_shows_it_without_requests_messages_or_sideways_scroll(tmp_path):
     file = tmp_path / "report.html"
-    write_html(file, picture(record))
+    write_html(file, picture(TX40))
     with browser() as window:
         for width, scheme in ((1280, "light"), (400, "dark")):
             window.requests()

@@ -9,7 +9,6 @@ from pictured_fits import Written, urdf_robot
 
 from acquisition.errors import BadInputError
 from acquisition.files import meshes
-from acquisition.importing import import_recording
 from acquisition.recording import RecordingWriter, read_recording
 from acquisition.robot import load_robot, robot_from_files
 from identification.data import load_signals
@@ -21,7 +20,6 @@ TRIANGLE = bytes(80) + np.uint32(1).tobytes() + np.float32([0, 0, 1, 0, 0, 0, 1,
 
 
 def described(folder, name="meshes/l.stl", asked="urdf_meshes = true\n"):
-    """A robot.toml in `folder`, and beside it a URDF whose links have the mesh `name`."""
     made = urdf_robot(f"<mesh filename='{name}'/>")
     (folder / "meshes").mkdir(parents=True, exist_ok=True)
     (folder / "meshes" / "l.stl").write_bytes(TRIANGLE)
@@ -37,13 +35,12 @@ def recorded(path, robot):
 
 
 def meshes_drawn(path, tmp_path):
-    """The meshes in the Rerun file of a recording."""
     write_rrd(tmp_path / "view.rrd", draw_recording(load_signals(path), Overrides()))
     shapes = [c for path, c in Written(tmp_path / "view.rrd").static.items() if "/visual_geometries/" in path]
     return [bytes(c["Asset3D:blob"][0]) for c in shapes if "Asset3D:blob" in c]
 
 
-@pytest.mark.parametrize("name", ["meshes/l.stl", "package://arm/meshes/l.stl", "package://meshes/l.stl"])
+@pytest.mark.parametrize("name", ["meshes/l.stl", "package://arm/meshes/l.stl"])
 def test_a_recording_viewed_in_another_folder_has_its_meshes(name, tmp_path):
     robot = load_robot(described(tmp_path / "arm", name))
     path = recorded(tmp_path / "log.mcap", robot)
@@ -58,18 +55,6 @@ def test_meshes_are_attached_only_where_asked_for(tmp_path):
     robot = load_robot(described(tmp_path / "arm", asked=""))
     assert set(robot.files) == {"robot.toml", "robot.urdf"}
     assert meshes_drawn(recorded(tmp_path / "log.mcap", robot), tmp_path) == []
-
-
-def test_a_recovered_recording_has_them_too(tmp_path):
-    robot = load_robot(described(tmp_path / "arm"))
-    whole = recorded(tmp_path / "log.mcap", robot).read_bytes()
-    (tmp_path / "cut.mcap").write_bytes(whole[:-40])
-    import_recording(tmp_path / "cut.mcap", tmp_path / "out.mcap")
-    assert read_recording(tmp_path / "out.mcap").attachments == {
-        "robot.toml": robot.files["robot.toml"],
-        "robot.urdf": robot.files["robot.urdf"],
-        "mesh:meshes/l.stl": TRIANGLE,
-    }
 
 
 def test_a_mesh_of_a_kind_that_is_not_known_is_not_written(tmp_path):

@@ -1,14 +1,12 @@
 """The Rerun file of a fit: its layout shows only what is there, and what is there is what was measured and modelled."""
 
 import re
-import resource
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from pictured_fits import FS, Written, fitted, fitted_iv, made_up, scara
 
-from acquisition.errors import BadInputError
 from identification.model import InverseModel
 from identification.regression import Decimation, FilteredMotion, differentiate, predicted_torque
 from identification.view import curves, draw_fit, rerun_panels, write_rrd
@@ -25,12 +23,10 @@ def written(tmp_path):
 
 
 CASES = {
-    "two joints": {},
-    "one sliding joint, with reference": {"types": ("prismatic",), "reference": True},
-    "one joint in A": {"types": ("revolute",), "unit": "A"},
-    "seven joints": {"types": ("revolute",) * 7},
+    "sliding, with reference": {"types": ("prismatic",), "reference": True},
+    "seven joints": {"types": ("revolute",) * 7, "samples": 2000},
     "hardly any noise": {"noise": 0.0},
-    "long": {"types": ("revolute",), "samples": 25_000},
+    "long": {"types": ("revolute",), "samples": 12_000},
 }
 
 
@@ -49,16 +45,9 @@ def error_scale(title, name, unit):
     return {f"position error {name} [{p}{unit}]": factor for p, factor in (("", 1.0), ("m", 1e3), ("µ", 1e6))}[title]
 
 
-IV_CASES = {
-    "two joints": scara,
-    "one sliding joint, with reference": lambda: made_up(types=("prismatic",), reference=True),
-    "one joint": lambda: made_up(types=("revolute",)),
-}
-
-
-@pytest.mark.parametrize("case", IV_CASES.values(), ids=IV_CASES)
-def test_a_fit_by_instruments_shows_the_simulated_robot(case, written):
-    signals = case()
+@pytest.mark.parametrize("name", ["two joints, with reference", "one joint"])
+def test_a_fit_by_instruments_shows_the_simulated_robot(name, written):
+    signals = made_up(types=("revolute",)) if name == "one joint" else scara()
     fit, ls = fitted_iv(signals), fitted(signals)
     file = written(signals, fit, truth=ls.beta)
     n = signals.robot.n
@@ -77,10 +66,8 @@ def test_a_fit_by_instruments_shows_the_simulated_robot(case, written):
         k, x = file.curve("error", name, "reference")
         np.testing.assert_allclose(x / per_unit, (signals.q_ref - signals.q)[k, 0])
     text = file.static["/report"]["TextDocument:text"][0]
-    assert "simulated robot against the recording" in text
-    assert "passes from start" in text
-    assert "IV and LS" in text
-    assert "IV and true" in text
+    for part in ("simulated robot against the recording", "passes from start", "IV and LS", "IV and true"):
+        assert part in text
 
 
 def test_a_robot_that_cannot_be_simulated_has_no_ghost(written):
@@ -94,11 +81,9 @@ def test_a_robot_that_cannot_be_simulated_has_no_ghost(written):
 
 def test_titles_say_joint_and_unit(written):
     titles = {origin: title for origin, (_, title) in written(made_up(types=("prismatic", "revolute"))).views.items()}
-    assert titles["/torque/joint\\ 1.x"] == "torque joint 1.x [N]"
-    assert titles["/torque/joint\\ 2.x"] == "torque joint 2.x [N m]"
-    assert titles["/residual/joint\\ 1.x"] == "residual joint 1.x [N]"
-    assert titles["/ddq/joint\\ 1.x"] == "ddq joint 1.x [m/s²]"
-    assert titles["/q/joint\\ 2.x"] == "q joint 2.x [rad]"
+    for quantity, units in {"torque": ("N", "N m"), "residual": ("N", "N m"), "ddq": ("m/s²", "rad/s²")}.items():
+        for j, unit in enumerate(units, 1):
+            assert titles[f"/{quantity}/joint\\ {j}.x"] == f"{quantity} joint {j}.x [{unit}]"
     in_amperes = written(made_up(types=("revolute",), unit="A"), name="a.rrd").views
     assert in_amperes["/torque/joint\\ 1.x"][1] == "torque joint 1.x [A]"
 
@@ -128,9 +113,7 @@ def test_short_curves_are_written_sample_by_sample(written):
     span = np.arange(plan.start, plan.stop)
     whole = FilteredMotion(signals).between(plan.start, plan.stop, plan.cutoff_hz)  # in one pass
     for j, joint in enumerate(signals.robot.joints):
-        assert not any(
-            path.startswith(f"/{d}/") and path.endswith("/measured") for d in ("dq", "ddq") for path in file.curves
-        )
+        assert not [path for path in file.curves if re.match("/d?dq/.*/measured$", path)]
         expected = {
             ("torque", "measured"): (np.arange(len(signals.q)), signals.effort),
             ("q", "measured"): (np.arange(len(signals.q)), signals.q),
@@ -172,7 +155,7 @@ def test_blocks_of_a_long_recording_leave_no_seam(written, monkeypatch):
         np.testing.assert_allclose(blocks.curves[path][1], x, rtol=1e-9, atol=1e-9 * np.abs(x).max())
 
 
-@pytest.mark.parametrize(("N", "step"), [(1, 1), (10, 1), (10, 3), (99, 9), (1000, 7), (5, 9)])
+@pytest.mark.parametrize(("N", "step"), [(10, 1), (10, 3), (99, 9), (5, 9)])
 def test_thinning_keeps_both_extremes_of_every_bucket(N, step):
     x = np.random.default_rng(N).standard_normal(N)
     k = extremes(x, step)
@@ -187,20 +170,14 @@ def test_thinning_keeps_both_extremes_of_every_bucket(N, step):
 
 
 def test_long_curves_are_bounded_and_lose_no_peak(written, tmp_path):
-    signals = made_up(types=("revolute",), samples=25_000)
-    fit = fitted(signals)
+    signals = made_up(types=("revolute",), samples=12_000)
     effort = signals.effort.copy()
-    effort[12_345] = 10 * effort.max()
-    spiked = replace(signals, effort=effort)
-    file = written(spiked, fit)
-    k, x = file.curve("torque", "joint 1.x", "measured")
+    effort[2_345] = 10 * effort.max()
+    k, x = written(replace(signals, effort=effort), fitted(signals)).curve("torque", "joint 1.x", "measured")
     np.testing.assert_array_equal(x, effort[k, 0])
-    assert x[k == 12_345] == effort.max()
-    assert k[0] < 5
-    assert k[-1] > len(effort) - 6
-    step = -(-25_000 // 5000)
-    assert all(len(t) <= 2 * 5000 + step for t, _ in file.curves.values())
-    assert (tmp_path / "fit.rrd").stat().st_size < 4e6
+    assert x[k == 2_345] == effort.max()
+    assert (k[0] < 5, k[-1] > len(effort) - 6) == (True, True)
+    assert len(k) <= 2 * 5000 + 3
 
 
 def test_what_was_not_recorded_or_done_is_not_shown(written):
@@ -213,35 +190,6 @@ def test_what_was_not_recorded_or_done_is_not_shown(written):
     assert all(unfiltered.holds(origin, kind) for origin, (kind, _) in unfiltered.views.items())
 
 
-def test_a_fit_that_leaves_nothing_has_no_residual_page(written):
-    signals = made_up()
-    fit = fitted(signals)
-    nothing = np.zeros((200, 2))
-    rows = {"t_s": signals.t_s[:200], "tau": nothing, "tau_predicted": nothing, "speed": nothing}
-    views = written(signals, replace(fit, **rows)).views
-    assert not any(origin.startswith("/residual") for origin in views)
-    assert len(views) == 4 * signals.robot.n + 2
-
-
-def test_the_report_tells_result_settings_and_parameters(written):
-    signals = made_up(types=("revolute",), unit="A")
-    fit = fitted(signals)
-    text = written(signals).static["/report"]["TextDocument:text"][0]
-    moving = fit.errors[-1].moving_relative_error_percent
-    assert text.startswith(
-        f"# made up: WLS (as requested), solved, {fit.trust.verdict}: {fit.trust.finding}; {moving:.3g} %"
-    )
-    for warning in fit.warnings:
-        assert f"warning: {warning}" in text
-    assert fit.warnings, "the drive gain is not known"
-    for name, value, unit in zip(fit.estimate.names, fit.estimate.beta, fit.base.units, strict=True):
-        (row,) = re.findall(rf"^\| {name} \| ([^ ]+) \|", text, flags=re.MULTILINE)
-        assert float(row) == pytest.approx(value, rel=1e-3)
-        assert f"| {unit} |" in text
-    for part in ("made_up.mcap", "0" * 64, "low-pass 50 Hz", "WLS"):
-        assert part in text
-
-
 def test_each_fit_is_an_application_of_its_own(written):
     """A viewer has one layout per application: another fit's titles would stand over this one's curves."""
     signals = made_up()
@@ -249,26 +197,9 @@ def test_each_fit_is_an_application_of_its_own(written):
     assert files[0].application == files[1].application != files[2].application
 
 
-def test_a_disk_that_fills_up_leaves_what_was_there(tmp_path):
-    path = tmp_path / "fit.rrd"
-    path.write_bytes(b"before")
-    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, limits[1]))
-    try:
-        with pytest.raises(BadInputError, match="cannot be written"):
-            write_rrd(path, draw_fit(made_up(), fitted(made_up())))
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
-    assert path.read_bytes() == b"before"
-    assert list(tmp_path.iterdir()) == [path]
-
-
 def test_a_failure_half_way_leaves_nothing_and_is_silent(tmp_path, monkeypatch, capfd):
-    def fail(*_, **__):
-        raise ValueError("half way")
-
-    monkeypatch.setattr(rerun_panels, "_arrange", fail)
-    with pytest.raises(ValueError, match="half way"):
+    monkeypatch.setattr(rerun_panels, "_arrange", lambda *_, **__: 1 // 0)
+    with pytest.raises(ZeroDivisionError):
         write_rrd(tmp_path / "fit.rrd", draw_fit(made_up(), fitted(made_up())))
     assert list(tmp_path.iterdir()) == []
     assert capfd.readouterr() == ("", "")
