@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 from .rows import Rows
 from .sync_grid import MAX_RUN_SYNCS, Bools, Intervals, interval_of, minimum_ahead
 
+MAX_LATE_USUAL = 11  # intervals in a row that late drives answer at their usual time
 MIN_IN_ORDER, MAX_LATE_IN_ORDER = 3, 8  # intervals in a row that prove the order; at most so many more if PDOs are late
 
 
@@ -49,7 +50,8 @@ def associate(pdos: Sequence[Rows], repeats: Sequence[Rows], sync_rows: Rows, in
     behind = [edges - _sums(np.bincount(interval_of(pdo, sync_rows), minlength=len(steps))) for pdo in pdos]
     uneven = np.logical_or.reduce([np.diff(x) != 0 for x in behind])  # not as many answers as SYNCs in an interval
     caught_up = _caught_up(behind)
-    proven = _in_order(~uneven & (steps == 1) & ~torn, caught_up, intervals.unusual)
+    alone = ~uneven & (steps == 1) & ~torn
+    proven = _in_order(alone, caught_up, intervals.unusual)
     # The recording may begin while answers are pending: then there are more answers than SYNCs.
     begin, unknown = int(np.argmax(np.append(proven[:-1], True))), np.zeros(len(edges), np.int32)
     unknown[0] = any(x[: begin + 1].min() < 0 for x in behind)
@@ -66,6 +68,9 @@ def associate(pdos: Sequence[Rows], repeats: Sequence[Rows], sync_rows: Rows, in
     share = max(lost["missing"] for lost in losses) / max(1, int(edges[span[-1]] - edges[span[0]]))
     damaged = np.repeat(grown.any(axis=0), np.diff(cuts)) | intervals.swapped
     damaged[: begin * unknown[0]] = damaged[cuts[-2] :] = False  # answers are pending
+    # A drive that is late, again and again at its usual time: rather a PDO was lost, and another came twice.
+    sums = _sums(alone & ~intervals.unusual & caught_up[1:] & caught_up[:-1])
+    damaged[np.flatnonzero(sums[MAX_LATE_USUAL:] - sums[:-MAX_LATE_USUAL] == MAX_LATE_USUAL)] = True
     for frames in repeats:
         damaged[interval_of(frames, sync_rows)] = True
     late, doubtful = _late(uneven | intervals.unusual, proven, damaged)

@@ -201,7 +201,7 @@ def sync_steps(
         interval = interval_of(pdo, sync_rows)
         came = times_of(pdo) - times[interval]
         after.append(np.bincount(interval[came > _MAX_ANSWER_PERIODS * period], minlength=len(times))[long])
-        swapped[interval[(came > ahead[interval]) & (ahead[interval] > 0)]] = True
+        swapped[interval[(came >= ahead[interval]) & (ahead[interval] > 0)]] = True
         busy[interval[came > 0.5 * period * periods[interval]]] = True
         two = bool((np.bincount(interval, minlength=len(times))[periods <= MIN_PAUSE_PERIODS] > 1).any())
         off = np.abs(came - np.median(came))
