@@ -59,8 +59,7 @@ def exact(observed, case):
     return equations_of(observed.recordings, observed.overrides, found, observed.order)
 
 
-@pytest.mark.parametrize("robot", ["scara", "axis", "tx40"])
-@pytest.mark.parametrize("catalogue", [True, False])
+@pytest.mark.parametrize(("robot", "catalogue"), [("scara", True), ("axis", False), ("tx40", True)])
 def test_rows_made_by_the_model_give_gains_and_parameters_exactly(robot, catalogue, monkeypatch):
     case = GainCase(robot=robot, what="", duration_s=4.0, catalogue=catalogue)
     monkeypatch.setattr(idim, "read_equations", lambda *given: exact(read_equations(*given), case))
@@ -91,7 +90,7 @@ def test_a_known_gain_tells_the_scale_without_a_payload():
     assert abs(gains.values[0] - WHITE.gains[1]) <= 1.5 * gains.half[0] < 0.05 * WHITE.gains[1]
 
 
-@pytest.mark.parametrize(("robot", "push"), [("scara", 1.0), ("axis", 3.0), ("emps", 20.0)])
+@pytest.mark.parametrize(("robot", "push"), [("scara", 1.0), ("emps", 20.0)])
 def test_a_known_torque_tells_the_scale_without_a_payload(robot, push):
     case = replace(WHITE, robot=robot)
     gains = fitted(planned(case, None, 0, push=push), gains=("all",)).gains
@@ -129,20 +128,20 @@ STATED = "2@0.05,0.02,0"
 @pytest.mark.parametrize(
     ("names", "options", "status", "words"),
     [
-        ("free loaded", ["--payload", f"free={STATED}", "--payload", "loaded=none"], 3, "all drive gains are negative: the r"),
-        ("free_true loaded_true", ["--payload", "loaded_true=1"], 0, "caution: gains: drive gains are 0.49"),
-        ("free_true loaded_true", ["--payload", "loaded_true=1@0.05,0.02,0"], 0, "gains: drive gains are 0.49"),
-        ("free free2", ["--payload", f"free2={STATED}"], 3, "do not use: gains: no drive gain is usable"),
-        ("light_free light_loaded", [], 3, "do not use: gains: no drive gain is usable (motor_1 ±"),
-        ("torque_free torque_loaded", [], 0, "all are 1 N m per unit: the recorded effort is a torque already"),
-        ("blank_free blank_loaded", [], 0, "ok: gains: known to "),
+        ("free loaded", ["--gains", f"--payload=free={STATED}", "--payload=loaded=none"], 3, "all drive gains are negative: the r"),
+        ("free_true loaded_true", ["--gains", "--payload=loaded_true=1"], 0, "caution: gains: drive gains are 0.49"),
+        ("free free2", ["--gains", f"--payload=free2={STATED}"], 3, "do not use: gains: no drive gain is usable"),
+        ("light_free light_loaded", ["--gains"], 3, "do not use: gains: no drive gain is usable (motor_1 ±"),
+        ("torque_free torque_loaded", ["--gains"], 0, "all are 1 N m per unit: the recorded effort is a torque already"),
+        ("blank_free blank_loaded", ["--gains"], 0, "ok: gains: known to "),
+        ("blank_free blank_loaded", [], 3, "do not use: units: "),
     ],
 )  # fmt: skip
 def test_what_comes_out_of_wrong_pairs(folder, capsys, names, options, status, words):
-    assert run_fit(folder, names, "--gains", *options) == status
+    assert run_fit(folder, names, *options) == status
     printed = capsys.readouterr()
     assert words in printed.out
-    assert printed.err == "" if status == 0 else words.removeprefix("do not use: gains: ") in printed.err
+    assert (printed.err == "") == (status == 0)
 
 
 @pytest.mark.parametrize(
@@ -178,13 +177,6 @@ def test_what_tells_no_scale_is_refused_in_one_line(folder, capsys, tmp_path, na
     assert not out.exists()
 
 
-def test_without_gains_efforts_in_amperes_are_not_to_be_used_and_the_way_out_is_named(folder, capsys):
-    assert run_fit(folder, "blank_free blank_loaded") == 3
-    printed = capsys.readouterr()
-    assert "do not use: units: " in printed.out
-    assert "record with and without a weighed payload and fit with --gains" in printed.err
-
-
 @pytest.fixture(scope="module")
 def pair():
     return planned_pair(WHITE)
@@ -195,7 +187,7 @@ def fit(pair):
     return fit_with_gains(*pair)
 
 
-@pytest.mark.parametrize("gains", [("all",), ("motor_2",), None])
+@pytest.mark.parametrize("gains", [("all",), None])
 def test_the_half_width_of_the_mass_adds_to_the_intervals(pair, gains):
     """Seen by a second way: the fit of a mass that is heavier by its half-width."""
     free, loaded = (with_gains(one, WHITE.gains, None) for one in pair)
@@ -210,7 +202,7 @@ def test_the_half_width_of_the_mass_adds_to_the_intervals(pair, gains):
         *([(moved.gains.values - sure.gains.values, unsure.gains.half, sure.gains.half)] if gains else []),
     ):
         np.testing.assert_allclose(half, np.hypot(value, of_mass), rtol=5e-3, atol=1e-9)
-    if gains == ("all",):
+    if gains:
         share = 0.04 / stated.mass_kg * sure.gains.values
         np.testing.assert_allclose(unsure.gains.half, np.hypot(sure.gains.half, share), rtol=1e-6)
 
@@ -236,15 +228,10 @@ def test_a_payload_is_weighed_with_gains_and_their_half_widths(fit):
 
 def test_free_and_loaded_share_the_arm_and_equal_payloads_their_parameters(pair):
     free, loaded = (with_gains(one, WHITE.gains, None) for one in pair)
-    again = with_gains(planned(WHITE, loaded.payload, 9), WHITE.gains, None)
-    both, three = fitted(free, loaded), fitted(free, loaded, again)
-    assert len(both.payloads) == len(three.payloads) == 1
-    assert [one.names for one in (both.estimate, three.estimate)] == [both.base.names] * 2
-    for found in (both, three):
-        true = truth_of(found)
-        assert (np.abs(found.beta - true) <= 2.5 * found.intervals.half).all()
-    true = payload_parameters(InverseModel(free.robot), loaded.payload)
-    found = three.payloads[0]
+    fit = fitted(free, loaded, with_gains(planned(WHITE, loaded.payload, 9), WHITE.gains, None))
+    assert fit.estimate.names == fit.base.names
+    assert (np.abs(fit.beta - truth_of(fit)) <= 2.5 * fit.intervals.half).all()
+    (found,), true = fit.payloads, payload_parameters(InverseModel(free.robot), loaded.payload)
     assert abs(found.values[5] - true[5]) <= 2 * found.half[5] < 0.2 * true[5]
 
 
@@ -287,7 +274,6 @@ def validated(folder, name, out, *options):
 @pytest.mark.parametrize(
     ("names", "options"),
     [
-        ("free_true loaded_true", ["--payload", "loaded_true=2"]),
         ("free_true loaded_true", ["--payload", "loaded_true=unknown"]),
         ("loaded_true", ["--payload", "loaded_true=2"]),
         ("free loaded", ["--gains"]),
@@ -369,30 +355,46 @@ def test_consistent_parameters_need_no_described_gain(folder, capsys, tmp_path):
     assert found["ZZ2"]["value"] == pytest.approx(0.061, abs=0.01)
 
 
-def test_files_of_a_fit_with_gains(folder, tmp_path, capsys):
-    out, picture = tmp_path / "k.json", tmp_path / "k.rrd"
-    assert run_fit(folder, "blank_free blank_loaded", "--gains", "--json", str(out), "--rrd", str(picture)) == 0
+def test_files_of_a_fit_with_gains_and_a_payload_weighed_with_them(folder, tmp_path, capsys):
+    """The commands of the page for the lab: gains, description, and what the other payload weighs."""
+    out, toml, weighed = tmp_path / "k.json", tmp_path / "robot.toml", tmp_path / "w.json"
+    files = ["--json", str(out), "--rrd", str(tmp_path / "k.rrd")]
+    assert run_fit(folder, "blank_free blank_loaded", "--gains", *files) == 0
     found = json.loads(out.read_text())
-    gains = {one["motor"]: (one["value"], one["half_width"]) for one in found["gains"]}
-    for name, true in zip(("motor_1", "motor_2"), WHITE.gains, strict=True):
-        assert abs(gains[name][0] - true) <= gains[name][1]
+    for one, true in zip(found["gains"], WHITE.gains, strict=True):
+        assert abs(one["value"] - true) <= one["half_width"]
     (payload,) = found["payloads"]
     assert (payload["recording"], payload["stated"]) == ("blank_loaded.mcap", "2.0@0.05,0.02,0.0")
     assert sorted(tmp_path.glob("*.rrd")) == [tmp_path / "k_blank_free.rrd", tmp_path / "k_blank_loaded.rrd"]
-    capsys.readouterr()
-    check = ["validate", str(out), str(folder / "blank_free2.mcap"), "--max-error-percent", "2"]
-    written(planned(replace(WHITE, catalogue=False), None, 2), folder / "blank_free2.mcap")
-    assert main(check) == 0, capsys.readouterr().err
+    free, what = planned_pair(replace(WHITE, mass_kg=1.4, catalogue=False), 1)
+    names = [str(written(one, tmp_path / f"{name}.mcap")) for name, one in (("free", free), ("what", what))]
+    assert main(["validate", str(out), names[0], "--max-error-percent", "2"]) == 0, capsys.readouterr().err
+    assert main(["export", str(out), "--toml", str(toml)]) == 0
+    command = [
+        "fit",
+        *names,
+        "--robot",
+        str(toml),
+        "--payload",
+        "what=unknown",
+        "--json",
+        str(weighed),
+        "--workers",
+        "1",
+    ]
+    assert main(command) == 0, capsys.readouterr().err
+    (payload,) = json.loads(weighed.read_text())["payloads"]
+    mass = next(one for one in payload["parameters"] if one["name"] == "M")
+    assert payload["stated"] == "unknown"
+    assert abs(mass["value"] - 1.4) <= mass["half_width"] < 0.1
 
 
 @pytest.mark.parametrize(
     ("robot", "payload", "names"),
     [
         ("scara", Payload(2.0), ("MX", "MY", "ZZ")),
-        ("scara", Payload(None), ("M", "MX", "MY", "ZZ")),
         ("emps", Payload(20.0), ()),
         ("emps", Payload(None), ("M",)),
-        ("axis", Payload(2.0, (0.3, 0.02, 0.0)), ("ZZ", "MX", "MY")),
         ("axis", Payload(2.0, (0.3, 0.02, 0.0), center_half_width_m=0.0), ("ZZ",)),
         ("spatial", Payload(2.0), ("MX", "MY", "MZR", "XXR", "XY", "XZ", "YZ", "ZZ")),
     ],
@@ -431,45 +433,21 @@ def crossed_axes():
     return robot_of(f"{text}[parameters]\n{table}")
 
 
-def test_a_payload_is_weighed_with_an_exported_description(folder, tmp_path, capsys):
-    """The commands of the page for the lab: gains, description, and what the other payload weighs."""
-    fit, toml, out = tmp_path / "k.json", tmp_path / "robot.toml", tmp_path / "w.json"
-    free, what = planned_pair(replace(WHITE, mass_kg=1.4, catalogue=False), 1)
-    names = [str(written(one, tmp_path / f"{name}.mcap")) for name, one in (("free", free), ("what", what))]
-    assert run_fit(folder, "blank_free blank_loaded", "--gains", "--json", str(fit)) == 0
-    assert main(["export", str(fit), "--toml", str(toml)]) == 0
-    assert toml.read_text().count("drive_gain_half_width") == 2
-    command = ["fit", *names, "--robot", str(toml), "--payload", "what=unknown", "--json", str(out), "--workers", "1"]
-    assert main(command) == 0, capsys.readouterr().err
-    (payload,) = json.loads(out.read_text())["payloads"]
-    mass = next(one for one in payload["parameters"] if one["name"] == "M")
-    assert payload["stated"] == "unknown"
-    assert abs(mass["value"] - 1.4) <= mass["half_width"] < 0.1
-
-
 def test_gains_of_long_recordings_are_not_those_of_their_beginnings(pair, monkeypatch):
     """By the measured motion, with rows that are held, only the beginnings would be fitted; and gains below zero likewise."""
     free, loaded = with_reference(*pair)
     exchanged = replace(free, payload=loaded.payload), replace(loaded, payload=None)
     monkeypatch.setattr("identification.regression.equations._MAX_NUMBERS", 100)
     for signals in (pair, exchanged):
-        with pytest.raises(BadInputError, match="too long to identify gains without a simulated robot") as caught:
+        with pytest.raises(BadInputError, match="too long to identify gains without a simulated robot"):
             fit_with_gains(*signals)
-        assert "a larger decimation or shorter recordings" in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    ("case", "bound"),
-    [
-        (GainCase(robot="emps", what="", mass_kg=20.0, law=True), 0.005),
-        (GainCase(robot="tx40", what="", white=5.0), 0.02),
-    ],
-    ids=["EMPS", "TX40 with noise"],
-)
-def test_gains_by_the_independent_simulator(case, bound):
-    """Mass alone known; a PD or the described law follows a recorded reference."""
+def test_gains_by_the_independent_simulator():
+    """Mass alone known; the described law follows a recorded reference."""
+    case = GainCase(robot="emps", what="", mass_kg=20.0, law=True, duration_s=5.0)
     made = pair_of(case, 0)
     fit = fit_with_gains(made.free, made.loaded)
     assert (fit.status, fit.method) == ("converged", "iv")
     assert fit.gains.determined.all()
-    np.testing.assert_allclose(fit.gains.values, case.gains, rtol=bound)
+    np.testing.assert_allclose(fit.gains.values, case.gains, rtol=0.005)
