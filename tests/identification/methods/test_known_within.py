@@ -22,11 +22,9 @@ SCARA = GainCase(robot="scara", what="", duration_s=4.0, white=5.0)
     [((0.003, 0, 0), 2.0, None), ((0, 0, 0.06), 2.0, "centre of mass"), ((0, 0, 0), 1.0, "gains")],
 )
 def test_what_is_stated_wrongly_of_a_payload_is_told(off_m, mass_kg, told):
-    """Taken as exact, 3 mm would move the last gain by 2.8 half-widths; half the mass is told from a catalogue that scatters."""
+    """Taken as exact, 3 mm would move the last gain by 2.8 half-widths. The gains of the catalogue scatter by 15 %."""
     fit = one_thread(fit_with_gains)(*mujoco_arm.pair(mujoco_arm.GAINS * SCATTERED, off_m=off_m, mass_kg=mass_kg))
-    assert [line.test for line in fit.trust.lines if line.level not in ("ok", "not made", "cannot tell")] == [
-        told
-    ] * bool(told)
+    assert [line.test for line in fit.trust.lines if line.level == "caution"] == ([told] if told else [])
     assert fit.trust.verdict == ("caution" if told else "trust")
     if told == "gains":
         assert "check the payload's mass" in fit.trust.line("gains").text
