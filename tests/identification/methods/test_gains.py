@@ -306,19 +306,6 @@ def test_no_robot_is_simulated_with_negative_gains(pair, monkeypatch):
     assert (fit.gains.values < 0).all()
 
 
-def test_gains_cost_one_simulation_more_than_known_ones_at_most(pair, monkeypatch):
-    asked, whole = [], Simulation.instruments
-    monkeypatch.setattr(Simulation, "instruments", lambda *given: (asked.append(given), whole(*given))[1])
-    known = fitted(*with_reference(*(with_gains(one, WHITE.gains, None) for one in pair)))
-    of_known, asked[:] = len(asked), []
-    fit = fit_with_gains(*with_reference(*pair))
-    assert (known.status, fit.status) == ("converged", "converged")
-    assert (np.abs(fit.gains.values - WHITE.gains) <= fit.gains.half).all()
-    assert len(asked) <= of_known + 2  # of two recordings
-    beyond_passes = [count - 2 * len(one.iv.passes) for count, one in ((of_known, known), (len(asked), fit))]
-    assert beyond_passes[1] <= beyond_passes[0] + 2
-
-
 def test_consistent_parameters_need_no_described_gain(folder, capsys, tmp_path):
     out = tmp_path / "k.json"
     assert run_fit(folder, "blank_free blank_loaded", "--consistent") == 1

@@ -1,17 +1,13 @@
 """The commonest law of arms: a PD, and gravity at the measured position; simulated by pinocchio alone."""
 
-import json
-import re
-import shutil
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import msgspec
 import numpy as np
 import pinocchio as pin
 import pytest
-from conftest import PROGRAMS, REPLAY
+from conftest import REPLAY
 from urdfs import packaged_urdf
 
 from acquisition.errors import BadInputError
@@ -122,28 +118,3 @@ def test_computed_torque_has_gravity_by_itself(tmp_path):
     with pytest.raises(BadInputError) as told:
         load_robot(tmp_path / "robot.toml")
     assert (told.value.key, told.value.value) == ("controller.gravity_feedforward", True)
-
-
-def test_from_an_empty_folder_to_a_report_in_three_commands(tmp_path, monkeypatch):
-    """A URDF and a table; the bandwidth is not told."""
-    monkeypatch.chdir(tmp_path)
-    signals, joints = recorded(), range(1, 7)
-    columns = {"position": "q", "reference": "ref", "effort": "tau"}
-    names = ["t", *(f"{name}{j}" for name in columns.values() for j in joints)]
-    table = np.column_stack([signals.t_s, signals.q, signals.q_ref, signals.effort])
-    np.savetxt("x.csv", table, delimiter=",", header=",".join(names), comments="")
-    sections = [
-        f"[{key}]\ncolumns = {json.dumps([f'{name}{j}' for j in joints])}\nunit = "
-        f'"{"N m" if key == "effort" else "rad"}"\n'
-        for key, name in columns.items()
-    ]
-    Path("map.toml").write_text('[time]\ncolumn = "t"\n' + "".join(sections))
-    shutil.copy(UR5, "arm.urdf")
-    identify_, acquire = PROGRAMS["identification"].main, PROGRAMS["acquisition"].main
-    assert identify_(["init", "arm.urdf", "-o", "robot.toml"]) == 0
-    assert acquire(["import", "x.csv", "--robot", "robot.toml", "--map", "map.toml", "-o", "log.mcap"]) == 0
-    assert identify_(["fit", "log.mcap", "--method", "wls", "--report", "report.md"]) == 0
-    report = Path("report.md").read_text()
-    taken = re.search(r"bandwidth_hz is not stated: low-pass at ([0-9.]+) Hz, a PD of ([0-9.]+) Hz", report)
-    assert taken is not None
-    assert 1.0 < float(taken[1]) < float(taken[2]) < 0.4 * RATE_HZ

@@ -11,7 +11,7 @@ import identification.regression.equations as regression_module
 from acquisition.robot import fourier_reference
 from identification.data import Signals, signals_from_arrays
 from identification.errors import BadInputError, NoFitError
-from identification.estimation import System, essential_parameters, ordinary_least_squares, weighted_least_squares
+from identification.estimation import System, ordinary_least_squares, weighted_least_squares
 from identification.methods import identify_ls
 from identification.model import BaseParameters, InverseModel, base_parameters, described_parameters
 from identification.regression import (
@@ -61,29 +61,6 @@ def test_the_shipped_recording_gives_the_truth_it_was_made_from():
     true = described_parameters(InverseModel(robot_named("scara")), fit.base)
     assert (np.abs(fit.beta - true) < 1.75 * fit.intervals.half).all()
     assert fit.errors[-1].moving_relative_error_percent < 1.0
-
-
-def test_essential_parameters_leave_out_what_is_zero_and_keep_what_matters():
-    rng = np.random.default_rng(9)
-    W = rng.normal(size=(900, 6))
-    Y = W @ np.array([5.0, 0.0, -3.0, 0.0, 0.02, 4.0]) + 0.1 * rng.normal(size=900)
-    problem = System.whole(W, Y, np.zeros(900, dtype=int), tuple("abcdef"))
-    full = ordinary_least_squares(problem)
-    # e is small but, at six deviations, more than noise: the F test keeps it though its %sigma is large.
-    kept, unconfirmed = (essential_parameters(problem, full, correlation=x) for x in (0.0, 0.95))
-    assert (kept.estimate.names, unconfirmed.estimate.names) == (("a", "c", "e", "f"), ("a", "c", "f"))
-    assert kept.p_value > 0.01
-
-
-def test_a_joint_that_does_not_move_is_named():
-    dynamics = InverseModel(robot_named("scara"))
-    base = base_parameters(dynamics)
-    motion = exact_motion(dynamics, duration_s=5.0, sample_rate_hz=200.0, seed=1)
-    parts = {name: getattr(motion, name) * [1.0, 0.0] for name in ("q", "dq", "ddq", "tau")}
-    observed = system_of(Motion(t_s=motion.t_s, **parts), dynamics, base)
-    with pytest.raises(NoFitError) as told:
-        ordinary_least_squares(observed)
-    assert told.value.value == ["Fv2", "Fc2"]
 
 
 def test_parameters_that_cannot_be_told_apart_are_named():

@@ -1,7 +1,6 @@
 """Load friction of several recordings: by hand, cut, long, on any workers, left out, told by the trust block."""
 
 import dataclasses
-import json
 from functools import cache
 
 import msgspec
@@ -10,9 +9,8 @@ import pytest
 from friction_models import axis, described, model_of, moved, simulated
 
 import identification.methods.settled as settled
-from identification.commands import main
 from identification.data import Recordings
-from identification.methods import Iteration, identify, identify_iv, identify_ls
+from identification.methods import Iteration, identify, identify_iv, identify_ls, with_consistent
 from identification.regression import (
     Overrides,
     friction_states,
@@ -23,7 +21,7 @@ from identification.regression import (
     torque_of_recording,
     weights_at,
 )
-from identification.study import Noise, closed_loop, random_reference, write_signals
+from identification.study import Noise, closed_loop, random_reference
 
 TERMS = [["viscous", "coulomb", "root", "load"], ["viscous", "coulomb", "load"]]
 CELL = Noise(encoder_step=1e-6, effort_percent=2.0)
@@ -157,13 +155,11 @@ def long_record():
     return closed_loop(robot, q_ref, 1000.0, noise=CELL, seed=3)
 
 
-@pytest.fixture(scope="module")
-def files(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("load")
-    paths = [folder / signals.recording for signals in scara()[1].sources]
-    for path, signals in zip(paths, scara()[1].sources, strict=True):
-        write_signals(path, signals, source="test")
-    return paths
+def test_consistent_parameters_take_the_same_terms():
+    made = with_consistent(fit_of("wls"))
+    assert {"mu1", "mu2"} < set(made.consistent_set.names)
+    errors = [one[-1].relative_error_percent for one in (made.consistent_errors, made.errors)]
+    assert errors[0] == pytest.approx(errors[1], rel=0.05)
 
 
 @pytest.mark.parametrize("blocks", [False, True])
@@ -249,15 +245,3 @@ def test_load_friction_that_would_drive_is_told_in_the_rows_where_the_load_is():
     assert "friction would drive joint axis at " in line.text
     resists, load = float(line.text.split("/s: ")[1].split(" ")[0]), 0.3 * 95.0 * 9.81
     assert resists < -0.5 * load + 20.0  # with the links' torque there; 20 N and more without
-
-
-def test_consistent_parameters_and_validation_take_the_same_terms(files, tmp_path):
-    fit, out = tmp_path / "fit.json", tmp_path / "validation.json"
-    assert main(["fit", *map(str, files[:2]), "--workers", "1", "--consistent", "--json", str(fit)]) == 0
-    stored = json.loads(fit.read_text())
-    consistent, error = stored["consistent"], stored["relative_error_percent"]
-    assert {"mu1", "mu2"} < {one["name"] for one in stored["standard_parameters"]}
-    assert consistent["relative_error_percent"] == pytest.approx(error, rel=0.05)
-    assert main(["validate", str(fit), *map(str, files), "--json", str(out)]) == 0
-    each = json.loads(out.read_text())["recordings"]
-    assert max(one["relative_error_percent"] for one in each) < 1.2 * error

@@ -168,19 +168,6 @@ def fit_files(tmp_path, name, *arguments) -> dict:
     return json.loads(out.read_text())
 
 
-def test_workers_are_imported_when_asked_for_alone(files):
-    import subprocess
-    import sys
-
-    code = (
-        "import sys\nfrom identification.commands import main\n"
-        f"main(['fit', {str(files[0])!r}, {str(files[1])!r}, '--workers', '1'])\n"
-        "sys.exit('loaded' if {'joblib', 'distributed'} & set(sys.modules) else 0)"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-
-
 def test_reduced_rows_give_the_same_by_instruments(monkeypatch):
     """The simulated robot's speed is judged by the reference's peak there: a row or two more or less count."""
     wanted = fitted("iv")

@@ -2,12 +2,13 @@
 
 import dataclasses
 
+import msgspec
 import numpy as np
 import pytest
 from conftest import REPLAY
 
-from acquisition.robot import LowSpeed, robot_from_files
-from identification.data import RecordingFile, Recordings, Work, load_signals
+from acquisition.robot import LowSpeed
+from identification.data import Recordings, load_signals
 from identification.errors import NoFitError
 from identification.methods import identify_ls
 from identification.model import InverseModel, described_parameters
@@ -22,7 +23,7 @@ from identification.regression import (
     weights_at,
 )
 from identification.regression.weights import SampleWeights
-from identification.study import Noise, closed_loop, write_signals
+from identification.study import Noise, closed_loop
 
 SCARA = load_signals(REPLAY / "scara" / "session.mcap")
 
@@ -157,32 +158,27 @@ def test_joints_whose_moves_are_too_short_have_no_weights_but_the_rows_in_which_
 
 def short_moves(seed: int):
     """The SCARA, whose joints move one after the other for less than half a second, as a recording of 12 s."""
-    robot, rng = SCARA.robot, np.random.default_rng(seed)
-    rate_hz, q, now = 1000.0, [], np.zeros(2)
+    robot, rng, s = SCARA.robot, np.random.default_rng(seed), np.linspace(0, 1, 400)[:, None]
+    q, now = [], np.zeros(2)
     for k in range(18):
-        after, s = now.copy(), np.linspace(0, 1, 400)[:, None]
-        after[k % 2] = rng.uniform(-0.6, 0.6)
+        after = np.where(np.arange(2) == k % 2, rng.uniform(-0.6, 0.6), now)
         q += [now + (10 * s**3 - 15 * s**4 + 6 * s**5) * (after - now), np.repeat(after[None], 260, axis=0)]
         now = after
-    text = robot.files["robot.toml"].decode().replace("bandwidth_hz = 5.0", "bandwidth_hz = 2.5")  # half of what it is
-    slow = robot_from_files({"robot.toml": text.encode()}, "robot.toml")
-    signals = closed_loop(robot, np.concatenate(q), rate_hz, noise=Noise(effort_percent=2.0), seed=seed)
-    return dataclasses.replace(signals, robot=slow, recording=f"s{seed}.mcap", sha256=f"{seed:064x}")
+    signals = closed_loop(robot, np.concatenate(q), 1000.0, noise=Noise(effort_percent=2.0), seed=seed)
+    slow = msgspec.structs.replace(robot.controller, bandwidth_hz=2.5)  # half of what it is
+    return dataclasses.replace(
+        signals, robot=dataclasses.replace(robot, controller=slow), recording=f"s{seed}.mcap", sha256=f"{seed:064x}"
+    )
 
 
-def test_recordings_of_short_moves_are_fitted_and_the_same_by_two_workers(tmp_path):
+def test_recordings_of_short_moves_are_fitted():
     """No ramps suit their moves: chosen for both together, and told with joint and bandwidth."""
-    for seed in (1, 2):
-        write_signals(tmp_path / f"s{seed}.mcap", short_moves(seed), source="test")
-    sources = tuple(RecordingFile(path=str(tmp_path / f"s{seed}.mcap")) for seed in (1, 2))
-    fits = [identify_ls(Recordings(sources=sources, work=Work(workers=k)), Overrides()) for k in (1, 2)]
-    np.testing.assert_array_equal(fits[0].estimate.beta, fits[1].estimate.beta)
-    assert fits[0].settings.ramp_rows == fits[1].settings.ramp_rows
+    fit = identify_ls(Recordings(sources=(short_moves(1), short_moves(2))), Overrides())
     for name in ("shoulder", "elbow"):
         text = f"joint {name}: its moves are short for a bandwidth of 2.5 Hz: no weights, but rows in which it moves"
-        assert text in fits[0].warnings
-    true = described_parameters(InverseModel(SCARA.robot), fits[0].base)
-    assert (np.abs(fits[0].beta - true) < 2.0 * fits[0].intervals.half).all()
+        assert text in fit.warnings
+    true = described_parameters(InverseModel(SCARA.robot), fit.base)
+    assert (np.abs(fit.beta - true) < 2.0 * fit.intervals.half).all()
 
 
 def test_the_ramp_that_is_chosen_has_the_smaller_half_widths():
