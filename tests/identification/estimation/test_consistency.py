@@ -8,7 +8,7 @@ from physical_cases import body, covariance, covariance_with, lowest, one_link, 
 from random_arms import random_estimate
 from scipy.optimize import minimize
 
-from acquisition.robot import Robot, load_robot
+from acquisition.robot import Robot, robot_from_files
 from identification.errors import NoFitError
 from identification.estimation import consistent_parameters, parameter_certainty, pseudo_inertia
 from identification.estimation.consistency import _inverse_root, _Objective
@@ -147,19 +147,14 @@ URDF = """<robot name="arm"><link name="base"/>
 <limit lower="-3" upper="3" effort="1" velocity="1"/></joint></robot>"""
 
 
-def urdf_arm(tmp_path) -> Robot:
-    (tmp_path / "arm.urdf").write_text(URDF)
-    joints = "".join(
-        f'[[joint]]\nname = "{name}"\ntype = "revolute"\n[[motor]]\nname = "{name}"\neffort_unit = "N m"\n'
-        for name in "ab"
-    )
-    path = tmp_path / "robot.toml"
-    path.write_text(f'name = "arm"\nurdf = "arm.urdf"\n{joints}[controller]\nbandwidth_hz = 5.0\n')
-    return load_robot(path)
+def urdf_arm() -> Robot:
+    joint = '[[joint]]\nname = "{0}"\ntype = "revolute"\n[[motor]]\nname = "{0}"\neffort_unit = "N m"\n'
+    text = f'name = "arm"\nurdf = "arm.urdf"\n{joint.format("a")}{joint.format("b")}[controller]\nbandwidth_hz = 5.0\n'
+    return robot_from_files({"robot.toml": text.encode(), "robot.urdf": URDF.encode()}, "robot.toml")
 
 
-def test_links_expected_are_those_of_a_urdf_or_plausible_ones(tmp_path):
-    physical = physical_parameters(InverseModel(urdf_arm(tmp_path)))
+def test_links_expected_are_those_of_a_urdf_or_plausible_ones():
+    physical = physical_parameters(InverseModel(urdf_arm()))
     link = physical.start[physical.links]
     np.testing.assert_allclose(link[0], [0.01, 0, 0, 0.04, 0, 0.04, 0.2, 0, 0, 2.0], atol=1e-12)
     assert 0.1 < link[1, 9] < 10  # nothing is said of it

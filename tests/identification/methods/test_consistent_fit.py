@@ -9,12 +9,12 @@ import pytest
 from command_runs import refused
 from conftest import REPLAY, robot_named
 from fits_of_records import ls_of, signals_of
+from friction_models import moved
 from physical_cases import lowest, one_link
 from random_arms import random_estimate
 
-from acquisition.robot import fourier_reference, robot_from_files
+from acquisition.robot import robot_from_files
 from identification.commands import main
-from identification.data import signals_from_arrays
 from identification.errors import BadInputError
 from identification.estimation import (
     consistent_parameters,
@@ -61,26 +61,25 @@ def test_the_real_arm_becomes_a_physical_one(consistent):
     assert c.prior == "the description: all links by [parameters]"
 
 
+def lines_of(signals, fit) -> list[str]:
+    return [line for section in fit_document(signals, fit).sections for line in section.lines]
+
+
 def test_the_verdict_and_the_consistent_set_are_one_computation(consistent, tx40):
     """chi² and largest move of the verdict's line are those of `--consistent`; not with another prior, which is said."""
-    c, line = consistent.consistent_set, consistent.trust.line("consistent")
-    assert line.value == c.chi_squared
+    c, line, signals = consistent.consistent_set, consistent.trust.line("consistent"), signals_of(tx40)
+    assert (line.level, line.value) == ("ok", c.chi_squared)
     assert f"{c.moved_most} moved by {c.largest_move:.2g} half-widths" in line.text
-    assert line.level == "ok"
-    lines = [line for s in fit_document(signals_of(tx40), consistent).sections for line in s.lines]
-    assert not any("has its own" in line for line in lines)
-    expected = dataclasses.replace(consistent.problem.signals.robot, parameters={})
-    other = with_consistent(consistent, expected)
-    assert any("has its own" in line for s in fit_document(signals_of(tx40), other).sections for line in s.lines)
+    other = with_consistent(consistent, dataclasses.replace(consistent.problem.signals.robot, parameters={}))
     assert other.consistent_set.chi_squared != line.value
+    assert [any("has its own" in x for x in lines_of(signals, fit)) for fit in (consistent, other)] == [False, True]
 
 
 def test_the_report_has_intervals_and_names_what_left_the_fits(consistent, tx40):
-    c = consistent.consistent_set
-    moves = c.moves.copy()
-    moves[3] = 1.7
+    c, signals = consistent.consistent_set, signals_of(tx40)
+    moves = np.where(np.arange(len(c.moves)) == 3, 1.7, c.moves)
     far = dataclasses.replace(consistent, consistent_set=dataclasses.replace(c, deviations=moves * c.reach))
-    sections = {s.title: s for s in fit_document(signals_of(tx40), far).sections}
+    sections = {s.title: s for s in fit_document(signals, far).sections}
     standard = sections["physically consistent standard parameters"]
     heads = ["parameter", "value", "±95%", "unit", "mostly from"]
     assert [heading for heading, _ in standard.table.columns] == heads
@@ -90,8 +89,7 @@ def test_the_report_has_intervals_and_names_what_left_the_fits(consistent, tx40)
     assert [row[0] for row in of_base.rows] == list(c.base_names)
     assert [row[2].value for row in of_base.rows] == c.base_half.tolist()
     assert of_base.rows[3][-1].value == 1.7
-    plain = fit_document(signals_of(tx40), consistent)
-    assert not any("by more than one half-width" in line for s in plain.sections for line in s.lines)
+    assert not any("by more than one half-width" in line for line in lines_of(signals, consistent))
 
 
 @pytest.mark.parametrize("seed", [1, 4])
@@ -195,19 +193,14 @@ def test_a_wrist_that_feeds_energy_is_told_by_the_verdict_and_by_the_consistent_
     """Alike: where `physical` is ok, friction has not to move for `consistent`; and it ends up taking power."""
     robot = robot_named("tx40")
     robot = dataclasses.replace(robot, parameters={**robot.parameters, **values})
-    model = InverseModel(robot)
-    chi = np.array([robot.parameters.get(name, 0.0) for name in model.names])
-    base = base_parameters(model)
-    x = fourier_reference(robot, period_s=6.0, seed=2).at(np.arange(0.0, 6.0, 4e-3))
-    tau = (model.regressor(*x) @ chi) + np.random.default_rng(0).normal(0, 0.05, x[0].shape)
-    fit = identify_ls(signals_from_arrays(x[0], tau, 250.0, robot), Overrides(torque_lag_s="none", edges="smooth"))
-    line, made = fit.trust.line("physical"), with_consistent(fit).consistent_set
+    (signals,) = moved(robot, 2, noise=0.05, rate_hz=250.0).sources
+    fit = with_consistent(identify_ls(signals, Overrides(torque_lag_s="none", edges="smooth")))
+    line, made, model = fit.trust.line("physical"), fit.consistent_set, fit.problem.model
     assert (line.level == "do not use") == bool(told), line.text
     assert (told or "no friction or rotor inertia is below zero") in line.text
-    of_friction = [i for i, name in enumerate(base.names) if name[:2] in ("Fv", "Fc") and name[-1] in "56"]
+    of_friction = [i for i, name in enumerate(fit.base.names) if name[:2] in ("Fv", "Fc") and name[-1] in "56"]
     assert (np.abs(made.moves[of_friction]).max() > 1) == bool(told)
     assert lowest(physical_parameters(model), made.chi) > 0
-    assert made.chi_squared == fit.trust.line("consistent").value
 
 
 def test_the_file_holds_what_a_model_is_made_of(tmp_path, capsys):

@@ -278,24 +278,20 @@ def test_a_term_that_recordings_cannot_tell_is_named_and_left_out(values, vertic
         np.testing.assert_allclose(full.beta, made[0][1], rtol=1e-7)
 
 
-def test_friction_that_would_drive_a_joint_is_told_and_signs_of_its_terms_are_not():
+@pytest.mark.parametrize(
+    ("values", "told"), [({"Fv": 30.0, "Fc": 5.0, "Fa": 90.0}, True), ({"Fv": -30.0, "Fc": 10.0, "Fr": 80.0}, False)]
+)
+def test_friction_that_would_drive_a_joint_is_told_and_signs_of_its_terms_are_not(values, told):
     """|v| beyond viscous friction drives backward; viscous friction below zero beside a larger root does not."""
-    for values, told in (
-        ({"Fv": 30.0, "Fc": 5.0, "Fa": 90.0}, True),
-        ({"Fv": -30.0, "Fc": 10.0, "Fr": 80.0}, False),
-    ):
-        robot = axis(["viscous", "coulomb", "asymmetric", "root"], **values)
-        fit = identify_ls(moved(robot, 2), Overrides(torque_lag_s="none", edges="smooth"))
-        line = fit.trust.line("physical")
-        assert (line.level == "do not use") == told, line.text
-        assert ("friction would drive joint axis at -" in line.text) == told
-        assert "below zero: " not in line.text
-        # What the verdict has nothing against, the consistent set leaves as it is, and the other way round.
-        made = with_consistent(fit).consistent_set
-        assert made.chi_squared == fit.trust.line("consistent").value
-        assert (np.abs(made.moves).max() > 1) == told
-        power = recorded_power([one.problem for one in fit.recordings], made.beta)
-        assert (power @ made.chi).min() > 0
+    robot = axis(["viscous", "coulomb", "asymmetric", "root"], **values)
+    fit = with_consistent(identify_ls(moved(robot, 2), Overrides(torque_lag_s="none", edges="smooth")))
+    line, made = fit.trust.line("physical"), fit.consistent_set
+    assert (line.level == "do not use") == ("friction would drive joint axis at -" in line.text) == told
+    # What the verdict has nothing against, the consistent set leaves as it is, and the other way round.
+    assert made.chi_squared == fit.trust.line("consistent").value
+    assert (np.abs(made.moves).max() > 1) == told
+    power = recorded_power([one.problem for one in fit.recordings], made.beta)
+    assert (power @ made.chi).min() > 0
 
 
 # --- the choice of terms

@@ -338,25 +338,23 @@ def test_offsets_of_their_own(method):
 
 def test_a_file_of_own_parameters_is_exported(tmp_path):
     text = robot_named("scara").files["robot.toml"].decode().replace("[[joint]]\n", "[[joint]]\noffset = true\n")
-    robot = robot_from_files({"robot.toml": f'{text}\n[identification]\nown = ["Off"]\n'.encode()}, "robot.toml")
-    fit = identify_ls(several(*(replace(recorded(k), robot=robot) for k in (1, 2, 3))), Overrides())
-    file = tmp_path / "fit.json"
+    file, fits = tmp_path / "fit.json", []
+    for own in ('["Off"]', "[]"):
+        robot = robot_from_files({"robot.toml": f"{text}\n[identification]\nown = {own}\n".encode()}, "robot.toml")
+        fits.append(identify_ls(several(*(replace(recorded(k), robot=robot) for k in (1, 2, 3))), Overrides()))
+    fit, shared = fits
 
     def stored(fit):
         write_json(file, fit_file(fit))
         return read_fit(file)
 
-    free = stored(fit)
-    assert free.covariance.names == list(fit.estimate.names)
-    assert free.left_out == []
+    free, names = stored(fit), list(fit.estimate.names)
+    assert (free.covariance.names, free.left_out) == (names, [])
     assert "the nearest consistent parameters are used" in model_of_fit(free, "fit.json")[1][-1]
     a, b = (ParameterSet.of_file(free, label) for label in ("a", "b"))
-    rows = differences(a, b)
-    assert [(row.name, row.off) for row in rows] == [(name, 0.0) for name in fit.estimate.names]
-    plain = replace(robot, identification=msgspec.structs.replace(robot.identification, own=()))
-    shared = identify_ls(several(*(replace(recorded(k), robot=plain) for k in (1, 2, 3))), Overrides())
+    assert [(row.name, row.off) for row in differences(a, b)] == [(name, 0.0) for name in names]
     beside = {row.name: row.b.name for row in differences(a, fitted_parameters(shared))}
-    assert beside == {name: name.split("@")[0] for name in fit.estimate.names}
+    assert beside == {name: name.split("@")[0] for name in names}
     made = with_consistent(fit)
     np.testing.assert_array_equal(model_of_fit(stored(made), "fit.json")[0].chi, made.consistent_set.chi)
 
@@ -367,21 +365,21 @@ def test_own_parameters_by_hand():
     fit = identify_ls(several(*recordings), Overrides())
     given = Overrides(ramp_rows=fit.settings.ramp_rows)
     systems = [rows_of_recording(make_problem(one, given)).system for one in recordings]
-    weights, rows, parameters, left = fit.estimate.weights, 0, 0, {}
+    left = {}
     for own in (True, False):
         blocks = []
         for k, s in enumerate(systems):
             is_own = np.array([own and name.startswith("Off") for name in s.names])
-            apart = np.zeros((len(s.Y), 3 * is_own.sum()))
-            apart[:, k * is_own.sum() : (k + 1) * is_own.sum()] = s.W[:, is_own]
-            blocks.append((np.c_[s.W[:, ~is_own], apart, s.Y] * weights[s.joint_of_row][:, None])[s.used > 0])
+            apart = np.kron(np.arange(3) == k, s.W[:, is_own])
+            blocks.append(
+                (np.c_[s.W[:, ~is_own], apart, s.Y] * fit.estimate.weights[s.joint_of_row][:, None])[s.used > 0]
+            )
         A = np.concatenate(blocks)
-        rows, b = sum(s.rows.sum() for s in systems), A.shape[1] - 1
         left[own] = np.sum((A[:, -1] - A[:, :-1] @ np.linalg.lstsq(A[:, :-1], A[:, -1])[0]) ** 2)
-        parameters = max(b, parameters)
-    F = (left[False] - left[True]) / 4 / (left[True] / (rows - parameters))
+    freedom = sum(s.rows.sum() for s in systems) - len(fit.estimate.names)
+    F = (left[False] - left[True]) / 4 / (left[True] / freedom)
     assert pytest.approx(F, rel=1e-6) == fit.own.F
-    assert fit.own.p_value == pytest.approx(stats.f.sf(F, 4, rows - parameters), rel=1e-4)
+    assert fit.own.p_value == pytest.approx(stats.f.sf(F, 4, freedom), rel=1e-4)
 
 
 def test_own_offsets_that_nothing_has_or_gravity_absorbs_are_refused():
