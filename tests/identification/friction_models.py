@@ -125,14 +125,14 @@ def simulated(robot, *seeds: int):
     return Recordings(sources=tuple(found))
 
 
-def moved(robot, *seeds: int, noise: float = 1.0, rate_hz: float = 1000.0):
+def moved(robot, *seeds: int, noise: float = 1.0):
     """Recordings of 6 s of exact motion, and of torque with white noise in N or N m."""
     model, base, beta = model_of(robot)
     found = []
     for k in seeds:
-        motion = fourier_reference(robot, period_s=6.0, seed=k).at(np.arange(0.0, 6.0, 1 / rate_hz))
+        motion = fourier_reference(robot, period_s=6.0, seed=k).at(np.arange(0.0, 6.0, 1e-3))
         tau = direct_of(model, base, beta).torque(*motion)
         tau = tau + np.random.default_rng(k).normal(0, noise, tau.shape)
-        signals = signals_from_arrays(motion[0], tau, rate_hz, robot)
+        signals = signals_from_arrays(motion[0], tau, 1000.0, robot)
         found.append(dataclasses.replace(signals, recording=f"r{k}.mcap", sha256=f"{k:064x}"))
     return Recordings(sources=tuple(found))

@@ -9,7 +9,6 @@ import pytest
 from command_runs import refused
 from conftest import REPLAY, robot_named
 from fits_of_records import ls_of, signals_of
-from friction_models import moved
 from physical_cases import lowest, one_link
 from random_arms import random_estimate
 
@@ -179,28 +178,6 @@ def test_a_urdf_says_what_the_links_of_a_robot_of_dh_rows_are():
     with pytest.raises(BadInputError) as caught:
         expected_links(idm, InverseModel(urdf_prior(robot, longer, "cad.urdf")))
     assert (caught.value.place, caught.value.key, caught.value.value) == ("prior cad.urdf", "joint", "b")
-
-
-@pytest.mark.parametrize(
-    ("values", "told"),
-    [
-        ({"Fc6": -0.5}, None),  # Coulomb friction of motor 6 makes up for it; as published, Fv6 is below Fvm6
-        ({"Fvm6": 1.5}, "viscous friction of joint_5 and joint_6 = -"),
-        ({"Fcm6": -2.5}, "Fc6 + Fcm6 = -"),
-    ],
-)
-def test_a_wrist_that_feeds_energy_is_told_by_the_verdict_and_by_the_consistent_set(values, told):
-    """Alike: where `physical` is ok, friction has not to move for `consistent`; and it ends up taking power."""
-    robot = robot_named("tx40")
-    robot = dataclasses.replace(robot, parameters={**robot.parameters, **values})
-    (signals,) = moved(robot, 2, noise=0.05, rate_hz=250.0).sources
-    fit = with_consistent(identify_ls(signals, Overrides(torque_lag_s="none", edges="smooth")))
-    line, made, model = fit.trust.line("physical"), fit.consistent_set, fit.problem.model
-    assert (line.level == "do not use") == bool(told), line.text
-    assert (told or "no friction or rotor inertia is below zero") in line.text
-    of_friction = [i for i, name in enumerate(fit.base.names) if name[:2] in ("Fv", "Fc") and name[-1] in "56"]
-    assert (np.abs(made.moves[of_friction]).max() > 1) == bool(told)
-    assert lowest(physical_parameters(model), made.chi) > 0
 
 
 def test_the_file_holds_what_a_model_is_made_of(tmp_path, capsys):

@@ -291,14 +291,6 @@ def not_stated(one):
     return replace(one, robot=replace(one.robot, identification=stated), effort_timing="unknown")
 
 
-def test_lag_columns_do_not_cross_recordings():
-    """The lag of one late recording of two is half of it: each recording's torque is moved against its own motion."""
-    late = not_stated(replace(recorded(2), effort=np.roll(recorded(2).effort, 2, axis=0)))
-    fit = identify_iv(several(not_stated(recorded(1)), late), Overrides(), Iteration())
-    assert fit.trust.line("lag").value == pytest.approx(1.0, abs=0.6)
-    assert [line.test for line in fit.data.replays] == ["control law", "control law"]
-
-
 def with_offsets(kinds: tuple[str, ...], offsets: tuple[float, ...] = (0.2, -0.1, 0.05)) -> list[Signals]:
     """The recordings with a torque offset of the shoulder each, described with offsets, `own` as asked."""
     found = []
