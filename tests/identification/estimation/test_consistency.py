@@ -5,9 +5,10 @@ import pinocchio as pin
 import pytest
 from conftest import FROM_PINOCCHIO, robot_named
 from physical_cases import body, covariance, covariance_with, lowest, one_link, tx40
+from random_arms import random_estimate
 from scipy.optimize import minimize
 
-from acquisition.robot import Robot, load_robot
+from acquisition.robot import Robot, robot_from_files
 from identification.errors import NoFitError
 from identification.estimation import consistent_parameters, parameter_certainty, pseudo_inertia
 from identification.estimation.consistency import _inverse_root, _Objective
@@ -28,14 +29,17 @@ def test_a_pseudo_inertia_is_that_of_its_points():
     np.testing.assert_allclose(P, pin.PseudoInertia.FromInertia(inertia).toMatrix(), atol=1e-12)
 
 
-def test_gradient_and_hessian_are_those_of_differences():
-    K, physical = one_link()
-    C = covariance(7, 0.1)
-    objective = _Objective(rng.normal(size=7), _inverse_root(np.ones(7), C), K, physical, 0.7, 0.02)
-    chi, h = physical.start, 1e-6
+@pytest.mark.parametrize("arm", ["one link", "random"])
+def test_gradient_and_hessian_are_those_of_differences(arm):
+    if arm == "random":
+        _, C, K, physical, chi = random_estimate(7, 1.0)
+    else:
+        (K, physical), C = one_link(), covariance(7, 0.1)
+        chi = physical.start
+    b, p = K.shape
+    objective = _Objective(K @ chi + rng.normal(size=b), _inverse_root(np.ones(b), C), K, physical, 0.7, 0.02)
     g, J = objective.derivatives(chi)
-    H = J.T @ J
-    steps = h * np.eye(14)
+    H, steps = J.T @ J, (h := 3e-7) * np.eye(p)
     by_values = [(objective.value(chi + d) - objective.value(chi - d)) / (2 * h) for d in steps]
     by_gradients = [(objective.derivatives(chi + d)[0] - objective.derivatives(chi - d)[0]) / (2 * h) for d in steps]
     np.testing.assert_allclose(g, by_values, rtol=1e-6, atol=1e-6 * np.abs(g).max())
@@ -71,9 +75,8 @@ def test_the_optimum_is_that_of_another_optimiser():
     assert found.decrement <= 1e-6
 
 
-@pytest.mark.parametrize("described", [True, False])
-def test_an_impossible_arm_becomes_a_possible_one(described):
-    idm, K, chi, physical = tx40(described=described)
+def test_an_impossible_arm_becomes_a_possible_one():
+    idm, K, chi, physical = tx40(described=False)
     assert lowest(physical, physical.start) > 0
     names = list(idm.names)
     wrong = chi.copy()
@@ -144,19 +147,14 @@ URDF = """<robot name="arm"><link name="base"/>
 <limit lower="-3" upper="3" effort="1" velocity="1"/></joint></robot>"""
 
 
-def urdf_arm(tmp_path) -> Robot:
-    (tmp_path / "arm.urdf").write_text(URDF)
-    joints = "".join(
-        f'[[joint]]\nname = "{name}"\ntype = "revolute"\n[[motor]]\nname = "{name}"\neffort_unit = "N m"\n'
-        for name in "ab"
-    )
-    path = tmp_path / "robot.toml"
-    path.write_text(f'name = "arm"\nurdf = "arm.urdf"\n{joints}[controller]\nbandwidth_hz = 5.0\n')
-    return load_robot(path)
+def urdf_arm() -> Robot:
+    joint = '[[joint]]\nname = "{0}"\ntype = "revolute"\n[[motor]]\nname = "{0}"\neffort_unit = "N m"\n'
+    text = f'name = "arm"\nurdf = "arm.urdf"\n{joint.format("a")}{joint.format("b")}[controller]\nbandwidth_hz = 5.0\n'
+    return robot_from_files({"robot.toml": text.encode(), "robot.urdf": URDF.encode()}, "robot.toml")
 
 
-def test_links_expected_are_those_of_a_urdf_or_plausible_ones(tmp_path):
-    physical = physical_parameters(InverseModel(urdf_arm(tmp_path)))
+def test_links_expected_are_those_of_a_urdf_or_plausible_ones():
+    physical = physical_parameters(InverseModel(urdf_arm()))
     link = physical.start[physical.links]
     np.testing.assert_allclose(link[0], [0.01, 0, 0, 0.04, 0, 0.04, 0.2, 0, 0, 2.0], atol=1e-12)
     assert 0.1 < link[1, 9] < 10  # nothing is said of it
@@ -187,7 +185,7 @@ def test_a_recording_of_few_rows_gives_values_that_can_be_simulated():
     assert found.decrement <= 1e-6
 
 
-@pytest.mark.parametrize("rows", [[[1, 1]], [[1, 1], [1, -1]], [[1, 1, 1]], [[1, 0.5, 0], [0, 1, 1]]])
+@pytest.mark.parametrize("rows", [[[1, 1], [1, -1]], [[1, 0.5, 0], [0, 1, 1]]])
 def test_coulomb_friction_takes_power_at_all_speeds_where_it_does_at_the_corners(rows):
     """Joints of their own and motors that turn with several, values of either sign: the corners say what random speeds say."""
     directions = np.concatenate([np.eye(len(rows[0])), rows])
@@ -230,7 +228,7 @@ def test_intervals_hold_the_truth_where_the_prior_is_links_by_their_lengths():
     true, hit, share = K @ chi, [], []
     sigma = 0.03 * np.abs(true) + 0.01
     C = covariance_with(covariance(len(true), 1.0), sigma)
-    for beta in np.random.default_rng(0).multivariate_normal(true, C, size=15):
+    for beta in np.random.default_rng(0).multivariate_normal(true, C, size=8):
         found = consistent_parameters(beta, C, K, physical)
         _, (deviations, from_prior) = parameter_certainty(found, C, K, physical)
         hit.append(np.abs(found.beta - true) <= 1.96 * deviations)

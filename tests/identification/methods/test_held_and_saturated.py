@@ -21,19 +21,23 @@ CELL = Imperfections(encoder_noise=2e-5, encoder_step=1e-5, torque_noise_percent
 
 
 @cache
-def recorded(seed: int = 6, held: int | None = None, saturation: tuple[float, float] | None = None) -> Runs:
-    """10 s of the SCARA, friction close to dry: one joint held by its reference, or drives with these limits in N m."""
+def simulated(saturation: tuple[float, float] | None) -> Runs:
+    """6 s of the SCARA, friction close to dry, three times: as it is, and with one of its joints held by its reference."""
     body = plant(REPLAY / "scara" / "robot.toml", smooth=0.0005)
-    reference = references(body, range(seed, seed + 1), duration_s=10.0, rate_hz=1000.0)
-    if held is not None:
-        path = [x.copy() for x in (reference.q, reference.dq, reference.ddq)]
-        path[0][..., held] = path[0][:, :1, held]
-        path[1][..., held] = path[2][..., held] = 0.0
-        reference = Reference(q=path[0], dq=path[1], ddq=path[2])
+    path = references(body, range(6, 7), duration_s=6.0, rate_hz=1000.0)
+    q, dq, ddq = (np.repeat(x, 1 if saturation else 3, axis=0) for x in (path.q, path.dq, path.ddq))
+    for run in range(1, len(q)):
+        q[run, :, run - 1] = q[run, 0, run - 1]
+        dq[run, :, run - 1] = ddq[run, :, run - 1] = 0.0
     controller = described_controller(body)
     if saturation is not None:
         controller = dataclasses.replace(controller, saturation=np.array(saturation))
-    return simulate(body, controller, reference, CELL)
+    return simulate(body, controller, Reference(q=q, dq=dq, ddq=ddq), CELL)
+
+
+def recorded(limits: tuple[float, float] | None = None, *, held: int = -1, saturates: bool = False) -> Signals:
+    """A run whose drives are described with limits in N m."""
+    return simulated(limits if saturates else None).signals(scara(limits), 1 + held)
 
 
 def scara(saturation: tuple[float, float] | None = None) -> Robot:
@@ -53,7 +57,7 @@ def refusal(signals: Signals) -> str:
 @pytest.mark.parametrize("held", [0, 1])
 def test_a_held_joint_does_not_keep_the_others_from_being_fitted(held):
     """The heavy shoulder hardly moves: its friction, which is not dry at 1 mrad/s, is not looked at. The elbow is pushed."""
-    signals = recorded(held=held).signals(robot_named("scara"), 0)
+    signals = recorded(held=held)
     fit = identify_iv(dataclasses.replace(signals, effort_timing="command"), Overrides(), Iteration())
     assert fit.status == "converged"
     idm = InverseModel(signals.robot)
@@ -70,7 +74,7 @@ def test_a_held_joint_does_not_keep_the_others_from_being_fitted(held):
 
 def test_a_reference_that_saturation_made_the_robot_leave_is_no_foreign_one():
     limits = (38.0, 100.0)
-    signals = recorded(saturation=limits).signals(scara(limits), 0)
+    signals = recorded(limits, saturates=True)
     fit = identify_iv(signals, Overrides(), Iteration())
     share = 100 * (np.abs(signals.effort[:, 0]) > 0.995 * limits[0]).mean()
     assert fit.iv.saturated_percent == pytest.approx(share, abs=5)  # those between first and last motion count
@@ -81,27 +85,29 @@ def test_a_reference_that_saturation_made_the_robot_leave_is_no_foreign_one():
     assert "expected saturation of the motor" in unknown
 
 
-def test_a_foreign_reference_is_refused():
-    """Of another motion, of exchanged joints, of one joint in other units."""
-    limits = (1000.0, 1000.0)  # never reached: saturation is no excuse
-    signals = recorded().signals(scara(limits), 0)
-    r = signals.q_ref
-    for foreign in (r[::-1], r[:, ::-1], r * [1.0, np.pi / 180], r * [1.0, 180 / np.pi]):
-        other = dataclasses.replace(signals, q_ref=np.array(foreign))
-        assert "expected the reference of this recording" in refusal(other)
+NEVER_REACHED = (1000.0, 1000.0)  # saturation is no excuse
 
 
-def test_a_foreign_reference_is_refused_though_a_joint_is_held():
-    signals = recorded(held=1).signals(robot_named("scara"), 0)
-    other = dataclasses.replace(signals, q_ref=np.array(signals.q_ref[::-1]))
-    assert "reference of joint shoulder" in refusal(other)
-    nothing = dataclasses.replace(recorded().signals(robot_named("scara"), 0), q_ref=signals.q_ref)
-    assert "reference of joint elbow" in refusal(nothing)  # whose reference stands, and which moves
+@pytest.mark.parametrize(
+    ("held", "changed", "limits"),
+    [
+        (-1, lambda r: r[::-1], NEVER_REACHED),  # another motion
+        (-1, lambda r: r[:, ::-1], NEVER_REACHED),  # exchanged joints
+        (-1, lambda r: r * [1.0, np.pi / 180], NEVER_REACHED),  # one joint in other units
+        (-1, lambda r: r * [1.0, 180 / np.pi], NEVER_REACHED),
+        (1, lambda r: r[::-1], None),
+        (-1, lambda r: recorded(held=1).q_ref, None),  # the reference of the elbow stands, and it moves
+    ],
+)
+def test_a_foreign_reference_is_refused(held, changed, limits):
+    signals = recorded(limits, held=held)
+    foreign = dataclasses.replace(signals, q_ref=np.array(changed(signals.q_ref)))
+    assert "expected the reference of this recording" in refusal(foreign)
 
 
 def test_a_foreign_reference_of_a_joint_that_moves_little_is_refused():
     """It goes by its own travel, a tenth of the shoulder's."""
-    signals = recorded().signals(robot_named("scara"), 0)
+    signals = recorded()
     q, q_ref = (x * [1.0, 0.1] for x in (signals.q, signals.q_ref))
     q_ref[:, 1] = q_ref[::-1, 1]
     assert "reference of joint elbow" in refusal(dataclasses.replace(signals, q=q, q_ref=q_ref))

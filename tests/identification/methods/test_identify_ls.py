@@ -11,7 +11,7 @@ import identification.regression.equations as regression_module
 from acquisition.robot import fourier_reference
 from identification.data import Signals, signals_from_arrays
 from identification.errors import BadInputError, NoFitError
-from identification.estimation import System, essential_parameters, ordinary_least_squares, weighted_least_squares
+from identification.estimation import System, ordinary_least_squares, weighted_least_squares
 from identification.methods import identify_ls
 from identification.model import BaseParameters, InverseModel, base_parameters, described_parameters
 from identification.regression import (
@@ -39,12 +39,14 @@ def system_of(motion: Motion, model: InverseModel, base: BaseParameters) -> Syst
     return System.whole(W, motion.tau.T.reshape(-1), np.repeat(np.arange(n), len(motion.t_s)), base.names)
 
 
-@pytest.mark.parametrize(("name", "count"), [("scara", 8), ("tx40", 60)])
-@pytest.mark.parametrize("solve", [ordinary_least_squares, weighted_least_squares])
+@pytest.mark.parametrize(
+    ("name", "count", "solve"),
+    [("scara", 8, ordinary_least_squares), ("scara", 8, weighted_least_squares), ("tx40", 60, weighted_least_squares)],
+)
 def test_exact_motion_gives_back_the_true_parameters(name, count, solve):
     dynamics = InverseModel(robot_named(name))
     base = base_parameters(dynamics)
-    motion = exact_motion(dynamics, duration_s=20.0, sample_rate_hz=200.0, seed=4)
+    motion = exact_motion(dynamics, duration_s=20.0, sample_rate_hz=50.0, seed=4)
     estimate = solve(system_of(motion, dynamics, base))
     true = described_parameters(dynamics, base)
     assert len(true) == count
@@ -59,40 +61,6 @@ def test_the_shipped_recording_gives_the_truth_it_was_made_from():
     true = described_parameters(InverseModel(robot_named("scara")), fit.base)
     assert (np.abs(fit.beta - true) < 1.75 * fit.intervals.half).all()
     assert fit.errors[-1].moving_relative_error_percent < 1.0
-
-
-def test_estimate_is_that_of_the_normal_equations():
-    rng = np.random.default_rng(7)
-    W = rng.normal(size=(600, 4))
-    Y = W @ [1.0, -2.0, 0.5, 3.0] + rng.normal(size=600)
-    estimate = ordinary_least_squares(System.whole(W, Y, np.repeat([0, 1], 300), tuple("abcd")))
-    beta = np.linalg.solve(W.T @ W, W.T @ Y)
-    rho = Y - W @ beta
-    np.testing.assert_allclose(estimate.beta, beta, rtol=1e-12)
-    np.testing.assert_allclose(estimate.covariance, rho @ rho / 599 * np.linalg.inv(W.T @ W), rtol=1e-10)
-    assert estimate.condition_number == pytest.approx(np.linalg.cond(W))
-
-
-def test_essential_parameters_leave_out_what_is_zero_and_keep_what_matters():
-    rng = np.random.default_rng(9)
-    W = rng.normal(size=(900, 6))
-    Y = W @ np.array([5.0, 0.0, -3.0, 0.0, 0.02, 4.0]) + 0.1 * rng.normal(size=900)
-    problem = System.whole(W, Y, np.zeros(900, dtype=int), tuple("abcdef"))
-    full = ordinary_least_squares(problem)
-    # e is small but, at six deviations, more than noise: the F test keeps it though its %sigma is large.
-    kept, unconfirmed = (essential_parameters(problem, full, correlation=x) for x in (0.0, 0.95))
-    assert (kept.estimate.names, unconfirmed.estimate.names) == (("a", "c", "e", "f"), ("a", "c", "f"))
-    assert kept.p_value > 0.01
-
-
-def test_a_joint_that_does_not_move_is_named():
-    dynamics = InverseModel(robot_named("scara"))
-    base = base_parameters(dynamics)
-    motion = exact_motion(dynamics, duration_s=5.0, sample_rate_hz=200.0, seed=1)
-    parts = {name: getattr(motion, name) * [1.0, 0.0] for name in ("q", "dq", "ddq", "tau")}
-    observed = system_of(Motion(t_s=motion.t_s, **parts), dynamics, base)
-    with pytest.raises(NoFitError, match="not excited = Fv2, Fc2"):
-        ordinary_least_squares(observed)
 
 
 def test_parameters_that_cannot_be_told_apart_are_named():
@@ -112,22 +80,15 @@ def synthetic_signals(name: str = "scara", seconds: float = 30.0) -> Signals:
     return dataclasses.replace(signals, recording="made.mcap")
 
 
-def test_blocks_give_what_one_pass_gives(monkeypatch):
-    signals = synthetic_signals()
-    problem = make_problem(signals, Overrides(decimation=5))
-    whole = rows_of_recording(problem)
+def test_blocks_and_reduced_rows_give_what_one_pass_gives(monkeypatch):
+    signals, finely = synthetic_signals(), Overrides(decimation=5)
+    problem, whole = make_problem(signals, finely), identify_ls(signals, finely)
+    rows = rows_of_recording(problem)
     monkeypatch.setattr("identification.regression.problem._SERIES_BLOCK", 1)
     assert len(list(regression_module.motion_blocks(problem))) > 3
     parts = rows_of_recording(problem)
-    for part, full in ((parts.system.W, whole.system.W), (parts.system.Y, whole.system.Y)):
+    for part, full in ((parts.system.W, rows.system.W), (parts.system.Y, rows.system.Y), (parts.speed, rows.speed)):
         np.testing.assert_allclose(part, full, atol=1e-9 * np.abs(full).max())
-    np.testing.assert_allclose(parts.speed, whole.speed, atol=1e-9 * np.abs(whole.speed).max())
-
-
-def test_reduced_rows_give_the_same_fit(monkeypatch):
-    signals, finely = synthetic_signals(), Overrides(decimation=5)
-    whole = identify_ls(signals, finely)
-    monkeypatch.setattr("identification.regression.problem._SERIES_BLOCK", 1)
     monkeypatch.setattr(regression_module, "_MAX_NUMBERS", 1000)
     reduced = identify_ls(signals, finely)
     np.testing.assert_allclose(reduced.beta, whole.beta, rtol=1e-7)
@@ -141,19 +102,20 @@ def test_signals_that_are_not_finite_are_refused():
     signals = synthetic_signals(seconds=5.0)
     broken = signals.effort.copy()
     broken[70, 1] = np.inf
-    with pytest.raises(BadInputError, match=r"made.mcap: effort\[70\] = \[2.*, inf\]: expected finite"):
+    with pytest.raises(BadInputError) as told:
         dataclasses.replace(signals, effort=broken)
+    assert (told.value.place, told.value.key) == ("made.mcap", "effort[70]")
 
 
 def test_torque_and_position_are_not_shifted_against_each_other():
-    """Moving the torque by a few samples either way must make the fit worse: it is aligned as it comes."""
-    signals = synthetic_signals()
-    errors = {}
-    for shift in (-20, -3, 0, 3, 20):
+    """It is aligned as it comes: moved by a few samples either way it fits worse."""
+    signals = synthetic_signals(seconds=10.0)
+
+    def error(shift: int) -> float:
         moved = dataclasses.replace(signals, effort=np.roll(signals.effort, shift, axis=0))
-        errors[shift] = identify_ls(moved, Overrides()).errors[-1].relative_error_percent
-    assert min(errors, key=errors.get) == 0
-    assert errors[20] > 3 * errors[0]
+        return identify_ls(moved, Overrides()).errors[-1].relative_error_percent
+
+    assert error(0) < min(error(-3), error(3))
 
 
 @pytest.mark.parametrize(

@@ -1,21 +1,16 @@
 """Load friction of several recordings: by hand, cut, long, on any workers, left out, told by the trust block."""
 
 import dataclasses
-import json
 from functools import cache
 
 import msgspec
 import numpy as np
 import pytest
-from fits_of_records import signals_of
-from friction_models import axis, described, model_of, moved, simulated, two_speeds
-from stacked_recordings import system_of
+from friction_models import axis, described, model_of, moved, simulated
 
 import identification.methods.settled as settled
-from identification.commands import main
 from identification.data import Recordings
-from identification.design import with_terms
-from identification.methods import Iteration, identify, identify_iv, identify_ls, least_squares
+from identification.methods import Iteration, identify, identify_iv, identify_ls, with_consistent
 from identification.regression import (
     Overrides,
     friction_states,
@@ -26,7 +21,7 @@ from identification.regression import (
     torque_of_recording,
     weights_at,
 )
-from identification.study import Noise, closed_loop, random_reference, write_signals
+from identification.study import Noise, closed_loop, random_reference
 
 TERMS = [["viscous", "coulomb", "root", "load"], ["viscous", "coulomb", "load"]]
 CELL = Noise(encoder_step=1e-6, effort_percent=2.0)
@@ -47,13 +42,9 @@ def scara(own: str = ""):
     return robot, simulated(robot, 3, 4, 5)
 
 
-def fitted(given, method: str):
-    return identify(given, Overrides(), method=method)
-
-
 @cache
 def fit_of(method: str, own: str = ""):
-    return fitted(scara(own)[1], method)
+    return identify(scara(own)[1], Overrides(), method=method)
 
 
 def off(fit, values) -> np.ndarray:
@@ -128,8 +119,7 @@ def test_least_squares_of_recordings_is_that_of_their_rows_stacked():
     assert off(fit_of("wls"), beta).max() < 1e-6  # the fit goes one step further
 
 
-@pytest.mark.parametrize("own", ["", "Off"])
-@pytest.mark.parametrize("method", ["wls", "iv"])
+@pytest.mark.parametrize(("method", "own"), [("wls", ""), ("iv", "Off")])
 def test_the_truth_is_inside_and_no_test_warns(method, own):
     fit = fit_of(method, own)
     robot, _ = scara(own)
@@ -165,21 +155,11 @@ def long_record():
     return closed_loop(robot, q_ref, 1000.0, noise=CELL, seed=3)
 
 
-def test_a_recording_cut_in_two_gives_nearly_the_uncut_fit():
-    """Rows at the cut are lost, and each part is filtered by itself."""
-    whole, found = identify_ls(long_record(), Overrides()), identify_ls(halves(long_record()), Overrides())
-    assert (np.abs(found.estimate.beta - whole.estimate.beta) / whole.intervals.half).max() < 0.15
-    errors = [fit.errors[-1].moving_relative_error_percent for fit in (found, whole)]
-    assert errors[0] == pytest.approx(errors[1], rel=0.02)
-
-
-@pytest.fixture(scope="module")
-def files(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("load")
-    paths = [folder / signals.recording for signals in scara()[1].sources]
-    for path, signals in zip(paths, scara()[1].sources, strict=True):
-        write_signals(path, signals, source="test")
-    return paths
+def test_consistent_parameters_take_the_same_terms():
+    made = with_consistent(fit_of("wls"))
+    assert {"mu1", "mu2"} < set(made.consistent_set.names)
+    errors = [one[-1].relative_error_percent for one in (made.consistent_errors, made.errors)]
+    assert errors[0] == pytest.approx(errors[1], rel=0.05)
 
 
 @pytest.mark.parametrize("blocks", [False, True])
@@ -240,36 +220,20 @@ def test_states_of_rows_are_those_of_the_regressor(monkeypatch, blocks):
 
 def test_held_out_is_predicted_by_the_fit_of_the_others():
     """Its load friction is linearised about the fit of all: nearly the error of a fit that knows the others alone."""
-    sources = scara()[1].sources
-    fit = identify_ls(scara()[1], Overrides())
-    for k, one in enumerate(fit.recordings):
-        others = identify_ls(Recordings(sources=(*sources[:k], *sources[k + 1 :])), Overrides())
-        problem = make_problem(sources[k], Overrides(ramp_rows=fit.settings.ramp_rows))
-        tau, predicted, _ = torque_of_recording(problem, others.beta)
-        fast = rows_of_recording(problem).counts
+    sources, fit = scara()[1].sources, fit_of("wls")
+    others = identify_ls(Recordings(sources=sources[1:]), Overrides())
+    problem, held_out = (
+        make_problem(sources[0], Overrides(ramp_rows=fit.settings.ramp_rows)),
+        fit.recordings[0].held_out,
+    )
+    fast = rows_of_recording(problem).counts
+    for beta, told, within in (
+        (others.beta, held_out.error_percent, 0.02),
+        (fit.beta, held_out.trained_percent, 1e-3),
+    ):
+        tau, predicted, _ = torque_of_recording(problem, beta)
         error = 100 * np.linalg.norm((tau - predicted)[fast]) / np.linalg.norm(tau[fast])
-        assert one.held_out.error_percent == pytest.approx(error, rel=0.02)
-        own = 100 * np.linalg.norm((tau - torque_of_recording(problem, fit.beta)[1])[fast]) / np.linalg.norm(tau[fast])
-        assert one.held_out.trained_percent == pytest.approx(own, rel=1e-3)
-
-
-@pytest.mark.parametrize(("a_m_s2", "others"), [(0.1, (0.1, 0.2)), (4.0, (0.05, 0.15))])
-def test_terms_that_recordings_cannot_tell_are_left_out_of_all(a_m_s2, others):
-    """A weight at two speeds that hardly accelerates: root and load friction say no more than the usual terms."""
-    robot = axis(["viscous", "coulomb", "root", "load"], vertical=True, Fv=100.0, Fc=20.0, Fr=30.0, mu=0.2)
-    problems = [two_speeds(robot, a_m_s2, speeds)[0] for speeds in ((0.1, 0.2), others)]
-    whole = system_of(*problems)
-    settled, full = least_squares(whole)
-    told = settled.left_out
-    assert set(told.values()) <= set(settled.problem.settings.warnings)
-    if a_m_s2 < 1:
-        assert list(told) == ["Fr1", "mu1"]
-        assert told["Fr1"].startswith("root friction of joint axis left out")
-        assert told["mu1"].startswith("load friction of joint axis left out")
-        assert not {"Fr1", "mu1"} & set(full.names)
-    else:
-        assert not told
-        np.testing.assert_allclose(full.beta, model_of(robot)[2], rtol=1e-7)
+        assert told == pytest.approx(error, rel=within)
 
 
 def test_load_friction_that_would_drive_is_told_in_the_rows_where_the_load_is():
@@ -281,36 +245,3 @@ def test_load_friction_that_would_drive_is_told_in_the_rows_where_the_load_is():
     assert "friction would drive joint axis at " in line.text
     resists, load = float(line.text.split("/s: ")[1].split(" ")[0]), 0.3 * 95.0 * 9.81
     assert resists < -0.5 * load + 20.0  # with the links' torque there; 20 N and more without
-
-
-def test_consistent_parameters_and_validation_take_the_same_terms(files, tmp_path):
-    fit, out = tmp_path / "fit.json", tmp_path / "validation.json"
-    assert main(["fit", *map(str, files[:2]), "--workers", "1", "--consistent", "--json", str(fit)]) == 0
-    stored = json.loads(fit.read_text())
-    consistent, error = stored["consistent"], stored["relative_error_percent"]
-    assert {"mu1", "mu2"} < {one["name"] for one in stored["standard_parameters"]}
-    assert consistent["relative_error_percent"] == pytest.approx(error, rel=0.05)
-    assert main(["validate", str(fit), *map(str, files), "--json", str(out)]) == 0
-    each = json.loads(out.read_text())["recordings"]
-    assert max(one["relative_error_percent"] for one in each) < 1.2 * error
-
-
-# --- the real record
-
-
-def test_the_real_tx40_record_cut_in_two(tx40):
-    """The recommended terms: joint 3 is fitted as well as in one piece, and its load friction is the same."""
-    terms = [frozenset({"root"})] * 4 + [frozenset(), frozenset({"root"})]
-    terms[2] |= {"load"}
-    signals = signals_of(tx40)
-    signals = dataclasses.replace(signals, robot=with_terms(signals.robot, tuple(terms)))
-    whole, found = fitted(signals, "wls"), fitted(halves(signals), "wls")
-    mu = found.estimate.names.index("mu3")
-    assert found.estimate.names == whole.estimate.names
-    assert found.estimate.beta[mu] == pytest.approx(whole.estimate.beta[mu], abs=0.3 * whole.intervals.half[mu])
-    assert found.intervals.half[mu] == pytest.approx(whole.intervals.half[mu], rel=0.2)
-    for joint, most in ((2, 3.2), (-1, 3.7)):
-        errors = [fit.errors[joint].moving_relative_error_percent for fit in (found, whole)]
-        assert errors[0] == pytest.approx(errors[1], rel=0.05)
-        assert errors[0] < most
-    assert found.trust.line("physical").level == "ok"

@@ -95,42 +95,35 @@ def test_least_squares_of_recordings_is_that_of_their_rows_stacked():
         )
 
 
-@pytest.mark.parametrize("method", ["wls", "iv"])
-def test_a_recording_twice_halves_the_variance(method):
+def test_a_recording_twice_halves_the_variance():
     """The same samples under another name: the same estimate; variances of two recordings add up, degrees of freedom too."""
     one = recorded(1)
     again = replace(one, recording="again.mcap", sha256="f" * 64)
-    single, twice = (identify(given, Overrides(), method=method) for given in (one, several(one, again)))
+    single, twice = (identify_ls(given, Overrides()) for given in (one, several(one, again)))
     assert off(single, twice.estimate.beta) < 1e-3  # the ranks in the weights count half
-    np.testing.assert_allclose(
-        twice.intervals.sigma, single.intervals.sigma / np.sqrt(2), rtol=0.12
-    )  # of twice the rows the estimate takes half the share
+    # Of twice the rows the estimate takes half the share.
+    np.testing.assert_allclose(twice.intervals.sigma, single.intervals.sigma / np.sqrt(2), rtol=0.12)
     assert twice.intervals.freedom == 2 * single.intervals.freedom
 
 
-@pytest.mark.parametrize("method", ["wls", "iv"])
-def test_the_truth_is_inside_and_the_verdict_is_trust(method):
-    fit = fitted(method)
+def test_the_truth_is_inside_and_the_verdict_is_trust():
+    fit = fitted("iv")
     dynamics = InverseModel(recorded(1).robot)
     assert off(fit, described_parameters(dynamics, base_parameters(dynamics))) < 2.0
-    if method == "iv":
-        assert (fit.status, fit.trust.verdict) == ("converged", "trust")
-        assert {line.level for line in fit.trust.lines} == {"ok"}
+    assert (fit.status, fit.trust.verdict) == ("converged", "trust")
+    assert {line.level for line in fit.trust.lines} == {"ok"}
 
 
-@pytest.mark.parametrize("method", ["wls", "iv"])
-def test_held_out_is_predicted_by_the_fit_of_the_others(method):
-    fit = fitted(method)
-    others = identify_ls(several(recorded(1), recorded(2)), Overrides())
+def test_held_out_is_predicted_by_the_fit_of_the_others():
+    fit, others = fitted(), identify_ls(several(recorded(1), recorded(2)), Overrides())
     last, problem = fit.recordings[2], make_problem(recorded(3), Overrides(ramp_rows=fit.settings.ramp_rows))
     counts = rows_of_recording(problem).counts
     tau, predicted, _ = torque_of_recording(problem, others.estimate.beta)
     error = 100 * np.linalg.norm((tau - predicted)[counts]) / np.linalg.norm(tau[counts])
-    # Weights and, of iv, rows and instruments are those of the fit of all.
-    assert last.held_out.error_percent == pytest.approx(error, rel=2e-3 if method == "wls" else 0.2)
+    assert last.held_out.error_percent == pytest.approx(error, rel=2e-3)
     assert last.held_out.trained_percent < last.held_out.error_percent
-    line = fit.trust.line("held-out blocks")
-    assert [figure.name for figure in line.figures] == ["r1.mcap", "r2.mcap", "r3.mcap"]
+    figures = fit.trust.line("held-out blocks").figures
+    assert [figure.name for figure in figures] == ["r1.mcap", "r2.mcap", "r3.mcap"]
 
 
 def test_a_recording_that_the_others_do_not_predict_is_doubted():
@@ -139,8 +132,6 @@ def test_a_recording_that_the_others_do_not_predict_is_doubted():
     line = fit.trust.line("held-out blocks")
     assert line.level == "caution"
     assert line.value > 1.5 * np.mean([figure.expected for figure in line.figures])
-    assert "the fit does not generalise (2 times where joints move): record more" in line.text
-    assert "take the parameters of --consistent" in line.text
 
 
 class LastFirst(Work):
@@ -157,11 +148,8 @@ def bits(fit) -> list[bytes]:
 
 @pytest.mark.parametrize("method", ["wls", "iv"])
 def test_the_same_bits_in_any_order(method):
-    wanted = bits(fitted(method))
-    for order in ((3, 1, 2), (2, 3, 1)):
-        assert bits(fitted(method, order)) == wanted
-    recordings = several(*map(recorded, (1, 2, 3)), work=LastFirst())
-    assert bits(identify(recordings, Overrides(), method=method)) == wanted
+    recordings = several(*map(recorded, (3, 1, 2)), work=LastFirst())
+    assert bits(identify(recordings, Overrides(), method=method)) == bits(fitted(method))
 
 
 @pytest.fixture(scope="module")
@@ -180,53 +168,6 @@ def fit_files(tmp_path, name, *arguments) -> dict:
     return json.loads(out.read_text())
 
 
-def test_the_same_bits_with_two_workers_and_with_two_of_dask(files, tmp_path):
-    """Everything but the recording that is named first."""
-    distributed = pytest.importorskip("distributed")
-
-    def fit(files, workers):
-        found = fit_files(tmp_path, "fit", *files, "--method", "iv", "--workers", workers)
-        bits = [found[key] for key in ("parameters", "covariance", "trust", "iterations", "essential")]
-        return bits, [one["recording"] for one in found["recordings"]]
-
-    serial, names = fit(files, "1")
-    assert fit(files[::-1], "2") == (serial, names[::-1])
-    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0") as dask:
-        assert fit(files, dask.scheduler_address) == (serial, names)
-        distributed.default_client().close()
-    assert names == ["r1.mcap", "r2.mcap", "r3.mcap"]
-
-
-def test_workers_are_imported_when_asked_for_alone(files):
-    import subprocess
-    import sys
-
-    code = (
-        "import sys\nfrom identification.commands import main\n"
-        f"main(['fit', {str(files[0])!r}, {str(files[1])!r}, '--workers', '1'])\n"
-        "sys.exit('loaded' if {'joblib', 'distributed'} & set(sys.modules) else 0)"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-
-
-def test_reduced_rows_give_the_same(monkeypatch):
-    """Recordings too long for their rows to be held: least squares, intervals and held-out errors from QR factors."""
-    wanted = fitted()
-    monkeypatch.setattr(regression_system, "_MAX_NUMBERS", 500)
-    found = fitted.__wrapped__()
-    assert off(wanted, found.estimate.beta) < 1e-9
-    np.testing.assert_allclose(found.intervals.sigma, wanted.intervals.sigma, rtol=0.1)  # blocks count as instants
-    assert found.intervals.freedom == wanted.intervals.freedom
-    for one, other in zip(found.recordings, wanted.recordings, strict=True):
-        assert one.held_out.error_percent == pytest.approx(other.held_out.error_percent, rel=1e-9)
-        assert one.errors[-1].relative_error_percent == pytest.approx(other.errors[-1].relative_error_percent, rel=1e-9)
-    ends, halves = (tuple(x.trust.line(test) for x in (found, wanted)) for test in ("ends", "halves"))
-    assert ends[0].text == ends[1].text
-    assert halves[0].value == pytest.approx(halves[1].value, rel=0.2)
-    assert not len(found.problem.signals.q)
-
-
 def test_reduced_rows_give_the_same_by_instruments(monkeypatch):
     """The simulated robot's speed is judged by the reference's peak there: a row or two more or less count."""
     wanted = fitted("iv")
@@ -235,17 +176,16 @@ def test_reduced_rows_give_the_same_by_instruments(monkeypatch):
     found = fitted.__wrapped__("iv")
     assert (found.status, len(found.iv.passes)) == (wanted.status, 2), "it starts where the beginnings end"
     assert found.estimate.rows == pytest.approx(wanted.estimate.rows, rel=0.01)
-    assert np.abs((found.estimate.beta - wanted.estimate.beta) / wanted.intervals.half).max() < 0.1
+    assert (np.abs(found.estimate.beta - wanted.estimate.beta) < 0.1 * wanted.intervals.half).all()
     np.testing.assert_allclose(found.intervals.sigma, wanted.intervals.sigma, rtol=0.2)
     assert found.iv.tests.strength == pytest.approx(wanted.iv.tests.strength, rel=1e-3)
     for one, other in zip(found.recordings, wanted.recordings, strict=True):
         assert one.held_out.error_percent == pytest.approx(other.held_out.error_percent, rel=0.02)
-        direct, rows = one.replica.direct, one.rows.stop - one.rows.start
-        assert direct[0].torque_error_percent == pytest.approx(other.replica.direct[0].torque_error_percent, rel=0.02)
-        assert len(one.replica.motion.q) == rows
-    assert {line.test: line.level for line in found.trust.lines}["lag"] == "ok", (
-        "the beginning of the first is looked at"
-    )
+        errors = [x.replica.direct[0].torque_error_percent for x in (one, other)]
+        assert errors[0] == pytest.approx(errors[1], rel=0.02)
+        assert len(one.replica.motion.q) == one.rows.stop - one.rows.start
+    assert found.trust.line("lag").level == "ok", "the beginning of the first is looked at"
+    assert not len(found.problem.signals.q)
 
 
 def with_a_joint_held(seed: int, still: int) -> Signals:
@@ -271,16 +211,12 @@ def test_recordings_that_excite_half_the_parameters_each(tmp_path, capsys):
     fit = identify_ls(several(*halves), Overrides())
     dynamics = InverseModel(halves[0].robot)
     assert off(fit, described_parameters(dynamics, base_parameters(dynamics))) < 2.0
-    shoulder, elbow = (one.held_out for one in fit.recordings)
-    assert (shoulder.error_percent, elbow.error_percent) == (None, None)
-    assert {"ZZ1R", "Fv1", "Fc1"} <= set(shoulder.undetermined)
-    assert {"Fv2", "Fc2"} <= set(elbow.undetermined)
     line = fit.trust.line("held-out blocks")
     assert (line.level, line.value) == ("cannot tell", None)
-    assert "r4.mcap cannot be predicted by the others" in line.text
     stored = fit_files(tmp_path, "halves", *(tmp_path / one.recording for one in halves), "--workers", "1")
-    assert [one["held_out_error_percent"] for one in stored["recordings"]] == [None, None]
-    assert "ZZ1R" in stored["recordings"][0]["undetermined"]
+    for one, names in zip(stored["recordings"], ({"ZZ1R", "Fv1", "Fc1"}, {"Fv2", "Fc2"}), strict=True):
+        assert one["held_out_error_percent"] is None
+        assert names <= set(one["undetermined"])
     assert "r4.mcap cannot be predicted by the others: " in capsys.readouterr().out.replace("\n", " ")
 
 
@@ -311,59 +247,48 @@ def test_validate_and_pictures_of_several(files, tmp_path, capsys):
 
 
 def with_part(one: Signals, part: str, at: int, **values) -> Signals:
-    """The recording with other values of a joint or motor of its description."""
-    parts = list(getattr(one.robot, part))
-    parts[at] = msgspec.structs.replace(parts[at], **values)
-    return replace(one, robot=replace(one.robot, **{part: tuple(parts)}))
+    """The recording with other values of a joint or motor of its description, of the description or of its own."""
+    if part == "recording":
+        return replace(one, **values)
+    if part != "robot":
+        parts = list(getattr(one.robot, part))
+        parts[at] = msgspec.structs.replace(parts[at], **values)
+        values = {part: tuple(parts)}
+    return replace(one, robot=replace(one.robot, **values))
+
+
+STRIBECK = {"friction": ("viscous", "stribeck"), "stribeck_speed_deg_s": 10.0}
 
 
 @pytest.mark.parametrize(
-    ("part", "at", "values", "key"),
+    ("part", "at", "first", "other", "key"),
     [
-        ("joints", 0, {"name": "hip"}, "joint hip: name"),
-        ("joints", 1, {"dh": robot_named("scara").joints[0].dh}, "joint elbow: dh"),
-        ("joints", 1, {"coulomb": False}, "joint elbow: friction"),  # described with viscous and Coulomb, by the keys
-        ("joints", 1, {"friction": ("viscous", "root", "coulomb")}, "joint elbow: friction"),
-        ("joints", 1, {"friction": "asymmetric"}, "joint elbow: friction"),
-        ("motors", 0, {"effort_unit": "N"}, "motor motor_1: effort_unit"),
-        ("robot", 0, {"gravity": np.array([0.0, 0.0, 9.81])}, "gravity_m_s2"),
-        ("recording", 0, {"sha256": f"{1:064x}"}, ""),
+        ("joints", 0, {}, {"name": "hip"}, "joint hip: name"),
+        ("joints", 1, {}, {"dh": robot_named("scara").joints[0].dh}, "joint elbow: dh"),
+        ("joints", 1, {}, {"coulomb": False}, "joint elbow: friction"),  # described with both, by the keys
+        ("joints", 1, {}, {"friction": ("viscous", "root", "coulomb")}, "joint elbow: friction"),
+        ("joints", 1, {}, {"friction": "asymmetric"}, "joint elbow: friction"),
+        ("joints", 1, STRIBECK, STRIBECK | {"stribeck_speed_deg_s": 9.0}, "joint elbow: stribeck_speed_deg_s"),
+        ("motors", 0, {}, {"effort_unit": "N"}, "motor motor_1: effort_unit"),
+        ("robot", 0, {}, {"gravity": np.array([0.0, 0.0, 9.81])}, "gravity_m_s2"),
+        ("recording", 0, {}, {"sha256": f"{1:064x}"}, ""),
+        ("joints", 1, {}, {"friction": USUAL}, None),  # a list in any order, and the keys that mean the same
+        ("joints", 1, {}, {"friction": USUAL[::-1]}, None),
     ],
 )
-def test_recordings_of_another_robot_are_refused(part, at, values, key):
-    other = recorded(2)
-    if part == "robot":
-        other = replace(other, robot=replace(other.robot, **values))
-    else:
-        other = replace(other, **values) if part == "recording" else with_part(other, part, at, **values)
+def test_recordings_of_another_robot_are_refused(part, at, first, other, key):
+    both = [with_part(recorded(k), part, at, **values) for k, values in ((1, first), (2, other))]
+    if key is None:
+        check_one_robot(both)
+        return
     with pytest.raises(BadInputError) as told:
-        identify_ls(several(recorded(1), other), Overrides())
+        identify_ls(several(*both), Overrides())
     assert (told.value.place, told.value.key) == ("r2.mcap", key)
-    assert part == "recording" or "as in r1.mcap" in told.value.expected
-
-
-def test_friction_terms_agree_in_any_order():
-    """A list in another order, and the keys that mean the same, are of one robot; another Stribeck speed is not."""
-    lists = (with_part(recorded(k), "joints", 1, friction=x) for k, x in ((2, USUAL), (3, USUAL[::-1])))
-    check_one_robot([recorded(1), *lists])
-    stribeck = ("viscous", "stribeck")
-    speeds = (with_part(recorded(k), "joints", 1, friction=stribeck, stribeck_speed_deg_s=10.0 * k) for k in (1, 2))
-    with pytest.raises(BadInputError) as told:
-        check_one_robot(list(speeds))
-    assert (told.value.key, told.value.value) == ("joint elbow: stribeck_speed_deg_s", 20.0)
 
 
 def not_stated(one):
     stated = msgspec.structs.replace(one.robot.identification, torque_lag_s=None)
     return replace(one, robot=replace(one.robot, identification=stated), effort_timing="unknown")
-
-
-def test_lag_columns_do_not_cross_recordings():
-    """The lag of one late recording of two is half of it: each recording's torque is moved against its own motion."""
-    late = not_stated(replace(recorded(2), effort=np.roll(recorded(2).effort, 2, axis=0)))
-    fit = identify_iv(several(not_stated(recorded(1)), late), Overrides(), Iteration())
-    assert fit.trust.line("lag").value == pytest.approx(1.0, abs=0.6)
-    assert [line.test for line in fit.data.replays] == ["control law", "control law"]
 
 
 def with_offsets(kinds: tuple[str, ...], offsets: tuple[float, ...] = (0.2, -0.1, 0.05)) -> list[Signals]:
@@ -383,48 +308,45 @@ def test_offsets_of_their_own(method):
     def fit(kinds, offsets=(0.2, -0.1, 0.05)):
         return identify(several(*with_offsets(kinds, offsets)), Overrides(), method=method)
 
-    found, shared = fit(("Off",)), fit(())
+    found = fit(("Off",))
     names = found.estimate.names
-    assert {"Off1@r1", "Off1@r2", "Off1@r3", "Off2@r1"} < set(names)
     assert "Off1" not in names
     for name, value in (("Off1@r1", 0.2), ("Off1@r2", -0.1), ("Off1@r3", 0.05), ("Off2@r1", 0.0)):
         k = names.index(name)
         assert abs(found.estimate.beta[k] - value) < 1.5 * found.intervals.half[k]
     assert found.own.names == tuple(name for name in names if "@" in name)
     assert found.own.p_effective < 1e-6
+    if method == "iv":
+        assert (found.status, found.trust.verdict) == ("converged", "trust")
+        return
+    shared, alike = fit(()), fit(("Off",), (0.1, 0.1, 0.1))
     assert found.errors[-1].relative_error_percent < 0.8 * shared.errors[-1].relative_error_percent
     # A recording's own offset is fitted to it when it is held out; a shared one is not.
     for one, other in zip(found.recordings, shared.recordings, strict=True):
         assert one.held_out.error_percent < 1.05 * one.held_out.trained_percent < other.held_out.error_percent
     assert shared.own is None
-    alike = fit(("Off",), (0.1, 0.1, 0.1))
     assert alike.own.p_effective > 0.01
-    if method == "iv":
-        assert found.status == "converged"
-        assert found.trust.verdict == "trust"
 
 
 def test_a_file_of_own_parameters_is_exported(tmp_path):
     text = robot_named("scara").files["robot.toml"].decode().replace("[[joint]]\n", "[[joint]]\noffset = true\n")
-    robot = robot_from_files({"robot.toml": f'{text}\n[identification]\nown = ["Off"]\n'.encode()}, "robot.toml")
-    fit = identify_ls(several(*(replace(recorded(k), robot=robot) for k in (1, 2, 3))), Overrides())
-    file = tmp_path / "fit.json"
+    file, fits = tmp_path / "fit.json", []
+    for own in ('["Off"]', "[]"):
+        robot = robot_from_files({"robot.toml": f"{text}\n[identification]\nown = {own}\n".encode()}, "robot.toml")
+        fits.append(identify_ls(several(*(replace(recorded(k), robot=robot) for k in (1, 2, 3))), Overrides()))
+    fit, shared = fits
 
     def stored(fit):
         write_json(file, fit_file(fit))
         return read_fit(file)
 
-    free = stored(fit)
-    assert free.covariance.names == list(fit.estimate.names)
-    assert free.left_out == []
+    free, names = stored(fit), list(fit.estimate.names)
+    assert (free.covariance.names, free.left_out) == (names, [])
     assert "the nearest consistent parameters are used" in model_of_fit(free, "fit.json")[1][-1]
     a, b = (ParameterSet.of_file(free, label) for label in ("a", "b"))
-    rows = differences(a, b)
-    assert [(row.name, row.off) for row in rows] == [(name, 0.0) for name in fit.estimate.names]
-    plain = replace(robot, identification=msgspec.structs.replace(robot.identification, own=()))
-    shared = identify_ls(several(*(replace(recorded(k), robot=plain) for k in (1, 2, 3))), Overrides())
+    assert [(row.name, row.off) for row in differences(a, b)] == [(name, 0.0) for name in names]
     beside = {row.name: row.b.name for row in differences(a, fitted_parameters(shared))}
-    assert beside == {name: name.split("@")[0] for name in fit.estimate.names}
+    assert beside == {name: name.split("@")[0] for name in names}
     made = with_consistent(fit)
     np.testing.assert_array_equal(model_of_fit(stored(made), "fit.json")[0].chi, made.consistent_set.chi)
 
@@ -435,50 +357,41 @@ def test_own_parameters_by_hand():
     fit = identify_ls(several(*recordings), Overrides())
     given = Overrides(ramp_rows=fit.settings.ramp_rows)
     systems = [rows_of_recording(make_problem(one, given)).system for one in recordings]
-    weights, rows, parameters, left = fit.estimate.weights, 0, 0, {}
+    left = {}
     for own in (True, False):
         blocks = []
         for k, s in enumerate(systems):
             is_own = np.array([own and name.startswith("Off") for name in s.names])
-            apart = np.zeros((len(s.Y), 3 * is_own.sum()))
-            apart[:, k * is_own.sum() : (k + 1) * is_own.sum()] = s.W[:, is_own]
-            blocks.append((np.c_[s.W[:, ~is_own], apart, s.Y] * weights[s.joint_of_row][:, None])[s.used > 0])
+            apart = np.kron(np.arange(3) == k, s.W[:, is_own])
+            blocks.append(
+                (np.c_[s.W[:, ~is_own], apart, s.Y] * fit.estimate.weights[s.joint_of_row][:, None])[s.used > 0]
+            )
         A = np.concatenate(blocks)
-        rows, b = sum(s.rows.sum() for s in systems), A.shape[1] - 1
         left[own] = np.sum((A[:, -1] - A[:, :-1] @ np.linalg.lstsq(A[:, :-1], A[:, -1])[0]) ** 2)
-        parameters = max(b, parameters)
-    F = (left[False] - left[True]) / 4 / (left[True] / (rows - parameters))
+    freedom = sum(s.rows.sum() for s in systems) - len(fit.estimate.names)
+    F = (left[False] - left[True]) / 4 / (left[True] / freedom)
     assert pytest.approx(F, rel=1e-6) == fit.own.F
-    assert fit.own.p_value == pytest.approx(stats.f.sf(F, 4, rows - parameters), rel=1e-4)
+    assert fit.own.p_value == pytest.approx(stats.f.sf(F, 4, freedom), rel=1e-4)
 
 
-def test_own_offsets_that_nothing_has_or_gravity_absorbs_are_refused(tmp_path):
+def test_own_offsets_that_nothing_has_or_gravity_absorbs_are_refused():
     robot = replace(recorded(1).robot, identification=with_offsets(("Off",))[0].robot.identification)
-    with pytest.raises(BadInputError, match="no joint has it") as told:
+    with pytest.raises(BadInputError) as told:
         identify_ls(several(*(replace(recorded(k), robot=robot) for k in (1, 2))), Overrides())
     assert (told.value.key, told.value.value) == ("identification.own", "Off")
     # A vertical slide with a motor: M (ddq + g) + Ia ddq + Off has three columns of rank two.
     slide = """
 name = "lift"
-gravity_m_s2 = [0, 0, -9.81]
-[[joint]]
-name = "z"
-type = "prismatic"
-offset = true
-dh = { alpha_deg = 0, d_m = 0, theta_deg = 0, r_m = 0 }
-[[motor]]
-name = "m"
-effort_unit = "N"
-[controller]
-bandwidth_hz = 5.0
-[identification]
-own = ["Off"]
+joint = [{ name = "z", type = "prismatic", offset = true, dh = { alpha_deg = 0, d_m = 0, theta_deg = 0, r_m = 0 } }]
+motor = [{ name = "m", effort_unit = "N" }]
+controller = { bandwidth_hz = 5.0 }
+identification = { own = ["Off"] }
 """
     lift = robot_from_files({"robot.toml": slide.encode()}, "lift")
     t = np.arange(5000) / 1000
     q = 0.1 * np.sin(2 * np.pi * t)[:, None]
     problems = [make_problem(signals_from_arrays(q, 50 + q, 1000.0, lift), Overrides())] * 2
-    with pytest.raises(BadInputError, match="gravity absorbs an offset") as told:
+    with pytest.raises(BadInputError) as told:
         make_unknowns(problems)
     assert (told.value.place, told.value.key, told.value.value) == ("robot lift", "identification.own", "Off")
 

@@ -19,25 +19,6 @@ def states(n: int, count: int = 50) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     return q, dq, ddq
 
 
-@pytest.mark.parametrize("name", ["tx40", "scara", "emps"])
-def test_regressor_gives_the_torques_of_newton_euler(name):
-    dynamics = InverseModel(robot_named(name))
-    chi = np.zeros(dynamics.p)
-    model = dynamics.model
-    for j in range(dynamics.robot.n):
-        body = pin.Inertia.Random()
-        model.inertias[j + 1] = body
-        m, mx, my, mz, xx, xy, yy, xz, yz, zz = body.toDynamicParameters()
-        values = {"XX": xx, "XY": xy, "XZ": xz, "YY": yy, "YZ": yz, "ZZ": zz, "MX": mx, "MY": my, "MZ": mz, "M": m}
-        for key, value in values.items():
-            chi[dynamics.names.index(f"{key}{j + 1}")] = value
-    q, dq, ddq = states(dynamics.robot.n)
-    tau = dynamics.regressor(q, dq, ddq) @ chi
-    data = model.createData()
-    expected = np.array([pin.rnea(model, data, *state) for state in zip(q, dq, ddq, strict=True)])
-    assert np.abs(tau - expected).max() < 1e-12 * np.abs(expected).max()
-
-
 def tilted_arm() -> Robot:
     """Two turning joints and a slide, none of whose axes is that of a frame, under gravity that is tilted too."""
     tilted = urdf(lift=joint("lift", "revolute", "column", "arm", LIMIT, axis="0.3 0.9 -0.2"))
@@ -95,16 +76,6 @@ def test_tx40_has_the_sixty_parameters_of_the_paper():
     assert expressions["XX6R"] == "XX6 - YY6"
     assert expressions["Ia3"] == "Ia3"
     assert sum(name.startswith(("Fv", "Fc", "Off")) for name in base.names) == 20
-
-
-@pytest.mark.parametrize("name", ["tx40", "scara", "emps"])
-def test_base_parameters_give_the_torques_of_the_standard_ones(name):
-    dynamics = InverseModel(robot_named(name))
-    base = base_parameters(dynamics)
-    q, dq, ddq = states(dynamics.robot.n)
-    W = dynamics.regressor(q, dq, ddq)
-    chi = RNG.normal(size=dynamics.p)
-    np.testing.assert_allclose(W[:, :, base.columns] @ (base.K @ chi), W @ chi, atol=1e-10)
 
 
 def test_coupled_wrist_acts_as_the_authors_write_it():

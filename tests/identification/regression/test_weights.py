@@ -2,27 +2,28 @@
 
 import dataclasses
 
+import msgspec
 import numpy as np
 import pytest
 from conftest import REPLAY
 
-from acquisition.robot import LowSpeed, robot_from_files
-from identification.data import RecordingFile, Recordings, Work, load_signals
+from acquisition.robot import LowSpeed
+from identification.data import Recordings, load_signals
 from identification.errors import NoFitError
-from identification.estimation import weighted_least_squares
-from identification.methods import identify, identify_ls
+from identification.methods import identify_ls
 from identification.model import InverseModel, described_parameters
 from identification.regression import (
     ROWS,
     FilteredMotion,
     Overrides,
     make_problem,
+    make_settings,
     rows_of_recording,
     sample_weights,
     weights_at,
 )
 from identification.regression.weights import SampleWeights
-from identification.study import Noise, closed_loop, write_signals
+from identification.study import Noise, closed_loop
 
 SCARA = load_signals(REPLAY / "scara" / "session.mcap")
 
@@ -85,22 +86,6 @@ def test_coupled_joints_stand_where_a_direction_that_acts_on_them_does(monkeypat
     assert (both[:, 0] == both[:, 1]).mean() > 0.9
 
 
-def test_torque_of_samples_that_stand_does_not_count():
-    """Any torque at samples of weight zero leaves W, Y and the estimate as they are, to rounding."""
-    problem = scara()
-    s, rng = problem.settings, np.random.default_rng(1)
-    w = sample_weights(problem).between(0, len(SCARA.q)).T
-    wild = SCARA.effort + np.where(w == 0, 100 * rng.standard_normal(w.shape), 0.0)
-    other = dataclasses.replace(problem, signals=dataclasses.replace(problem.signals, effort=wild))
-    other = dataclasses.replace(other, motion=problem.motion.with_torque_of(other.signals))
-    plain, found = rows_of_recording(problem), rows_of_recording(other)
-    assert np.abs(plain.tau - found.tau).max() > 1.0
-    np.testing.assert_allclose(found.system.Y, plain.system.Y, atol=1e-9)
-    beta = [weighted_least_squares(one.system).beta for one in (plain, found)]
-    np.testing.assert_allclose(beta[1], beta[0], rtol=1e-9)
-    assert (w[s.start : s.stop] == 0).any()
-
-
 def test_rows_and_columns_have_the_same_weights():
     """Y = F[w tau] and W beta = F[w W beta] by hand, and the weight of a row F[w] over the filter's gain."""
     problem = scara()
@@ -127,9 +112,9 @@ def test_a_threshold_of_zero_is_the_method_without_weights():
     assert plain.system.rows.tolist() == [len(plain.tau)] * 2
     found = weights_at(problem, np.arange(s.start, s.stop) / SCARA.sample_rate_hz)
     np.testing.assert_array_equal(found, np.ones((2, s.stop - s.start)))
-    given = LowSpeed(ls=0.0, iv=10.0)
-    by_method = [identify(SCARA, Overrides(low_speed_percent=given), method=m).settings for m in ("wls", "iv", None)]
-    assert [one.low_speed_percent for one in by_method] == [0.0, 10.0, 10.0]
+    given = Overrides(low_speed_percent=LowSpeed(ls=0.0, iv=10.0))
+    by_method = [make_settings(SCARA, dataclasses.replace(given, method=method)) for method in ("wls", "iv")]
+    assert [one.low_speed_percent for one in by_method] == [0.0, 10.0]
 
 
 def test_position_noise_is_added_beside_the_same_weights(monkeypatch):
@@ -154,9 +139,8 @@ def test_short_moves_get_short_ramps_and_a_joint_that_never_moves_long_enough_is
     assert ramps[0] == 2.0
     assert ramps[1] < 2.0
     problem = scara(q=np.stack([quick[:, 0], 0.05 * np.sin(2 * np.pi * 24.9 * t)], axis=1))
-    with pytest.raises(NoFitError) as caught:
+    with pytest.raises(NoFitError, match="joint elbow never moves for longer than a period"):
         rows_of_recording(problem)
-    assert "joint elbow never moves for longer than a period of the filters between two stops" in str(caught.value)
 
 
 def test_joints_whose_moves_are_too_short_have_no_weights_but_the_rows_in_which_they_move():
@@ -174,39 +158,33 @@ def test_joints_whose_moves_are_too_short_have_no_weights_but_the_rows_in_which_
 
 def short_moves(seed: int):
     """The SCARA, whose joints move one after the other for less than half a second, as a recording of 12 s."""
-    robot, rng = SCARA.robot, np.random.default_rng(seed)
-    rate_hz, q, now = 1000.0, [], np.zeros(2)
+    robot, rng, s = SCARA.robot, np.random.default_rng(seed), np.linspace(0, 1, 400)[:, None]
+    q, now = [], np.zeros(2)
     for k in range(18):
-        after, s = now.copy(), np.linspace(0, 1, 400)[:, None]
-        after[k % 2] = rng.uniform(-0.6, 0.6)
+        after = np.where(np.arange(2) == k % 2, rng.uniform(-0.6, 0.6), now)
         q += [now + (10 * s**3 - 15 * s**4 + 6 * s**5) * (after - now), np.repeat(after[None], 260, axis=0)]
         now = after
-    text = robot.files["robot.toml"].decode().replace("bandwidth_hz = 5.0", "bandwidth_hz = 2.5")  # half of what it is
-    slow = robot_from_files({"robot.toml": text.encode()}, "robot.toml")
-    signals = closed_loop(robot, np.concatenate(q), rate_hz, noise=Noise(effort_percent=2.0), seed=seed)
-    return dataclasses.replace(signals, robot=slow, recording=f"s{seed}.mcap", sha256=f"{seed:064x}")
+    signals = closed_loop(robot, np.concatenate(q), 1000.0, noise=Noise(effort_percent=2.0), seed=seed)
+    slow = msgspec.structs.replace(robot.controller, bandwidth_hz=2.5)  # half of what it is
+    return dataclasses.replace(
+        signals, robot=dataclasses.replace(robot, controller=slow), recording=f"s{seed}.mcap", sha256=f"{seed:064x}"
+    )
 
 
-def test_recordings_of_short_moves_are_fitted_and_the_same_by_two_workers(tmp_path):
+def test_recordings_of_short_moves_are_fitted():
     """No ramps suit their moves: chosen for both together, and told with joint and bandwidth."""
-    for seed in (1, 2):
-        write_signals(tmp_path / f"s{seed}.mcap", short_moves(seed), source="test")
-    sources = tuple(RecordingFile(path=str(tmp_path / f"s{seed}.mcap")) for seed in (1, 2))
-    fits = [identify_ls(Recordings(sources=sources, work=Work(workers=k)), Overrides()) for k in (1, 2)]
-    np.testing.assert_array_equal(fits[0].estimate.beta, fits[1].estimate.beta)
-    assert fits[0].settings.ramp_rows == fits[1].settings.ramp_rows
+    fit = identify_ls(Recordings(sources=(short_moves(1), short_moves(2))), Overrides())
     for name in ("shoulder", "elbow"):
         text = f"joint {name}: its moves are short for a bandwidth of 2.5 Hz: no weights, but rows in which it moves"
-        assert text in fits[0].warnings
-    true = described_parameters(InverseModel(SCARA.robot), fits[0].base)
-    assert (np.abs(fits[0].beta - true) < 2.0 * fits[0].intervals.half).all()
+        assert text in fit.warnings
+    true = described_parameters(InverseModel(SCARA.robot), fit.base)
+    assert (np.abs(fit.beta - true) < 2.0 * fit.intervals.half).all()
 
 
-@pytest.mark.parametrize("method", ["wls", "iv"])
-def test_the_ramp_that_is_chosen_has_the_smaller_half_widths(method):
+def test_the_ramp_that_is_chosen_has_the_smaller_half_widths():
     """By the median ratio of the half-widths of whole fits with each ramp stated."""
-    chosen = identify(SCARA, Overrides(), method=method).settings.ramp_rows
-    long, short = (identify(SCARA, Overrides(ramp_rows=ramp), method=method) for ramp in (2.0, 0.5))
+    chosen = identify_ls(SCARA, Overrides()).settings.ramp_rows
+    long, short = (identify_ls(SCARA, Overrides(ramp_rows=ramp)) for ramp in (2.0, 0.5))
     assert [fit.settings.ramp_rows for fit in (long, short)] == [2.0, 0.5]
     ratio = np.median(long.intervals.half / short.intervals.half)
     assert abs(ratio - 1) > 0.02
