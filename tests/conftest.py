@@ -7,6 +7,7 @@ import hypothesis
 import numpy as np
 import pytest
 from made_up_recordings import write
+from threadpoolctl import threadpool_limits
 
 from acquisition.commands import main as acquire
 from acquisition.importing import import_tables
@@ -34,6 +35,12 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         for item in items:
             if "benchmarks" in item.path.parts:
                 item.add_marker(skip)
+
+
+def pytest_configure() -> None:
+    """One thread for matrices, as in a fit: of two processes on two cores, the threads of each wait for the other's."""
+    threadpool_limits(1)
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # of libraries loaded later, and of processes that tests start
 
 
 @pytest.fixture(autouse=True)

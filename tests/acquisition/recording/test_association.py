@@ -106,7 +106,7 @@ def answered(syncs: Iterable[int]) -> str:
 @pytest.mark.parametrize(
     ("text", "samples", "lost"),
     [
-        # A drive is late by one for a while. For long, at its usual time, it is rather one that is lost and one that came twice.
+        # A drive is late by one for a while. For long, at its usual time, it rather lost a PDO and sent another twice.
         (f"{BEFORE} {late_by_one(5, 16)} S 1:17 2:17", range(1, 18), 0),
         (f"{BEFORE} {late_by_one(5, 40)} S 1:41 2:41", (1, 2, 3, 4, 41), 0),
         # A first answer that is late belongs to the first SYNC.
