@@ -236,7 +236,7 @@ def torque_of_model(problem: Problem, motion: Motion, beta: Array) -> Array:
     if (found := kept.get(key)) is None or found[0] != beta.tobytes():
         if len(kept) > MAX_BLOCKS_KEPT:
             kept.clear()
-        kept[key] = beta.tobytes(), predicted_torque(motion, problem.model, problem.base, beta, _stride(problem) // 2)
+        kept[key] = beta.tobytes(), predicted_torque(motion, problem.model, problem.base, beta)
     return kept[key][1]
 
 

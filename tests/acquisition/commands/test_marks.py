@@ -41,7 +41,7 @@ class Marked(InlineLog):
 
 def test_marks_are_events_of_the_recording(tmp_path, capsys):
     path = tmp_path / "log.mcap"
-    done = dry_session(path, Task(duration_s=1.0), log_of=type("Here", (Marked,), {"path": path}))
+    done = dry_session(path, Task(duration_s=2.0), log_of=type("Here", (Marked,), {"path": path}))
     assert done.events("operator") == ["bumped 3 times", "bumped 300 times", "at the end"]
     marks = [e.stamp_ns for e in done.recording.events if e.kind == "operator"]
     assert marks == sorted(marks)
