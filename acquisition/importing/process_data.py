@@ -140,6 +140,8 @@ class ProcessData:
         slaves = self._slaves[True]
         if not self._mapping or slaves.mapped:
             return slaves.located(self._mapping)
+        if station := next(filter(None, (file.station for file in self._bus.file.drive)), None):
+            raise ValueError(f"no addresses beside --mapping, but robot.toml states station {station}: leave it out")
         bits = [sum(bits for _, bits in slave) for slave in self._mapping]
         base = next((at for command, at, n, _ in self._seen if command != LWR and 8 * n == sum(bits)), None)
         if base is None:
