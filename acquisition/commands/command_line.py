@@ -5,7 +5,6 @@ A command's module is imported when the command is chosen, and `run` imports the
 """
 
 import argparse
-import ctypes
 import errno
 import gc
 import io
@@ -70,7 +69,7 @@ class Program:
     def main(self, arguments: Sequence[str] | None = None) -> int:
         """Run the command in `arguments` (default: those of the process); return one of `STATUSES`."""
         given = sys.argv[1:] if arguments is None else arguments
-        _keep_memory()
+        gc.set_threshold(50_000)  # imports leave little garbage: to look for it takes 0.08 s of a fit
 
         def command() -> int | None:
             # No option before the command takes a value.
@@ -89,14 +88,6 @@ class Program:
             return cast(int | None, options.run(options))
 
         return run_command(self.name, self.errors, command)
-
-
-def _keep_memory() -> None:
-    """Freed memory stays for the next arrays; garbage is looked for seldom, since imports make none. A tenth of a fit."""
-    gc.set_threshold(50_000)
-    with suppress(AttributeError, OSError, TypeError):  # of glibc alone
-        for option, size in ((-3, 32 << 20), (-1, 64 << 20)):  # M_MMAP_THRESHOLD, M_TRIM_THRESHOLD
-            ctypes.CDLL(None).mallopt(option, size)
 
 
 class _Parser(argparse.ArgumentParser):
