@@ -4,18 +4,15 @@ import os
 import platform
 import subprocess
 import sys
-from argparse import Namespace
-from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 
 import pytest
 from conftest import IDENTIFY, REPLAY, ROOT
 
-from acquisition.commands import STATUSES, Progress, from_options, run_command
+from acquisition.commands import STATUSES, Progress, run_command
 from acquisition.commands import main as acquire
-from acquisition.errors import BadInputError, RobotIdimError
-from acquisition.robot import load_robot
+from acquisition.errors import RobotIdimError
 from identification.commands import main as identify
 
 SCARA = REPLAY / "scara" / "robot.toml"
@@ -174,28 +171,6 @@ def test_versions_are_those_of_what_is_installed(program, name, capsys):
     assert versions == {package: metadata.version(package) for package in versions}
 
 
-def test_the_help_of_a_fit_has_groups(capsys):
-    with pytest.raises(SystemExit):
-        identify(["fit", "--help"])
-    parts = capsys.readouterr().out.split("\n\n")
-    groups = {title: text for title, _, text in (part.partition(":\n") for part in parts)}
-    for title, option in (("inputs", "--robot"), ("settings of the fit", "--cutoff-hz"), ("outputs", "--rrd")):
-        assert option in groups[title]
-
-
-def test_options_become_fields():
-    @dataclass(frozen=True, kw_only=True)
-    class Settings:
-        span: str = "motion"
-        factor: int = 3
-        share: float | None = None
-        start: str = "regular"
-
-    options = Namespace(span=None, factor=0, other=1, start="ls")
-    assert from_options(Settings, options) == Settings(factor=0, start="ls")
-    assert from_options(Settings, options, start="a file", share=0.5) == Settings(factor=0, start="a file", share=0.5)
-
-
 def test_progress_is_shown_on_a_terminal_only(capfd, monkeypatch):
     monkeypatch.setenv("FORCE_COLOR", "1")
     with Progress("reading") as progress:
@@ -290,36 +265,6 @@ def test_a_urdf_in_place_of_a_description_is_told(tmp_path, monkeypatch, capsys)
         said = capsys.readouterr().err
         assert said.endswith(f": {told}\n")
         assert said.count("\n") == 1
-
-
-@pytest.mark.parametrize(
-    ("start", "text"),
-    [
-        (b'{"format": 8}', "is a JSON file"),
-        (b"\x89MCAP0\r\n", "is a recording"),
-        (b'\xef\xbb\xbf<?xml version="1.0"?><robot name="a"/>', "is a URDF"),
-        (b'\n <robot name="a"/>', "is a URDF"),
-    ],
-)
-def test_another_file_in_place_of_a_description_is_named(start, text, tmp_path):
-    (tmp_path / "fit").write_bytes(start)
-    with pytest.raises(BadInputError) as refused:
-        load_robot(tmp_path / "fit")
-    assert str(refused.value).startswith(f"{tmp_path / 'fit'}: {text}: expected a robot.toml")
-
-
-def test_a_computer_without_can_is_told_what_to_do(capsys, monkeypatch):
-    import can
-
-    def no_can(**_: object) -> None:
-        raise OSError(97, "Address family not supported by protocol")
-
-    monkeypatch.setattr(can, "Bus", no_can)
-    assert acquire(["scan", "--interface", "socketcan", "--channel", "can0"]) == 1
-    assert capsys.readouterr().err == (
-        "robot-acquire: bus: socketcan can0: cannot be opened: [Errno 97] Address family not supported by protocol: expected "
-        "CAN in Linux (modprobe can_raw) and its channel in `ip link`; or another interface\n"
-    )
 
 
 def test_drives_that_nobody_could_join_are_not_emulated(capsys):

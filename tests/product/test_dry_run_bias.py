@@ -183,19 +183,6 @@ def test_a_pendulum_without_friction_keeps_its_energy(of_the_description):
     assert np.abs(energies).max() < 1e-3 * 5.0 * 9.81
 
 
-@pytest.mark.parametrize("period_s", [0.0007, 0.003, 0.01])
-def test_a_sync_period_of_the_plant_is_as_long_as_that_of_the_bus(period_s):
-    """A mass with viscous and dry friction under a constant force F: v = F / Fv (1 - exp(-Fv t / M))."""
-    robot, bus = robot_named("emps"), robot_named("scara").bus
-    plant, _ = described_robot(replace(robot, bus=msgspec.structs.replace(bus, sync_period_s=period_s)))
-    M, Fv, Fc, Off = (robot.parameters[name] for name in ("M1", "Fv1", "Fc1", "Off1"))
-    periods = round(0.21 / period_s)
-    for _ in range(4 * periods):
-        plant.step(np.array([50.0 + Fc + Off]), np.zeros(1, bool), period_s / 4)
-    _, (speed,) = plant.state()
-    assert speed == pytest.approx(50.0 / Fv * (1 - np.exp(-Fv * periods * period_s / M)), rel=2e-3)
-
-
 def test_the_described_law_moves_the_simulated_robot_as_the_drives_do(tmp_path, monkeypatch):
     """The wrist is coupled: the law acts on motors. Without it a stand-in PD was 90 mrad off at joint 6."""
     monkeypatch.setattr(demo, "DURATION_S", 2.0)

@@ -59,15 +59,6 @@ def test_what_is_named_is_there(package):
         module.nothing  # noqa: B018
 
 
-def test_a_fit_of_arrays_is_that_of_the_same_signals(signals):
-    fit = identification.fit(signals.q, signals.effort, 1000.0, str(SCARA), method="ols")
-    same = replace(signals, q_ref=None, effort_timing="unknown")
-    np.testing.assert_array_equal(
-        fit.beta, identification.identify_ls(same, identification.Overrides(), method="ols").beta
-    )
-    assert fit.method == "ols"
-
-
 def test_a_fit_of_arrays_finds_the_true_parameters(signals, by_iv):
     from identification.study import study_truth
 
@@ -126,19 +117,6 @@ def test_what_cannot_be_fitted_is_refused(change, place, key, value, expected):
         identification.fit(**{**given, **change})
     error = caught.value
     assert (error.place, error.key, error.value, error.expected) == (place, key, value, expected)
-
-
-def test_a_known_torque_is_explained_with_that_of_the_drives(signals):
-    """One is taken off the drives' torque: the fit is the same if it is told, another if it is not."""
-    known = np.sin(signals.t_s)[:, None] * [3.0, 1.0]
-    plain, told, untold = (
-        identification.fit(
-            signals.q, tau, 1000.0, signals.robot, method="wls", torque_lag_s="none", known_torque=k
-        ).beta
-        for tau, k in ((signals.effort, None), (signals.effort - known, known), (signals.effort - known, None))
-    )
-    np.testing.assert_allclose(told, plain, rtol=1e-9)
-    assert np.abs(untold / plain - 1).max() > 0.1
 
 
 def test_a_velocity_is_compared_with_the_derivative(signals):
@@ -381,16 +359,6 @@ def test_a_fit_predicts_the_torque_of_its_model(by_iv, tmp_path):
     assert (told.value.place, told.value.key) == (str(tmp_path / "bare.json"), "description")
 
 
-def test_a_stored_fit_is_compared_and_exported_as_one_in_memory(by_iv, tmp_path):
-    by_iv.to_json(tmp_path / "fit.json")
-    stored = identification.read_fit(tmp_path / "fit.json")
-    assert [row.off for row in stored.compare(by_iv)] == pytest.approx([0.0] * 8, abs=1e-12)
-    limits = [fit.export(toml=tmp_path / f"{k}.toml") for k, fit in enumerate((by_iv, stored))]
-    values = [acquisition.load_robot(tmp_path / f"{k}.toml").parameters for k in range(2)]
-    assert values[0] == pytest.approx(values[1])
-    assert limits[0].split("model of")[0] == limits[1].split("model of")[0]
-
-
 def test_recordings_are_lists_of_arrays(signals, tmp_path):
     both = slice(0, 2000), slice(2000, 4001)
     q, tau, q_ref = ([x[part] for part in both] for x in (signals.q, signals.effort, signals.q_ref))
@@ -409,14 +377,6 @@ def test_recordings_are_lists_of_arrays(signals, tmp_path):
         with pytest.raises(identification.BadInputError) as caught:
             identification.fit(**{"q": q, "tau": tau, "sample_rate_hz": 1000.0, "robot": SCARA, **change})
         assert (caught.value.key, caught.value.value, caught.value.expected) == (key, 1, "2, one for each of q")
-
-
-def test_the_help_of_a_fit_is_short():
-    import inspect
-
-    shown = str(inspect.signature(identification.fit))
-    assert shown.startswith("(q, tau, sample_rate_hz, robot, q_ref=None, *, method=None, ")
-    assert len(shown) < 350
 
 
 @pytest.mark.parametrize(

@@ -2,15 +2,12 @@
 
 import dataclasses
 import json
-import os
 import shutil
-import subprocess
-import sys
 
 import msgspec
 import pytest
 from command_runs import refused, run
-from conftest import REPLAY, ROOT, robot_named
+from conftest import REPLAY, robot_named
 from made_up_recordings import header
 
 from acquisition.errors import BadInputError
@@ -44,11 +41,6 @@ def test_no_output_takes_the_place_of_an_input(capsys, tmp_path, robot_file):
     ):
         assert "is an input too" in refused(capsys, *command)
         assert before == {path: path.read_bytes() for path in before}
-
-
-def test_a_study_looks_at_its_outputs_before_it_runs(capsys, robot_file):
-    told = refused(capsys, "study", robot_file, "--runs", "100000", "--json", "/nonexist/x.json")
-    assert "no folder /nonexist" in told
 
 
 def test_volts_never_become_newton_metres(tmp_path):
@@ -91,17 +83,6 @@ def test_simulations_that_are_too_short_and_folders_that_cannot_be(capsys, tmp_p
         run(capsys, "simulate", robot_file, "-o", out, "--seed", "-1")
     assert "--seed" in capsys.readouterr().err
     assert not out.exists()
-
-
-@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full here")
-def test_a_full_standard_output_is_one_line(robot_file):
-    with open("/dev/full", "w") as full:
-        done = subprocess.run(
-            [sys.executable, "-m", "identification", "base", str(robot_file)],
-            stdout=full, stderr=subprocess.PIPE, text=True, check=False, cwd=ROOT,
-        )  # fmt: skip
-    assert done.returncode == 1
-    assert done.stderr == "robot-identify: standard output: cannot be written: No space left on device\n"
 
 
 def changed_fit(folder, change):

@@ -14,7 +14,6 @@ from acquisition.errors import RobotIdimError
 from acquisition.robot import check_limits, lines_to_fill_in, load_robot, resolve
 from acquisition.simulated import driven_plant
 from identification import read_robot
-from identification.commands import main
 from identification.export import read_chain, robot_of_chain
 from identification.model import InverseModel
 
@@ -136,12 +135,6 @@ def test_what_is_there_is_not_replaced_and_the_urdf_is_found_from_the_output(her
     assert "rotor_inertia = false: torque sensors do not measure rotors; a motor's torque includes its rotor" in out
 
 
-def test_without_an_output_the_file_is_printed(here, capsys):
-    status, out, _ = run(capsys, "init", "arm.urdf", *NAMES)
-    assert (status, tomllib.loads(out)["urdf"]) == (0, "arm.urdf")
-    assert sorted(path.name for path in here.iterdir()) == ["arm.urdf"]
-
-
 def test_the_example_of_the_drives_is_one(here, capsys):
     """Without the mark of its lines: a description whose simulated drives can be resolved and moved."""
     assert run(capsys, "init", "arm.urdf", *NAMES, *STATED, "-o", "robot.toml")[0] == 0
@@ -210,13 +203,6 @@ def test_values_of_a_urdf_are_refused_with_a_description(here, capsys):
         read_robot("robot.toml", bandwidth_hz=5.0)
     error = refused(capsys, "study", "robot.toml")
     assert error.startswith("robot made up: controller.bandwidth_hz is missing: expected the bandwidth")
-
-
-@pytest.mark.parametrize("values", ["0", "-1", "a", "1,,2", "inf"])
-def test_values_that_are_none_are_wrong_usage(here, capsys, values):
-    with pytest.raises(SystemExit) as end:
-        main(["init", "arm.urdf", f"--acceleration={values}"])
-    assert end.value.code == 2
 
 
 def massless(name):
@@ -323,11 +309,6 @@ def test_what_is_odd_or_locked_is_noted(here, capsys, changes, options, noted):
     status, out, _ = run(capsys, "init", "arm.urdf", *options)
     assert status == 0
     assert all(f"{line}\n" in out for line in noted)
-
-
-def test_fingers_are_the_joints_where_there_is_nothing_else(here, capsys):
-    (here / "hand.urdf").write_text(f'<robot name="h">{PARTS["tool"]}{PARTS["left"]}{PARTS["finger"]}</robot>')
-    assert "1 joints of hand.urdf" in run(capsys, "init", "hand.urdf", "-o", "hand.toml")[1]
 
 
 @pytest.mark.parametrize(
