@@ -123,12 +123,3 @@ def test_every_link_leads_somewhere(readme):
         file = file / "README.md" if file.is_dir() else file
         assert file.exists(), place
         assert not anchor or anchor in anchors(file.read_text()), f"{place}#{anchor}"
-
-
-def test_every_picture_is_shown():
-    shown = {
-        (readme.parent / place).resolve()
-        for readme in ALL
-        for place in re.findall(r"!\[[^]]*\]\(([^)]*)\)", TEXT[readme])
-    }
-    assert shown == set((REPLAY / "pictures").iterdir())

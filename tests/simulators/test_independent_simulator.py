@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from conftest import REPLAY, described_chi, robot_named
-from independent_robots import plant, two_mass, with_payload
+from independent_robots import plant, with_payload
 from independent_simulator import (
     Imperfections,
     Runs,
@@ -15,7 +15,6 @@ from independent_simulator import (
     references,
     simulate,
     step,
-    step_two_mass,
 )
 from scipy.integrate import solve_ivp
 
@@ -147,12 +146,6 @@ def test_the_lag_of_a_record_is_that_of_a_torque_of_constant_slope(recorded, lag
     assert runs.signals(description(toml("scara")), 0).effort_timing == recorded
 
 
-def without_friction(body):
-    n = body.n
-    friction = replace(body.friction, coulomb=0 * body.friction.coulomb, viscous=np.zeros((n, n)))
-    return replace(body, friction=friction, offset=np.zeros(n))
-
-
 def test_a_payload_that_is_a_body_is_many_points():
     """Six points on the axes of a body have its mass, centre and inertia: torques are the same, one by one or as a body."""
     before, centre, arms = plant(toml("tx40")), np.array([0.03, 0.02, 0.08]), np.diag([0.05, 0.03, 0.04])
@@ -163,21 +156,3 @@ def test_a_payload_that_is_a_body_is_many_points():
     squares = 2 * m * np.diag(arms) ** 2
     body = with_payload(before, 2.0, centre, np.diag(squares.sum() - squares))
     np.testing.assert_allclose(body.inverse(*states(6)), one_by_one.inverse(*states(6)), rtol=1e-10)
-
-
-def coupled_motion(body, state: tuple, force: float, ticks: int) -> np.ndarray:
-    """States (ticks, 4) of a lone axis with a coupling: motor's and load's position and speed, every 0.1 ms."""
-    found, state = [], tuple(np.full((1, 1), x) for x in state)
-    for _ in range(ticks):
-        found.append([x.item() for x in state])
-        state = step_two_mass(body, state, np.full((1, 1), force), 1e-4, 1)
-    return np.array(found)
-
-
-def test_two_masses_oscillate_at_their_frequency():
-    """Let go when stretched: the stretch is a cosine of the free frequency, and the centre of mass stays."""
-    body = two_mass(without_friction(plant(toml("emps"))), share=0.3, free_hz=12.0, damping=0.0)
-    x = coupled_motion(body, (0.0, 0.0, 1e-3, 0.0), 0.0, 2000)
-    t = 1e-4 * np.arange(2000)
-    np.testing.assert_allclose(x[:, 2] - x[:, 0], 1e-3 * np.cos(2 * np.pi * 12.0 * t), atol=1e-8)
-    np.testing.assert_allclose(0.7 * x[:, 0] + 0.3 * x[:, 2], 0.3e-3, atol=1e-12)

@@ -34,7 +34,6 @@ def test_no_output_takes_the_place_of_an_input(capsys, tmp_path, robot_file):
     for command in (
         ["base", robot_file, "--json", robot_file],
         ["simulate", robot_file, "-o", robot_file],
-        ["study", robot_file, "--runs", "1", "--json", robot_file],
         ["fit", SESSION, "--robot", robot_file, "--rrd", robot_file],
         ["fit", SESSION, "--method", "iv", "--start", fit, "--json", fit],
         ["validate", fit, SESSION, "--json", fit],
@@ -61,7 +60,6 @@ def test_volts_never_become_newton_metres(tmp_path):
     ("key", "value", "cutoff_hz", "expected"),
     [
         (None, None, "1e-9", "cut-off = 1e-09 Hz: 5 periods are longer"),
-        (None, None, "1e-300", "cut-off = 1e-300 Hz: 5 periods are longer"),
         ("bandwidth_hz", "1e-9", "25", "controller.bandwidth_hz = 1e-09: expected a period shorter than"),
         ("sample_rate_hz", "1e9", None, "expected at most 2e+07 steps"),
     ],

@@ -78,9 +78,7 @@ PLACES = {  # name of the mesh, environment, whether it is found
     "a box": ("", {}, True),
     "file": ("file://{mesh}", {}, True),
     "package among sources": ("package://arm/meshes/l.STL", {"ROS_PACKAGE_PATH": "/nowhere:{src}"}, True),
-    "package itself": ("package://arm/meshes/l.STL", {"ROS_PACKAGE_PATH": "{src}/arm"}, True),
     "installed package": ("package://arm/meshes/l.STL", {"AMENT_PREFIX_PATH": "{src}"}, True),
-    "package that is not there": ("package://arm/meshes/l.STL", {"ROS_PACKAGE_PATH": "/nowhere"}, False),
     "relative name": ("meshes/l.STL", {}, False),
     "not a mesh": ("file://{mesh}.txt", {}, False),
 }
@@ -178,9 +176,7 @@ def test_columns_beside_position_and_effort_are_on_the_signal_page_where_they_ar
         assert len(page.groups["column"]) == shown
 
 
-@pytest.mark.parametrize(
-    ("case", "N"), [({"types": ("prismatic",), "reference": True}, 4000), ({}, 40), ({}, 2)], ids=str
-)
+@pytest.mark.parametrize(("case", "N"), [({"types": ("prismatic",), "reference": True}, 4000), ({}, 2)], ids=str)
 def test_a_recording_that_is_not_fitted_is_shown(case, N, tmp_path):
     signals = made_up(**case)
     signals = replace(signals, t_s=signals.t_s[:N], q=signals.q[:N], effort=signals.effort[:N])
