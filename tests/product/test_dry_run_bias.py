@@ -21,7 +21,7 @@ from identification.data import load_signals
 from identification.methods import fit_document, identify_ls
 from identification.model import InverseModel, direct_model
 from identification.regression import Overrides, make_settings
-from identification.simulation import Reference, drive_loops, recorded_loop
+from identification.simulation import Reference, described_robot, drive_loops, recorded_loop
 from identification.study import demo, record_simulated_session, study_truth
 
 BANDWIDTH_HZ, PERIOD_S, INERTIA = 10.0, 0.004, 2.0
@@ -164,6 +164,36 @@ def test_a_controller_that_a_dry_run_does_not_use_is_told(controller, told):
     assert signals.robot.controller == load_signals(recording).robot.controller
     warning = "session.mcap: the given [controller] is not used: the drives of a dry run have their own"
     assert (warning in make_settings(signals, Overrides()).warnings) == told
+
+
+@pytest.mark.parametrize("of_the_description", [True, False])
+def test_a_pendulum_without_friction_keeps_its_energy(of_the_description):
+    """Plants are stepped at the middle position: from that of the start they would gain 5 % in 4 s."""
+    text = bus_text(1).replace("alpha_deg = 0", "alpha_deg = 90").replace("ratio = 50.0", "ratio = 1")
+    text = text.replace("[controller]", "[parameters]\nZZ1 = 1.0\nMX1 = 5.0\n[controller]")
+    text = text.replace('type = "revolute"', 'type = "revolute"\nfriction = []\nrotor_inertia = false')
+    one, zero, energies = np.ones(1), np.zeros(1), []
+    plant = JointwisePlant(one, zero, zero, 5.0 * 9.81 * one, slides=np.zeros(1, bool), position=zero)
+    if of_the_description:
+        plant, _ = described_robot(robot_of(text))
+    for _ in range(8000):
+        plant.step(zero, np.zeros(1, bool), 0.0005)
+        (q,), (dq,) = plant.state()
+        energies.append(0.5 * dq**2 + 5.0 * 9.81 * np.sin(q))
+    assert np.abs(energies).max() < 1e-3 * 5.0 * 9.81
+
+
+@pytest.mark.parametrize("period_s", [0.0007, 0.003])
+def test_a_sync_period_of_the_plant_is_as_long_as_that_of_the_bus(period_s):
+    """A mass with viscous and dry friction under a constant force F: v = F / Fv (1 - exp(-Fv t / M))."""
+    robot, bus = robot_named("emps"), robot_named("scara").bus
+    plant, _ = described_robot(replace(robot, bus=msgspec.structs.replace(bus, sync_period_s=period_s)))
+    M, Fv, Fc, Off = (robot.parameters[name] for name in ("M1", "Fv1", "Fc1", "Off1"))
+    periods = round(0.21 / period_s)
+    for _ in range(4 * periods):
+        plant.step(np.array([50.0 + Fc + Off]), np.zeros(1, bool), period_s / 4)
+    _, (speed,) = plant.state()
+    assert speed == pytest.approx(50.0 / Fv * (1 - np.exp(-Fv * periods * period_s / M)), rel=2e-3)
 
 
 def test_the_described_law_moves_the_simulated_robot_as_the_drives_do(tmp_path, monkeypatch):

@@ -100,6 +100,7 @@ def test_arrays_are_copied_and_tell_recordings_apart(signals):
         ({"sample_rate_hz": 0.0}, "arrays", "sample_rate_hz", 0.0, "a number above 0"),
         ({"method": "ls"}, "", "method", "ls", "'iv', 'wls' or 'ols'"),
         ({"velocity": np.zeros((49, 2))}, "arrays", "velocity.shape", (49, 2), "(50, 2), as q has"),
+        ({"known_torque": np.zeros((50, 1))}, "arrays", "known_torque.shape", (50, 1), "(N, 2), time first"),
         ({"feedforward": [[0, np.nan]] * 50}, "arrays", "feedforward[0]", ANY, "finite numbers"),
         ({"cutoff_hz": -1.0}, "", "cutoff_hz", -1.0, "a number from 0"),
         ({"sample_rate_hz": 0.008}, "arrays", "sample_rate_hz", 0.008, "1 or more"),

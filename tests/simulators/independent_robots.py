@@ -255,15 +255,12 @@ def plant(robot_toml: Path, *, smooth: float = 0.01, tilt_rad: float = 0.0, clos
     )
 
 
-def with_payload(body: Plant, mass: float, at: Sequence[float] = (0.0, 0.0, 0.0), about: Array | float = 0.0) -> Plant:
-    """The same arm with a body in its last link, whose rigid bodies are a `Chain`.
-
-    `at` (3,): the centre of mass in that link's frame; `about` (3, 3): inertia about the centre of mass, none for a point.
-    """
+def with_payload(body: Plant, mass: float, at: Sequence[float] = (0.0, 0.0, 0.0)) -> Plant:
+    """The same arm with a point mass `at` (3,) in the frame of its last link, whose rigid bodies are a `Chain`."""
     chain, c = body.rigid, np.array(at)
     assert isinstance(chain, Chain)
     inertia, moment, masses = chain.inertia.copy(), chain.moment.copy(), chain.mass.copy()
-    inertia[-1] += mass * (c @ c * np.eye(3) - np.outer(c, c)) + about
+    inertia[-1] += mass * (c @ c * np.eye(3) - np.outer(c, c))
     moment[-1] += mass * c
     masses[-1] += mass
     return replace(body, rigid=replace(chain, inertia=inertia, moment=moment, mass=masses))

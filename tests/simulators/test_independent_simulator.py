@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from conftest import REPLAY, described_chi, robot_named
-from independent_robots import plant, with_payload
+from independent_robots import plant
 from independent_simulator import (
     Imperfections,
     Runs,
@@ -21,7 +21,6 @@ from scipy.integrate import solve_ivp
 from identification.model import InverseModel
 
 NAMES = ("emps", "scara", "tx40")
-NOTHING = Imperfections()
 
 
 def toml(name: str):
@@ -110,23 +109,6 @@ def test_steps_are_those_of_an_integrator_of_variable_step(name, delay_s, closes
     assert np.abs(found - without).max() > 5 * closest
 
 
-def test_an_integral_carries_the_arm_and_starts_in_balance():
-    body = plant(toml("tx40"))
-    pd = designed_pd(body, 10.0, 1000.0)
-    pid = replace(pd, structure="pid", integral_gain=5.0 * pd.position_gain)
-    pi = replace(
-        pid, structure="cascade_p_pi", position_gain=pd.position_gain / pd.velocity_gain, integral_gain=np.full(6, 5.0)
-    )
-    reference = references(body, range(1), duration_s=0.4, rate_hz=1000.0)
-    still = replace(reference, q=reference.q[:, :1] + 0 * reference.q, dq=0 * reference.dq, ddq=0 * reference.ddq)
-    sagging = simulate(body, pd, still, NOTHING)
-    sag = np.abs(sagging.q_true - still.q)
-    assert 5e-4 < sag.max() < 1e-3
-    np.testing.assert_allclose(sagging.q_true[:, -1], sagging.q_true[:, 0], atol=2e-5)  # it starts where it sags to
-    for controller in (pid, pi):
-        np.testing.assert_allclose(simulate(body, controller, still, NOTHING).q_true, still.q, atol=1e-9)
-
-
 @pytest.mark.parametrize("recorded", ["command", "mean"])
 @pytest.mark.parametrize(("lag", "delay_s"), [(2.25, 0.0), (0, 1.7e-3)])
 def test_the_lag_of_a_record_is_that_of_a_torque_of_constant_slope(recorded, lag, delay_s):
@@ -144,15 +126,3 @@ def test_the_lag_of_a_record_is_that_of_a_torque_of_constant_slope(recorded, lag
     acting = ramp[0, 10:, 0] - 0.5e-3 - delay_s  # its mean over the period about the tick
     np.testing.assert_allclose(acting - effort, cell.lag_s(1000.0), atol=1e-9)
     assert runs.signals(description(toml("scara")), 0).effort_timing == recorded
-
-
-def test_a_payload_that_is_a_body_is_many_points():
-    """Six points on the axes of a body have its mass, centre and inertia: torques are the same, one by one or as a body."""
-    before, centre, arms = plant(toml("tx40")), np.array([0.03, 0.02, 0.08]), np.diag([0.05, 0.03, 0.04])
-    points, m = np.concatenate([centre + arms, centre - arms]), 2.0 / 6
-    one_by_one = before
-    for point in points:
-        one_by_one = with_payload(one_by_one, m, point)
-    squares = 2 * m * np.diag(arms) ** 2
-    body = with_payload(before, 2.0, centre, np.diag(squares.sum() - squares))
-    np.testing.assert_allclose(body.inverse(*states(6)), one_by_one.inverse(*states(6)), rtol=1e-10)

@@ -424,6 +424,28 @@ def test_a_long_recording_is_tested_as_its_rows_are(method):
     assert (np.abs(long.beta - fit.beta) < 0.3 * fit.intervals.half).all()
 
 
+def test_sums_over_spans_are_those_of_their_rows():
+    (_, evidence), (fit, long) = examined("wls", "scara"), examined_as_long("wls")
+    T, n, b = len(evidence.observed.tau), 2, len(fit.estimate.names)
+    for part in (slice(0, round(T / 5)), slice(round(T / 5), round(2 * T / 5)), slice(round(T / 2), T)):
+        covered, _ = long.aligned((part,))
+        assert max(abs(covered[0] - part.start), abs(covered[-1] + 1 - part.stop)) <= 1
+        assert all((x == np.arange(part.start, part.stop)).all() for x in evidence.aligned((part,)))
+        inside = np.zeros((n, T), dtype=bool)
+        inside[:, covered] = True
+        W, Y = evidence.W[inside.ravel()], evidence.Y[inside.ravel()]
+        (Q, W_k, Y_k, count), bread = long.part((part,)), long.estimate.bread
+        np.testing.assert_allclose(np.linalg.solve(Q.T @ W_k, Q.T @ Y_k), np.linalg.lstsq(W, Y)[0], rtol=1e-7)
+        np.testing.assert_allclose(bread @ Q.T @ Q @ bread.T, bread @ bread.T @ (W.T @ W) @ bread @ bread.T, rtol=1e-7)
+        weight = evidence.weight[inside.ravel()]
+        assert count == pytest.approx(np.sum(evidence.observed.share.T[inside] ** 2), rel=1e-9)
+        per = np.where(weight > 0, 1 / np.where(weight > 0, weight, 1.0), 0.0)
+        beta = fit.estimate.beta * (1 + 0.01 * np.random.default_rng(3).normal(size=b))
+        error = np.linalg.norm((Y - W @ beta) * per)
+        assert long.error((part,), beta) == pytest.approx(error, rel=1e-7)
+        assert evidence.error((slice(covered[0], covered[-1] + 1),), beta) == pytest.approx(error, rel=1e-7)
+
+
 @pytest.mark.parametrize("long", [False, True])
 def test_a_half_without_motion_of_a_joint_determines_nothing_of_it(long):
     signals = recorded("scara")
