@@ -1,4 +1,4 @@
-"""The independent simulator against mathematics: closed forms, energy, another integrator, the control laws by hand."""
+"""The independent simulator against mathematics: closed forms, gradients, another integrator, a torque of constant slope."""
 
 from dataclasses import replace
 
