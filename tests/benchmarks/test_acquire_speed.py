@@ -125,14 +125,3 @@ def _timed(run) -> float:
     start = time.perf_counter()
     run()
     return time.perf_counter() - start
-
-
-def test_size_of_a_recording(tmp_path):
-    frames, path = some_frames(30_000), tmp_path / "a.mcap"
-    recorder = Recorder(path, robot_of(bus_text(6)), source="benchmark", place="robot.toml")
-    for block in np.array_split(frames, 600):
-        recorder.add(block)
-        recorder.tick(int(block["time_ns"][-1]), 0)
-    recorder.close()
-    frames_only = path.stat().st_size / len(frames)
-    print(f"\nframes of noisy drives: {frames_only:.1f} bytes a frame (bound 12)")

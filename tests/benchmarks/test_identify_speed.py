@@ -12,7 +12,6 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -23,7 +22,6 @@ from conftest import described_chi, robot_named
 from acquisition.recording import Header, RecordingWriter, sample_dtype
 from acquisition.robot import fourier_reference
 from identification.data import Work, load_signals
-from identification.design import with_terms
 from identification.methods import Iteration, identify_iv, identify_ls
 from identification.model import InverseModel, base_parameters, described_parameters, direct_model
 from identification.regression import Overrides
@@ -87,17 +85,6 @@ def test_fit_of_the_tx40_recording(tx40):
     q = np.ascontiguousarray(signals.q)
     found, floor_s = ratio(lambda: identify_ls(load_signals(tx40), Overrides()), floor(dynamics, q, q, q))
     print(f"\nfit, MCAP to estimate: {found:.2f} x the floor of {floor_s:.3f} s (bound 5)")
-
-
-def test_fit_with_all_friction_terms_beside_one_without(tx40):
-    """Load friction takes passes, and there are a third more parameters."""
-    signals = load_signals(tx40)
-    usual, every = (
-        replace(signals, robot=with_terms(signals.robot, (frozenset(terms),) * 6))
-        for terms in ((), ("asymmetric", "root", "load"))
-    )
-    found, fit_s = ratio(lambda: identify_ls(every, Overrides()), lambda: identify_ls(usual, Overrides()))
-    print(f"\nfit with all friction terms: {found:.2f} x the fit of {fit_s:.2f} s without (bound 1.5)")
 
 
 def test_instrumental_variables_on_the_tx40_recording(tx40):

@@ -22,7 +22,6 @@ from independent_simulator import (
     description,
     references,
     simulate,
-    timing_not_stated,
     without_control_law,
     without_settings,
 )
@@ -84,7 +83,7 @@ def found_in(name: str, cell: Imperfections, runs: list[int]) -> list[Found]:
     path = references(body, seeds, duration_s=10.0, rate_hz=controller.rate_hz)
     made, stated = simulate(body, controller, path, cell, seed=seeds[0]), cell.lag_s(controller.rate_hz)
     for at, k in enumerate(runs):
-        signals = made.signals(without_control_law(robot) if k % 3 == 1 else robot, at, timing_not_stated())
+        signals = made.signals(without_control_law(robot) if k % 3 == 1 else robot, at, "unknown")
         fits = [fit_by_default(signals, overrides) for overrides in (Overrides(), Overrides(torque_lag_s=stated))]
         base, both = fits[0].base, np.stack([ends(fit) for fit in fits])
         true = described_parameters(InverseModel(robot), base)

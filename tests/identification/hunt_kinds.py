@@ -1,4 +1,4 @@
-"""The 35 kinds of fault of the hunt: what of a sound cell, recording or description is wrong, and which test should say so.
+"""The 33 kinds of fault of the hunt: what of a sound cell, recording or description is wrong, and which test should say so.
 
 A set-up is a robot in its cell, how it is recorded, and the description that a fit is given. A kind changes a sound one.
 """
@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import msgspec
 import numpy as np
 from conftest import REPLAY
-from independent_robots import Plant, plant, two_mass, with_payload
+from independent_robots import Plant, plant, with_payload
 from independent_simulator import (
     Controller,
     Imperfections,
@@ -19,7 +19,6 @@ from independent_simulator import (
     designed_pd,
     references,
     simulate,
-    timing_not_stated,
     with_control,
     with_lost_rows,
     without_control_law,
@@ -108,7 +107,7 @@ def sound(name: str, rng: Rng) -> SetUp:
         controller=law,
         cell=Imperfections(encoder_noise=UNIT[name] * rng.uniform(0.5, 3.0), **{noise: rng.uniform(1.0, 2.0)}),
         robot=without_settings(description(toml, None if "structure" in body.description["controller"] else law)),
-        timing=timing_not_stated() if rng.random() < 1 / 2 else "command",
+        timing="unknown" if rng.random() < 1 / 2 else "command",
     )
 
 
@@ -234,16 +233,6 @@ def without_law(s: SetUp) -> SetUp:
     return replace(s, robot=without_control_law(s.robot))
 
 
-def resonance(s: SetUp, rng: Rng) -> SetUp:
-    share, damping = rng.uniform(0.1, 0.5), rng.uniform(0.02, 0.1)
-    return replace(s, body=two_mass(s.body, share=share, free_hz=rng.uniform(8.0, 25.0), damping=damping))
-
-
-def backlash(s: SetUp, rng: Rng) -> SetUp:
-    body = two_mass(s.body, share=rng.uniform(0.1, 0.5), free_hz=100.0, damping=0.3, play=rng.uniform(1e-4, 5e-4))
-    return replace(s, body=body, substeps=8)
-
-
 def length(s: SetUp, rng: Rng) -> SetUp:
     *others, last = s.robot.joints
     dh = msgspec.structs.replace(last.dh, d_m=last.dh.d_m * off(rng, 1, 6))
@@ -352,8 +341,6 @@ KINDS = {
     "no controller": Kind(change=lambda s, rng: without_law(s)),
     "late, no reference": Kind(change=lambda s, rng: without_reference(late(s, rng)), named=LATE),
     "late, no controller": Kind(change=lambda s, rng: without_law(late(s, rng)), named=LATE),
-    "resonance 8-25 Hz": Kind(change=resonance, robots=("emps",)),
-    "backlash 0.1-0.5 mm": Kind(change=backlash, robots=("emps",)),
     "tilt 1-5°": Kind(
         change=lambda s, rng: replace(
             s, body=plant(REPLAY / s.name / "robot.toml", smooth=SMOOTH, tilt_rad=np.deg2rad(rng.uniform(1, 5)))

@@ -4,18 +4,15 @@ import os
 import platform
 import subprocess
 import sys
-from argparse import Namespace
-from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 
 import pytest
 from conftest import IDENTIFY, REPLAY, ROOT
 
-from acquisition.commands import STATUSES, Progress, from_options, run_command
+from acquisition.commands import STATUSES, Progress, run_command
 from acquisition.commands import main as acquire
-from acquisition.errors import BadInputError, RobotIdimError
-from acquisition.robot import load_robot
+from acquisition.errors import RobotIdimError
 from identification.commands import main as identify
 
 SCARA = REPLAY / "scara" / "robot.toml"
@@ -29,12 +26,8 @@ FIT = REPLAY / "scara" / "fit.json"
         (identify, f"fit {SESSION} --json j --rrd r", ["j", "r"]),
         (identify, f"validate {FIT} {SESSION} --json j", ["j"]),
         (identify, f"compare {FIT} {FIT} --report r.html", ["r.html"]),
-        (identify, f"base {SCARA} --json j", ["j"]),
-        (identify, f"study {SCARA} --runs 1 --duration-s 3 --json j", ["j"]),
-        (identify, f"view {SESSION} -o r", ["r"]),
         (identify, f"simulate {SCARA} -o m --duration-s 2", ["m"]),
         (acquire, f"export {SESSION} -o c", ["c"]),
-        (acquire, f"import {SESSION} -o m", ["m"]),
         (acquire, f"info {SESSION}", []),
     ],
     ids=lambda given: given.split()[0] if isinstance(given, str) else None,
@@ -114,7 +107,6 @@ def test_a_picture_that_cannot_be_written_costs_neither_the_fit_nor_its_table(tm
     ("end", "status", "expected"),
     [
         (None, 0, ""),
-        (0, 0, ""),
         (3, 3, ""),
         (RobotIdimError("a: b"), 1, "p: a: b\n"),
         (KeyboardInterrupt(), 130, "p: interrupted\n"),
@@ -174,28 +166,6 @@ def test_versions_are_those_of_what_is_installed(program, name, capsys):
     assert versions == {package: metadata.version(package) for package in versions}
 
 
-def test_the_help_of_a_fit_has_groups(capsys):
-    with pytest.raises(SystemExit):
-        identify(["fit", "--help"])
-    parts = capsys.readouterr().out.split("\n\n")
-    groups = {title: text for title, _, text in (part.partition(":\n") for part in parts)}
-    for title, option in (("inputs", "--robot"), ("settings of the fit", "--cutoff-hz"), ("outputs", "--rrd")):
-        assert option in groups[title]
-
-
-def test_options_become_fields():
-    @dataclass(frozen=True, kw_only=True)
-    class Settings:
-        span: str = "motion"
-        factor: int = 3
-        share: float | None = None
-        start: str = "regular"
-
-    options = Namespace(span=None, factor=0, other=1, start="ls")
-    assert from_options(Settings, options) == Settings(factor=0, start="ls")
-    assert from_options(Settings, options, start="a file", share=0.5) == Settings(factor=0, start="a file", share=0.5)
-
-
 def test_progress_is_shown_on_a_terminal_only(capfd, monkeypatch):
     monkeypatch.setenv("FORCE_COLOR", "1")
     with Progress("reading") as progress:
@@ -223,10 +193,10 @@ def test_progress_is_shown_on_a_terminal_only(capfd, monkeypatch):
         (identify, "fit a.mcap --cutof-hz 3", "error: unrecognized arguments: --cutof-hz 3: did you mean --cutoff-hz?"),
         (identify, "fit a --method olss", " fit: error: argument --method: invalid choice: 'olss': did you mean ols?"),
         (identify, "fit a.mcap --cutoff-hz 0", "argument --cutoff-hz: '0': expected a number above 0, or none"),
+        (identify, "fit a.mcap --meth wls", "error: unrecognized arguments: --meth wls: did you mean --method?"),
         (identify, "simulate a -o b --rate-hz 0.008", "'0.008': expected a rate in Hz from 1; 0.008 s is 125 Hz"),
         (identify, "fit", " fit: error: the following arguments are required: LOG.mcap"),
         (acquire, "impotr a.csv", "error: argument COMMAND: invalid choice: 'impotr': did you mean import?"),
-        (acquire, "info a.mcap --zzz", "error: unrecognized arguments: --zzz"),
         (acquire, "decode a.mcap -o b.mcap", "error: decode is gone: use import LOG.mcap -o OUT.mcap"),
         (identify, "fit a --cluster=tcp://host:1", "error: --cluster is gone: use --workers tcp://HOST:8786"),
         (identify, "study a --rrd s.rrd", "error: study --rrd is gone: use --report FILE.html"),
@@ -290,36 +260,6 @@ def test_a_urdf_in_place_of_a_description_is_told(tmp_path, monkeypatch, capsys)
         said = capsys.readouterr().err
         assert said.endswith(f": {told}\n")
         assert said.count("\n") == 1
-
-
-@pytest.mark.parametrize(
-    ("start", "text"),
-    [
-        (b'{"format": 8}', "is a JSON file"),
-        (b"\x89MCAP0\r\n", "is a recording"),
-        (b'\xef\xbb\xbf<?xml version="1.0"?><robot name="a"/>', "is a URDF"),
-        (b'\n <robot name="a"/>', "is a URDF"),
-    ],
-)
-def test_another_file_in_place_of_a_description_is_named(start, text, tmp_path):
-    (tmp_path / "fit").write_bytes(start)
-    with pytest.raises(BadInputError) as refused:
-        load_robot(tmp_path / "fit")
-    assert str(refused.value).startswith(f"{tmp_path / 'fit'}: {text}: expected a robot.toml")
-
-
-def test_a_computer_without_can_is_told_what_to_do(capsys, monkeypatch):
-    import can
-
-    def no_can(**_: object) -> None:
-        raise OSError(97, "Address family not supported by protocol")
-
-    monkeypatch.setattr(can, "Bus", no_can)
-    assert acquire(["scan", "--interface", "socketcan", "--channel", "can0"]) == 1
-    assert capsys.readouterr().err == (
-        "robot-acquire: bus: socketcan can0: cannot be opened: [Errno 97] Address family not supported by protocol: expected "
-        "CAN in Linux (modprobe can_raw) and its channel in `ip link`; or another interface\n"
-    )
 
 
 def test_drives_that_nobody_could_join_are_not_emulated(capsys):

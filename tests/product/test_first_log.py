@@ -1,14 +1,13 @@
 """From the first own table and a URDF to the report: three commands, none of which refuses."""
 
 import json
-from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 from independent_simulator import Imperfections, designed_pd, references, simulate
 from independent_urdf import FRICTION_OF_TORQUE, arm_of
-from urdfs import SIX, six_joints
+from urdfs import six_joints
 
 from acquisition.commands import main as acquire
 from acquisition.robot import load_robot
@@ -17,9 +16,6 @@ from identification.model import InverseModel, base_parameters
 
 RATE_HZ, RATIO, GAINS = 250.0, 101.0, (0.13, 0.13, 0.13, 0.09, 0.09, 0.09)
 CELL = Imperfections(encoder_noise=1e-5, torque_noise_percent=1.0, recorded="mean")
-FINGERS = """<joint name="{0}" type="prismatic"><parent link="{2}"/><child link="{1}"/><axis xyz="0 1 0"/>
-<limit lower="0" upper="0.04" velocity="0.2" effort="20"/></joint><link name="{1}"><inertial><mass value="0.015"/>
-<inertia ixx="1e-6" iyy="1e-6" izz="1e-6" ixy="0" ixz="0" iyz="0"/></inertial></link>"""
 
 
 def write(path: Path, header: str, separator: str, columns: list[np.ndarray]) -> None:
@@ -27,35 +23,16 @@ def write(path: Path, header: str, separator: str, columns: list[np.ndarray]) ->
     path.write_text("\n".join([header, *rows, ""]))
 
 
-def indexed(pattern: str) -> list[str]:
-    return [pattern.format(j) for j in range(6)]
-
-
-@cache
-def run() -> tuple[np.ndarray, ...]:
-    """Times, positions, reference, torques of the motors, and those behind the rotors, which a sensor there measures."""
-    body, _ = arm_of(six_joints())
-    given = references(body, [1], duration_s=8.0, rate_hz=RATE_HZ)
-    runs = simulate(body, designed_pd(body, 6.0, RATE_HZ), given, CELL, seed=1)
-    rotors = np.gradient(runs.dq_true[0], 1 / RATE_HZ, axis=0) @ body.rotor
-    return np.arange(runs.q.shape[1]) / RATE_HZ, runs.q[0], runs.q_ref[0], runs.effort[0], runs.effort[0] - rotors
-
-
-def found_parameters() -> dict[str, dict]:
-    found = {one["name"]: one for one in json.loads(Path("fit.json").read_text())["parameters"]}
-    for j, (viscous, coulomb) in enumerate(FRICTION_OF_TORQUE, 1):
-        assert found[f"Fc{j}"]["value"] == pytest.approx(coulomb, rel=0.05)
-        assert found[f"Fv{j}"]["value"] == pytest.approx(viscous, rel=0.1)
-    return found
-
-
 def test_a_ur5_in_the_format_of_rtde(tmp_path, monkeypatch, capsys):
     """True base parameters, by an independent inverse model, are in their 95 % intervals."""
     monkeypatch.chdir(tmp_path)
     Path("ur5.urdf").write_text(six_joints())
-    t, q, ref, tau, _ = run()
+    body, _ = arm_of(six_joints())
+    given = references(body, [1], duration_s=8.0, rate_hz=RATE_HZ)
+    runs = simulate(body, designed_pd(body, 6.0, RATE_HZ), given, CELL, seed=1)
+    t, q, ref, tau = np.arange(runs.q.shape[1]) / RATE_HZ, runs.q[0], runs.q_ref[0], runs.effort[0]
     kinds = ("target_q", "target_qd", "target_current", "actual_q", "actual_qd", "actual_current", "actual_TCP_pose")
-    header = " ".join(["timestamp", *(name for kind in kinds for name in indexed(kind + "_{}"))])
+    header = " ".join(["timestamp", *(f"{kind}_{j}" for kind in kinds for j in range(6))])
     speed, current = np.gradient(q, 1 / RATE_HZ, axis=0), tau / (RATIO * np.array(GAINS))
     write(Path("ur5.csv"), header, " ", [1234.5 + t, ref, speed, 0 * q, q, speed, current, 0.3 + 0 * q])
     gains = ",".join(map(str, GAINS))
@@ -69,42 +46,20 @@ def test_a_ur5_in_the_format_of_rtde(tmp_path, monkeypatch, capsys):
     assert identify(["fit", "ur5.mcap", "--report", "report.html", "--json", "fit.json"]) in (0, 3)
     assert "six: IV (reference recorded), converged" in capsys.readouterr().out
     assert Path("report.html").stat().st_size > 10_000
-    (body, _), dynamics, rng = (
-        arm_of(six_joints()),
-        InverseModel(load_robot(Path("robot.toml"))),
-        np.random.default_rng(0),
-    )
+    dynamics, rng = InverseModel(load_robot(Path("robot.toml"))), np.random.default_rng(0)
     base = base_parameters(dynamics)
     q, dq, ddq = (rng.uniform(low, high, (100, body.n)) for low, high in ((-2, 2), (0.5, 3), (-9, 9)))
     dq *= rng.choice([-1, 1], dq.shape)
     rows = dynamics.regressor(q, dq, ddq)[:, :, base.columns].reshape(-1, base.b)
     true, *_ = np.linalg.lstsq(rows, body.inverse(q, dq, ddq).ravel(), rcond=None)
     np.testing.assert_allclose(rows @ true, body.inverse(q, dq, ddq).ravel(), atol=1e-9)
-    found = found_parameters()
+    found = {one["name"]: one for one in json.loads(Path("fit.json").read_text())["parameters"]}
+    for j, (viscous, coulomb) in enumerate(FRICTION_OF_TORQUE, 1):
+        assert found[f"Fc{j}"]["value"] == pytest.approx(coulomb, rel=0.05)
+        assert found[f"Fv{j}"]["value"] == pytest.approx(viscous, rel=0.1)
     assert list(found) == list(base.names)
     outside = [name for name, x in zip(found, true, strict=True) if not found[name]["low"] <= x <= found[name]["high"]]
     assert len(outside) <= 5  # of 52
-
-
-def test_a_panda_with_torque_sensors_and_fingers(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    last = SIX[-1][0] + "_link"
-    hand = FINGERS.format("panda_finger_joint1", "left", last) + FINGERS.format("panda_finger_joint2", "right", last)
-    Path("panda.urdf").write_text(six_joints().replace("</robot>", hand + "</robot>"))
-    t, q, ref, _, tau = run()
-    kinds = ("state.q", "state.q_d", "state.dq", "state.dq_d", "state.tau_J", "state.tau_ext_hat_filtered", "cmd.q_d")
-    header = ",".join(["time", "success_rate", *(name for kind in kinds for name in indexed(kind + "[{}]"))])
-    speed = np.gradient(q, 1 / RATE_HZ, axis=0)
-    write(Path("panda.csv"), header, ",", [1000 * t, 1 + 0 * t, q, ref, speed, speed, tau, 0 * q, ref])
-    assert identify(["init", "panda.urdf", "--effort", "N m", "--torque-sensor", "-o", "robot.toml"]) == 0
-    assert "locked at zero: panda_finger_joint1: prismatic" in capsys.readouterr().out
-    assert acquire(["import", "panda.csv", "--robot", "robot.toml", "-o", "log.mcap"]) == 0
-    out, err = capsys.readouterr()
-    assert "panda.map.toml: proposed; complete\n" in out
-    assert "rotor_inertia" not in out
-    assert err == ""
-    assert identify(["fit", "log.mcap", "--method", "wls", "--json", "fit.json"]) in (0, 3)
-    found_parameters()
 
 
 def small_table(folder: Path, names: str = "time,q_1,q_2,tau_1,tau_2") -> Path:

@@ -17,11 +17,6 @@ def test_the_reference_has_all_tables():
     assert set(MAP_TABLES) == set(keys_of(TableMap))
 
 
-def test_a_key_has_a_description():
-    keys = [key for kind in (RobotFile, TableMap) for table in keys_of(kind).values() for key in table.items()]
-    assert [key for key, found in keys if not found.get("description")] == []
-
-
 @pytest.mark.parametrize("program", [ACQUIRE, IDENTIFY], ids=lambda program: program.name)
 def test_an_option_has_a_description(program):
     found = list(options_of(program))

@@ -59,15 +59,6 @@ def test_what_is_named_is_there(package):
         module.nothing  # noqa: B018
 
 
-def test_a_fit_of_arrays_is_that_of_the_same_signals(signals):
-    fit = identification.fit(signals.q, signals.effort, 1000.0, str(SCARA), method="ols")
-    same = replace(signals, q_ref=None, effort_timing="unknown")
-    np.testing.assert_array_equal(
-        fit.beta, identification.identify_ls(same, identification.Overrides(), method="ols").beta
-    )
-    assert fit.method == "ols"
-
-
 def test_a_fit_of_arrays_finds_the_true_parameters(signals, by_iv):
     from identification.study import study_truth
 
@@ -103,10 +94,8 @@ def test_arrays_are_copied_and_tell_recordings_apart(signals):
     ("change", "place", "key", "value", "expected"),
     [
         ({"q": np.zeros(50)}, "arrays", "q.shape", (50,), "(N, 2), time first"),
-        ({"q": np.zeros((2, 50))}, "arrays", "q.shape", (2, 50), "(N, 2), time first"),
         ({"q": [["a", "b"]] * 50}, "arrays", "q", None, "numbers of shape (N, 2)"),
         ({"tau": np.zeros((49, 2))}, "arrays", "effort.shape", (49, 2), "(50, 2), as q has"),
-        ({"q_ref": np.zeros((51, 2))}, "arrays", "q_ref.shape", (51, 2), "(50, 2), as q has"),
         ({"tau": np.full((50, 2), np.inf)}, "arrays", "effort[0]", [np.inf, np.inf], "finite numbers"),
         ({"sample_rate_hz": 0.0}, "arrays", "sample_rate_hz", 0.0, "a number above 0"),
         ({"method": "ls"}, "", "method", "ls", "'iv', 'wls' or 'ols'"),
@@ -114,7 +103,6 @@ def test_arrays_are_copied_and_tell_recordings_apart(signals):
         ({"known_torque": np.zeros((50, 1))}, "arrays", "known_torque.shape", (50, 1), "(N, 2), time first"),
         ({"feedforward": [[0, np.nan]] * 50}, "arrays", "feedforward[0]", ANY, "finite numbers"),
         ({"cutoff_hz": -1.0}, "", "cutoff_hz", -1.0, "a number from 0"),
-        ({"low_speed_percent": np.inf}, "", "low_speed_percent", np.inf, "a number from 0"),
         ({"sample_rate_hz": 0.008}, "arrays", "sample_rate_hz", 0.008, "1 or more"),
         ({"bandwidth_hz": 5.0, "robot": robot_named("scara")}, "", "bandwidth_hz", 5.0, "a URDF's path with it"),
         ({"bandwidth_hz": 5.0}, str(SCARA), "", None, "a URDF; robot.toml has a key for it"),
@@ -126,19 +114,6 @@ def test_what_cannot_be_fitted_is_refused(change, place, key, value, expected):
         identification.fit(**{**given, **change})
     error = caught.value
     assert (error.place, error.key, error.value, error.expected) == (place, key, value, expected)
-
-
-def test_a_known_torque_is_explained_with_that_of_the_drives(signals):
-    """One is taken off the drives' torque: the fit is the same if it is told, another if it is not."""
-    known = np.sin(signals.t_s)[:, None] * [3.0, 1.0]
-    plain, told, untold = (
-        identification.fit(
-            signals.q, tau, 1000.0, signals.robot, method="wls", torque_lag_s="none", known_torque=k
-        ).beta
-        for tau, k in ((signals.effort, None), (signals.effort - known, known), (signals.effort - known, None))
-    )
-    np.testing.assert_allclose(told, plain, rtol=1e-9)
-    assert np.abs(untold / plain - 1).max() > 0.1
 
 
 def test_a_velocity_is_compared_with_the_derivative(signals):
@@ -354,14 +329,6 @@ def test_a_stored_fit_is_short_in_print_and_in_a_notebook():
     assert repr(known) == "FitFile(60 parameters)"
 
 
-def test_a_fit_that_is_in_doubt_says_so_in_a_notebook(tmp_path):
-    stored = identification.read_fit(STORED).file
-    line = msgspec.structs.replace(stored.trust[0], level="do not use", text="the torque is <another>")
-    path = tmp_path / "fit.json"
-    path.write_bytes(msgspec.json.encode(msgspec.structs.replace(stored, trust=[line, *stored.trust[1:]])))
-    assert "warning: the torque is <another>" in Page(identification.read_fit(path)._repr_html_()).texts
-
-
 def test_a_fit_predicts_the_torque_of_its_model(by_iv, tmp_path):
     """Of the nearest physically possible links, where there are some."""
     from identification.model import InverseModel
@@ -379,16 +346,6 @@ def test_a_fit_predicts_the_torque_of_its_model(by_iv, tmp_path):
     with pytest.raises(identification.BadInputError) as told:
         identification.read_fit(tmp_path / "bare.json").predict(q, dq, ddq)
     assert (told.value.place, told.value.key) == (str(tmp_path / "bare.json"), "description")
-
-
-def test_a_stored_fit_is_compared_and_exported_as_one_in_memory(by_iv, tmp_path):
-    by_iv.to_json(tmp_path / "fit.json")
-    stored = identification.read_fit(tmp_path / "fit.json")
-    assert [row.off for row in stored.compare(by_iv)] == pytest.approx([0.0] * 8, abs=1e-12)
-    limits = [fit.export(toml=tmp_path / f"{k}.toml") for k, fit in enumerate((by_iv, stored))]
-    values = [acquisition.load_robot(tmp_path / f"{k}.toml").parameters for k in range(2)]
-    assert values[0] == pytest.approx(values[1])
-    assert limits[0].split("model of")[0] == limits[1].split("model of")[0]
 
 
 def test_recordings_are_lists_of_arrays(signals, tmp_path):
@@ -411,21 +368,11 @@ def test_recordings_are_lists_of_arrays(signals, tmp_path):
         assert (caught.value.key, caught.value.value, caught.value.expected) == (key, 1, "2, one for each of q")
 
 
-def test_the_help_of_a_fit_is_short():
-    import inspect
-
-    shown = str(inspect.signature(identification.fit))
-    assert shown.startswith("(q, tau, sample_rate_hz, robot, q_ref=None, *, method=None, ")
-    assert len(shown) < 350
-
-
 @pytest.mark.parametrize(
     ("text", "python"),
     [
         ("another --seed or --harmonics", "another seed or harmonics"),
-        ("--torque-lag-s states one", "torque_lag_s states one"),
         ("--range = 3", "position = 3"),
-        ("--period 3 or longer", "period_s 3 or longer"),
         ("or --allow-untrusted", "or allow_untrusted=True"),
         ("`robot-identify fit --json` and --gains", "`robot-identify fit --json` and gains"),
     ],

@@ -108,15 +108,6 @@ def test_the_methods_are_imported_without_the_slow_parts_of_scipy():
     assert printed(f"import sys, identification.methods\nprint({slow} & set(sys.modules))") == "set()\n"
 
 
-def test_two_files_are_compared_without_what_made_them():
-    fits = [str(ROOT / "replay_data" / "scara" / "fit.json")] * 2
-    code = (
-        f"import sys\nfrom identification.commands import main\nassert main(['compare', *{fits}]) == 0\n"
-        "print(sum(name.split('.')[0] in ('acquisition', 'identification') for name in sys.modules))"
-    )
-    assert int(printed(code).split()[-1]) <= 45
-
-
 MOST_PARAMETERS = 6
 PLAIN_KEYWORDS = {"identification/notebook.py fit"}  # what users call with arrays: no record of options between
 

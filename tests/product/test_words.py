@@ -8,7 +8,7 @@ from conftest import ACQUIRE, IDENTIFY, REPLAY
 
 from identification.study import demo
 
-MAX_CHARACTERS = 120
+MAX_LINES, MAX_CHARACTERS = 40, 120  # a screen
 # Words of the method where plain ones say more.
 UNKNOWN_TO_USERS = (
     r"relative gain of joint \S+ missing",
@@ -33,6 +33,12 @@ EVERY = (
 )
 SMALL = (
     "robot-identify fit log.mcap --consistent",
+    "robot-identify base robot.toml",
+    "robot-identify view log.mcap",
+    "robot-identify friction log.mcap",
+    "robot-identify fleet . -o fleet.parquet",
+    "robot-identify excite robot.toml -o out.csv --periods 1 --harmonics 2 --period 3",
+    "robot-identify study robot.toml --runs 1 --duration-s 2",
     "robot-identify fit log.mcap --method wls --all",
     "robot-acquire info log.mcap",
     "robot-acquire import log.mcap -o again.mcap",
@@ -55,6 +61,8 @@ def test_every_line_fits_a_terminal_and_is_in_words_of_users(name, commands, tmp
         printed = capsys.readouterr()
         lines = [*printed.out.splitlines(), *printed.err.splitlines()]
         assert lines, command
+        if "--all" not in arguments:
+            assert len(printed.out.splitlines()) <= MAX_LINES, command
         if "--all" not in arguments and "info" not in arguments:  # in a pipe these have whole lines
             assert [line for line in lines if len(line) > MAX_CHARACTERS and "─" not in line] == [], command
         for words in UNKNOWN_TO_USERS:

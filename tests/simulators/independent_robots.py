@@ -2,7 +2,7 @@
 
 `plant` reads a robot.toml with tomllib and gives the robot's plant: rigid bodies by spatial vectors at the world's origin
 (Featherstone 2008, chapters 2 and 5), in one pass without a recursion over forces; friction tanh(v/v0); rotors and friction
-of motors through the coupled wrist; cogging, a payload, a spring with play between the motor and the load of a lone axis.
+of motors through the coupled wrist; cogging, a payload.
 States are batches (S, n): one row for each run that is simulated at the same time.
 """
 
@@ -172,24 +172,6 @@ class Friction:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Coupling:
-    """Between motor and load of a lone axis, which carries `share` of the mass and of the friction: a spring with play.
-
-    stiffness N/m, damping N s/m, play m, all of it between the two sides of contact.
-    """
-
-    share: float
-    stiffness: float
-    damping: float
-    play: float = 0.0
-
-    def force(self, stretch: Array, rate: Array) -> Array:
-        """On the load, where the motor is ahead of it by `stretch` and faster by `rate`; none within the play."""
-        beyond = stretch - np.clip(stretch, -self.play / 2, self.play / 2)
-        return np.where(beyond != 0, self.stiffness * beyond + self.damping * rate, 0.0)
-
-
-@dataclass(frozen=True, kw_only=True)
 class Plant:
     """M(q) ddq + rigid bias + rotors + friction + offset + cogging = tau, and the arm's limits as robot.toml states them.
 
@@ -205,7 +187,6 @@ class Plant:
     description: dict[str, Any] = field(repr=False)
     cogging: Array = field(default_factory=lambda: np.zeros(1))
     pitch: Array = field(default_factory=lambda: np.ones(1))
-    coupling: Coupling | None = None
 
     @property
     def n(self) -> int:
@@ -274,28 +255,12 @@ def plant(robot_toml: Path, *, smooth: float = 0.01, tilt_rad: float = 0.0, clos
     )
 
 
-def with_payload(body: Plant, mass: float, at: Sequence[float] = (0.0, 0.0, 0.0), about: Array | float = 0.0) -> Plant:
-    """The same arm with a body in its last link, whose rigid bodies are a `Chain`.
-
-    `at` (3,): the centre of mass in that link's frame; `about` (3, 3): inertia about the centre of mass, none for a point.
-    """
+def with_payload(body: Plant, mass: float, at: Sequence[float] = (0.0, 0.0, 0.0)) -> Plant:
+    """The same arm with a point mass `at` (3,) in the frame of its last link, whose rigid bodies are a `Chain`."""
     chain, c = body.rigid, np.array(at)
     assert isinstance(chain, Chain)
     inertia, moment, masses = chain.inertia.copy(), chain.moment.copy(), chain.mass.copy()
-    inertia[-1] += mass * (c @ c * np.eye(3) - np.outer(c, c)) + about
+    inertia[-1] += mass * (c @ c * np.eye(3) - np.outer(c, c))
     moment[-1] += mass * c
     masses[-1] += mass
     return replace(body, rigid=replace(chain, inertia=inertia, moment=moment, mass=masses))
-
-
-def two_mass(body: Plant, *, share: float, free_hz: float, damping: float, play: float = 0.0) -> Plant:
-    """A lone axis with a share of its mass behind a spring: without play, the free axis oscillates at `free_hz`.
-
-    damping: of that oscillation, in parts of the critical one.
-    """
-    mass = body.inertia_and_bias(np.zeros((1, 1)), np.zeros((1, 1)))[0].item()
-    reduced, w = mass * share * (1 - share), 2 * np.pi * free_hz
-    return replace(
-        body,
-        coupling=Coupling(share=share, stiffness=reduced * w**2, damping=2 * damping * reduced * w, play=play),
-    )

@@ -2,10 +2,8 @@
 
 Many runs go side by side, one row of every array each. In each control period the controller sees what the encoder gives
 (noise and counts are fed back), and its command is recorded at its tick and held for a period, which may begin later than the
-tick. The encoder is the motor's: a load behind a spring or play goes its own way. Between ticks the plant
-is integrated by Runge-Kutta of order 4 in `substeps` steps; the inertia matrix and the torques of speed and gravity, which
-change far more slowly than friction, are those of the middle of the period. `test_independent_simulator` checks that against
-energy, closed forms and an integrator of variable step.
+tick. Between ticks the plant is integrated by Runge-Kutta of order 4 in `substeps` steps; the inertia matrix and the torques of
+speed and gravity, which change far more slowly than friction, are those of the middle of the period.
 """
 
 import math
@@ -151,11 +149,6 @@ def without_settings(robot: Robot) -> Robot:
     return replace(robot, identification=type(robot.identification)())
 
 
-def timing_not_stated() -> str:
-    """The `effort_timing` of a recording that states none."""
-    return "unknown"
-
-
 @dataclass(frozen=True, kw_only=True)
 class Imperfections:
     """What a real cell adds. Percent are of each joint's rms torque along its reference.
@@ -166,7 +159,7 @@ class Imperfections:
     grows from 0 to this over the run. friction_drift: friction grows over the run by this part of itself, about its mean.
     recorded: the `command` of the tick, or the `mean` of the torque that acts over the period about the tick. lag: samples by
     which the record of it is late, between two samples on the straight line. actuation_delay_s: a command acts this much
-    after its tick. gain_factor: the controller's true gains over the described ones.
+    after its tick.
     """
 
     encoder_noise: float = 0.0
@@ -180,7 +173,6 @@ class Imperfections:
     recorded: Literal["command", "mean"] = "command"
     lag: float = 0.0
     actuation_delay_s: float = 0.0
-    gain_factor: float = 1.0
 
     def lag_s(self, rate_hz: float) -> float:
         """How late the recorded torque is against the one that acts: a command is written down before it acts, and held."""
@@ -243,30 +235,6 @@ def step(plant: Plant, q: Array, v: Array, tau: Array, middle_v: Array, h: float
     return q, v
 
 
-def step_two_mass(plant: Plant, state: tuple[Array, ...], tau: Array, h: float, substeps: int) -> tuple[Array, ...]:
-    """(q, v) of the motor's side and (q, v) of the load's (S, 1), a period h later."""
-    link, d = plant.coupling, h / substeps
-    assert link is not None
-    M, bias = plant.inertia_and_bias(state[0], state[1])
-    shares = np.array([[1 - link.share], [link.share]])[:, None]
-    masses = shares * M[0]
-
-    def acceleration(x: Array, v: Array) -> Array:
-        """Of motor and load (2, S, 1)."""
-        force = link.force(x[0] - x[1], v[0] - v[1])
-        return (np.stack([tau - bias - force, force]) - shares * plant.friction(v)) / masses
-
-    x, v = np.stack(state[::2]), np.stack(state[1::2])
-    for _ in range(substeps):
-        a1 = acceleration(x, v)
-        a2 = acceleration(x + 0.5 * d * v, v + 0.5 * d * a1)
-        a3 = acceleration(x + 0.5 * d * v + 0.25 * d**2 * a1, v + 0.5 * d * a2)
-        a4 = acceleration(x + d * v + 0.5 * d**2 * a2, v + d * a3)
-        x = x + d * v + d**2 / 6 * (a1 + a2 + a3)
-        v = v + d / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
-    return x[0], v[0], x[1], v[1]
-
-
 def shifted(x: Array, samples: float) -> Array:
     """x (S, N, n) that many samples later, on the straight line between two; before its begin it is its first row."""
     at = np.clip(np.arange(x.shape[1]) - samples, 0, x.shape[1] - 1)
@@ -304,8 +272,8 @@ def simulate(
     cascade, to_joints = c.structure.startswith("cascade"), plant.R * c.drive_gain[:, None]
     integrates = c.structure in ("cascade_p_pi", "pid")
     speed_share = 1.0 if c.structure in ("pd_velocity_feedforward", "pid") else 0.0
-    kp, kd, ki = (cell.gain_factor * c.stiffness(), cell.gain_factor * c.velocity_gain, c.integral_gain)
-    ki = ki * kd if cascade else ki * cell.gain_factor
+    kp, kd = c.stiffness(), c.velocity_gain
+    ki = c.integral_gain * kd if cascade else c.integral_gain
     target, target_speed = reference.q @ plant.R.T, reference.dq @ plant.R.T
     flat = (x.reshape(-1, n) for x in (reference.q, reference.dq, reference.ddq))
     level = np.sqrt(np.mean(plant.inverse(*flat).reshape(S, N, n) ** 2, axis=1, keepdims=True)) / 100
@@ -329,7 +297,7 @@ def simulate(
     rho, error_seen = cell.encoder_correlation, np.random.default_rng([3, seed]).standard_normal((S, n))
     # In the part of a period that has begun, the command before the newest still acts.
     periods, begun = divmod(round(cell.actuation_delay_s / T, 9), 1.0)
-    load, back, body = (q, v), np.linalg.inv(plant.R).T, plant
+    back, body = np.linalg.inv(plant.R).T, plant
     for k in range(N):
         error_seen = rho * error_seen + np.sqrt(1 - rho**2) * rng.standard_normal((S, n))
         seen = q @ plant.R.T + noise * error_seen
@@ -355,10 +323,7 @@ def simulate(
         for part, from_tick in ((begun, newest - 1), (1 - begun, newest)):
             if part:
                 tau, h, steps = commanded[:, max(0, from_tick)] + push[:, k], part * T, math.ceil(part * substeps)
-                if body.coupling is None:
-                    q, v = step(body, q, v, tau, v + 0.5 * h * acceleration, h, steps)
-                else:
-                    q, v, *load = step_two_mass(body, (q, v, *load), tau, h, steps)
+                q, v = step(body, q, v, tau, v + 0.5 * h * acceleration, h, steps)
     recorded = commanded
     if cell.recorded == "mean":  # of a torque that is held: half a period and the delay after the command
         recorded = shifted(recorded, 0.5 + cell.actuation_delay_s / T)

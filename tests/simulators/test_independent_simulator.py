@@ -1,11 +1,11 @@
-"""The independent simulator against mathematics: closed forms, energy, another integrator, the control laws by hand."""
+"""The independent simulator against mathematics: closed forms, gradients, another integrator, a torque of constant slope."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from conftest import REPLAY, described_chi, robot_named
-from independent_robots import Friction, plant, two_mass, with_payload
+from independent_robots import plant
 from independent_simulator import (
     Imperfections,
     Runs,
@@ -15,14 +15,12 @@ from independent_simulator import (
     references,
     simulate,
     step,
-    step_two_mass,
 )
 from scipy.integrate import solve_ivp
 
 from identification.model import InverseModel
 
 NAMES = ("emps", "scara", "tx40")
-NOTHING = Imperfections()
 
 
 def toml(name: str):
@@ -31,13 +29,6 @@ def toml(name: str):
 
 def states(n: int, count: int = 20) -> np.ndarray:
     return np.random.default_rng(n).uniform(-2, 2, size=(3, count, n))
-
-
-def short_run(name: str, cell: Imperfections = NOTHING, duration_s: float = 1.0, **changes: object) -> Runs:
-    body = plant(toml(name))
-    controller = designed_pd(body, 10.0, 1000.0) if name == "tx40" else described_controller(body)
-    controller = replace(controller, **changes)
-    return simulate(body, controller, references(body, range(2), duration_s=duration_s, rate_hz=1000.0), cell)
 
 
 @pytest.mark.parametrize("closed_form", [True, False])
@@ -118,67 +109,6 @@ def test_steps_are_those_of_an_integrator_of_variable_step(name, delay_s, closes
     assert np.abs(found - without).max() > 5 * closest
 
 
-def test_references_begin_and_end_at_rest():
-    found = references(plant(toml("tx40")), range(2), duration_s=6.0, rate_hz=1000.0)
-    for x, slope in ((found.q, found.dq), (found.dq, found.ddq)):
-        assert np.abs(slope[:, [0, -1]]).max() < 1e-9
-        numeric = np.gradient(x, 1e-3, axis=1)[:, 1:-1]
-        np.testing.assert_allclose(slope[:, 1:-1], numeric, atol=2e-3 * np.abs(slope).max())
-    assert np.abs(found.q[0] - found.q[1]).max() > 0.3
-
-
-def test_the_recorded_torque_is_the_law_on_what_the_encoder_gave():
-    """PD with velocity feed-forward on the SCARA: noise and counts are in the command, and the command is that of its tick."""
-    counts = 2 * np.pi / 65536
-    runs = short_run("scara", Imperfections(encoder_noise=2e-5, encoder_step=counts, gain_factor=1.1))
-    np.testing.assert_allclose(runs.q, np.round(runs.q / counts) * counts, atol=1e-12)
-    assert 1e-5 < np.std(runs.q - runs.q_true) < 1e-4
-    reference = references(plant(toml("scara")), range(2), duration_s=1.0, rate_hz=1000.0)
-    speed = np.diff(runs.q, axis=1) / 1e-3
-    expected = 1.1 * (
-        np.array([3700.0, 60.0]) * (runs.q_ref - runs.q)[:, 1:] + np.array([190.0, 3.1]) * (reference.dq[:, 1:] - speed)
-    )
-    np.testing.assert_allclose(runs.effort[:, 1:], expected, atol=1e-9)
-
-
-def test_the_axis_is_driven_by_the_law_of_its_authors():
-    """EMPS: v = kv (kp e - dq), dq over two samples, 10 V at most, 35.15 N/V."""
-    runs = short_run("emps", Imperfections(encoder_noise=2e-5), saturation=np.array([3.0]))
-    q, e = runs.q[..., 0], (runs.q_ref - runs.q)[..., 0]
-    volts = 243.45 * (160.18 * e[:, 2:] - (q[:, 2:] - q[:, :-2]) / 2e-3)
-    assert (np.abs(volts) > 3.0).any()
-    np.testing.assert_allclose(runs.effort[:, 2:, 0], 35.15065188 * np.clip(volts, -3.0, 3.0), atol=1e-9)
-
-
-def test_an_integral_carries_the_arm_and_starts_in_balance():
-    body = plant(toml("tx40"))
-    pd = designed_pd(body, 10.0, 1000.0)
-    pid = replace(pd, structure="pid", integral_gain=5.0 * pd.position_gain)
-    pi = replace(
-        pid, structure="cascade_p_pi", position_gain=pd.position_gain / pd.velocity_gain, integral_gain=np.full(6, 5.0)
-    )
-    reference = references(body, range(1), duration_s=0.4, rate_hz=1000.0)
-    still = replace(reference, q=reference.q[:, :1] + 0 * reference.q, dq=0 * reference.dq, ddq=0 * reference.ddq)
-    sagging = simulate(body, pd, still, NOTHING)
-    sag = np.abs(sagging.q_true - still.q)
-    assert 5e-4 < sag.max() < 1e-3
-    np.testing.assert_allclose(sagging.q_true[:, -1], sagging.q_true[:, 0], atol=2e-5)  # it starts where it sags to
-    for controller in (pid, pi):
-        np.testing.assert_allclose(simulate(body, controller, still, NOTHING).q_true, still.q, atol=1e-9)
-
-
-def test_imperfections_are_what_they_are_called():
-    plain, late = short_run("scara"), short_run("scara", Imperfections(lag=3))
-    np.testing.assert_array_equal(late.effort[:, 3:], plain.effort[:, :-3])
-    np.testing.assert_array_equal(late.q, plain.q)
-    drifting = short_run("scara", Imperfections(drift_percent=50.0))
-    assert (np.abs(drifting.q_true - plain.q_true)[:, -1] > 1e-4).all()
-    noisy = short_run("scara", Imperfections(torque_noise_percent=5.0, coloured_noise_percent=5.0))
-    np.testing.assert_array_equal(noisy.q, plain.q)
-    pushed = short_run("scara", Imperfections(disturbance_percent=5.0))
-    assert np.abs(pushed.q - plain.q).max() > 1e-6
-
-
 @pytest.mark.parametrize("recorded", ["command", "mean"])
 @pytest.mark.parametrize(("lag", "delay_s"), [(2.25, 0.0), (0, 1.7e-3)])
 def test_the_lag_of_a_record_is_that_of_a_torque_of_constant_slope(recorded, lag, delay_s):
@@ -196,86 +126,3 @@ def test_the_lag_of_a_record_is_that_of_a_torque_of_constant_slope(recorded, lag
     acting = ramp[0, 10:, 0] - 0.5e-3 - delay_s  # its mean over the period about the tick
     np.testing.assert_allclose(acting - effort, cell.lag_s(1000.0), atol=1e-9)
     assert runs.signals(description(toml("scara")), 0).effort_timing == recorded
-
-
-def without_friction(body):
-    n = body.n
-    friction = replace(body.friction, coulomb=0 * body.friction.coulomb, viscous=np.zeros((n, n)))
-    return replace(body, friction=friction, offset=np.zeros(n))
-
-
-def test_cogging_has_a_potential():
-    """Of the torque A sin(2 pi q / p): it is gone behind each pitch."""
-    A, p = 30.0, 0.01
-    body = replace(without_friction(plant(toml("emps"))), cogging=np.array([A]), pitch=np.array([p]))
-    places = np.array([[p / 4], [p / 2], [1.75 * p]])
-    np.testing.assert_allclose(body.inertia_and_bias(places, 0 * places)[1], [[A], [0], [-A]], atol=1e-12)
-
-
-def test_a_payload_is_a_point_mass():
-    """The inertia matrix grows by m JᵀJ, J that of the point; gravity by m g at it."""
-    before = plant(toml("tx40"))
-    at, q = np.array([0.1, 0.02, -0.05]), states(6)[0]
-    after = with_payload(before, 2.0, at)
-
-    def point(q: np.ndarray) -> np.ndarray:
-        _, origin, rotation = before.rigid._frames(q)
-        return origin[:, -1] + rotation[:, -1] @ at
-
-    J = np.stack([(point(q + e) - point(q - e)) / 2e-6 for e in 1e-6 * np.eye(6)], axis=-1)
-    (M, bias), (M_after, bias_after) = (body.inertia_and_bias(q, 0 * q) for body in (before, after))
-    np.testing.assert_allclose(M_after - M, 2.0 * J.swapaxes(1, 2) @ J, atol=1e-8)
-    np.testing.assert_allclose(bias_after - bias, 2.0 * 9.81 * J[:, 2], atol=1e-7)
-
-
-def test_a_payload_that_is_a_body_is_many_points():
-    """Six points on the axes of a body have its mass, centre and inertia: torques are the same, one by one or as a body."""
-    before, centre, arms = plant(toml("tx40")), np.array([0.03, 0.02, 0.08]), np.diag([0.05, 0.03, 0.04])
-    points, m = np.concatenate([centre + arms, centre - arms]), 2.0 / 6
-    one_by_one = before
-    for point in points:
-        one_by_one = with_payload(one_by_one, m, point)
-    squares = 2 * m * np.diag(arms) ** 2
-    body = with_payload(before, 2.0, centre, np.diag(squares.sum() - squares))
-    np.testing.assert_allclose(body.inverse(*states(6)), one_by_one.inverse(*states(6)), rtol=1e-10)
-
-
-def coupled_motion(body, state: tuple, force: float, ticks: int) -> np.ndarray:
-    """States (ticks, 4) of a lone axis with a coupling: motor's and load's position and speed, every 0.1 ms."""
-    found, state = [], tuple(np.full((1, 1), x) for x in state)
-    for _ in range(ticks):
-        found.append([x.item() for x in state])
-        state = step_two_mass(body, state, np.full((1, 1), force), 1e-4, 1)
-    return np.array(found)
-
-
-def test_two_masses_oscillate_at_their_frequency():
-    """Let go when stretched: the stretch is a cosine of the free frequency, and the centre of mass stays."""
-    body = two_mass(without_friction(plant(toml("emps"))), share=0.3, free_hz=12.0, damping=0.0)
-    x = coupled_motion(body, (0.0, 0.0, 1e-3, 0.0), 0.0, 2000)
-    t = 1e-4 * np.arange(2000)
-    np.testing.assert_allclose(x[:, 2] - x[:, 0], 1e-3 * np.cos(2 * np.pi * 12.0 * t), atol=1e-8)
-    np.testing.assert_allclose(0.7 * x[:, 0] + 0.3 * x[:, 2], 0.3e-3, atol=1e-12)
-
-
-def test_play_transmits_nothing_inside():
-    """The motor alone goes through half the play under its own mass; then the momentum of both is that of the force."""
-    body = two_mass(without_friction(plant(toml("emps"))), share=0.4, free_hz=100.0, damping=0.3, play=4e-4)
-    x, t = coupled_motion(body, (0.0, 0.0, 0.0, 0.0), 50.0, 2000), 1e-4 * np.arange(2000)
-    a, inside = 50.0 / (0.6 * 95.1089), x[:, 0] < 2e-4
-    np.testing.assert_allclose(x[inside, 0], 0.5 * a * t[inside] ** 2, atol=1e-12)
-    assert (x[inside, 2:] == 0).all()
-    assert inside.sum() == pytest.approx(np.sqrt(2 * 2e-4 / a) / 1e-4, abs=1)
-    np.testing.assert_allclose(95.1089 * (0.6 * x[:, 1] + 0.4 * x[:, 3]), 50.0 * t, rtol=1e-9, atol=1e-9)
-    assert x[-1, 2] > 0.1 * x[-1, 0]
-
-
-def test_friction_by_direction_and_near_standstill():
-    one = np.eye(1)
-    friction = Friction(directions=one, coulomb=np.array([2.0]), viscous=3 * one, smooth=np.array([1e-3]))
-    v = np.array([[0.5], [-0.5], [2e-3]])
-    np.testing.assert_allclose(friction(v)[:, 0], [3.5, -3.5, 2 * np.tanh(2) + 6e-3], rtol=1e-12)
-    np.testing.assert_allclose(replace(friction, asymmetry=0.2)(v)[:2, 0], [1.2 * 3.5, -0.8 * 3.5], rtol=1e-12)
-    slow = replace(friction, stribeck=0.5)(v)[:, 0]
-    np.testing.assert_allclose(slow[:2], [3.5, -3.5], rtol=1e-12)
-    assert slow[2] == pytest.approx(2 * np.tanh(2) * (1 + 0.5 * np.exp(-0.01)) + 6e-3)

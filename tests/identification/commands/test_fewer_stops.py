@@ -3,7 +3,7 @@
 import shutil
 
 import pytest
-from conftest import PROGRAMS, REPLAY
+from conftest import REPLAY
 
 from acquisition.robot import load_robot
 from identification.commands import main
@@ -16,20 +16,6 @@ SCARA = REPLAY / "scara" / "session.mcap"
 def answer(capsys, *arguments: object) -> str:
     assert main([str(x) for x in arguments]) == 0
     return capsys.readouterr().out
-
-
-@pytest.mark.parametrize(
-    ("program", "given"),
-    [
-        ("identification", ["fit", "a.mcap", "--meth", "wls"]),
-        ("acquisition", ["info", "--he"]),
-        ("identification", ["--vers"]),
-    ],
-)
-def test_options_are_not_abbreviated(capsys, program, given):
-    with pytest.raises(SystemExit) as end:
-        PROGRAMS[program].main(given)
-    assert end.value.code == 2
 
 
 def test_a_table_in_place_of_a_recording(capsys, tmp_path):

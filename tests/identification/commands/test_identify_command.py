@@ -1,7 +1,6 @@
 """`robot-identify` as a user meets it: tables, files, and one line for every mistake."""
 
 import json
-import re
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,6 @@ from made_up_recordings import header
 
 from acquisition.recording import RecordingWriter, read_recording, sample_dtype
 from acquisition.robot import Robot, robot_from_files
-from identification.commands import main
 
 SESSION, SCARA = REPLAY / "scara" / "session.mcap", REPLAY / "scara" / "robot.toml"
 
@@ -154,11 +152,3 @@ def test_fits_that_do_not_belong_are_refused(capsys, tmp_path, changes, message)
     assert message in refused(capsys, "validate", path, SESSION)
     path.write_text("{")
     assert "not a fit" in refused(capsys, "validate", path, SESSION)
-
-
-@pytest.mark.parametrize("options", [["--cutoff-hz", "-3"], ["--cutoff-hz", "x"], ["--method", "best"]])
-def test_options_out_of_range_are_refused_before_anything_is_read(capsys, options):
-    with pytest.raises(SystemExit) as stopped:
-        main(["fit", "log.mcap", *options])
-    assert stopped.value.code == 2
-    assert re.search("expected a number above 0, or none|invalid choice", capsys.readouterr().err)

@@ -82,17 +82,6 @@ def test_noise_has_the_deviation_that_it_has_in_the_other_simulator(name, own, t
     assert (np.std(one[0], axis=0) > 0).all()
 
 
-def test_counts_are_what_is_recorded_and_what_the_controller_acts_on():
-    effort, off = packaged("scara", encoder_step=1e-3)
-    q = off + reference("scara").q[0, SETTLED]
-    np.testing.assert_allclose(q, np.rint(q / 1e-3) * 1e-3, atol=1e-12)
-    speed = np.diff(q, axis=0) * 1000.0
-    dq_ref = np.gradient(reference("scara").q[0], 1e-3, axis=0)[SETTLED]
-    expected = np.array([3700.0, 60.0]) * -off[1:] + np.array([190.0, 3.1]) * (dq_ref[1:] - speed)
-    mean = 0.5 * (expected[1:] + expected[:-1])
-    np.testing.assert_allclose(effort[2:-1], mean[:-1], atol=1e-6 * np.abs(expected).max())
-
-
 def test_a_lag_moves_the_torque_alone():
     effort, off = packaged("scara")
     late, same = packaged("scara", lag_samples=3)
@@ -113,12 +102,6 @@ def test_coloured_noise_is_that_of_the_other_simulator():
         assert np.mean(z[1:] * z[:-1]) / np.mean(z**2) == pytest.approx(0.98, abs=2e-3)
     starts = [own_coloured(k, (2, 4))[0] for k in range(100)]
     assert np.std(starts) == pytest.approx(1.0, rel=0.15)
-
-
-def test_one_kind_of_noise_does_not_change_another():
-    quiet, noisy = packaged("emps", effort_percent=1.0), packaged("emps", effort_percent=1.0, coloured_percent=1.0)
-    again = packaged("emps", coloured_percent=1.0)
-    np.testing.assert_allclose(noisy[0] - quiet[0], again[0] - packaged("emps")[0], atol=1e-9)
 
 
 def test_every_noise_is_an_option_and_stands_in_the_recording(tmp_path):

@@ -12,8 +12,7 @@ from identification.errors import NoFitError
 from identification.report import print_whole
 from identification.study import VariedFit, moves_of, sensitivity_document, vary
 from identification.study.sensitivity import Variant, fit_variant
-from identification.view.charts import noise_chart, sensitivity_charts
-from identification.view.colors import LIGHT, ORANGE, PURPLE
+from identification.view.charts import noise_chart
 
 SCARA = REPLAY / "scara" / "session.mcap"
 
@@ -104,22 +103,6 @@ def test_moves_are_in_half_widths_of_iv_by_the_rules_and_of_essential_parameters
     assert cut[-1] == "too short"
     assert [row[0] for row in document.sections[1].table.rows] == ["M1", "Fc1", "M1", "Fc1"]
     assert document.short.sections[1].table is None
-
-
-def test_a_chart_has_both_methods_in_every_variant_that_has_a_fit():
-    (chart,) = sensitivity_charts(made_up())
-    assert chart.names == [(name, LIGHT) for name in ("by the rules", "cut-off none", "position noise 1e-05 m rms")]
-    column, other = chart.columns
-    assert (column.head, other.head) == ("M1 ± 95 %", "Fc1 ± 95 %"), "the essential ones"
-    ls, iv = ([m for m in column.marks if m.color == color] for color in (PURPLE, ORANGE))
-    assert [(round(m.row), m.shape, m.value, m.half) for m in ls] == [(0, "cross", 10.0, 2.0), (2, "cross", 14.0, 2.0)]
-    assert [(round(m.row), m.shape, m.value, m.half) for m in iv] == [(0, "dot", 10.5, 0.5), (2, "dot", 10.25, 0.5)]
-    assert column.lines == (10.0, 11.0), "the interval of IV by the rules"
-    assert column.axis.low < 8.0
-    assert column.axis.high > 16.0
-    many = {f"M{k}": (1.0, 0.1, 1.0, 0.1) for k in range(9)}
-    charts = sensitivity_charts([replace(made_up()[0], values=many, essential=())])
-    assert [len(one.columns) for one in charts] == [3, 3, 3]
 
 
 def test_the_mass_over_noise_is_drawn_by_both_methods_with_intervals_and_the_truth():

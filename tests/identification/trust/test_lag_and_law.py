@@ -13,8 +13,7 @@ from looked_at import looked_at
 
 from identification.data import Recordings, Signals, load_signals
 from identification.estimation import System, whitened
-from identification.methods import Fit, identify, identify_ls, read_equations
-from identification.methods.timing import known_lags
+from identification.methods import Fit, identify, identify_ls
 from identification.regression import Overrides, make_problem, sampled_at
 from identification.regression.law import law_of
 from identification.trust import TrustLine, trust_in
@@ -157,12 +156,10 @@ def test_recordings_alike_have_one_lag_and_others_their_own():
     ("timing", "rate_hz", "stated", "option", "expected"),
     [
         ("command", 1000.0, None, None, (-0.5e-3, 0.25e-3, "effort_timing command")),
-        ("command", 500.0, None, None, (-1e-3, 0.5e-3, "effort_timing command")),
         ("command", None, None, None, (-0.5e-3, 0.25e-3, "effort_timing command")),
         ("mean", 1000.0, None, None, (0.0, 0.25e-3, "effort_timing mean")),
         ("measured", 1000.0, None, None, (0.0, 0.25e-3, "effort_timing measured")),
         ("unknown", 1000.0, None, None, (0.0, 2e-3, "nothing")),
-        ("command", 1000.0, "none", None, (0.0, 0.0, "torque_lag_s")),
         ("command", 1000.0, 2e-3, None, (2e-3, 0.0, "torque_lag_s")),
         ("command", 1000.0, 2e-3, "none", (0.0, 0.0, "torque_lag_s")),
         ("unknown", 1000.0, "none", 1e-3, (1e-3, 0.0, "torque_lag_s")),
@@ -172,17 +169,6 @@ def test_what_is_known_of_a_lag(timing, rate_hz, stated, option, expected):
     signals = with_controller(replace(recorded("scara"), effort_timing=timing), sample_rate_hz=rate_hz)
     own = msgspec.structs.replace(signals.robot.identification, torque_lag_s=stated)
     assert known(replace(signals, robot=replace(signals.robot, identification=own)), option) == expected
-
-
-def test_the_described_law_tells_the_lag_of_a_command():
-    signals = recorded("emps", lag=1, noise=2e-5)
-    group, stamped = (
-        known_lags(read_equations(replace(signals, effort_timing=timing), Overrides(), lambda text: None))[0]
-        for timing in ("unknown", "command")
-    )
-    assert 1e3 * group.value_s == pytest.approx(0.5, abs=0.1)
-    assert group.sd_s == pytest.approx(0.5e-3, rel=0.1)
-    assert 1 / stamped.sd_s**2 == pytest.approx(1 / group.sd_s**2 + 1 / 0.25e-3**2)
 
 
 def test_the_shift_is_that_of_a_sine_and_ends_are_cut():

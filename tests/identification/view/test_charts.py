@@ -13,11 +13,11 @@ from identification.study import Run, RunFit
 from identification.trust import Figure, Trust, TrustLine
 from identification.view import charts
 from identification.view.axes import decades, linear, logarithmic
-from identification.view.charts import MAX_ROWS, STUDY_ROWS, deviation_charts, study_chart, trust_charts
+from identification.view.charts import STUDY_ROWS, deviation_charts, study_chart, trust_charts
 from identification.view.colors import GREEN, GREY, LIGHT, ORANGE, PURPLE, SKY, VERMILLION
-from identification.view.panels import Column, Curve, Graph, Mark, Rows
+from identification.view.panels import Column, Mark, Rows
 from identification.view.signal_panels import spectrum_charts
-from identification.view.svg_panels import HEAD, LEFT, PITCH, RIGHT, draw_graph, draw_rows
+from identification.view.svg_panels import HEAD, PITCH, draw_graph, draw_rows
 
 
 def found(column, **given):
@@ -27,11 +27,11 @@ def found(column, **given):
 AXES = {
     "linear": (linear(-1.0, 9.0, 5), {0.0: "0", 2.0: "2", 4.0: "4", 6.0: "6", 8.0: "8"}, 4.0, 0.5),
     "small": (linear(0.0, 0.03, 3), {0.0: "0.00", 0.01: "0.01", 0.02: "0.02", 0.03: "0.03"}, 0.015, 0.5),
-    "a point": (linear(2.0, 2.0, 3), {2.0: "2"}, 2.0, 0.0),
     "logarithmic": (logarithmic(0.5, 500.0, 6), {1.0: "1", 10.0: "10", 100.0: "100"}, 5.0, 1 / 3),
     "decades": (decades([3e-6, 0.2], 3), {1e-6: "1e-6", 1e-4: "1e-4", 1e-2: "0.01", 1.0: "1"}, 1e-3, 0.5),
-    "zero": (logarithmic(0.01, 100.0, 4), {0.01: "0.01", 0.1: "0.1", 1.0: "1", 10.0: "10", 100.0: "100"}, 0.0, 0.0),
+    "a point": (linear(2.0, 2.0, 3), {2.0: "2"}, 2.0, 0.0),
     "beyond": (linear(0.0, 1.0, 1), {0.0: "0", 1.0: "1"}, 7.0, 1.0),
+    "zero": (logarithmic(0.01, 100.0, 4), {0.01: "0.01", 0.1: "0.1", 1.0: "1", 10.0: "10", 100.0: "100"}, 0.0, 0.0),
 }
 
 
@@ -65,24 +65,6 @@ def test_parameters_have_rows_with_values_intervals_and_differences():
     exact = deviation_charts(true, [own])[0].columns[1]
     assert [m.value for m in found(exact, shape="cross")] == pytest.approx([-0.1 / 0.588, 0.0]), "in those of the other"
     assert len(deviation_charts(own, [])[0].columns) == 1
-
-
-@pytest.mark.parametrize(("count", "sizes"), [(1, [1]), (30, [30]), (31, [16, 15]), (60, [30, 30]), (61, [21, 21, 19])])
-def test_many_parameters_stand_in_charts_of_like_sizes(count, sizes):
-    charts = deviation_charts(values("IV", **{f"M{k}": (1.0, 0.1) for k in range(count)}), [])
-    assert [len(chart.names) for chart in charts] == sizes
-    assert max(sizes) <= MAX_ROWS
-    assert len({chart.columns[0].axis.high for chart in charts}) == 1, "on one scale"
-
-
-@pytest.mark.parametrize("essential", [False, True])
-def test_the_chart_of_a_fit_marks_its_essential_parameters(essential):
-    from identification.methods import fitted_parameters
-
-    fit = fitted(made_up(), essential=essential)
-    charts = deviation_charts(fitted_parameters(fit), [])
-    assert [name for chart in charts for name, _ in chart.names] == list(fit.estimate.names)
-    assert {name for c in charts for name, color in c.names if color == ORANGE} == set(fit.essential_names)
 
 
 def test_figures_of_the_trust_tests_have_their_intervals_and_what_was_expected():
@@ -196,17 +178,3 @@ def test_rows_are_drawn_where_their_axis_says():
     (bar,) = path("l green")
     assert (bar[:2], bar[2]) == (at(0.0, 2), pytest.approx(-0.5 * (one - zero), abs=0.11))
     assert path("l sky")[0][:2] == at(0.25, 2)
-
-
-def test_a_curve_keeps_its_peaks_and_has_no_more_points_than_pixels():
-    t = np.linspace(0.0, 10.0, 50_001)
-    x = np.sin(t)
-    x[31_234] = 7.0
-    graph = Graph(path=("x",), title="x", curves=(Curve(key="x", color=SKY, line=(t, x)),))
-    (path,) = re.findall(r'd="M(\d+ -?\d+l[^"]*)"', draw_graph(graph))
-    steps = np.array([int(n) for n in re.findall(r"-?\d+", path)]).reshape(-1, 2)
-    xy = steps.cumsum(axis=0) / 2
-    assert len(xy) <= 2 * (RIGHT - LEFT) + 2
-    assert xy[:, 1].argmin() == pytest.approx(len(xy) * 31_234 / 50_001, abs=4)
-    assert xy[:, 0].min() == pytest.approx(LEFT, abs=1)
-    assert xy[:, 0].max() == pytest.approx(RIGHT, abs=1)

@@ -4,7 +4,6 @@ import html.parser
 import re
 import shutil
 import time
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -17,9 +16,7 @@ from scipy import signal
 
 from identification.commands import main
 from identification.view import draw_fit, join_pictures, write_html, write_rrd
-from identification.view.colors import SKY
-from identification.view.panels import Curve, Graph, Log, Plot, Rows, Scene
-from identification.view.panels import Page as PageOfPanels
+from identification.view.panels import Graph, Log, Plot, Rows, Scene
 from identification.view.signal_panels import _welch
 
 SCARA, TX40 = (REPLAY / robot / "session.mcap" for robot in ("scara", "tx40"))
@@ -126,16 +123,6 @@ def test_the_report_of_several_recordings_has_the_signals_of_each(tmp_path):
     assert names[: len(drawn.pages)] == [page.name for page in drawn.pages]
     more = {name.split(":")[0] for name in names[len(drawn.pages) :]}
     assert more == {"overview", "residual", "signal", "motion"}
-
-
-def test_a_legend_names_what_is_drawn_once(tmp_path):
-    line = np.arange(3.0), np.arange(3.0)
-    shown = [Curve(key=key, name=name, color=SKY, line=line) for key, name in (("a", "edge"), ("b", "edge"), ("c", ""))]
-    plot = Plot(path=("x",), title="x", curves=tuple(shown))
-    drawn = replace(picture(SCARA), pages=(PageOfPanels(name="x", groups={"x": [plot]}),))
-    page = page_of(drawn, tmp_path)
-    assert [text for text in page.texts if text in ("edge", "c")] == ["edge", "c"]
-    assert (tmp_path / "report.html").read_text().count('<path class="l sky"') == 3
 
 
 @pytest.mark.parametrize("length", [400, 401])

@@ -135,15 +135,6 @@ def test_a_recording_that_cannot_be_followed_any_more_is_one_line(tmp_path, reco
     session.recorder.close()
 
 
-def test_a_recording_that_ends_is_one_line(tmp_path, recorded, monkeypatch, capsys):
-    path = tmp_path / "log.mcap"
-    session = Session(recorded, path, 3.0, 0.0)
-    session.run()
-    monkeypatch.setattr(os, "nice", lambda by: by)
-    assert main(["view", str(path), "--follow", "-o", str(tmp_path / "live.rrd")]) == 0
-    assert capsys.readouterr().out.splitlines() == [f"{path}: the recording has ended and is whole"]
-
-
 def state(rrd: Path) -> tuple[str, list[int]]:
     text, colors = "", []
     for chunk in RrdReader(rrd).stream():

@@ -10,7 +10,7 @@ from pictured_fits import FS, Written, fitted, fitted_iv, made_up, scara
 from identification.model import InverseModel
 from identification.regression import Decimation, FilteredMotion, differentiate, predicted_torque
 from identification.view import curves, draw_fit, rerun_panels, write_rrd
-from identification.view.curves import extremes, readable_unit
+from identification.view.curves import extremes
 
 
 @pytest.fixture
@@ -88,14 +88,6 @@ def test_titles_say_joint_and_unit(written):
     assert in_amperes["/torque/joint\\ 1.x"][1] == "torque joint 1.x [A]"
 
 
-@pytest.mark.parametrize(
-    ("peak", "expected"),
-    [(2.0, (1.0, "rad")), (0.5, (1e3, "mrad")), (1e-3, (1e3, "mrad")), (9e-4, (1e6, "µrad")), (0.0, (1.0, "rad"))],
-)
-def test_errors_are_in_a_readable_unit(peak, expected):
-    assert readable_unit(peak, "rad") == expected
-
-
 def test_joints_of_one_kind_share_the_unit_of_their_errors(written):
     signals = made_up(types=("revolute", "prismatic", "revolute"), reference=True)
     q_ref = signals.q + np.array([2e-3, 3e-5, 5e-6])
@@ -167,17 +159,6 @@ def test_thinning_keeps_both_extremes_of_every_bucket(N, step):
         kept, bucket = x[k[(k >= a) & (k < a + step)]], x[a : a + step]
         assert kept.min() == bucket.min()
         assert kept.max() == bucket.max()
-
-
-def test_long_curves_are_bounded_and_lose_no_peak(written, tmp_path):
-    signals = made_up(types=("revolute",), samples=12_000)
-    effort = signals.effort.copy()
-    effort[2_345] = 10 * effort.max()
-    k, x = written(replace(signals, effort=effort), fitted(signals)).curve("torque", "joint 1.x", "measured")
-    np.testing.assert_array_equal(x, effort[k, 0])
-    assert x[k == 2_345] == effort.max()
-    assert (k[0] < 5, k[-1] > len(effort) - 6) == (True, True)
-    assert len(k) <= 2 * 5000 + 3
 
 
 def test_what_was_not_recorded_or_done_is_not_shown(written):
