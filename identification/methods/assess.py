@@ -7,14 +7,7 @@ import numpy as np
 
 from ..arrays import Array
 from ..errors import NoFitError
-from ..estimation import (
-    Estimate,
-    InstrumentTests,
-    autocorrelation,
-    f_tests,
-    spans_of,
-    torque_errors,
-)
+from ..estimation import Estimate, InstrumentTests, autocorrelation, f_tests, spans_of, torque_errors
 from ..regression import ROWS, Problem, Rows, base_name, sample_weights
 from ..report import FTest, Method
 from ..simulation import Replica, saturated_percents
@@ -187,13 +180,7 @@ def _short_moves(problem: Problem) -> list[str]:
     ]
 
 
-def assess_iv(
-    equations: Equations,
-    best: Pass,
-    ls: LeastSquares,
-    passes: Sequence[Pass],
-    start: str,
-) -> Fit:
+def assess_iv(equations: Equations, best: Pass, ls: LeastSquares, passes: Sequence[Pass], start: str) -> Fit:
     """The fit of the pass that is returned; the robot simulated with its estimate validates the direct model."""
     estimate, replicas, z = best.estimate, best.replicas, best.z
     solved = replace(ls, estimate=estimate, tau_predicted=equations.predicted(estimate))

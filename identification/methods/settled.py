@@ -17,14 +17,7 @@ import numpy as np
 
 from ..arrays import Array
 from ..errors import NoFitError
-from ..estimation import (
-    Estimate,
-    System,
-    condensed,
-    instrumental_variables,
-    intervals_of,
-    weighted_least_squares,
-)
+from ..estimation import Estimate, System, condensed, instrumental_variables, intervals_of, weighted_least_squares
 from ..model import SHAPES
 from ..regression import RAMPS, ROWS, Problem, Rows, sample_weights
 from .equations import Equations, closed_loops

@@ -6,23 +6,12 @@ from typing import Any, Literal
 
 import numpy as np
 
+from .. import regression
 from ..arrays import Array
 from ..data import Work
 from ..estimation import SpanFactors, one_thread, stacked_columns
 from ..model import why_not_positive
-from ..regression import (
-    Motion,
-    Problem,
-    Rows,
-    Term,
-    Unknowns,
-    columns_of_arm,
-    columns_of_block,
-    predicted_torque,
-    rows_of_factors,
-    sample_weights,
-    torque_of_drives,
-)
+from ..regression import Motion, Problem, Rows, Term, Unknowns
 from .experiment import EARLY_RATE_PER_BANDWIDTH, RATE_PER_BANDWIDTH, Experiment
 from .motion import (
     MotionBlocks,
@@ -104,7 +93,7 @@ def _along(
 ) -> Instruments:
     """Instruments about x (b,) along a motion, of kind `reference`."""
     problem, n, T = e.problem, e.problem.signals.robot.n, e.blocks[0].rows
-    share, width = sample_weights(problem).of_rows, problem.base.b + n * problem.needs_drives
+    share, width = regression.sample_weights(problem).of_rows, problem.base.b + n * problem.needs_drives
     factors = SpanFactors(T, n, e.spans) if e.spans else None
     error, parts, motions = TrackingDeviation(e), list[Array](), list[tuple[Array, ...]]()
     for at, motion in blocks:
@@ -112,15 +101,15 @@ def _along(
         own = (motion.t_s[inside], q, *(series[inside] for series in (motion.q, motion.dq, motion.ddq, motion.tau)))
         # A long recording keeps only the instants of the rows.
         motions.append(tuple(map(e.decimation.kept, own)) if e.spans else own)
-        columns = [columns_of_arm(problem, motion, e.decimation, beta=x)[0]]
+        columns = [regression.columns_of_arm(problem, motion, e.decimation, beta=x)[0]]
         if problem.needs_drives:
-            torque = predicted_torque(motion, problem.model, problem.base, x)
-            columns.append(torque_of_drives(problem, motion.t_s, torque, e.decimation))
+            torque = regression.predicted_torque(motion, problem.model, problem.base, x)
+            columns.append(regression.torque_of_drives(problem, motion.t_s, torque, e.decimation))
         Z, rows = np.concatenate(columns, axis=1)[..., at.inside], slice(at.first, at.last)
         if factors is None:
             parts.append(Z)
             continue
-        Z = np.concatenate([Z, columns_of_block(problem, at, x)], axis=1)
+        Z = np.concatenate([Z, regression.columns_of_block(problem, at, x)], axis=1)
         if further is not None:
             Z = np.concatenate([further.columns(problem, motion, e.decimation)[..., at.inside], Z], axis=1)
         factors.add(at.first, Z, share[rows])
@@ -140,7 +129,7 @@ def _along(
     return Instruments(
         x=x,
         Z=held,
-        rows=(rows_of_factors(problem, factors, width),) if factors else (),
+        rows=(regression.rows_of_factors(problem, factors, width),) if factors else (),
         kind="reference",
         reason=None,
         gains=np.ones(n),
