@@ -19,17 +19,10 @@ _MAX_TERMS = 500  # of the continued fraction; about max(10, sqrt(degrees of fre
 
 
 def torque_errors(tau: Array, predicted: Array, speed: Array, names: tuple[str, ...]) -> tuple[TorqueResidual, ...]:
-    """Torque errors of each joint and of all joints together.
+    """Torque errors of each of the joints `names` and, last and under the name `all`, of all joints together.
 
-    Parameters
-    ----------
-    tau, predicted : (rows, n) measured and predicted torque, N m (N, or A and V where the drive gain is not known).
-    speed : (rows, n) joint speeds, rad/s or m/s, by which rows move or stand.
-    names : (n,) of the joints.
-
-    Returns
-    -------
-    An error per joint and, last and under the name `all`, that of all joints.
+    Of measured and predicted torque (rows, n), N m (N, or A and V where the drive gain is not known); by the joint speeds
+    (rows, n), rad/s or m/s, rows move or stand.
     """
     moving, rho = are_moving(speed), tau - predicted
     each = [(name, tau[:, j], rho[:, j], moving[:, j]) for j, name in enumerate(names)]

@@ -210,9 +210,8 @@ def _consistent(fit: Fit) -> list[Section]:
     c = fit.consistent_set
     if c is None:
         return []
-    own = (
-        "" if fit.trust.line("consistent").value == c.chi_squared else " (the verdict's line `consistent` has its own)"
-    )
+    alike = fit.trust.line("consistent").value == c.chi_squared
+    own = "" if alike else " (the verdict's line `consistent` has its own)"
     free, held = (errors[-1].relative_error_percent for errors in (fit.errors, fit.consistent_errors))
 
     def row(name: str, value: float, half: float, unit: str, from_prior: bool) -> Row:
@@ -248,11 +247,9 @@ def _percent(error: float | None) -> str:
 
 def _rows_line(fit: Fit) -> str:
     """The number of rows by their weights, and what weighs nothing."""
-    whole = fit.errors[-1]
-    percent = fit.settings.low_speed_percent
-    slow = (
-        "4 % of the peak speed, or 4 deviations of its noise" if percent is None else f"{percent:g} % of the peak speed"
-    )
+    whole, percent = fit.errors[-1], fit.settings.low_speed_percent
+    slow = "4 % of the peak speed, or 4 deviations of its noise"
+    slow = slow if percent is None else f"{percent:g} % of the peak speed"
     line = f"{fit.estimate.rows:.0f} of {whole.moving_rows + whole.standing_rows} rows"
     if percent == 0:
         return line

@@ -94,9 +94,8 @@ def identify(
             raise
     else:
         if iteration is not None:
-            raise BadInputError(
-                "only instrumental variables iterate", key="method", value=chosen, expected=f"iv ({reason})"
-            )
+            expected = f"iv ({reason})"
+            raise BadInputError("only instrumental variables iterate", key="method", value=chosen, expected=expected)
         fit = _by_least_squares(equations, chosen, essential=essential)
     return replace(fit, method_reason=reason)
 

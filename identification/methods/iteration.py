@@ -168,10 +168,8 @@ def status_of(
     if last.failure is not None:
         return "diverged", last.failure
     if not tests.first_stage_F >= 1.0:
-        return (
-            "diverged",
-            f"the simulated motion does not resemble the measured one: first-stage F = {tests.first_stage_F:.2g}",
-        )
+        text = "the simulated motion does not resemble the measured one"
+        return "diverged", f"{text}: first-stage F = {tests.first_stage_F:.2g}"
     if best.stands_alone:
         return "converged", f"instruments: reference; {best.z.reason}"
     if last.is_last:
@@ -196,9 +194,8 @@ def why_by_reference(equations: Equations, passes: Sequence[Pass], best: Pass) -
     if any(one.reference_kind != "recorded" or one.controller == "described" for one in best.replicas):
         return None
     status, why = status_of(equations, passes, best, tests_of(equations.along(best.z).system, best.estimate))
-    return (
-        None if status == "converged" else f"by a simulated robot, whose control law is not described, {status}: {why}"
-    )
+    text = f"by a simulated robot, whose control law is not described, {status}: {why}"
+    return None if status == "converged" else text
 
 
 def _unconfirmed(equations: Equations, best: Pass) -> str | None:

@@ -196,11 +196,9 @@ def with_torque(problem: Problem, rows: Rows) -> Rows:
     # Contiguous in time by joint: sums round otherwise along a column of a file than along one of another process.
     torque = np.ascontiguousarray(problem.signals.torque[settings.start : settings.stop].T).T
     Y, tau = weighted(problem, t_s, torque, settings.decimator), settings.decimator.filtered(torque.T)
-    E = (
-        torque_of_drives(problem, t_s, torque, settings.decimator).transpose(0, 2, 1)
-        if problem.needs_drives
-        else rows.E
-    )
+    E = rows.E
+    if problem.needs_drives:
+        E = torque_of_drives(problem, t_s, torque, settings.decimator).transpose(0, 2, 1)
     return replace(rows, tau=tau.T, E=E.reshape(n * len(rows.tau), -1), system=replace(rows.system, Y=Y.reshape(-1)))
 
 

@@ -109,9 +109,8 @@ def spline_coefficients(x: Array) -> Array:
     """
     far, pole = min(SPLINE_REACH, len(x) - 1), np.sqrt(3.0) - 2.0
     beyond = far + 2
-    whole = (
-        np.pad(x, ((beyond, beyond), (0, 0)), mode="reflect", reflect_type="odd") if len(x) > 1 else np.repeat(x, 5, 0)
-    )
+    around = ((beyond, beyond), (0, 0))
+    whole = np.pad(x, around, mode="reflect", reflect_type="odd") if len(x) > 1 else np.repeat(x, 5, 0)
     N, c = len(x) + 3, np.zeros((len(x) + 3, *x.shape[1:]))
     for k in range(-far, far + 1):
         c += pole ** abs(k) * whole[beyond - 1 + k : beyond - 1 + k + N]
