@@ -131,18 +131,12 @@ def chi_squared_quantile(tail: float, freedom: int) -> float:
     return _root(lambda x: _chi_squared_tail(x, freedom) - tail)
 
 
-def independent_share(correlation: float) -> float:
-    """(1 - c)/(1 + c): the share of independent rows for a residual with the correlation c at a lag of one row.
-
-    A negative correlation is taken as zero.
+def f_tests(F: float, dropped: int, rows: float, b: int, correlation: float) -> tuple[float, float, float, float]:
+    """F and its p-value for `dropped` of b parameters, and both corrected for the residual's correlation c at a lag of one row:
+    by the share (1 - c)/(1 + c) of independent rows, all for a negative c.
     """
     c = max(0.0, correlation)
-    return (1.0 - c) / (1.0 + c)
-
-
-def f_tests(F: float, dropped: int, rows: float, b: int, correlation: float) -> tuple[float, float, float, float]:
-    """F and its p-value for `dropped` of b parameters, and both corrected for the residual's correlation."""
-    share = independent_share(correlation)
+    share = (1.0 - c) / (1.0 + c)
     return F, f_tail(F, dropped, rows - b), F * share, f_tail(F * share, dropped, max(1.0, rows * share - b))
 
 
@@ -151,9 +145,8 @@ def _chi_squared_tail(x: float, freedom: int) -> float:
     odd, half = freedom % 2, 0.5 * x
     tail = math.erfc(math.sqrt(half)) if odd else 0.0
     powers = (k + 0.5 * odd for k in range(freedom // 2))
-    return tail + sum(
-        math.exp(k * math.log(half) - half - math.lgamma(k + 1)) if half else float(k == 0) for k in powers
-    )
+    terms = (math.exp(k * math.log(half) - half - math.lgamma(k + 1)) if half else float(k == 0) for k in powers)
+    return tail + sum(terms)
 
 
 def _incomplete_beta(a: float, b: float, x: float) -> float:

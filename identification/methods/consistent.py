@@ -35,10 +35,7 @@ def urdf_prior(robot: Robot, urdf: str, name: str) -> Robot:
 
 
 def read_prior(path: Path, robot: Robot) -> Robot:
-    """The fitted `robot` as another robot.toml or a URDF, `path`, describes it, by the name of the file.
-
-    Raises `BadInputError`: the file cannot be read.
-    """
+    """The fitted `robot` as another robot.toml or URDF, `path`, describes it, by its name; refuses one that cannot be read."""
     if path.suffix.lower() == ".toml":
         return replace(load_robot(path), name=path.name)
     try:

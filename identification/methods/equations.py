@@ -166,10 +166,7 @@ class Equations:
         return tuple(replace(one, settings=own) for one, own in zip(self.problems, settings, strict=True))
 
     def behind_rule(self) -> "Equations | None":
-        """The same recordings with the rule's low-pass; None if all have it or a lower one.
-
-        Raises `NoFitError` if a recording is too short for it.
-        """
+        """The same with the rule's low-pass; None if all have it or a lower one. Raises `NoFitError` if one is too short."""
         if all(problem.settings.filtered for problem in self.problems):
             return None
         return self.at_cutoff(min(regression.rule_cutoff_hz(problem.signals) for problem in self.problems))
@@ -245,11 +242,8 @@ def equations_of(
 
 
 def read_equations(given: Signals | Recordings, overrides: Overrides, say: Say) -> Equations:
-    """The equations of one recording or several, each filtered and decimated separately.
-
-    All have the lowest cut-off and the lowest rate of rows that the rules give.
-
-    Raises `BadInputError` if the recordings are not of one robot, and as `make_problem`.
+    """The equations of one recording or several, each filtered and decimated separately: with the lowest cut-off and rate of
+    rows that the rules give. Raises `BadInputError` if the recordings are not of one robot, and as `make_problem`.
     """
     if isinstance(given, Signals):
         given = Recordings(sources=(given,))

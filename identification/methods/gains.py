@@ -165,9 +165,8 @@ def results_of(equations: Equations, evidence: FitData) -> dict[str, Any]:
         own = np.array([estimate.names.index(name) for name in one.names if name in estimate.names], dtype=np.intp)
         covariance = found.covariance[np.ix_(own, own)] if len(own) == len(one.names) else None
         values, sigma, prior = one.nearest_body(estimate.values_of(one.names), covariance)
-        name = next(
-            x.signals.recording for x, arm in zip(equations.problems, of.arms, strict=True) if arm.payload is one
-        )
+        pairs = zip(equations.problems, of.arms, strict=True)
+        name = next(problem.signals.recording for problem, arm in pairs if arm.payload is one)
         half = found.reach * sigma
         near = not one.names or bool(half.any())
         payloads.append(

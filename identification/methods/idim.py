@@ -12,28 +12,22 @@ from typing import Literal
 
 import numpy as np
 
+from .. import estimation
 from ..arrays import Array
 from ..data import Recordings, Signals
 from ..errors import BadInputError, NoFitError
-from ..estimation import (
-    Estimate,
-    autocorrelation,
-    essential_parameters,
-    instrumental_variables,
-    intervals_of,
-    one_thread,
-)
+from ..estimation import Estimate, autocorrelation, instrumental_variables, intervals_of, one_thread
 from ..regression import Overrides, Rows, Term, base_places
 from ..report import Method
 from ..simulation import Instruments
 from ..trust import covariance_of_all
 from . import iteration as iv
-from .assess import assess_iv, candidates_of, evidence_of, fit_of, position_noise_of
+from .assess import assess_iv, candidates_of, evidence_of, fit_of
 from .equations import Equations, closed_loops, read_equations
 from .fit import Fit, LeastSquares, Pass
 from .gains import factors_of, joint_weights_of, measured_instruments, motors_of, solve_with_gains
 from .iteration import Iteration, NoEstimateError
-from .observation import solver_of
+from .observation import position_noise_line, solver_of
 from .settled import least_squares, settle, with_best_ramps
 from .timing import correct_known_lags, with_lags, with_lags_found
 
@@ -145,7 +139,9 @@ def _by_least_squares(equations: Equations, method: Literal["ols", "wls"], *, es
     ls = solve_least_squares(equations, full, rows, essential=essential)
     evidence = evidence_of(equations, method, ls, rows, each=each)
     ls = replace(ls, intervals=evidence.intervals)
-    noise = position_noise_of(equations, method, ls)  # once: it looks at the beginning of a long recording anyway
+    # Once, of the first recording: it looks at the beginning of a long one anyway.
+    first, alone = equations.tasks()[0].with_samples(), equations.unknowns.plain and not equations.load
+    noise = position_noise_line(first, method, ls, alone=alone)
     return fit_of(equations, replace(evidence, position_noise=noise), ls)
 
 
@@ -291,7 +287,7 @@ def solve_least_squares(equations: Equations, full: Estimate, rows: Rows, *, ess
     """Least squares from the estimate `full` of all parameters, and its rows: its reduction, intervals and torque."""
     predicted = equations.predicted(full)
     rho = (rows.tau - predicted) * full.weights * rows.counts
-    reduction = essential_parameters(rows.system, full, correlation=autocorrelation(rho) or 0.0)
+    reduction = estimation.essential_parameters(rows.system, full, correlation=autocorrelation(rho) or 0.0)
     estimate = full
     if essential:
         estimate = equations.combined(rows.system, reduction.estimate)

@@ -37,6 +37,7 @@ def least_squares_parameters(fit: Fit) -> ParameterSet:
 def _estimated(label: str, fit: Fit, e: Estimate, intervals: Intervals) -> ParameterSet:
     essential = essential_names(fit.essential, e, intervals)
     known = dict(zip(fit.base.names, zip(fit.base.units, fit.base.expressions, strict=True), strict=True))
+    found = zip(e.names, e.beta, intervals.low, intervals.high, e.sigma, strict=True)
     return ParameterSet(
         label=label,
         parameters={
@@ -50,9 +51,7 @@ def _estimated(label: str, fit: Fit, e: Estimate, intervals: Intervals) -> Param
                 sigma=float(sigma),
                 essential=name in essential,
             )
-            for name, value, low, high, sigma in zip(
-                e.names, e.beta, intervals.low, intervals.high, e.sigma, strict=True
-            )
+            for name, value, low, high, sigma in found
         },
     )
 
@@ -162,10 +161,7 @@ def consistent_fit(stored: FitFile, place: str) -> FitFile:
 
 
 def stored_beta(stored: FitFile, base: BaseParameters, place: str) -> Array:
-    """(b,) values in the order of `base`, zero if left out; refuses a fit of another robot.
-
-    For own parameters of several recordings it is the mean.
-    """
+    """(b,) values in the order of `base`, zero if left out, means of own parameters; refuses a fit of another robot."""
     values: dict[str, list[float]] = {}
     for p in stored.parameters:
         values.setdefault(base_name(p.name), []).append(p.value)

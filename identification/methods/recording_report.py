@@ -72,9 +72,7 @@ def validation_document(
     lines = [line for one in recordings for line in settings_lines(one.signals, one.settings, used="evaluated on")]
     lines += [line for one in recordings for line in recording_lines(one.signals)]
     rows: list[Row] = [(one.signals.recording, *_error_cells(one.errors[-1])) for one in recordings]
-    each = Section(
-        title="recordings", table=Table(columns=columns("recording", numbers=ERROR_COLUMNS), rows=tuple(rows))
-    )
+    table = Table(columns=columns("recording", numbers=ERROR_COLUMNS), rows=tuple(rows))
     return Document(
         title=f"{fit} on {names}: {headline(errors)}",
         sections=(
@@ -82,7 +80,7 @@ def validation_document(
                 lines=(error_line(errors), *([f"consistent set: {error_line(consistent)}"] if consistent else [])),
                 warnings=warnings,
             ),
-            *([each] if len(recordings) > 1 else []),
+            *([Section(title="recordings", table=table)] if len(recordings) > 1 else []),
             replace(errors_section(errors, units), short=None),
             *([replace(errors_section(consistent, units), title=title, short=None)] if consistent else []),
             Section(title="settings", lines=tuple(lines)),

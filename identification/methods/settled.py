@@ -30,10 +30,7 @@ LONG, SHORT, *OTHERS = RAMPS
 
 
 def least_squares(equations: Equations, method: Literal["ols", "wls"] = "wls") -> tuple[Equations, Estimate]:
-    """Least squares with the identifiable terms.
-
-    Raises `NoFitError` as the estimators.
-    """
+    """Least squares with the identifiable terms. Raises `NoFitError` as the estimators."""
     equations, solve = leave_out_collinear_terms(equations), solver_of(method)
     if equations.load is None:
         system = equations.about().system

@@ -59,14 +59,12 @@ class FilteredMotion:
 
     def between(self, start: int, stop: int, cutoff_hz: float | None) -> Motion:
         """Motion of the samples `start` to `stop`; `cutoff_hz` None: no low-pass."""
-        s, q = self._signals, self._signals.q
+        s, q, fs = self._signals, self._signals.q, self._signals.sample_rate_hz
         if cutoff_hz is not None and q.size <= _MAX_NUMBERS:
             if cutoff_hz not in self._filtered:
-                self._filtered[cutoff_hz] = lowpass(q, cutoff_hz, s.sample_rate_hz)
+                self._filtered[cutoff_hz] = lowpass(q, cutoff_hz, fs)
             q, cutoff_hz = self._filtered[cutoff_hz], None
-        motion = motion_between(
-            q, s.torque, cutoff_hz=cutoff_hz, sample_rate_hz=s.sample_rate_hz, start=start, stop=stop
-        )
+        motion = motion_between(q, s.torque, cutoff_hz=cutoff_hz, sample_rate_hz=fs, start=start, stop=stop)
         if q is s.q:
             release_pages(s.q)
             release_pages(s.torque)

@@ -163,10 +163,7 @@ def _refuse_unknown_motors(signals: Signals, gains: Sequence[str]) -> None:
 
 
 def make_problem(signals: Signals, overrides: Overrides) -> Problem:
-    """Set up the identification of a robot from a recording.
-
-    Raises `BadInputError` if the settings do not suit the recording, or the robot cannot be modelled.
-    """
+    """The input of a fit. Raises `BadInputError` if the settings do not suit the recording, or the robot cannot be modelled."""
     gains = None
     if overrides.gains:
         if "all" not in overrides.gains:
@@ -245,7 +242,7 @@ def motion_of_block(problem: Problem, block: RowBlock) -> Motion:
     return problem.motion.between(settings.start + samples.start, settings.start + samples.stop, settings.cutoff_hz)
 
 
-def motion_blocks(problem: Problem) -> Iterator[tuple[Motion, slice, float]]:
-    """The span used in blocks: motion, own rows in those of the motion, and the share done."""
+def motion_blocks(problem: Problem) -> Iterator[tuple[Motion, slice]]:
+    """The span used in blocks: motion, and own rows in those of the motion."""
     for block in row_blocks(problem):
-        yield motion_of_block(problem, block), block.inside, block.last / block.rows
+        yield motion_of_block(problem, block), block.inside

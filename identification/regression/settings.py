@@ -164,9 +164,8 @@ def make_settings(signals: Signals, overrides: Overrides, motion: FilteredMotion
     decimation = overrides.decimation or stored.decimation or rule
     passband_hz = 0.8 * fs / (2 * decimation)
     if decimation > rule and signals.motion_hz is None and passband_hz < rows_hz:
-        warnings.append(
-            f"decimation by {decimation} keeps {passband_hz:g} Hz, less than twice the bandwidth of {bandwidth_hz:g} Hz"
-        )
+        least = f"twice the bandwidth of {bandwidth_hz:g} Hz"
+        warnings.append(f"decimation by {decimation} keeps {passband_hz:g} Hz, less than {least}")
     span_rule = overrides.span or stored.span
     start, stop, span, standing = _span(signals, motion or FilteredMotion(signals), cutoff_hz, span_rule)
     warnings += [f"joint {name} does not move" for name in standing]

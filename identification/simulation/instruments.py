@@ -153,10 +153,7 @@ def join_reasons(reasons: Sequence[str | None], names: Sequence[str]) -> str | N
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Simulation:
-    """The closed loop of a recording, with gains set for the inertias of `prior` (b,).
-
-    `spans` as of `Experiment`.
-    """
+    """The closed loop of a recording, with gains set for the inertias of `prior` (b,); `spans` as of `Experiment`."""
 
     problem: Problem
     prior: Array
@@ -193,10 +190,7 @@ class Simulation:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ClosedLoops:
-    """The recordings of a fit in the order of the rows, and where the tasks run.
-
-    `names` are the recordings'; `unknowns` gives the order of shared and own parameters.
-    """
+    """The recordings of a fit, their `names`, the `unknowns`, all in the order of the rows, and where the tasks run."""
 
     simulations: tuple[Simulation, ...]
     names: tuple[str, ...]
