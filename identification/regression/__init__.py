@@ -36,7 +36,6 @@ from .motion import (
 from .payload import payload_of
 from .problem import Problem, RowBlock, make_problem, row_blocks
 from .settings import (
-    CUTOFF_PER_BANDWIDTH,
     NOTHING,
     RAMPS,
     ROWS,

@@ -128,10 +128,8 @@ class LoneFriction(Friction):
         M, _ = model.inertia_and_bias(np.zeros(1), np.zeros(1))
         sides = ((x, (M + (model.rotor + 0.5 * h * x)).item()) for x in (V, V + up, V + down))
         (self._at_rest, self._forwards, self._backwards), self._bias = sides, model.lone_bias()
-        # Without a direction of friction its sizes are zero.
-        up, down, self._lone_slope, self._lone_v_s = (
-            x.sum().item() for x in (model.up, model.down, self._slope, self._v_s)
-        )
+        sizes = (model.up, model.down, self._slope, self._v_s)  # without a direction of friction zero
+        up, down, self._lone_slope, self._lone_v_s = (x.sum().item() for x in sizes)
         offset, self._lone_mode = model.offset.item(), np.sign(v).item()
         self._levels = {1.0: up + offset, -1.0: -down + offset, 0.0: (up - down) / 2 + offset}
 
