@@ -17,10 +17,8 @@ from .estimators import Estimate
 from .system import Spans, System, spans_of
 
 LEVEL = 0.95
-MIN_COSINES, MAX_COSINES = (
-    4,
-    16,
-)  # with all that white residuals would bear, AR(0.98) is covered in 76 % instead of 92 %
+MIN_COSINES = 4
+MAX_COSINES = 16  # with all that white residuals would bear, AR(0.98) is covered in 76 % instead of 92 %
 MIN_VARIANCE_SHARE = 0.1  # of a very short recording
 TIME_BLOCKS = 8 * MAX_COSINES  # for the share that cosines find: eight per half period of the fastest one
 

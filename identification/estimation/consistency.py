@@ -78,22 +78,11 @@ def consistent_parameters(
     gamma: float = GAMMA,
     gamma_x: float = GAMMA_X,
 ) -> Consistent:
-    """The physically consistent parameters nearest to an estimate.
+    """The parameters that meet the conditions `physical`, nearest to an estimate beta (b,) = K chi (K regroups).
 
-    Parameters
-    ----------
-    beta, covariance : (b,), (b, b) the estimate, and C = D R D: the formula's correlations, the intervals' deviations.
-    K : (b, p) regrouping matrix, beta = K chi.
-    physical : conditions on chi.
-    gamma, gamma_x : weight of the links' prior; weight of the barrier of the combinations over gamma.
-
-    Returns
-    -------
-    Parameters whose pseudo-inertias are all positive definite and whose combinations are all positive.
-
-    Raises
-    ------
-    NoFitError : where the optimum is not reached, as with an estimate that is not finite.
+    Its covariance is C = D R D (b, b): the formula's correlations, the intervals' deviations. `gamma` is the weight of the
+    links' prior, `gamma_x` that of the barrier of the combinations over it. Raises `NoFitError` where the optimum is not
+    reached, as with an estimate that is not finite.
     """
     root = _inverse_root(beta, covariance)
     objective = _Objective(beta, root, K, physical, gamma, gamma * gamma_x)

@@ -19,17 +19,10 @@ _MAX_TERMS = 500  # of the continued fraction; about max(10, sqrt(degrees of fre
 
 
 def torque_errors(tau: Array, predicted: Array, speed: Array, names: tuple[str, ...]) -> tuple[TorqueResidual, ...]:
-    """Torque errors of each joint and of all joints together.
+    """Torque errors of each of the joints `names` and, last and under the name `all`, of all joints together.
 
-    Parameters
-    ----------
-    tau, predicted : (rows, n) measured and predicted torque, N m (N, or A and V where the drive gain is not known).
-    speed : (rows, n) joint speeds, rad/s or m/s, by which rows move or stand.
-    names : (n,) of the joints.
-
-    Returns
-    -------
-    An error per joint and, last and under the name `all`, that of all joints.
+    Of measured and predicted torque (rows, n), N m (N, or A and V where the drive gain is not known); by the joint speeds
+    (rows, n), rad/s or m/s, rows move or stand.
     """
     moving, rho = are_moving(speed), tau - predicted
     each = [(name, tau[:, j], rho[:, j], moving[:, j]) for j, name in enumerate(names)]
@@ -138,18 +131,12 @@ def chi_squared_quantile(tail: float, freedom: int) -> float:
     return _root(lambda x: _chi_squared_tail(x, freedom) - tail)
 
 
-def independent_share(correlation: float) -> float:
-    """(1 - c)/(1 + c): the share of independent rows for a residual with the correlation c at a lag of one row.
-
-    A negative correlation is taken as zero.
+def f_tests(F: float, dropped: int, rows: float, b: int, correlation: float) -> tuple[float, float, float, float]:
+    """F and its p-value for `dropped` of b parameters, and both corrected for the residual's correlation c at a lag of one row:
+    by the share (1 - c)/(1 + c) of independent rows, all for a negative c.
     """
     c = max(0.0, correlation)
-    return (1.0 - c) / (1.0 + c)
-
-
-def f_tests(F: float, dropped: int, rows: float, b: int, correlation: float) -> tuple[float, float, float, float]:
-    """F and its p-value for `dropped` of b parameters, and both corrected for the residual's correlation."""
-    share = independent_share(correlation)
+    share = (1.0 - c) / (1.0 + c)
     return F, f_tail(F, dropped, rows - b), F * share, f_tail(F * share, dropped, max(1.0, rows * share - b))
 
 
@@ -158,9 +145,8 @@ def _chi_squared_tail(x: float, freedom: int) -> float:
     odd, half = freedom % 2, 0.5 * x
     tail = math.erfc(math.sqrt(half)) if odd else 0.0
     powers = (k + 0.5 * odd for k in range(freedom // 2))
-    return tail + sum(
-        math.exp(k * math.log(half) - half - math.lgamma(k + 1)) if half else float(k == 0) for k in powers
-    )
+    terms = (math.exp(k * math.log(half) - half - math.lgamma(k + 1)) if half else float(k == 0) for k in powers)
+    return tail + sum(terms)
 
 
 def _incomplete_beta(a: float, b: float, x: float) -> float:

@@ -117,9 +117,7 @@ def ordinary_least_squares(system: System) -> Estimate:
 def weighted_least_squares(system: System) -> Estimate:
     """Equation (B): least squares with the rows of joint j divided by s_j, the residual deviation of its own least squares.
 
-    Raises
-    ------
-    NoFitError : where there are no more used rows than parameters, or W is rank deficient.
+    Raises `NoFitError` where there are no more used rows than parameters, or W is rank deficient.
     """
     return _estimated(system, joint_weights(system))
 
@@ -146,13 +144,8 @@ def joint_weights(system: System) -> Array:
 def essential_parameters(system: System, full: Estimate, *, correlation: float, ratio: float = 30.0) -> Reduction:
     """Drop the parameter of the largest %sigma and solve again, until max %sigma < ratio · min %sigma (Gautier2013).
 
-    Dropping also ends where the F test rejects a drop at 1 %. Weights are those of the full model.
-
-    Parameters
-    ----------
-    system, full : all base parameters, and their estimate from that system.
-    correlation : of the residual at a lag of one row, by which the F test is corrected.
-    ratio : 30 by default.
+    Dropping also ends where the F test, corrected for the residual's `correlation` at a lag of one row, rejects a drop at 1 %.
+    Weights are those of `full`, the estimate of all base parameters from the system.
     """
     # Columns are dropped from the R factor: each pass costs b³, not r b².
     R, r, b = r_factor(np.column_stack(system.weighted(full.weights))), full.rows, len(full.beta)
@@ -183,20 +176,11 @@ def essential_parameters(system: System, full: Estimate, *, correlation: float, 
 
 
 def instrumental_variables(system: System, Z: Array, weights: Array) -> Estimate:
-    """Equation (D): beta = (ZᵀW)⁻¹ ZᵀY, section 3 of Janot2014, with Z, W and Y weighted.
+    """Equation (D): beta = (ZᵀW)⁻¹ ZᵀY, section 3 of Janot2014, with W, Y and the instruments Z (r, b) times `weights` (n,):
+    1/s_j for the rows of joint j.
 
     Solved through the QR factors of Z: Z = Q R gives (QᵀW) beta = QᵀY. The covariance is s² (ZᵀW)⁻¹ ZᵀZ (WᵀZ)⁻¹, in which
-    R drops out.
-
-    Parameters
-    ----------
-    system : W, Y and the used rows.
-    Z : (r, b) instruments, not weighted.
-    weights : (n,) 1/s_j for the rows of joint j.
-
-    Raises
-    ------
-    NoFitError : where QᵀW is singular, or as `weighted_least_squares` does.
+    R drops out. Raises `NoFitError` where QᵀW is singular, or as `weighted_least_squares` does.
     """
     return _estimated(system, weights, Z)
 

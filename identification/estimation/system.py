@@ -218,9 +218,8 @@ def refuse_rank_deficiency(W: Array, names: tuple[str, ...]) -> Array:
     """Singular values of the column-scaled W; an error names the parameters that are not excited or not distinguishable."""
     unexcited, collinear, singular = _undetermined(W, names)
     if unexcited:
-        raise NoFitError(
-            "no torque depends on them", key="parameters not excited", value=unexcited, shown=", ".join(unexcited)
-        )
+        shown = ", ".join(unexcited)
+        raise NoFitError("no torque depends on them", key="parameters not excited", value=unexcited, shown=shown)
     if collinear:
         rank = int((singular >= RANK_TOLERANCE * singular[0]).sum())
         raise NoFitError(

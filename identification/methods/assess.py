@@ -7,23 +7,15 @@ import numpy as np
 
 from ..arrays import Array
 from ..errors import NoFitError
-from ..estimation import (
-    Estimate,
-    InstrumentTests,
-    autocorrelation,
-    f_tests,
-    spans_of,
-    torque_errors,
-)
+from ..estimation import Estimate, InstrumentTests, autocorrelation, f_tests, spans_of, torque_errors
 from ..regression import ROWS, Problem, Rows, base_name, sample_weights
 from ..report import FTest, Method
 from ..simulation import Replica, saturated_percents
-from ..trust import Candidates, FitData, TrustLine, further_columns, held_out_parts, trust_in, with_prior
+from ..trust import Candidates, FitData, further_columns, held_out_parts, trust_in, with_prior
 from .equations import Equations
 from .fit import Fit, FittedRecording, InstrumentEvidence, LeastSquares, Pass, essential_names
 from .gains import held_and_counted, results_of
 from .iteration import direct_errors, largest, status_of, tests_of
-from .observation import position_noise_line
 from .recording_report import gain_warnings, recording_warnings
 from .timing import lags_of
 
@@ -87,12 +79,6 @@ def candidates_of(equations: Equations, x: Array, replicas: Sequence[Replica] | 
     )
 
 
-def position_noise_of(equations: Equations, method: Method, ls: LeastSquares) -> TrustLine:
-    """Bias of least squares by the position noise of the first recording, of its beginning if it is long."""
-    first, alone = equations.tasks()[0].with_samples(), equations.unknowns.plain and not equations.load
-    return position_noise_line(first, method, ls, alone=alone)
-
-
 def fit_of(equations: Equations, evidence: FitData, solved: LeastSquares, replicas: Sequence[Replica] = ()) -> Fit:
     """The fit of an estimate and its assessment; `replicas` are the robot simulated in each recording, if it was."""
     rows, predicted = evidence.observed, solved.tau_predicted
@@ -106,6 +92,7 @@ def fit_of(equations: Equations, evidence: FitData, solved: LeastSquares, replic
     except NoFitError as error:
         warnings += (f"errors include noise above the rule's cut-off: {error.args[0]}",)
     measured = filtered.about()
+    parts = zip(equations.problems, spans_of(rows.parts), spans_of(measured.parts), strict=True)
     fitted = [
         FittedRecording(
             problem=problem,
@@ -115,9 +102,7 @@ def fit_of(equations: Equations, evidence: FitData, solved: LeastSquares, replic
             held_out=evidence.held_out[k] if len(equations.problems) > 1 and not evidence.gains else None,
             replica=replicas[k] if replicas else None,
         )
-        for k, (problem, part, own) in enumerate(
-            zip(equations.problems, spans_of(rows.parts), spans_of(measured.parts), strict=True)
-        )
+        for k, (problem, part, own) in enumerate(parts)
     ]
     fit = Fit(
         recordings=tuple(fitted[k] for k in equations.order),
@@ -140,10 +125,8 @@ def fit_of(equations: Equations, evidence: FitData, solved: LeastSquares, replic
         return fit
     fit = replace(fit, **results_of(equations, evidence))
     far = [one.recording for one in fit.payloads if not one.near]
-    told = (
-        f"payload of {name}: no body of positive density is near: its values are stated or a ball's" for name in far
-    )
-    return replace(fit, warnings=(*fit.warnings, *told))
+    text = "no body of positive density is near: its values are stated or a ball's"
+    return replace(fit, warnings=(*fit.warnings, *(f"payload of {name}: {text}" for name in far)))
 
 
 def own_test(equations: Equations, full: Estimate) -> FTest | None:
@@ -187,13 +170,7 @@ def _short_moves(problem: Problem) -> list[str]:
     ]
 
 
-def assess_iv(
-    equations: Equations,
-    best: Pass,
-    ls: LeastSquares,
-    passes: Sequence[Pass],
-    start: str,
-) -> Fit:
+def assess_iv(equations: Equations, best: Pass, ls: LeastSquares, passes: Sequence[Pass], start: str) -> Fit:
     """The fit of the pass that is returned; the robot simulated with its estimate validates the direct model."""
     estimate, replicas, z = best.estimate, best.replicas, best.z
     solved = replace(ls, estimate=estimate, tau_predicted=equations.predicted(estimate))

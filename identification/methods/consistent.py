@@ -35,10 +35,7 @@ def urdf_prior(robot: Robot, urdf: str, name: str) -> Robot:
 
 
 def read_prior(path: Path, robot: Robot) -> Robot:
-    """The fitted `robot` as another robot.toml or a URDF, `path`, describes it, by the name of the file.
-
-    Raises `BadInputError`: the file cannot be read.
-    """
+    """The fitted `robot` as another robot.toml or URDF, `path`, describes it, by its name; refuses one that cannot be read."""
     if path.suffix.lower() == ".toml":
         return replace(load_robot(path), name=path.name)
     try:
@@ -52,11 +49,8 @@ def read_prior(path: Path, robot: Robot) -> Robot:
 def with_consistent(fit: Fit, prior: Robot | None = None) -> Fit:
     """The fit with the nearest physically consistent parameters and their torque errors; the estimate stays the same.
 
-    `prior` describes the a-priori links; None: the fitted description.
-
-    Raises
-    ------
-    BadInputError : a drive gain is not known, the prior is of another robot, or no consistent parameters are found.
+    `prior` describes the a-priori links; None: the fitted description. Raises `BadInputError`: a drive gain is not known, the
+    prior is of another robot, or no consistent parameters are found.
     """
     problem, full = fit.problem, fit.least_squares.full
     covariance = covariance_of_all(full.names, fit.estimate, fit.intervals, full)
@@ -84,18 +78,9 @@ def with_consistent(fit: Fit, prior: Robot | None = None) -> Fit:
 def consistent_set(
     model: InverseModel, base: BaseParameters, known: Known, *, prior: Robot | None = None, power: Array | None = None
 ) -> ConsistentSet:
-    """The physically consistent parameters nearest to base parameters.
-
-    Parameters
-    ----------
-    model, base : of the robot.
-    known : the estimate.
-    prior : whose a-priori link parameters; None: of the robot's own description.
-    power : friction power at recorded speeds, for further friction terms; None without such terms or known speeds.
-
-    Raises
-    ------
-    BadInputError : as `with_consistent`.
+    """The physically consistent parameters nearest to the `known` base parameters of a robot, by the links of `prior`; None: of
+    its own description. `power`: of friction at recorded speeds, for further friction terms; None without such terms or known
+    speeds. Raises as `with_consistent`.
     """
     refuse_unknown_gain(model.robot)
     expected = None if prior is None else InverseModel(prior)

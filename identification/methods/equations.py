@@ -6,30 +6,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import regression
 from ..arrays import Array
 from ..data import RecordingFile, Recordings, Signals, check_one_robot
 from ..estimation import Estimate, System, combined, stacked, stacked_columns
-from ..regression import (
-    HELD,
-    REDUCED,
-    LoadFriction,
-    Overrides,
-    Problem,
-    Rows,
-    Settings,
-    Term,
-    Unknowns,
-    load_columns,
-    load_friction,
-    make_problem,
-    make_unknowns,
-    most_numbers,
-    refuse_standing_joints,
-    rows_again,
-    rule_cutoff_hz,
-    torque_of_recording,
-    with_torque,
-)
+from ..regression import HELD, REDUCED, Overrides, Problem, Rows, Settings, Term, Unknowns, torque_of_recording
 from ..simulation import ClosedLoops, Instruments, Simulation
 from ..trust import Lag
 from .observation import SPAN_S, Observed, Replayed, Say, observation_of, observe_all, rows_at, with_common_rate
@@ -60,7 +41,7 @@ class Equations:
     replays: tuple[Replayed, ...]
     order: tuple[int, ...]
     unknowns: Unknowns
-    load: LoadFriction | None
+    load: regression.LoadFriction | None
     left_out: dict[str, str] = field(default_factory=dict)
     lags: tuple[Lag, ...] = ()
     _about: dict[bytes, Rows] = field(default_factory=dict)
@@ -115,9 +96,9 @@ class Equations:
         tasks = [(problem, REDUCED, self.unknowns.beta(x, k)) for k, problem in enumerate(self.tasks())]
         if self.reduced:
             more = further or (None,) * len(tasks)
-            return list(run(rows_again, [(*task, terms) for task, terms in zip(tasks, more, strict=True)]))
+            return list(run(regression.rows_again, [(*task, terms) for task, terms in zip(tasks, more, strict=True)]))
         assert self.load is not None
-        columns = run(load_columns, [(problem, self.load, beta) for problem, _, beta in tasks])
+        columns = run(regression.load_columns, [(problem, self.load, beta) for problem, _, beta in tasks])
         found = zip(self.rows, tasks, columns, strict=True)
         return [rows.about(beta, self.load, column) for rows, (*_, beta), column in found]
 
@@ -166,7 +147,7 @@ class Equations:
 
     def at_cutoff(self, cutoff_hz: float) -> "Equations":
         """The same recordings with another low-pass."""
-        overrides, most = replace(self.overrides, cutoff_hz=cutoff_hz), most_numbers(len(self.problems))
+        overrides, most = replace(self.overrides, cutoff_hz=cutoff_hz), regression.most_numbers(len(self.problems))
         tasks = [(one, replace(overrides, decimation=one.settings.decimation), most) for one in self.tasks()]
         settings, rows = zip(*self.recordings.work.run(rows_at, tasks), strict=True)
         return self._of(self._with_settings(settings), rows)
@@ -178,20 +159,17 @@ class Equations:
         most, settings = REDUCED if self.reduced else HELD, [one.settings for one in self.problems]
         found = replace(self, overrides=replace(self.overrides, ramp_rows=ramp_rows))
         found = replace(found, problems=self._with_settings([replace(one, ramp_rows=ramp_rows) for one in settings]))
-        rows = list(self.recordings.work.run(rows_again, [(problem, most) for problem in found.tasks()]))
+        rows = list(self.recordings.work.run(regression.rows_again, [(problem, most) for problem in found.tasks()]))
         return found._of(found.problems, rows)
 
     def _with_settings(self, settings: Sequence[Settings]) -> tuple[Problem, ...]:
         return tuple(replace(one, settings=own) for one, own in zip(self.problems, settings, strict=True))
 
     def behind_rule(self) -> "Equations | None":
-        """The same recordings with the rule's low-pass; None if all have it or a lower one.
-
-        Raises `NoFitError` if a recording is too short for it.
-        """
+        """The same with the rule's low-pass; None if all have it or a lower one. Raises `NoFitError` if one is too short."""
         if all(problem.settings.filtered for problem in self.problems):
             return None
-        return self.at_cutoff(min(rule_cutoff_hz(problem.signals) for problem in self.problems))
+        return self.at_cutoff(min(regression.rule_cutoff_hz(problem.signals) for problem in self.problems))
 
     def with_motors(self, motors: tuple[int, ...]) -> "Equations":
         """The same recordings with the gains of these motors as unknowns."""
@@ -210,7 +188,7 @@ class Equations:
 
     def _with_torques(self, problems: Sequence[Problem]) -> "Equations":
         tasks = zip(replace(self, problems=tuple(problems)).tasks(), self.rows, strict=True)
-        return self._of(problems, list(self.recordings.work.run(with_torque, list(tasks))))
+        return self._of(problems, list(self.recordings.work.run(regression.with_torque, list(tasks))))
 
     def beginning(self) -> "Equations":
         """Unchanged if rows are held; else the beginnings of the recordings, with rows, together at most three minutes."""
@@ -221,9 +199,8 @@ class Equations:
             whole = problem.with_samples()
             rows = SPAN_NUMBERS / (whole.signals.robot.n * whole.base.b) / count
             most = min(rows * whole.settings.decimation, SPAN_S * whole.signals.sample_rate_hz / count)
-            observed.append(
-                observation_of(whole.until(min(whole.settings.stop, whole.settings.start + int(most))), HELD)
-            )
+            stop = min(whole.settings.stop, whole.settings.start + int(most))
+            observed.append(observation_of(whole.until(stop), HELD))
         problems, held, replays = zip(*observed, strict=True)
         recordings = Recordings(sources=tuple(problem.signals for problem in problems))
         return replace(self, recordings=recordings, replays=replays)._of(problems, held)
@@ -259,27 +236,24 @@ def equations_of(
         rows=rows,
         replays=replays,
         order=order,
-        unknowns=make_unknowns(problems, motors, ("Fv", "Fc") if overrides.gains else ()),
-        load=load_friction(problems[0].model, problems[0].base),
+        unknowns=regression.make_unknowns(problems, motors, ("Fv", "Fc") if overrides.gains else ()),
+        load=regression.load_friction(problems[0].model, problems[0].base),
     )
 
 
 def read_equations(given: Signals | Recordings, overrides: Overrides, say: Say) -> Equations:
-    """The equations of one recording or several, each filtered and decimated separately.
-
-    All have the lowest cut-off and the lowest rate of rows that the rules give.
-
-    Raises `BadInputError` if the recordings are not of one robot, and as `make_problem`.
+    """The equations of one recording or several, each filtered and decimated separately: with the lowest cut-off and rate of
+    rows that the rules give. Raises `BadInputError` if the recordings are not of one robot, and as `make_problem`.
     """
     if isinstance(given, Signals):
         given = Recordings(sources=(given,))
     if len(given.sources) == 1:
         (source,) = given.sources
         signals = source if isinstance(source, Signals) else source.load()
-        one = observation_of(make_problem(signals, overrides), None, say)
+        one = observation_of(regression.make_problem(signals, overrides), None, say)
         return equations_of(Recordings(sources=(signals,)), overrides, (one,), (0,))
     say(f"reading {len(given.sources)} recordings")
-    found = observe_all(given, [overrides] * len(given.sources), most_numbers(len(given.sources)))
+    found = observe_all(given, [overrides] * len(given.sources), regression.most_numbers(len(given.sources)))
     check_one_robot([problem.signals for problem, _, _ in found])
     found = with_common_rate(given, found, overrides)
     each = [problem.signals for problem, _, _ in found]
@@ -292,7 +266,8 @@ def read_equations(given: Signals | Recordings, overrides: Overrides, say: Say) 
     )
     joints = tuple(joint.name for joint in each[0].robot.joints)
     places = ", ".join(each[k].recording for k in by_digest)
-    refuse_standing_joints(equations.about().share, joints, places, equations.problem.signals.robot.bandwidth_hz)
+    bandwidth_hz = equations.problem.signals.robot.bandwidth_hz
+    regression.refuse_standing_joints(equations.about().share, joints, places, bandwidth_hz)
     return equations
 
 

@@ -10,31 +10,10 @@ from msgspec import UNSET
 
 from acquisition.robot import Controller, Robot
 
+from .. import report
 from ..data import Signals
 from ..model import LINK
 from ..regression import Law, Settings, forward_backward_3db_hz
-from ..report import (
-    ConsistentFile,
-    Covariance,
-    DriveGain,
-    FitFile,
-    FTest,
-    KnownLagFile,
-    LagFile,
-    LawFile,
-    LeftOut,
-    MotorLaw,
-    PassFile,
-    PayloadOfFit,
-    PhysicalWarning,
-    Provenance,
-    RecordingOfFit,
-    StandardParameter,
-    TorqueResidual,
-    TrustLineFile,
-    ValidationFile,
-    versions,
-)
 from ..trust import HeldOut
 from .fit import Fit, InstrumentEvidence
 from .gain_results import EstimatedPayload, Gains
@@ -42,18 +21,18 @@ from .parameters import fitted_parameters
 from .recording_report import Validated
 
 
-def fit_file(fit: Fit) -> FitFile:
+def fit_file(fit: Fit) -> report.FitFile:
     """The JSON file of a fit; a number that does not exist (no standing rows, say) is null."""
     e, signals, lines, prior = fit.estimate, fit.problem.signals, fit.trust.lines, fit.data.prior
     errors = [(r.problem.signals, r.problem.settings, r.errors, r.held_out) for r in fit.recordings]
-    return FitFile(
+    return report.FitFile(
         **_on_recording(signals, fit.settings, fit.errors, fit.warnings),
         own_parameters=fit.own or UNSET,
         recordings=[_recording(*one) for one in errors] if len(errors) > 1 else UNSET,
         method=fit.method,
         status=fit.status,
         doubts=[
-            PhysicalWarning(text=line.text, severe=line.level == "do not use")
+            report.PhysicalWarning(text=line.text, severe=line.level == "do not use")
             for line in lines
             if line.test == "physical" and line.level != "ok"
         ],
@@ -63,11 +42,11 @@ def fit_file(fit: Fit) -> FitFile:
         # that of the first recording; others of several may have their own
         lag=next(
             (
-                LagFile(
+                report.LagFile(
                     value_s=lag.value_s,
                     half_width_s=lag.half_width_s,
                     source=lag.source,
-                    prior=KnownLagFile(**vars(lag.prior)),
+                    prior=report.KnownLagFile(**vars(lag.prior)),
                     effort_timing=signals.effort_timing,
                     effort_object=signals.effort_object,
                 )
@@ -79,7 +58,7 @@ def fit_file(fit: Fit) -> FitFile:
         held_out_error_percent=fit.trust.line("held-out blocks").value,
         prior_source=fit.data.prior_source or UNSET,
         prior_held_out_error_percent=fit.data.prior_error_percent if prior else UNSET,
-        trust=[TrustLineFile(test=one.test, level=one.level, value=one.value, text=one.text) for one in lines],
+        trust=[report.TrustLineFile(test=one.test, level=one.level, value=one.value, text=one.text) for one in lines],
         condition_number=e.condition_number,
         condition_number_scaled=e.condition_number_scaled,
         rows=round(e.rows),
@@ -91,7 +70,7 @@ def fit_file(fit: Fit) -> FitFile:
         payloads=[_payload(one, fit) for one in fit.payloads] or UNSET,
         law=_law(fit.problem.law, signals.robot) if fit.problem.law else UNSET,
         **consistent_keys(fit),
-        essential=FTest(
+        essential=report.FTest(
             names=fit.essential_names,
             **{key: getattr(fit.essential, key) for key in ("F", "p_value", "F_effective", "p_effective")},
         ),
@@ -104,10 +83,10 @@ def fit_file(fit: Fit) -> FitFile:
     )
 
 
-def _gains(g: Gains) -> list[DriveGain]:
+def _gains(g: Gains) -> list[report.DriveGain]:
     columns = zip(g.motors, g.units, g.described, g.values, g.half, g.determined, strict=True)
     return [
-        DriveGain(
+        report.DriveGain(
             motor=motor,
             unit=unit,
             described=None if np.isnan(described) else float(described),
@@ -119,16 +98,16 @@ def _gains(g: Gains) -> list[DriveGain]:
     ]
 
 
-def _law(law: Law, robot: Robot) -> LawFile:
+def _law(law: Law, robot: Robot) -> report.LawFile:
     stated = msgspec.structs.asdict(law.controller(Controller())) if law.reason is None else {}
     half = zip(law.gains.tolist(), law.gains_half.tolist(), strict=True)
     gains = [list(zip(*pair, strict=True)) for pair in half]
-    return LawFile(
+    return report.LawFile(
         structure=law.structure,
         reason=law.reason,
         controller={k: list(x) if isinstance(x, tuple) else x for k, x in stated.items() if x} or None,
         motors=[
-            MotorLaw(
+            report.MotorLaw(
                 motor=motor.name,
                 gains={letter: row[j] for letter, row in zip(("Kp", "Kd", "Ki"), gains, strict=True)},
                 delay_s=float(law.delay_s[j]),
@@ -141,25 +120,26 @@ def _law(law: Law, robot: Robot) -> LawFile:
     )
 
 
-def _payload(one: EstimatedPayload, fit: Fit) -> PayloadOfFit:
+def _payload(one: EstimatedPayload, fit: Fit) -> report.PayloadOfFit:
     units = (*["kg m²"] * 6, *["kg m"] * 3, "kg")
     columns = zip(LINK, one.values.tolist(), units, one.from_prior.tolist(), one.half.tolist(), strict=True)
-    parameters = [StandardParameter(*column) for column in columns]
+    parameters = [report.StandardParameter(*column) for column in columns]
     found = next(p.known for r in fit.recordings if (p := r.arm.payload) and p.payload == one.payload)
     added = dict(zip(fit.base.names, found.tolist(), strict=True))
-    return PayloadOfFit(recording=one.recording, stated=one.payload.text, parameters=parameters, base_parameters=added)
+    stated = one.payload.text
+    return report.PayloadOfFit(recording=one.recording, stated=stated, parameters=parameters, base_parameters=added)
 
 
 def validation_file(
     recordings: Sequence[Validated],
     fit: str,
-    errors: tuple[TorqueResidual, ...],
+    errors: tuple[report.TorqueResidual, ...],
     warnings: tuple[str, ...],
-    consistent: tuple[TorqueResidual, ...] = (),
-) -> ValidationFile:
+    consistent: tuple[report.TorqueResidual, ...] = (),
+) -> report.ValidationFile:
     """The JSON file of a validation; arguments as of `validation_document`."""
     first, each = recordings[0], [_recording(one.signals, one.settings, one.errors) for one in recordings]
-    return ValidationFile(
+    return report.ValidationFile(
         **_on_recording(first.signals, first.settings, errors, warnings),
         fit=fit,
         recordings=each if len(each) > 1 else UNSET,
@@ -168,7 +148,7 @@ def validation_file(
 
 
 def _on_recording(
-    signals: Signals, settings: Settings, errors: tuple[TorqueResidual, ...], warnings: tuple[str, ...]
+    signals: Signals, settings: Settings, errors: tuple[report.TorqueResidual, ...], warnings: tuple[str, ...]
 ) -> dict[str, Any]:
     whole, units, fs, cutoff_hz = errors[-1], signals.robot.effort_units, signals.sample_rate_hz, settings.cutoff_hz
     return {
@@ -189,19 +169,19 @@ def _on_recording(
         "span": settings.span,
         "span_rule": settings.span_rule,
         "samples": (settings.start, settings.stop),
-        "provenance": Provenance(
+        "provenance": report.Provenance(
             recording=signals.recording,
             sha256=signals.sha256,
             robot=signals.robot.name,
-            versions={"python": platform.python_version(), **versions()},
+            versions={"python": platform.python_version(), **report.versions()},
         ),
     }
 
 
 def _recording(
-    signals: Signals, settings: Settings, errors: tuple[TorqueResidual, ...], held_out: HeldOut | None = None
-) -> RecordingOfFit:
-    return RecordingOfFit(
+    signals: Signals, settings: Settings, errors: tuple[report.TorqueResidual, ...], held_out: HeldOut | None = None
+) -> report.RecordingOfFit:
+    return report.RecordingOfFit(
         recording=signals.recording,
         sha256=signals.sha256,
         sample_rate_hz=signals.sample_rate_hz,
@@ -219,23 +199,23 @@ def consistent_keys(fit: Fit) -> dict[str, Any]:
     full, names = fit.least_squares.full, fit.estimate.names
     sigma = dict(zip(full.names, full.covariance.diagonal() ** 0.5, strict=True))
     keys: dict[str, Any] = {
-        "covariance": Covariance(names=list(names), values=fit.intervals.covariance.tolist()),
-        "left_out": [LeftOut(name=n, sigma=float(sigma[n])) for n in full.names if n not in names],
+        "covariance": report.Covariance(names=list(names), values=fit.intervals.covariance.tolist()),
+        "left_out": [report.LeftOut(name=n, sigma=float(sigma[n])) for n in full.names if n not in names],
     }
     c = fit.consistent_set
     if c is None:
         return keys
-    standard = map(StandardParameter, c.names, c.chi.tolist(), c.units, c.from_prior.tolist(), c.half.tolist())
+    standard = map(report.StandardParameter, c.names, c.chi.tolist(), c.units, c.from_prior.tolist(), c.half.tolist())
     of_base = (c.base_names, c.beta.tolist(), fit.base.units, c.base_from_prior.tolist(), c.base_half.tolist())
     return keys | {
-        "consistent": ConsistentFile(
+        "consistent": report.ConsistentFile(
             prior=c.prior,
             chi2=c.chi_squared,
             largest_move=c.largest_move,
             moved_most=c.moved_most,
             certificate=c.certificate,
             relative_error_percent=fit.consistent_errors[-1].relative_error_percent,
-            base_parameters=list(map(StandardParameter, *of_base, c.moves.tolist())),
+            base_parameters=list(map(report.StandardParameter, *of_base, c.moves.tolist())),
         ),
         "standard_parameters": list(standard),
     }
@@ -250,7 +230,7 @@ def _iv_keys(iv: InstrumentEvidence) -> dict[str, Any]:
         "reference": iv.reference,
         "controller": iv.controller,
         "iterations": [
-            PassFile(
+            report.PassFile(
                 instruments=p.z.kind,
                 reason=p.z.reason,
                 residual_norm=p.estimate.residual_norm,

@@ -10,17 +10,8 @@ from ..model import LINK
 from ..regression import ROWS, base_name
 from ..report import NO_FIXED_POINT, Cell, Document, Number, Row, Section, Table, columns, value_form
 from ..trust import LEVELS
+from . import recording_report as shared
 from .fit import Fit, InstrumentEvidence
-from .recording_report import (
-    error_line,
-    errors_section,
-    half_width_percents,
-    headline,
-    main_figures,
-    recording_lines,
-    recordings_section,
-    settings_lines,
-)
 
 MAX_SHORT_PARAMETERS, MAX_SHORT_WARNINGS = 10, 4
 HIDDEN = Section()  # the `short` of what only `--all` prints
@@ -32,23 +23,23 @@ def fit_document(signals: Signals, fit: Fit) -> Document:
     settings = Section(
         title="settings and tests",
         lines=(
-            *(settings_lines(signals, fit.settings, used="fitted") if len(fit.recordings) == 1 else ()),
+            *(shared.settings_lines(signals, fit.settings, used="fitted") if len(fit.recordings) == 1 else ()),
             f"cond(W) {fit.estimate.condition_number:.4f}, with columns of norm one "
             f"{fit.estimate.condition_number_scaled:.4f}; {_rows_line(fit)}",
             *(_iv_lines(fit.iv) if fit.iv else ()),
-            *(recording_lines(signals) if len(fit.recordings) == 1 else ()),
+            *(shared.recording_lines(signals) if len(fit.recordings) == 1 else ()),
         ),
         short=HIDDEN,
     )
-    several = [recordings_section(fit.recordings, fit.own)] if len(fit.recordings) > 1 else []
+    several = [shared.recordings_section(fit.recordings, fit.own)] if len(fit.recordings) > 1 else []
     return Document(
         title=f"{signals.robot.name}: {first_line(fit)}",
         badge=fit.trust.verdict,
-        figures=main_figures(
+        figures=shared.main_figures(
             fit.errors[-1].moving_relative_error_percent,
             fit.trust.line("held-out blocks").value,
             {f"held out, links of the {fit.data.prior_source}": fit.data.prior_error_percent},
-            half_width_percents(fit),
+            shared.half_width_percents(fit),
         ),
         sections=(
             _verdict_section(fit),
@@ -58,7 +49,7 @@ def fit_document(signals: Signals, fit: Fit) -> Document:
             _parameters(fit),
             *_consistent(fit),
             *(_iv_sections(fit.iv) if fit.iv else ()),
-            errors_section(fit.errors, signals.robot.effort_units),
+            shared.errors_section(fit.errors, signals.robot.effort_units),
             *several,
             settings,
             *_expressions(fit),
@@ -69,7 +60,7 @@ def fit_document(signals: Signals, fit: Fit) -> Document:
 def first_line(fit: Fit) -> str:
     """Method and its reason, status, verdict with its worst finding, and the main figures."""
     finding = f": {fit.trust.finding}" if fit.trust.finding else ""
-    figures = [headline(fit.errors)]
+    figures = [shared.headline(fit.errors)]
     if (held := fit.trust.line("held-out blocks").value) is not None:
         figures.append(f"{held:.2g} % held out")
     alone = " with instruments: reference" if fit.iv and fit.iv.passes[fit.iv.returned - 1].stands_alone else ""
@@ -81,7 +72,7 @@ def first_line(fit: Fit) -> str:
 
 def _determined(fit: Fit) -> str:
     """How many parameters the recordings determine, and how closely."""
-    percents, of = half_width_percents(fit), len(fit.least_squares.full.names)
+    percents, of = shared.half_width_percents(fit), len(fit.least_squares.full.names)
     text = f"{len(percents)} of {of} parameters determined"
     if not percents:
         return text
@@ -95,7 +86,7 @@ def _verdict_section(fit: Fit) -> Section:
     reason = f": {fit.iv.reason}" if fit.iv and fit.iv.reason else ""
     lines = [f"assumed: {', '.join(one.what for one in fit.trust.assumed)}"] if fit.trust.assumed else []
     status = f"status: {fit.status}{reason}"
-    lines += [status, error_line(fit.errors), *(f"note: {text}" for text in fit.notes)]
+    lines += [status, shared.error_line(fit.errors), *(f"note: {text}" for text in fit.notes)]
     if fit.status in NO_FIXED_POINT:
         error = relative_error_percent(fit.tau, fit.tau - fit.least_squares.tau_predicted)
         lines.append(f"least squares has a torque error of {_percent(error)} of all rows: --method wls")
@@ -170,13 +161,7 @@ def _payloads(fit: Fit) -> list[Section]:
         halves, units = (weighed, *of_center, *one.half[:6]), ("kg", "m", "m", "m", *["kg m²"] * 6)
         stated = [one.payload.mass_kg is not None, *[one.payload.center_of_mass_m is not None] * 3, *[False] * 6]
         rows: list[Row] = [
-            (
-                name,
-                Number(float(v), ".4g"),
-                Number(half, ".2g"),
-                unit,
-                "stated" if s else "prior" if p else "recording",
-            )
+            (name, Number(float(v), ".4g"), Number(half, ".2g"), unit, "stated" if s else "prior" if p else "recording")
             for name, v, half, unit, p, s in zip(names, values, halves, units, prior, stated, strict=True)
         ]
         line = f"stated: {one.payload.describe(joint)}; values in the frame of {joint}, inertia about its origin"
@@ -225,9 +210,8 @@ def _consistent(fit: Fit) -> list[Section]:
     c = fit.consistent_set
     if c is None:
         return []
-    own = (
-        "" if fit.trust.line("consistent").value == c.chi_squared else " (the verdict's line `consistent` has its own)"
-    )
+    alike = fit.trust.line("consistent").value == c.chi_squared
+    own = "" if alike else " (the verdict's line `consistent` has its own)"
     free, held = (errors[-1].relative_error_percent for errors in (fit.errors, fit.consistent_errors))
 
     def row(name: str, value: float, half: float, unit: str, from_prior: bool) -> Row:
@@ -263,11 +247,9 @@ def _percent(error: float | None) -> str:
 
 def _rows_line(fit: Fit) -> str:
     """The number of rows by their weights, and what weighs nothing."""
-    whole = fit.errors[-1]
-    percent = fit.settings.low_speed_percent
-    slow = (
-        "4 % of the peak speed, or 4 deviations of its noise" if percent is None else f"{percent:g} % of the peak speed"
-    )
+    whole, percent = fit.errors[-1], fit.settings.low_speed_percent
+    slow = "4 % of the peak speed, or 4 deviations of its noise"
+    slow = slow if percent is None else f"{percent:g} % of the peak speed"
     line = f"{fit.estimate.rows:.0f} of {whole.moving_rows + whole.standing_rows} rows"
     if percent == 0:
         return line

@@ -14,18 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import estimation
 from ..arrays import Array
 from ..errors import BadInputError, NoFitError
-from ..estimation import (
-    Estimate,
-    Intervals,
-    System,
-    instrumental_variables,
-    intervals_from,
-    intervals_of,
-    stacked_columns,
-    weighted_least_squares,
-)
+from ..estimation import Estimate, Intervals, System
 from ..regression import Rows, base_places, predicted_drives
 from ..trust import FitData, Lag, moves_of
 from .equations import Equations
@@ -48,7 +40,7 @@ def measured_instruments(equations: Equations, x: Array) -> Array:
     n, of, each = equations.problem.signals.robot.n, equations.unknowns, list[Array]()
     for k, (problem, rows) in enumerate(zip(equations.problems, equations.rows_about(x), strict=True)):
         each.append(of.columns(k, np.c_[rows.system.W, predicted_drives(problem, of.beta(x, k))]))
-    return stacked_columns(each, n)
+    return estimation.stacked_columns(each, n)
 
 
 def solve_with_gains(equations: Equations) -> tuple[Equations, Array, bool]:
@@ -63,16 +55,16 @@ def solve_with_gains(equations: Equations) -> tuple[Equations, Array, bool]:
     # Least squares by the described gains starts better than with all columns, where gains may become 0.
     described = equations.with_motors(()).about().system.with_columns(columns[: gains.start - len(names)])
     x = np.ones(len(names))
-    x[: gains.start] = weighted_least_squares(described).values_of(names[: gains.start])
+    x[: gains.start] = estimation.weighted_least_squares(described).values_of(names[: gains.start])
     if equations.load:
-        fixed, start = leave_out_load(equations.with_motors(()), x[: gains.start], weighted_least_squares)
+        fixed, start = leave_out_load(equations.with_motors(()), x[: gains.start], estimation.weighted_least_squares)
         if fixed.left_out != equations.left_out:
             equations, x = fixed.with_motors(equations.unknowns.motors), np.r_[start, x[gains]]
             names, gains = equations.names, equations.unknowns.gains
     for _ in range(MAX_PASSES):
         rows, Z = equations.about(x), measured_instruments(equations, x)
         try:
-            estimate = instrumental_variables(rows.system, Z, joint_weights_of(rows.system, x))
+            estimate = estimation.instrumental_variables(rows.system, Z, joint_weights_of(rows.system, x))
             estimate = equations.combined(rows.system, estimate)
         except NoFitError as error:
             text = f"drive gains and the arm cannot be separated ({error.args[0]}): the payload does not show in the recordings"
@@ -127,7 +119,7 @@ def held_and_counted(
     """Intervals that include how well lags, stated drive gains, masses, and centres of mass that are not estimated are known,
     which the estimate holds; from the rows of each recording, and of all.
     """
-    of, n, found = equations.unknowns, equations.problem.signals.robot.n, intervals_of(system, estimate)
+    of, n, found = equations.unknowns, equations.problem.signals.robot.n, estimation.intervals_of(system, estimate)
     robot, torques = equations.problem.signals.robot, list[list[Array]]()  # by recording, of each half-width
     for m, motor in enumerate(robot.motors):
         if motor.drive_gain_half_width and m not in of.motors:
@@ -140,9 +132,9 @@ def held_and_counted(
             torques.append([rows.system.W @ (known * (arm.payload is carried)) for rows, arm in pairs])
     moved = [lag.moved for lag in lags]
     if torques:
-        C = stacked_columns([np.transpose(of_recording) for of_recording in zip(*torques, strict=True)], n)
+        C = estimation.stacked_columns([np.transpose(of_recording) for of_recording in zip(*torques, strict=True)], n)
         moved += list(np.abs(stated - moves_of(system, C, estimate).T) / found.reach)
-    return intervals_from(estimate, np.hypot.reduce([found.sigma, *moved]), found.freedom)
+    return estimation.intervals_from(estimate, np.hypot.reduce([found.sigma, *moved]), found.freedom)
 
 
 def smallest_cragg_donald(system: System, Z: Array, weights: Array, gains: slice) -> float:
@@ -173,9 +165,8 @@ def results_of(equations: Equations, evidence: FitData) -> dict[str, Any]:
         own = np.array([estimate.names.index(name) for name in one.names if name in estimate.names], dtype=np.intp)
         covariance = found.covariance[np.ix_(own, own)] if len(own) == len(one.names) else None
         values, sigma, prior = one.nearest_body(estimate.values_of(one.names), covariance)
-        name = next(
-            x.signals.recording for x, arm in zip(equations.problems, of.arms, strict=True) if arm.payload is one
-        )
+        pairs = zip(equations.problems, of.arms, strict=True)
+        name = next(problem.signals.recording for problem, arm in pairs if arm.payload is one)
         half = found.reach * sigma
         near = not one.names or bool(half.any())
         payloads.append(

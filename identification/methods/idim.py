@@ -12,38 +12,22 @@ from typing import Literal
 
 import numpy as np
 
+from .. import estimation
 from ..arrays import Array
 from ..data import Recordings, Signals
 from ..errors import BadInputError, NoFitError
-from ..estimation import (
-    Estimate,
-    autocorrelation,
-    essential_parameters,
-    instrumental_variables,
-    intervals_of,
-    one_thread,
-)
+from ..estimation import Estimate, autocorrelation, instrumental_variables, intervals_of, one_thread
 from ..regression import Overrides, Rows, Term, base_places
 from ..report import Method
 from ..simulation import Instruments
 from ..trust import covariance_of_all
-from .assess import assess_iv, candidates_of, evidence_of, fit_of, position_noise_of
+from . import iteration as iv
+from .assess import assess_iv, candidates_of, evidence_of, fit_of
 from .equations import Equations, closed_loops, read_equations
 from .fit import Fit, LeastSquares, Pass
 from .gains import factors_of, joint_weights_of, measured_instruments, motors_of, solve_with_gains
-from .iteration import (
-    Iteration,
-    NoEstimateError,
-    assess_pass,
-    conclude,
-    failed,
-    inertia_prior,
-    is_coarse,
-    next_values,
-    start_values,
-    why_by_reference,
-)
-from .observation import solver_of
+from .iteration import Iteration, NoEstimateError
+from .observation import position_noise_line, solver_of
 from .settled import least_squares, settle, with_best_ramps
 from .timing import correct_known_lags, with_lags, with_lags_found
 
@@ -104,9 +88,8 @@ def identify(
             raise
     else:
         if iteration is not None:
-            raise BadInputError(
-                "only instrumental variables iterate", key="method", value=chosen, expected=f"iv ({reason})"
-            )
+            expected = f"iv ({reason})"
+            raise BadInputError("only instrumental variables iterate", key="method", value=chosen, expected=expected)
         fit = _by_least_squares(equations, chosen, essential=essential)
     return replace(fit, method_reason=reason)
 
@@ -156,7 +139,9 @@ def _by_least_squares(equations: Equations, method: Literal["ols", "wls"], *, es
     ls = solve_least_squares(equations, full, rows, essential=essential)
     evidence = evidence_of(equations, method, ls, rows, each=each)
     ls = replace(ls, intervals=evidence.intervals)
-    noise = position_noise_of(equations, method, ls)  # once: it looks at the beginning of a long recording anyway
+    # Once, of the first recording: it looks at the beginning of a long one anyway.
+    first, alone = equations.tasks()[0].with_samples(), equations.unknowns.plain and not equations.load
+    noise = position_noise_line(first, method, ls, alone=alone)
     return fit_of(equations, replace(evidence, position_noise=noise), ls)
 
 
@@ -200,8 +185,8 @@ def _solve_by_instruments(
     """
     equations, full = least_squares(equations)
     ls = solve_least_squares(equations, full, equations.about(full.values_of(equations.names)), essential=essential)
-    prior = inertia_prior(equations, ls)
-    x, C, robot = start_values(equations, iteration, ls)
+    prior = iv.inertia_prior(equations, ls)
+    x, C, robot = iv.start_values(equations, iteration, ls)
     if motors := motors_of(equations):
         equations, ones = equations.with_motors(motors), np.ones(len(motors))
         x, prior, C = np.r_[x, ones], np.r_[prior, ones], None if C is None else np.pad(C, (0, len(motors)))
@@ -226,10 +211,10 @@ def _solve_by_instruments(
             raise NoEstimateError(z.reason) from error
         # C = D R D
         after = covariance_of_all(names, estimate, intervals_of(W_and_Y.system, estimate), ls.full)
-        return assess_pass(z, estimate, W_and_Y.system, (C, after), tolerance_percent=tolerance_percent)
+        return iv.assess_pass(z, estimate, W_and_Y.system, (C, after), tolerance_percent=tolerance_percent)
 
     def next_pass(equations: Equations, number: int) -> tuple[Equations, Pass]:
-        coarse = regular and is_coarse(equations.problem, number, most)
+        coarse = regular and iv.is_coarse(equations.problem, number, most)
         # Z = IDM(q_sim, dq_sim, ddq_sim); a first pass of a long recording only starts the next ones
         further = terms_of_long(equations, x) if number > 1 or most == 1 else ()
         z = lab.instruments(x, C, robot=robot, coarse=coarse, further=further)
@@ -248,17 +233,18 @@ def _solve_by_instruments(
         try:
             equations, last = next_pass(equations, len(passes) + 1)
         except NoEstimateError as error:
-            passes = failed(passes, error, lab.names)
+            passes = iv.failed(passes, error, lab.names)
             break
         passes, C = [*passes, last], last.covariance
-        x, robot = next_values(passes, names), None
-    best = conclude(lab, passes, partial(terms_of_long, equations), lambda z: step(rows := equations.along(z), rows.Z))
-    if why := why_by_reference(equations, passes, best):
+        x, robot = iv.next_values(passes, names), None
+    further = partial(terms_of_long, equations)
+    best = iv.conclude(lab, passes, further, lambda z: step(rows := equations.along(z), rows.Z))
+    if why := iv.why_by_reference(equations, passes, best):
         z = replace(lab.along_reference(first, terms_of_long(given, first)), reason=why)
         found = with_lags_found(given, z, weights)
         with suppress(NoEstimateError):
             last = replace(one_pass(found, z), number=len(passes) + 1, stands_alone=True, replicas=z.replicas)
-            if why_by_reference(found, [last], last) is None:
+            if iv.why_by_reference(found, [last], last) is None:
                 equations, passes, best = found, [*passes, last], last
     passes = [one.without_rows() for one in passes]
     if motors:
@@ -301,7 +287,7 @@ def solve_least_squares(equations: Equations, full: Estimate, rows: Rows, *, ess
     """Least squares from the estimate `full` of all parameters, and its rows: its reduction, intervals and torque."""
     predicted = equations.predicted(full)
     rho = (rows.tau - predicted) * full.weights * rows.counts
-    reduction = essential_parameters(rows.system, full, correlation=autocorrelation(rho) or 0.0)
+    reduction = estimation.essential_parameters(rows.system, full, correlation=autocorrelation(rho) or 0.0)
     estimate = full
     if essential:
         estimate = equations.combined(rows.system, reduction.estimate)

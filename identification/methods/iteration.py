@@ -77,9 +77,8 @@ def assess_pass(
     *,
     tolerance_percent: float,
 ) -> Pass:
-    """The pass that gave `estimate`, its changes, and whether it settled.
-
-    `system` has all parameters; `covariances` are those of the values simulated and the estimate.
+    """The pass that gave `estimate`, its changes, and whether it settled; `system` has all parameters, `covariances` are those
+    of the values simulated and the estimate.
     """
     # Compared with the values asked for, not with the consistent ones simulated instead. Parameters near zero never settle
     # in percent: half a deviation is enough.
@@ -111,10 +110,7 @@ class NoEstimateError(Exception):
 
 
 def failed(passes: list[Pass], error: NoEstimateError, recordings: Sequence[str]) -> list[Pass]:
-    """The passes; the last one has the reason why the next gave no estimate.
-
-    Raises `NoFitError` if there is none.
-    """
+    """The passes; the last one has the reason why the next gave no estimate. Raises `NoFitError` if there is none."""
     text = "; ".join([f"pass {len(passes) + 1}: {error.__cause__}", *(str(reason) for reason in error.args if reason)])
     if not passes:
         raise NoFitError(f"no instruments: {text}", place=", ".join(recordings)) from error
@@ -168,10 +164,8 @@ def status_of(
     if last.failure is not None:
         return "diverged", last.failure
     if not tests.first_stage_F >= 1.0:
-        return (
-            "diverged",
-            f"the simulated motion does not resemble the measured one: first-stage F = {tests.first_stage_F:.2g}",
-        )
+        text = "the simulated motion does not resemble the measured one"
+        return "diverged", f"{text}: first-stage F = {tests.first_stage_F:.2g}"
     if best.stands_alone:
         return "converged", f"instruments: reference; {best.z.reason}"
     if last.is_last:
@@ -196,9 +190,8 @@ def why_by_reference(equations: Equations, passes: Sequence[Pass], best: Pass) -
     if any(one.reference_kind != "recorded" or one.controller == "described" for one in best.replicas):
         return None
     status, why = status_of(equations, passes, best, tests_of(equations.along(best.z).system, best.estimate))
-    return (
-        None if status == "converged" else f"by a simulated robot, whose control law is not described, {status}: {why}"
-    )
+    text = f"by a simulated robot, whose control law is not described, {status}: {why}"
+    return None if status == "converged" else text
 
 
 def _unconfirmed(equations: Equations, best: Pass) -> str | None:
@@ -257,12 +250,10 @@ def inertia_prior(equations: Equations, ls: LeastSquares) -> Array:
 
 
 def regular_start(model: InverseModel, base: BaseParameters, J: Array | None = None) -> Array:
-    """Base parameters of a robot with only an inertia J of each motor, at its joint.
+    """Base parameters (b,) of a robot with only an inertia J of each motor, at its joint.
 
     With a coupled wrist the Ia of a joint includes all motors that turn with it: Ia5 = 2 on the TX40. A joint without Ia has
     a link with that inertia about every axis, or that mass.
-
-    Returns (b,) values in the order of `base`.
     """
     chi, robot = np.zeros(model.p), model.robot
     J = np.ones(robot.n) if J is None else J

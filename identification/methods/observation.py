@@ -5,27 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from .. import regression
 from ..arrays import Array
 from ..data import ON_GRID, RecordingFile, Recordings, Signals
 from ..errors import NoFitError
 from ..estimation import Estimate, System, one_thread, ordinary_least_squares, weighted_least_squares
-from ..regression import (
-    HELD,
-    REDUCED,
-    FilteredMotion,
-    KnownLag,
-    Overrides,
-    Problem,
-    Rows,
-    Settings,
-    base_name,
-    law_of,
-    make_problem,
-    make_settings,
-    most_numbers,
-    rows_of_recording,
-    sample_weights,
-)
+from ..regression import FilteredMotion, KnownLag, Overrides, Problem, Rows, Settings, law_of
 from ..report import Method
 from ..trust import TrustLine, law_line
 from .fit import LeastSquares
@@ -48,13 +33,13 @@ def observe(source: Signals | RecordingFile, overrides: Overrides, most: float) 
     """`observation_of` as a task."""
     if isinstance(source, RecordingFile):
         source = source.load()
-    return observation_of(make_problem(source, overrides), most)
+    return observation_of(regression.make_problem(source, overrides), most)
 
 
 def observation_of(problem: Problem, most: float | None, say: Say = lambda text: None) -> Observed:
     """The rows of a recording, and its control law; `most` as of `rows_of_recording`."""
     problem = problem if problem.law is not None else replace(problem, law=law_of(problem))
-    rows, replayed = rows_of_recording(problem, say, most=most), law_line(problem)
+    rows, replayed = regression.rows_of_recording(problem, say, most=most), law_line(problem)
     return problem.without_samples() if most is not None and rows.reduced else problem, rows, replayed
 
 
@@ -70,11 +55,11 @@ def with_common_rate(given: Recordings, found: list[Observed], overrides: Overri
     rates = [problem.signals.sample_rate_hz for problem, _, _ in found]
     cutoff_hz = min((s.cutoff_hz for s in settings if s.cutoff_hz is not None), default=None)
     row_hz = min(fs / s.decimation for fs, s in zip(rates, settings, strict=True))
-    most = REDUCED if any(rows.reduced for _, rows, _ in found) else most_numbers(len(found))
+    most = regression.REDUCED if any(rows.reduced for _, rows, _ in found) else regression.most_numbers(len(found))
     again = []
     for k, (fs, s) in enumerate(zip(rates, settings, strict=True)):
         decimation = max(1, round(fs / row_hz))
-        reduced = found[k][1].reduced or most != REDUCED
+        reduced = found[k][1].reduced or most != regression.REDUCED
         if (s.cutoff_hz, s.decimation) != (cutoff_hz, decimation) or not reduced:
             again.append((k, replace(overrides, cutoff_hz=cutoff_hz or 0.0, decimation=decimation)))
     if again:
@@ -88,8 +73,8 @@ def with_common_rate(given: Recordings, found: list[Observed], overrides: Overri
 def rows_at(problem: Problem, overrides: Overrides, most: float) -> tuple[Settings, Rows]:
     """Settings and rows of a recording with other overrides."""
     problem = problem.with_samples()
-    settings = make_settings(problem.signals, overrides, problem.motion)
-    return settings, rows_of_recording(replace(problem, settings=settings), most=most)
+    settings = regression.make_settings(problem.signals, overrides, problem.motion)
+    return settings, regression.rows_of_recording(replace(problem, settings=settings), most=most)
 
 
 def position_noise_line(problem: Problem, method: Method, ls: LeastSquares, *, alone: bool) -> TrustLine:
@@ -168,7 +153,7 @@ def _noise_like(problem: Problem) -> Array:
 
 def _with_noise(problem: Problem, noise: Array) -> Problem:
     """With the weights of samples as they are."""
-    sample_weights(problem)
+    regression.sample_weights(problem)
     q = np.array(problem.signals.q)
     q[: len(noise)] += noise
     signals = replace(problem.signals, q=q)
@@ -179,8 +164,8 @@ def _with_noise(problem: Problem, noise: Array) -> Problem:
 
 def _least_squares(problem: Problem, method: Method, ls: LeastSquares) -> Estimate:
     """Least squares of the recording with the parameters of `ls`, without load friction."""
-    system = rows_of_recording(problem, most=HELD).system
-    asked = set(map(base_name, ls.estimate.names))
+    system = regression.rows_of_recording(problem, most=regression.HELD).system
+    asked = set(map(regression.base_name, ls.estimate.names))
     columns = np.array([k for k, name in enumerate(system.names) if name in asked and system.W[:, k].any()])
     return solver_of(method)(system.with_columns(columns))
 

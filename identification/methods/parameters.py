@@ -37,6 +37,7 @@ def least_squares_parameters(fit: Fit) -> ParameterSet:
 def _estimated(label: str, fit: Fit, e: Estimate, intervals: Intervals) -> ParameterSet:
     essential = essential_names(fit.essential, e, intervals)
     known = dict(zip(fit.base.names, zip(fit.base.units, fit.base.expressions, strict=True), strict=True))
+    found = zip(e.names, e.beta, intervals.low, intervals.high, e.sigma, strict=True)
     return ParameterSet(
         label=label,
         parameters={
@@ -50,9 +51,7 @@ def _estimated(label: str, fit: Fit, e: Estimate, intervals: Intervals) -> Param
                 sigma=float(sigma),
                 essential=name in essential,
             )
-            for name, value, low, high, sigma in zip(
-                e.names, e.beta, intervals.low, intervals.high, e.sigma, strict=True
-            )
+            for name, value, low, high, sigma in found
         },
     )
 
@@ -162,10 +161,7 @@ def consistent_fit(stored: FitFile, place: str) -> FitFile:
 
 
 def stored_beta(stored: FitFile, base: BaseParameters, place: str) -> Array:
-    """(b,) values in the order of `base`, zero if left out; refuses a fit of another robot.
-
-    For own parameters of several recordings it is the mean.
-    """
+    """(b,) values in the order of `base`, zero if left out, means of own parameters; refuses a fit of another robot."""
     values: dict[str, list[float]] = {}
     for p in stored.parameters:
         values.setdefault(base_name(p.name), []).append(p.value)
@@ -207,9 +203,8 @@ def signals_as_fitted(
         return signals, []
     names = ", ".join(other[:5]) + (", ..." if len(other) > 5 else "")
     if chosen or not stored.description:
-        return signals, [
-            f"{place}: {names}: perhaps not the same quantities as those of robot {signals.robot.name} here"
-        ]
+        text = f"perhaps not the same quantities as those of robot {signals.robot.name} here"
+        return signals, [f"{place}: {names}: {text}"]
     note = f"{signals.recording}: its description does not have the parameters of the fit ({names}): that of {place} is used"
     return replace(load_signals(recording, stored_robot(stored, place)), payload=signals.payload), [note]
 
@@ -218,16 +213,10 @@ def signals_as_fitted(
 def validate_all(
     recordings: Sequence[tuple[Signals, Overrides]], stored: FitFile, place: str
 ) -> tuple[tuple[Validated, ...], tuple[TorqueResidual, ...]]:
-    """Torque errors of a stored fit on recordings of one robot, each with its settings; nothing is fitted.
+    """Torque errors of a stored fit on recordings of one robot, each with what replaces its settings; nothing is fitted.
 
-    Parameters
-    ----------
-    recordings : each with what replaces its settings.
-    stored : the fit, with what it found of payloads; `place` names it in errors.
-
-    Returns
-    -------
-    Each recording with its errors, and the errors of all together: one per joint and, last, that of all joints.
+    Payloads are as the fit found them; `place` names it in errors. Returns each recording with its errors, and the errors of
+    all together: one per joint and, last, that of all joints.
     """
     check_one_robot([signals for signals, _ in recordings])
     names = tuple(j.name for j in recordings[0][0].robot.joints)

@@ -72,9 +72,7 @@ def validation_document(
     lines = [line for one in recordings for line in settings_lines(one.signals, one.settings, used="evaluated on")]
     lines += [line for one in recordings for line in recording_lines(one.signals)]
     rows: list[Row] = [(one.signals.recording, *_error_cells(one.errors[-1])) for one in recordings]
-    each = Section(
-        title="recordings", table=Table(columns=columns("recording", numbers=ERROR_COLUMNS), rows=tuple(rows))
-    )
+    table = Table(columns=columns("recording", numbers=ERROR_COLUMNS), rows=tuple(rows))
     return Document(
         title=f"{fit} on {names}: {headline(errors)}",
         sections=(
@@ -82,7 +80,7 @@ def validation_document(
                 lines=(error_line(errors), *([f"consistent set: {error_line(consistent)}"] if consistent else [])),
                 warnings=warnings,
             ),
-            *([each] if len(recordings) > 1 else []),
+            *([Section(title="recordings", table=table)] if len(recordings) > 1 else []),
             replace(errors_section(errors, units), short=None),
             *([replace(errors_section(consistent, units), title=title, short=None)] if consistent else []),
             Section(title="settings", lines=tuple(lines)),
@@ -132,14 +130,10 @@ def headline(errors: tuple[TorqueResidual, ...]) -> str:
 
 def error_line(errors: tuple[TorqueResidual, ...]) -> str:
     """The relative torque error of all joints together, by kind of row."""
-    whole = errors[-1]
-    moving, standing = (
-        _percent(x) for x in (whole.moving_relative_error_percent, whole.standing_relative_error_percent)
-    )
-    return (
-        f"relative torque error: {moving} % of moving rows, {standing} % of standing rows, "
-        f"{_percent(whole.relative_error_percent)} % of all rows"
-    )
+    e = errors[-1]
+    percents = e.moving_relative_error_percent, e.standing_relative_error_percent, e.relative_error_percent
+    moving, standing, whole = map(_percent, percents)
+    return f"relative torque error: {moving} % of moving rows, {standing} % of standing rows, {whole} % of all rows"
 
 
 def half_width_percents(fit: Fit) -> dict[str, float]:
@@ -165,18 +159,15 @@ def main_figures(
 def errors_section(errors: tuple[TorqueResidual, ...], units: tuple[str, ...]) -> Section:
     """Relative torque errors by joint: whole, moving, standing; all joints together last."""
     heads = columns("joint", "unit", numbers=ERROR_COLUMNS)
-    rows: list[Row] = [
-        (error.name, unit, *_error_cells(error)) for error, unit in zip(errors, (*units, ""), strict=True)
-    ]
     each = [f"{error.name} {Number(error.moving_relative_error_percent, '.2g').text} %" for error in errors[:-1]]
-    more = [
-        (Number(e.moving_rows, "d"), Number(e.standing_rows, "d"), Number(e.autocorrelation, ".2f")) for e in errors
-    ]
+    rows = list[Row]()
+    for e, unit in zip(errors, (*units, ""), strict=True):
+        counts = Number(e.moving_rows, "d"), Number(e.standing_rows, "d"), Number(e.autocorrelation, ".2f")
+        rows.append((e.name, unit, *_error_cells(e), *counts))
     wide = heads + columns(numbers=("rows moving", "rows standing", "residual lag-1"))
-    whole = tuple((*row, *cells) for row, cells in zip(rows, more, strict=True))
     return Section(
         title="relative torque error, %",
-        table=Table(columns=wide, rows=whole, total=True),
+        table=Table(columns=wide, rows=tuple(rows), total=True),
         # a line above has all joints
         short=Section(lines=(f"torque error of moving rows by joint: {', '.join(each)}",) if len(each) > 1 else ()),
     )
@@ -185,20 +176,15 @@ def errors_section(errors: tuple[TorqueResidual, ...], units: tuple[str, ...]) -
 def settings_lines(signals: Signals, settings: Settings, *, used: str) -> tuple[str, ...]:
     """The settings in words; `used` is what is done with the span."""
     fs = signals.sample_rate_hz
-    if settings.cutoff_hz is None:
-        cutoff = "no low-pass"
-    else:
+    cutoff = "no low-pass"
+    if settings.cutoff_hz is not None:
         both = forward_backward_3db_hz(settings.cutoff_hz, fs)
         cutoff = f"low-pass {settings.cutoff_hz:g} Hz (-3 dB one way; forward and backward -3 dB at {both:.1f} Hz)"
-    timing = (
-        f"; samples up to {signals.off_grid:.2g} periods off a uniform grid: interpolated"
-        if signals.off_grid > ON_GRID
-        else ""
-    )
+    notes = " with MATLAB's edge rule" if settings.edges == "matlab" else ""
+    if signals.off_grid > ON_GRID:
+        notes += f"; samples up to {signals.off_grid:.2g} periods off a uniform grid: interpolated"
     return (
-        f"{signals.recording}: {fs:g} Hz, {cutoff}, decimated by {settings.decimation}"
-        + (" with MATLAB's edge rule" if settings.edges == "matlab" else "")
-        + timing,
+        f"{signals.recording}: {fs:g} Hz, {cutoff}, decimated by {settings.decimation}{notes}",
         f"{used}: {settings.span}, {settings.start / fs:.3f} s to {settings.stop / fs:.3f} s of {len(signals.q) / fs:.3f} s",
         *_known_lines(signals),
     )
@@ -216,12 +202,8 @@ def gain_warnings(signals: Signals) -> tuple[str, ...]:
         return ()
     units = " and ".join(sorted(set(robot.effort_units)))
     text = f"the drive gains are not known: torques and parameters are in {units}, not in N m"
-    shared = (
-        "; joints share parameters, so the values are valid only if all drives have the same gain"
-        if robot.n > 1
-        else ""
-    )
-    return (text + shared,)
+    shared = "; joints share parameters, so the values are valid only if all drives have the same gain"
+    return (text + shared * (robot.n > 1),)
 
 
 def _known_lines(signals: Signals) -> list[str]:

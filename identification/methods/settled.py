@@ -17,14 +17,7 @@ import numpy as np
 
 from ..arrays import Array
 from ..errors import NoFitError
-from ..estimation import (
-    Estimate,
-    System,
-    condensed,
-    instrumental_variables,
-    intervals_of,
-    weighted_least_squares,
-)
+from ..estimation import Estimate, System, condensed, instrumental_variables, intervals_of, weighted_least_squares
 from ..model import SHAPES
 from ..regression import RAMPS, ROWS, Problem, Rows, sample_weights
 from .equations import Equations, closed_loops
@@ -37,10 +30,7 @@ LONG, SHORT, *OTHERS = RAMPS
 
 
 def least_squares(equations: Equations, method: Literal["ols", "wls"] = "wls") -> tuple[Equations, Estimate]:
-    """Least squares with the identifiable terms.
-
-    Raises `NoFitError` as the estimators.
-    """
+    """Least squares with the identifiable terms. Raises `NoFitError` as the estimators."""
     equations, solve = leave_out_collinear_terms(equations), solver_of(method)
     if equations.load is None:
         system = equations.about().system

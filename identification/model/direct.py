@@ -233,23 +233,17 @@ def why_not_positive(M: Array) -> str | None:
     if not np.isfinite(M).all():
         return "the inertia matrix is not finite on the trajectory"
     lowest = float(np.linalg.eigvalsh(M).min())
-    return (
-        None if lowest > 0 else f"the inertia matrix is not positive on the trajectory (lowest eigenvalue {lowest:.3g})"
-    )
+    text = f"the inertia matrix is not positive on the trajectory (lowest eigenvalue {lowest:.3g})"
+    return None if lowest > 0 else text
 
 
 def regressor_gradient(
     model: InverseModel, base: BaseParameters, motion: tuple[Array, Array, Array], G: Array
 ) -> tuple[Array, Array, Array]:
-    """Gradients (N, n) by q, dq and ddq of sum(G * W), W (N, n, b) the regressor of the base parameters.
+    """Gradients (N, n) by q, dq and ddq, the `motion`, each (N, n), of sum(G * W): W (N, n, b) is the regressor of the base
+    parameters, G (N, n, b) constant.
 
     Pinocchio divides by masses: a dummy mass is added to each link, and its torque is subtracted.
-
-    Parameters
-    ----------
-    model, base : the inverse dynamic model and its base parameters.
-    motion : q, dq, ddq, each (N, n).
-    G : (N, n, b), constant.
     """
     q, dq, ddq = (np.ascontiguousarray(x) for x in motion)
     n = model.robot.n
@@ -303,13 +297,8 @@ def torque_of_links(model: DirectModel, motion: tuple[Array, Array, Array]) -> t
 def torque_without_sliding(
     model: DirectModel, motion: tuple[Array, Array, Array], of_links: tuple[Array, Array]
 ) -> tuple[Array, Array]:
-    """Torque (N, n) without friction that has a sign, and its derivatives (3, N, n, n) by q, dq, ddq.
-
-    Parameters
-    ----------
-    model : the equation of motion with given parameters.
-    motion : q, dq, ddq, each (N, n).
-    of_links : the links' torque and its derivatives, from `torque_of_links`.
+    """Torque (N, n) without friction that has a sign, and its derivatives (3, N, n, n) by q, dq, ddq, each (N, n); `of_links`
+    are those of `torque_of_links`.
     """
     _, dq, ddq = motion
     slopes, up, down = of_links[1].copy(), model.viscous_up, model.viscous_down

@@ -134,10 +134,7 @@ class JointTerm:
         return np.asarray(self.direction[j] * (sign * friction.size(u, self.speed, load)))
 
     def entry_slopes(self, j: int, dq: Array) -> tuple[Array, Array]:
-        """Derivatives of `entry` by speed (N, n) and by acceleration (n,).
-
-        Zero for terms with the sign of a speed: see `rounded`.
-        """
+        """Derivatives of `entry` by speed (N, n) and by acceleration (n,); zero for terms with a sign: see `rounded`."""
         by_speed, by_acceleration = np.zeros(dq.shape), np.zeros(dq.shape[1])
         if self.kind == "rotor":
             by_acceleration = self.matrix[j]
@@ -174,9 +171,8 @@ def joint_terms(robot: Robot, j: int) -> list[JointTerm]:
     coupled = np.count_nonzero(r) > 1
     effort, length = robot.effort_units[j], joint.position_unit
     viscous_unit = f"{effort} s/{length}"
-    blank = JointTerm(
-        name="", joint=j, unit="", kind="offset", matrix=np.zeros((n, n)), direction=np.zeros(n), given_away=np.zeros(n)
-    )
+    none, square = np.zeros(n), np.zeros((n, n))
+    blank = JointTerm(name="", joint=j, unit="", kind="offset", matrix=square, direction=none, given_away=none)
 
     def through_matrix(
         name: str, unit: str, kind: Literal["rotor", "viscous"], whole: Array, taken: Sequence[int] = (), side: int = 0

@@ -36,7 +36,6 @@ from .motion import (
 from .payload import payload_of
 from .problem import Problem, RowBlock, make_problem, row_blocks
 from .settings import (
-    CUTOFF_PER_BANDWIDTH,
     NOTHING,
     RAMPS,
     ROWS,
@@ -50,13 +49,6 @@ from .settings import (
     rule_cutoff_hz,
     standing_joints,
 )
-from .states import (
-    LAG_ORDER,
-    fast_for_lag,
-    friction_states,
-    recorded_power,
-    rigid_torque_at_rows,
-    row_states,
-)
+from .states import LAG_ORDER, fast_for_lag, friction_states, recorded_power, rigid_torque_at_rows, row_states
 from .unknowns import Arm, Unknowns, base_name, base_places, make_unknowns
 from .weights import refuse_standing_joints, sample_weights, weighted, weights_at

@@ -172,7 +172,7 @@ def torque_of_recording(problem: Problem, *betas: Array) -> tuple[Array, Array, 
     parts, settings, decimation = list[tuple[Array, ...]](), problem.settings, problem.settings.decimator
     rows, fs = decimation.rows(settings.stop - settings.start), problem.signals.sample_rate_hz
     edges = settings.stop - settings.decimation * (rows - np.linspace(0, rows, len(betas) + 1).round().astype(int))
-    for motion, inside, _ in motion_blocks(problem):
+    for motion, inside in motion_blocks(problem):
         cuts = [0, *np.clip(edges[1:-1] - round(motion.t_s[0] * fs), 0, len(motion.q)), len(motion.q)]
         pieces = [
             torque_of_model(problem, motion.part(slice(first, last)), beta)
@@ -196,11 +196,9 @@ def with_torque(problem: Problem, rows: Rows) -> Rows:
     # Contiguous in time by joint: sums round otherwise along a column of a file than along one of another process.
     torque = np.ascontiguousarray(problem.signals.torque[settings.start : settings.stop].T).T
     Y, tau = weighted(problem, t_s, torque, settings.decimator), settings.decimator.filtered(torque.T)
-    E = (
-        torque_of_drives(problem, t_s, torque, settings.decimator).transpose(0, 2, 1)
-        if problem.needs_drives
-        else rows.E
-    )
+    E = rows.E
+    if problem.needs_drives:
+        E = torque_of_drives(problem, t_s, torque, settings.decimator).transpose(0, 2, 1)
     return replace(rows, tau=tau.T, E=E.reshape(n * len(rows.tau), -1), system=replace(rows.system, Y=Y.reshape(-1)))
 
 
@@ -223,7 +221,7 @@ def torque_of_drives(problem: Problem, t_s: Array, torque: Array, decimation: De
 def predicted_drives(problem: Problem, beta: Array) -> Array:
     """`torque_of_drives` (r, n) that beta (b,) predicts along the measured motion; for rows that are not reduced."""
     problem, parts = problem.with_samples(), list[Array]()
-    for motion, inside, _ in motion_blocks(problem):
+    for motion, inside in motion_blocks(problem):
         torque = torque_of_model(problem, motion, beta)
         parts.append(torque_of_drives(problem, motion.t_s, torque, problem.settings.decimator)[..., inside])
     E = np.concatenate(parts, axis=2)
@@ -269,7 +267,7 @@ def columns_of_arm(
 def load_columns(problem: Problem, load: LoadFriction, beta: Array) -> Array:
     """`LoadFriction.columns` (2, k, rows) of a recording."""
     problem, parts = problem.with_samples(), list[Array]()
-    for motion, inside, _ in motion_blocks(problem):
+    for motion, inside in motion_blocks(problem):
         w, x = weights_at(problem, motion.t_s), (motion.q, motion.dq, motion.ddq)
         parts.append(load.columns(*x, w, beta, problem.settings.decimator)[..., inside])
     return np.concatenate(parts, axis=-1)

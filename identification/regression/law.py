@@ -33,11 +33,8 @@ if TYPE_CHECKING:
 STRUCTURES = {"pd": "ev", "pd_velocity_feedforward": "ef", "pid": "efi", "cascade_p_pi": "eviq"}
 RIVALS = {"speed fed forward in part": "evw", "an integral without it": "evi", "both": "evwi"}  # of no structure
 LAWS = STRUCTURES | RIVALS
-SPEED_DELAYS = {
-    "exact": 0.0,
-    "backward_difference": 0.5,
-    "two_sample_mean": 1.0,
-}  # of estimates, in controller's periods
+# Of estimates, in controller's periods.
+SPEED_DELAYS = {"exact": 0.0, "backward_difference": 0.5, "two_sample_mean": 1.0}
 LEAST_RESIDUAL_PERCENT = 0.1  # of the effort's variation; below, all are equal
 MIN_RATIO = 1.5  # of residuals, for one structure to be better than another
 MIN_ROWS = 60
@@ -143,14 +140,12 @@ def _told(problem: "Problem", motors: list[MotorPaths], rate_hz: float, describe
     clear = {name: valid[name] & _is_clear(name, percent) for name in LAWS}
     best = max(LAWS, key=lambda name: (clear[name].sum(), valid[name].sum(), -float(percent[name].max())))
     name = described or (best if best in STRUCTURES else "pd")
-    reason = (
-        None
-        if valid[name].all()
-        else f"no linear law fits motor {signals.robot.motors[int(valid[name].argmin())].name}"
-    )
-    if reason is None and best != name:
+    reason = None
+    if not valid[name].all():
+        reason = f"no linear law fits motor {signals.robot.motors[int(valid[name].argmin())].name}"
+    elif best != name:
         reason = f"{best} fits better"
-    elif reason is None and not clear[name].any():
+    elif not clear[name].any():
         reason = "several laws fit alike"
     ways = {one: tried[name].get(one) or solved(STRUCTURES[name], one) for one in SPEED_DELAYS}
     estimate = _estimate(ways, known, controller.velocity_estimate)
@@ -214,12 +209,10 @@ def described_gains(controller: Controller) -> Array | None:
 
 def _is_clear(name: str, percent: dict[str, Array]) -> NDArray[np.bool_]:
     """By motor whether a structure is better than those that it is no part of, and no worse than those that contain it."""
-    columns, own, found = LAWS, _floored(percent[name]), list[NDArray[np.bool_]]()
-    for other in columns.keys() - {name}:
-        contained = set(columns[name]) <= set(columns[other]) | (
-            set("f") if {"v", "w"} <= set(columns[other]) else set()
-        )
-        left = _floored(percent[other])
+    own, found = _floored(percent[name]), list[NDArray[np.bool_]]()
+    for other in LAWS.keys() - {name}:
+        letters, left = set(LAWS[other]), _floored(percent[other])
+        contained = set(LAWS[name]) <= letters | set("f" if {"v", "w"} <= letters else "")
         found.append(MIN_RATIO * left > own if contained else left >= MIN_RATIO * own)
     return np.asarray(np.all(found, axis=0))
 

@@ -59,14 +59,12 @@ class FilteredMotion:
 
     def between(self, start: int, stop: int, cutoff_hz: float | None) -> Motion:
         """Motion of the samples `start` to `stop`; `cutoff_hz` None: no low-pass."""
-        s, q = self._signals, self._signals.q
+        s, q, fs = self._signals, self._signals.q, self._signals.sample_rate_hz
         if cutoff_hz is not None and q.size <= _MAX_NUMBERS:
             if cutoff_hz not in self._filtered:
-                self._filtered[cutoff_hz] = lowpass(q, cutoff_hz, s.sample_rate_hz)
+                self._filtered[cutoff_hz] = lowpass(q, cutoff_hz, fs)
             q, cutoff_hz = self._filtered[cutoff_hz], None
-        motion = motion_between(
-            q, s.torque, cutoff_hz=cutoff_hz, sample_rate_hz=s.sample_rate_hz, start=start, stop=stop
-        )
+        motion = motion_between(q, s.torque, cutoff_hz=cutoff_hz, sample_rate_hz=fs, start=start, stop=stop)
         if q is s.q:
             release_pages(s.q)
             release_pages(s.torque)
@@ -109,9 +107,8 @@ def spline_coefficients(x: Array) -> Array:
     """
     far, pole = min(SPLINE_REACH, len(x) - 1), np.sqrt(3.0) - 2.0
     beyond = far + 2
-    whole = (
-        np.pad(x, ((beyond, beyond), (0, 0)), mode="reflect", reflect_type="odd") if len(x) > 1 else np.repeat(x, 5, 0)
-    )
+    around = ((beyond, beyond), (0, 0))
+    whole = np.pad(x, around, mode="reflect", reflect_type="odd") if len(x) > 1 else np.repeat(x, 5, 0)
     N, c = len(x) + 3, np.zeros((len(x) + 3, *x.shape[1:]))
     for k in range(-far, far + 1):
         c += pole ** abs(k) * whole[beyond - 1 + k : beyond - 1 + k + N]

@@ -137,10 +137,8 @@ def motor_paths(problem: "Problem") -> tuple[list[MotorPaths], float]:
     for j in range(s.robot.n):
         own = held[:, j][:, held[:, j].any(axis=0)]
         rest = np.c_[np.ones(len(at)), own][free[:, j]]
-        places = at[free[:, j]] / step
-        found.append(
-            MotorPaths((paths[0][j], paths[1][j]), u[at, j][free[:, j]], rest, places, MAX_DELAY_S * fs / step)
-        )
+        places, own_paths = at[free[:, j]] / step, (paths[0][j], paths[1][j])
+        found.append(MotorPaths(own_paths, u[at, j][free[:, j]], rest, places, MAX_DELAY_S * fs / step))
     return found, fs / step
 
 

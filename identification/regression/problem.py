@@ -151,24 +151,19 @@ _cache: OrderedDict[str, Problem] = OrderedDict()  # of this process, in order o
 
 def _refuse_unknown_motors(signals: Signals, gains: Sequence[str]) -> None:
     """Refuse names in `gains` that are no motors, and motors that are not named and whose gain is not known."""
-    names = {motor.name: motor.gain for motor in signals.robot.motors}
+    names, place = {motor.name: motor.gain for motor in signals.robot.motors}, f"robot {signals.robot.name}"
     for name in gains:
         if name not in names:
             expected = f"one of {', '.join(names)}"
-            raise BadInputError(place=f"robot {signals.robot.name}", key="gains", value=name, expected=expected)
+            raise BadInputError(place=place, key="gains", value=name, expected=expected)
     for name, gain in names.items():
         if gain is None and name not in gains:
             expected = f"drive_gain, or {name} among the gains to identify"
-            raise BadInputError(
-                place=f"robot {signals.robot.name}", key=f"motor {name}: drive_gain", value=None, expected=expected
-            )
+            raise BadInputError(place=place, key=f"motor {name}: drive_gain", value=None, expected=expected)
 
 
 def make_problem(signals: Signals, overrides: Overrides) -> Problem:
-    """Set up the identification of a robot from a recording.
-
-    Raises `BadInputError` if the settings do not suit the recording, or the robot cannot be modelled.
-    """
+    """The input of a fit. Raises `BadInputError` if the settings do not suit the recording, or the robot cannot be modelled."""
     gains = None
     if overrides.gains:
         if "all" not in overrides.gains:
@@ -235,9 +230,8 @@ def row_blocks(problem: Problem) -> list[RowBlock]:
         last = min(rows, first + size)
         if rows - last < margin:
             last = rows  # no block shorter than the reach of the filter
-        found.append(
-            RowBlock(first=first, last=last, low=max(0, first - margin), high=min(rows, last + margin), rows=rows)
-        )
+        low, high = max(0, first - margin), min(rows, last + margin)
+        found.append(RowBlock(first=first, last=last, low=low, high=high, rows=rows))
     return found
 
 
@@ -248,7 +242,7 @@ def motion_of_block(problem: Problem, block: RowBlock) -> Motion:
     return problem.motion.between(settings.start + samples.start, settings.start + samples.stop, settings.cutoff_hz)
 
 
-def motion_blocks(problem: Problem) -> Iterator[tuple[Motion, slice, float]]:
-    """The span used in blocks: motion, own rows in those of the motion, and the share done."""
+def motion_blocks(problem: Problem) -> Iterator[tuple[Motion, slice]]:
+    """The span used in blocks: motion, and own rows in those of the motion."""
     for block in row_blocks(problem):
-        yield motion_of_block(problem, block), block.inside, block.last / block.rows
+        yield motion_of_block(problem, block), block.inside

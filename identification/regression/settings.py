@@ -6,16 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from acquisition import robot
 from acquisition.errors import BadInputError, NoFitError
 from acquisition.files import release_pages
-from acquisition.robot import (
-    Edges,
-    Joint,
-    LowSpeed,
-    check_recorded_efforts,
-    check_recorded_positions,
-    low_speed_by_method,
-)
+from acquisition.robot import Edges, Joint, LowSpeed
 
 from ..arrays import Array
 from ..data import Signals
@@ -107,10 +101,10 @@ def make_settings(signals: Signals, overrides: Overrides, motion: FilteredMotion
     cut-off cut where that span reaches an end of the recording. `motion` is that of the recording, if there is one.
     """
     fs, stored = signals.sample_rate_hz, signals.robot.identification
-    places = check_recorded_positions(signals.robot, signals.t_s, signals.q, signals.recording)
+    places = robot.check_recorded_positions(signals.robot, signals.t_s, signals.q, signals.recording)
     # A fit with --gains starts with gains of one where none is described: its efforts are no torques yet.
     looked_for = signals.robot.identified_gain is not None
-    overloads = () if looked_for else check_recorded_efforts(signals.robot, signals.effort)
+    overloads = () if looked_for else robot.check_recorded_efforts(signals.robot, signals.effort)
     warnings = [*signals.assumed, *places, *overloads]
     release_pages(signals.q)
     release_pages(signals.effort)
@@ -170,9 +164,8 @@ def make_settings(signals: Signals, overrides: Overrides, motion: FilteredMotion
     decimation = overrides.decimation or stored.decimation or rule
     passband_hz = 0.8 * fs / (2 * decimation)
     if decimation > rule and signals.motion_hz is None and passband_hz < rows_hz:
-        warnings.append(
-            f"decimation by {decimation} keeps {passband_hz:g} Hz, less than twice the bandwidth of {bandwidth_hz:g} Hz"
-        )
+        least = f"twice the bandwidth of {bandwidth_hz:g} Hz"
+        warnings.append(f"decimation by {decimation} keeps {passband_hz:g} Hz, less than {least}")
     span_rule = overrides.span or stored.span
     start, stop, span, standing = _span(signals, motion or FilteredMotion(signals), cutoff_hz, span_rule)
     warnings += [f"joint {name} does not move" for name in standing]
@@ -184,7 +177,7 @@ def make_settings(signals: Signals, overrides: Overrides, motion: FilteredMotion
     start, stop = max(start, math.ceil(-early)), min(stop, N - math.ceil(late))  # others may have no torque
     filtered = cutoff_hz is not None and cutoff_hz <= highest_hz * (1 + 1e-9)
     given = overrides.low_speed_percent
-    low_speed = low_speed_by_method(stored.low_speed if given is None else given)
+    low_speed = robot.low_speed_by_method(stored.low_speed if given is None else given)
     by_instruments = signals.q_ref is not None if overrides.method is None else overrides.method == "iv"
     if stop - start < 30 * decimation:
         raise NoFitError(

@@ -45,7 +45,7 @@ def row_states(problem: Problem, *, always: bool = False) -> RowStates | None:
     settings, parts, first = problem.settings, list[tuple[Array, ...]](), 0
     rows = settings.decimator.rows(settings.stop - settings.start)
     rows_wanted = np.arange(0, rows, max(1, rows // STATES))
-    for motion, inside, _ in motion_blocks(problem):
+    for motion, inside in motion_blocks(problem):
         here = rows_wanted[(rows_wanted >= first) & (rows_wanted < first + inside.stop - inside.start)] - first
         parts.append(tuple(settings.decimator.kept(x)[inside][here] for x in (motion.q, motion.dq, motion.ddq)))
         first += inside.stop - inside.start
@@ -60,9 +60,8 @@ def friction_states(problem: Problem, beta: Array, states: RowStates) -> tuple[A
 
 
 def recorded_power(problems: Sequence[Problem], beta: Array) -> Array | None:
-    """Friction power (m, p) per unit of the standard parameters at recorded speeds; None without further friction terms.
-
-    Base parameters beta (b,) give the link torque.
+    """Friction power (m, p) per unit of the standard parameters at recorded speeds, by the link torque of base parameters beta
+    (b,); None without further friction terms.
     """
     found = [
         friction_power(problem.model, np.arange(problem.model.p), *friction_states(problem, beta, states))
@@ -74,7 +73,7 @@ def recorded_power(problems: Sequence[Problem], beta: Array) -> Array | None:
 
 def rigid_torque_at_rows(problem: Problem, beta: Array) -> tuple[Array, Array]:
     """Speeds and tau_rigid (rows, n) at the rows; of a long recording, its first block."""
-    motion, inside, _ = next(motion_blocks(problem))
+    motion, inside = next(motion_blocks(problem))
     q, dq, ddq = (problem.settings.decimator.kept(x)[inside] for x in (motion.q, motion.dq, motion.ddq))
     return dq, torque_of_links(problem.model, problem.base, beta, q, dq, ddq)
 

@@ -156,9 +156,8 @@ def make_unknowns(problems: Sequence[Problem], motors: tuple[int, ...] = (), fri
     payloads = tuple(dict.fromkeys(one for one in carried if one is not None))
     names += [name for one in payloads for name in one.names]
     x = (*names, *(f"K:{robot.motors[m].name}" for m in motors))
-    return Unknowns(
-        names=x, arms=tuple(_arm(x, *one) for one in zip(of, carried, strict=True)), motors=motors, payloads=payloads
-    )
+    arms = tuple(_arm(x, *one) for one in zip(of, carried, strict=True))
+    return Unknowns(names=x, arms=arms, motors=motors, payloads=payloads)
 
 
 def _arm(x: tuple[str, ...], names: tuple[str, ...], payload: PayloadColumns | None) -> Arm:

@@ -133,9 +133,8 @@ def _moves(problem: Problem) -> NDArray[np.bool_]:
     threshold = threshold * np.abs(speed[settings.start : settings.stop]).max(axis=0, initial=0.0)
     if percent is None:
         mean, square = noise / (settings.stop - settings.start)
-        threshold = np.maximum(
-            threshold, LOW_SPEED_DEVIATIONS * np.sqrt(np.maximum(square - mean**2, 0)) @ np.abs(directions.T)
-        )
+        deviation = np.sqrt(np.maximum(square - mean**2, 0))
+        threshold = np.maximum(threshold, LOW_SPEED_DEVIATIONS * deviation @ np.abs(directions.T))
     slow = np.abs(speed) < threshold
     slow[1:] |= speed[1:] * speed[:-1] < 0  # a reversal between two samples
     stands = slow @ (directions != 0)

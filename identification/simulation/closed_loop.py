@@ -12,19 +12,10 @@ from numpy.typing import NDArray
 
 from acquisition.robot import Payload, Robot
 
+from .. import model as dynamics
 from ..arrays import Array
 from ..errors import BadInputError
-from ..model import (
-    DirectModel,
-    InverseModel,
-    add_payload,
-    base_parameters,
-    cholesky_solver,
-    described_parameters,
-    direct_model,
-    inertias,
-    why_not_positive,
-)
+from ..model import DirectModel, cholesky_solver
 from .control_law import Control, ControlLaw, LoneControl, Reference, recorded_loop
 
 if TYPE_CHECKING:
@@ -137,10 +128,8 @@ class LoneFriction(Friction):
         M, _ = model.inertia_and_bias(np.zeros(1), np.zeros(1))
         sides = ((x, (M + (model.rotor + 0.5 * h * x)).item()) for x in (V, V + up, V + down))
         (self._at_rest, self._forwards, self._backwards), self._bias = sides, model.lone_bias()
-        # Without a direction of friction its sizes are zero.
-        up, down, self._lone_slope, self._lone_v_s = (
-            x.sum().item() for x in (model.up, model.down, self._slope, self._v_s)
-        )
+        sizes = (model.up, model.down, self._slope, self._v_s)  # without a direction of friction zero
+        up, down, self._lone_slope, self._lone_v_s = (x.sum().item() for x in sizes)
         offset, self._lone_mode = model.offset.item(), np.sign(v).item()
         self._levels = {1.0: up + offset, -1.0: -down + offset, 0.0: (up - down) / 2 + offset}
 
@@ -287,16 +276,16 @@ def described_robot(robot: Robot, payload: Payload | None = None) -> tuple[Rigid
     if payload is not None and not robot.gain_known:
         expected = "drive gains of the motors: in A or V a mass has no weight"
         raise BadInputError(place=f"robot {robot.name}", key="payload", value=str(payload), expected=expected)
-    dynamics = InverseModel(robot)
-    base = base_parameters(dynamics)
-    parameters = base.standard_parameters(described_parameters(dynamics, base))
-    model = loaded = direct_model(dynamics, parameters)
+    inverse = dynamics.InverseModel(robot)
+    base = dynamics.base_parameters(inverse)
+    parameters = base.standard_parameters(dynamics.described_parameters(inverse, base))
+    model = loaded = dynamics.direct_model(inverse, parameters)
     if payload is not None:
-        loaded = direct_model(dynamics, add_payload(dynamics, parameters, payload))
+        loaded = dynamics.direct_model(inverse, dynamics.add_payload(inverse, parameters, payload))
     ranges = np.array([joint.si("position") or (-POSES_RANGE, POSES_RANGE) for joint in robot.joints])
     poses = np.random.default_rng(0).uniform(ranges[:, 0], ranges[:, 1], (POSES, robot.n))
     M = model.inertia(poses)
-    reason = why_not_positive(M)
+    reason = dynamics.why_not_positive(M)
     if reason is not None:
         raise BadInputError(f"robot {robot.name}: [parameters] cannot be simulated: {reason}")
     duration_s = robot.bus.sync_period_s / SUBSTEPS if robot.bus is not None else MAX_PLANT_STEP_S
@@ -308,7 +297,7 @@ def described_robot(robot: Robot, payload: Payload | None = None) -> tuple[Rigid
         disturbance=np.zeros(robot.n),
         seed=0,
     )
-    return plant, drive_loops(robot, inertias(M))
+    return plant, drive_loops(robot, dynamics.inertias(M))
 
 
 def drive_loops(robot: Robot, J: Array) -> "LoopGains":

@@ -92,9 +92,8 @@ class ControlLaw:
         Gains of computed torque act on accelerations and stay: the model in the loop has the new inertias.
         """
         gains = np.ones_like(factor) if self.computed_torque else factor
-        return replace(
-            self, Kp=self.Kp * gains, Kd=self.Kd * gains, Ki=self.Ki * gains, saturation=self.saturation * factor
-        )
+        Kp, Kd, Ki = (own * gains for own in (self.Kp, self.Kd, self.Ki))
+        return replace(self, Kp=Kp, Kd=Kd, Ki=Ki, saturation=self.saturation * factor)
 
     def inertias(self, bandwidth_hz: float) -> Array:
         """Inertias J (n,) for which Kp gives the bandwidth w: w² J is the diagonal of Rᵀ G Kp R.
@@ -107,10 +106,7 @@ class ControlLaw:
 
 
 def recorded_loop(robot: Robot) -> ControlLaw | None:
-    """The loop of the description's `[controller]`, None if it states none.
-
-    Raises `BadInputError` naming missing keys.
-    """
+    """The loop of the description's `[controller]`, None if it states none. Raises `BadInputError` naming missing keys."""
     c = robot.controller
     integrates = c.structure in ("cascade_p_pi", "pid")
     needed = ["structure", "sample_rate_hz", "position_gain", "velocity_gain", *["integral_gain"] * integrates]

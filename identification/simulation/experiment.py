@@ -16,22 +16,11 @@ from numpy.typing import NDArray
 from acquisition.files import release_pages
 from acquisition.robot import Joint
 
+from .. import regression
 from ..arrays import Array
 from ..errors import BadInputError
 from ..model import DirectModel, direct_model, inertias, pose_step
-from ..regression import (
-    BLOCK_SAMPLES,
-    SPLINE_REACH,
-    FilteredMotion,
-    Motion,
-    Problem,
-    RowBlock,
-    differentiate,
-    largest_of_type,
-    row_blocks,
-    rule_cutoff_hz,
-    sampled_at,
-)
+from ..regression import BLOCK_SAMPLES, FilteredMotion, Motion, Problem, RowBlock, differentiate, sampled_at
 from .control_law import Reference, recorded_loop
 
 RATE_PER_BANDWIDTH = 100.0  # instrument samples per period of the bandwidth, at least
@@ -86,7 +75,7 @@ class Experiment:
         self.problem, self.gain_update, self.spans = problem, gain_update, spans
         self.directions, self.bandwidth_hz = problem.model.coulomb_directions, robot.bandwidth_hz
         self.reference_kind: Literal["recorded", "surrogate"] = "surrogate" if signals.q_ref is None else "recorded"
-        self.cutoff_hz = rule_cutoff_hz(signals)
+        self.cutoff_hz = regression.rule_cutoff_hz(signals)
         self.loop, law = recorded_loop(robot), problem.law
         if self.loop is None and law is not None and law.reason is None:
             self.loop = recorded_loop(replace(robot, controller=law.controller(robot.controller)))
@@ -98,7 +87,7 @@ class Experiment:
             self.loop = replace(self.loop, gravity=not self.loop.gravity_at_q)
         _refuse_foreign_reference(problem)
         self._set_instants(rate_per_bandwidth * self.bandwidth_hz)
-        self.blocks = tuple(row_blocks(problem))
+        self.blocks = tuple(regression.row_blocks(problem))
         self.decimation = replace(problem.settings.decimator, factor=problem.settings.decimation // self.stride)
         self._scan_recording()
         self.J_prior = inertias(self.model(beta_ls).inertia(self.poses))
@@ -201,8 +190,8 @@ class Experiment:
 def _reference(e: Experiment, at: Array) -> Reference:
     """The loop's inputs at places `at` (K,) in samples: the recorded reference, or the measured motion."""
     signals, settings = e.problem.signals, e.problem.settings
-    low = max(settings.start, math.floor(at[0]) - SPLINE_REACH)
-    high = min(settings.stop, math.ceil(at[-1]) + 1 + SPLINE_REACH)
+    low = max(settings.start, math.floor(at[0]) - regression.SPLINE_REACH)
+    high = min(settings.stop, math.ceil(at[-1]) + 1 + regression.SPLINE_REACH)
     at, near = at - low, slice(low, high)
     known = None if signals.known_torque is None else sampled_at(at, signals.known_torque[near])
     if signals.q_ref is None:
@@ -225,7 +214,7 @@ def _reference(e: Experiment, at: Array) -> Reference:
 def _scales(travel: Array, joints: Sequence[Joint]) -> tuple[Array, NDArray[np.bool_]]:
     """Scales (n,) of position errors, from the `travel` (n,) of the reference; and which joints are held."""
     # A held joint is pushed by its neighbours: its own travel is no scale.
-    largest = largest_of_type(travel, joints)
+    largest = regression.largest_of_type(travel, joints)
     held = travel < MIN_TRAVEL * largest
     return np.where(held, largest, travel), held
 

@@ -6,34 +6,15 @@ from typing import Any, Literal
 
 import numpy as np
 
+from .. import regression
 from ..arrays import Array
 from ..data import Work
 from ..estimation import SpanFactors, one_thread, stacked_columns
 from ..model import why_not_positive
-from ..regression import (
-    Motion,
-    Problem,
-    Rows,
-    Term,
-    Unknowns,
-    columns_of_arm,
-    columns_of_block,
-    predicted_torque,
-    rows_of_factors,
-    sample_weights,
-    torque_of_drives,
-)
+from ..regression import Motion, Problem, Rows, Term, Unknowns
+from . import motion as motions
 from .experiment import EARLY_RATE_PER_BANDWIDTH, RATE_PER_BANDWIDTH, Experiment
-from .motion import (
-    MotionBlocks,
-    NotSimulatedError,
-    Replica,
-    TrackingDeviation,
-    nearest,
-    reference_blocks,
-    simulated_blocks,
-    with_gains_for,
-)
+from .motion import MotionBlocks, NotSimulatedError, Replica, TrackingDeviation
 
 InstrumentKind = Literal["simulated", "consistent", "reference"]
 WORST_FIRST: tuple[InstrumentKind, ...] = ("reference", "consistent", "simulated")
@@ -84,18 +65,18 @@ def simulate_instruments(
     matrix stops being positive, and the iteration then has no fixed point. If the simulated robot leaves its reference,
     instruments are computed along the motion that the reference predicts.
     """
-    near = robot if covariance is None else nearest(e, robot, covariance, payload)
-    model, gains, reason = with_gains_for(e, near)
+    near = robot if covariance is None else motions.nearest(e, robot, covariance, payload)
+    model, gains, reason = motions.with_gains_for(e, near)
     kind: InstrumentKind = "simulated"
     try:
-        found = _along(e, simulated_blocks(e, model, gains, reason), x, simulated=True, further=further)
+        found = _along(e, motions.simulated_blocks(e, model, gains, reason), x, simulated=True, further=further)
         if covariance is not None and (reason := why_not_positive(e.model(robot).inertia(e.poses))) is not None:
             kind = "consistent"
         elif covariance is not None and near is robot:
             reason = "no physically consistent robot is near: that of the estimate itself"
     except NotSimulatedError as why:
         kind, reason = "reference", str(why)
-        found = _along(e, reference_blocks(e, x), x, simulated=False, further=further)
+        found = _along(e, motions.reference_blocks(e, x), x, simulated=False, further=further)
     return replace(found, kind=kind, reason=reason, gains=gains)
 
 
@@ -104,28 +85,28 @@ def _along(
 ) -> Instruments:
     """Instruments about x (b,) along a motion, of kind `reference`."""
     problem, n, T = e.problem, e.problem.signals.robot.n, e.blocks[0].rows
-    share, width = sample_weights(problem).of_rows, problem.base.b + n * problem.needs_drives
+    share, width = regression.sample_weights(problem).of_rows, problem.base.b + n * problem.needs_drives
     factors = SpanFactors(T, n, e.spans) if e.spans else None
-    error, parts, motions = TrackingDeviation(e), list[Array](), list[tuple[Array, ...]]()
+    error, parts, series = TrackingDeviation(e), list[Array](), list[tuple[Array, ...]]()
     for at, motion in blocks:
         inside, q = error.add(at, motion)
-        own = (motion.t_s[inside], q, *(series[inside] for series in (motion.q, motion.dq, motion.ddq, motion.tau)))
+        own = (motion.t_s[inside], q, *(path[inside] for path in (motion.q, motion.dq, motion.ddq, motion.tau)))
         # A long recording keeps only the instants of the rows.
-        motions.append(tuple(map(e.decimation.kept, own)) if e.spans else own)
-        columns = [columns_of_arm(problem, motion, e.decimation, beta=x)[0]]
+        series.append(tuple(map(e.decimation.kept, own)) if e.spans else own)
+        columns = [regression.columns_of_arm(problem, motion, e.decimation, beta=x)[0]]
         if problem.needs_drives:
-            torque = predicted_torque(motion, problem.model, problem.base, x)
-            columns.append(torque_of_drives(problem, motion.t_s, torque, e.decimation))
+            torque = regression.predicted_torque(motion, problem.model, problem.base, x)
+            columns.append(regression.torque_of_drives(problem, motion.t_s, torque, e.decimation))
         Z, rows = np.concatenate(columns, axis=1)[..., at.inside], slice(at.first, at.last)
         if factors is None:
             parts.append(Z)
             continue
-        Z = np.concatenate([Z, columns_of_block(problem, at, x)], axis=1)
+        Z = np.concatenate([Z, regression.columns_of_block(problem, at, x)], axis=1)
         if further is not None:
             Z = np.concatenate([further.columns(problem, motion, e.decimation)[..., at.inside], Z], axis=1)
         factors.add(at.first, Z, share[rows])
     held = np.concatenate(parts, axis=-1).transpose(0, 2, 1).reshape(-1, width) if parts else np.zeros((0, width))
-    t_s, measured, *moved = (np.concatenate(series) for series in zip(*motions, strict=True))
+    t_s, measured, *moved = (np.concatenate(each) for each in zip(*series, strict=True))
     replica = Replica(
         motion=Motion(t_s=t_s, q=moved[0], dq=moved[1], ddq=moved[2], tau=moved[3]),
         q=measured,
@@ -140,7 +121,7 @@ def _along(
     return Instruments(
         x=x,
         Z=held,
-        rows=(rows_of_factors(problem, factors, width),) if factors else (),
+        rows=(regression.rows_of_factors(problem, factors, width),) if factors else (),
         kind="reference",
         reason=None,
         gains=np.ones(n),
@@ -164,10 +145,7 @@ def join_reasons(reasons: Sequence[str | None], names: Sequence[str]) -> str | N
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Simulation:
-    """The closed loop of a recording, with gains set for the inertias of `prior` (b,).
-
-    `spans` as of `Experiment`.
-    """
+    """The closed loop of a recording, with gains set for the inertias of `prior` (b,); `spans` as of `Experiment`."""
 
     problem: Problem
     prior: Array
@@ -199,15 +177,12 @@ class Simulation:
     def along_reference(self, x: Array, further: Term | None = None) -> Instruments:
         """Instruments along the motion that the reference predicts, without a simulation, coarsely, about x (b,)."""
         e = self.at(EARLY_RATE_PER_BANDWIDTH)
-        return _along(e, reference_blocks(e, x), x, simulated=False, further=further)
+        return _along(e, motions.reference_blocks(e, x), x, simulated=False, further=further)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ClosedLoops:
-    """The recordings of a fit in the order of the rows, and where the tasks run.
-
-    `names` are the recordings'; `unknowns` gives the order of shared and own parameters.
-    """
+    """The recordings of a fit, their `names`, the `unknowns`, all in the order of the rows, and where the tasks run."""
 
     simulations: tuple[Simulation, ...]
     names: tuple[str, ...]

@@ -64,8 +64,5 @@ def _terms(r: Array, peak: Array, sample_rate_hz: float) -> Array:
     """What the error is made of, (K, p), of a reference (K, n) with peak speeds (n,)."""
     dr, n = differentiate(r, sample_rate_hz), r.shape[1]
     sums = np.stack([r[:, i:j].sum(axis=1) for i in range(n) for j in range(i + 1, n + 1)], axis=1)
-    ddr = differentiate(dr, sample_rate_hz)
-    return np.concatenate(
-        [np.sin(sums), np.cos(sums), dr, ddr, np.tanh(dr / np.maximum(SMOOTH * peak, np.finfo(float).tiny)), dr**3],
-        axis=1,
-    )
+    ddr, friction = differentiate(dr, sample_rate_hz), np.tanh(dr / np.maximum(SMOOTH * peak, np.finfo(float).tiny))
+    return np.concatenate([np.sin(sums), np.cos(sums), dr, ddr, friction, dr**3], axis=1)
