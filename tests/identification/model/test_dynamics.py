@@ -10,7 +10,6 @@ from acquisition.robot import Robot, load_robot, robot_from_files
 from identification.errors import BadInputError
 from identification.model import InverseModel, base_parameters, described_parameters
 
-KINDS, UNITS = ("revolute", "revolute", "prismatic"), ("N m", "N m", "N")
 RNG = np.random.default_rng(3)
 
 
