@@ -68,6 +68,23 @@ def test_the_verdict_and_the_consistent_set_are_one_computation(consistent, tx40
     assert [any("has its own" in x for x in lines_of(signals, fit)) for fit in (consistent, other)] == [False, True]
 
 
+def test_the_report_has_intervals_and_names_what_left_the_fits(consistent, tx40):
+    c, signals = consistent.consistent_set, signals_of(tx40)
+    moves = np.where(np.arange(len(c.moves)) == 3, 1.7, c.moves)
+    far = dataclasses.replace(consistent, consistent_set=dataclasses.replace(c, deviations=moves * c.reach))
+    sections = {s.title: s for s in fit_document(signals, far).sections}
+    standard = sections["physically consistent standard parameters"]
+    heads = ["parameter", "value", "±95%", "unit", "mostly from"]
+    assert [heading for heading, _ in standard.table.columns] == heads
+    assert [row[2].value for row in standard.table.rows] == c.half.tolist()
+    assert f"moved by more than one half-width: {c.base_names[3]} (+1.7)" in standard.lines
+    of_base = sections["physically consistent base parameters"].table
+    assert [row[0] for row in of_base.rows] == list(c.base_names)
+    assert [row[2].value for row in of_base.rows] == c.base_half.tolist()
+    assert of_base.rows[3][-1].value == 1.7
+    assert not any("by more than one half-width" in line for line in lines_of(signals, consistent))
+
+
 def test_what_comes_from_the_prior_is_what_the_recording_does_not_say():
     """Variances by a Hessian of differences; a parameter that is measured alone, and one that is not measured at all."""
     _, physical = one_link()

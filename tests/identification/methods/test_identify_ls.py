@@ -11,7 +11,7 @@ from acquisition.robot import fourier_reference
 from identification.data import Signals, signals_from_arrays
 from identification.errors import BadInputError, NoFitError
 from identification.estimation import System, ordinary_least_squares, weighted_least_squares
-from identification.model import BaseParameters, InverseModel, base_parameters, described_parameters
+from identification.model import InverseModel, base_parameters, described_parameters
 from identification.regression import Motion, Overrides, decimation_rule, make_settings
 
 
@@ -23,13 +23,6 @@ def exact_motion(model: InverseModel, *, duration_s: float, sample_rate_hz: floa
     return Motion(t_s=t_s, q=q, dq=dq, ddq=ddq, tau=tau)
 
 
-def system_of(motion: Motion, model: InverseModel, base: BaseParameters) -> System:
-    """W and Y of every sample of a motion, rows joint by joint."""
-    W = model.regressor(motion.q, motion.dq, motion.ddq)[:, :, base.columns].transpose(1, 0, 2).reshape(-1, base.b)
-    n = model.robot.n
-    return System.whole(W, motion.tau.T.reshape(-1), np.repeat(np.arange(n), len(motion.t_s)), base.names)
-
-
 @pytest.mark.parametrize(
     ("name", "count", "solve"),
     [("scara", 8, ordinary_least_squares), ("scara", 8, weighted_least_squares), ("tx40", 60, weighted_least_squares)],
@@ -38,7 +31,9 @@ def test_exact_motion_gives_back_the_true_parameters(name, count, solve):
     dynamics = InverseModel(robot_named(name))
     base = base_parameters(dynamics)
     motion = exact_motion(dynamics, duration_s=20.0, sample_rate_hz=50.0, seed=4)
-    estimate = solve(system_of(motion, dynamics, base))
+    W = dynamics.regressor(motion.q, motion.dq, motion.ddq)[:, :, base.columns].transpose(1, 0, 2).reshape(-1, base.b)
+    joint_of_row = np.repeat(np.arange(motion.q.shape[1]), len(motion.q))
+    estimate = solve(System.whole(W, motion.tau.T.reshape(-1), joint_of_row, base.names))
     true = described_parameters(dynamics, base)
     assert len(true) == count
     # Relative to the parameter, or to its size in the torque's own digits where it is zero.

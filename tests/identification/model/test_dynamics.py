@@ -138,14 +138,6 @@ def urdf_robot(urdf: str, names: tuple[str, str] = ("j1", "j2")):
     return robot_from_files({"robot.toml": text.encode(), "robot.urdf": urdf.encode()}, "two.toml")
 
 
-def test_a_urdf_gives_the_same_model_as_the_table():
-    from_urdf, from_table = InverseModel(urdf_robot(TWO_TURNING)), InverseModel(robot_with_matrix([[1, 0], [0, 1]]))
-    assert from_urdf.names == from_table.names
-    q, dq, ddq = states(2)
-    np.testing.assert_allclose(from_urdf.regressor(q, dq, ddq), from_table.regressor(q, dq, ddq), atol=1e-9)
-    assert base_parameters(from_urdf).names == base_parameters(from_table).names
-
-
 @pytest.mark.parametrize(
     ("urdf", "names", "message"),
     [
