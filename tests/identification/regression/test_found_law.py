@@ -47,8 +47,9 @@ def recorded(structure: str, seed: int = 0, *, delay: float = 0.0, noise: float 
             u = kd * (wanted + 20.0 * np.cumsum(wanted) * T)
         q_ref[:, j], q[:, j] = r, position
         effort[:, j] = u + noise * u.std() * rng.standard_normal(len(t))
-    robot = replace(robot, controller=Controller(bandwidth_hz=5.0))
-    motors = np.linalg.inv(robot.R)
+    R = np.array([[1.0, 0.0], [0.6, 1.0]])  # the second motor turns with both joints
+    robot = replace(robot, controller=Controller(bandwidth_hz=5.0), R=R)
+    motors = np.linalg.inv(R)
     joint = robot.joint_effort(effort)
     return Signals(
         t_s=t, q=q @ motors.T, q_ref=q_ref @ motors.T, effort=joint, sample_rate_hz=RATE_HZ, robot=robot, recording="made",
