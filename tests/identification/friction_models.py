@@ -60,14 +60,12 @@ class Exact:
         return Motion(**dict(zip(("t_s", "q", "dq", "ddq", "tau"), parts, strict=True)))
 
 
-def exact_problem(robot, x, *, rate_hz=250.0, decimation=1, beta=None):
+def exact_problem(robot, x, rate_hz=250.0):
     """The identification of a robot from q, dq, ddq (N, n) as they are, and their torque."""
     model, base, known = model_of(robot)
-    tau = direct_of(model, base, known if beta is None else beta).torque(*x)
-    problem = make_problem(
-        signals_from_arrays(x[0], tau, rate_hz, robot),
-        Overrides(decimation=decimation, torque_lag_s="none", cutoff_hz=40.0),
-    )
+    tau = direct_of(model, base, known).torque(*x)
+    signals = signals_from_arrays(x[0], tau, rate_hz, robot)
+    problem = make_problem(signals, Overrides(decimation=1, torque_lag_s="none", cutoff_hz=40.0))
     motion = Motion(t_s=np.arange(len(tau)) / rate_hz, q=x[0], dq=x[1], ddq=x[2], tau=tau)
     return dataclasses.replace(problem, motion=Exact(motion)), known
 
@@ -100,13 +98,13 @@ def two_speeds(robot, a_m_s2: float, speeds=(0.1, 0.2)):
     return exact_problem(robot, (q, dq, ddq), rate_hz=rate)
 
 
-def recorded(robot, seed: int, noise_percent: float = 2.0, duration_s: float = 10.0):
-    """A recording of exact motion, and of torque with white noise, by the robot without its further terms."""
+def recorded(robot, seed: int, duration_s: float):
+    """A recording of exact motion, and of torque with 2 % of white noise, by the robot without its further terms."""
     model, base, beta = model_of(robot)
     t = np.arange(0.0, duration_s, 1e-3)
     x = fourier_reference(robot, period_s=duration_s, seed=seed).at(t)
     tau = direct_of(model, base, beta).torque(*x)
-    noise = 0.01 * noise_percent * np.sqrt((tau**2).mean(axis=0)) * np.random.default_rng(seed).normal(size=tau.shape)
+    noise = 0.02 * np.sqrt((tau**2).mean(axis=0)) * np.random.default_rng(seed).normal(size=tau.shape)
     plain = with_terms(robot, (frozenset(),) * robot.n)
     return signals_from_arrays(x[0], tau + noise, 1000.0, plain)
 

@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 from conftest import described_chi, robot_named
+from random_arms import random_body
 
 from identification.estimation import PhysicalParameters, pseudo_inertia
 from identification.model import InverseModel, base_parameters, physical_parameters
@@ -11,11 +12,7 @@ from identification.model import InverseModel, base_parameters, physical_paramet
 
 def body(seed: int) -> np.ndarray:
     """Ten parameters of a cloud of point masses."""
-    rng = np.random.default_rng(seed)
-    points, masses = rng.normal(size=(6, 3)) * 0.1 + 0.05, rng.uniform(0.2, 1.0, 6)
-    inertia = sum(m * (x @ x * np.eye(3) - np.outer(x, x)) for m, x in zip(masses, points, strict=True))
-    upper = inertia[np.triu_indices(3)]
-    return np.concatenate([upper, masses @ points, [masses.sum()]])
+    return random_body(np.random.default_rng(seed))
 
 
 def one_link() -> tuple[np.ndarray, PhysicalParameters]:

@@ -152,15 +152,6 @@ def test_the_jacobian_of_the_limits_is_that_of_differences(robot):
             assert off[own].max() < 1e-6 * np.abs(J.reshape(40, L, -1)[:, columns]).max()
 
 
-def test_torque_without_coulomb_friction_is_that_of_the_direct_model():
-    *_, direct = modelled(ASYMMETRIC)
-    motion = tuple(np.random.default_rng(0).standard_normal((3, 30, 6)))
-    u = motion[1] @ direct.directions.T
-    coulomb = (direct.up * (u > 0) - direct.down * (u < 0)) @ direct.directions
-    smooth = torque_without_sliding(direct, motion, torque_of_links(direct, motion))[0]
-    assert smooth + coulomb == pytest.approx(direct.torque(*motion), abs=1e-10)
-
-
 def test_efforts_count_friction_at_its_full_size():
     robot = with_text("tx40", "following_error_deg = 15", "following_error_deg = 15\neffort_nm = 60", 1)
     *_, direct = modelled(robot)
@@ -506,6 +497,9 @@ def test_the_page_shows_the_reference_between_its_limits(tx40_excitation, tmp_pa
     assert halves == [pytest.approx(found.half), pytest.approx(found.plain_half)]
 
 
+PAYLOAD = Payload(2.0, (0.03, 0.02, 0.08))
+
+
 def test_the_report_has_the_intervals_and_the_limits_in_use(tx40_excitation):
     _, found, _ = tx40_excitation
     expected, limits = excitation_document(found).sections
@@ -516,28 +510,10 @@ def test_the_report_has_the_intervals_and_the_limits_in_use(tx40_excitation):
     assert limits.table.rows[0][4].exact == pytest.approx(80.0, abs=0.5)
 
 
-PAYLOAD = Payload(2.0, (0.03, 0.02, 0.08))
-
-
 def loaded(robot, payload=PAYLOAD):
     model, base, _ = modelled(robot)
     chi = base.standard_parameters(described_parameters(model, base))
     return direct_model(model, add_payload(model, chi, payload))
-
-
-def test_limits_with_a_payload_are_those_of_both_robots():
-    robot = TX40
-    *_, direct = modelled(robot)
-    both, basis, x = limits_of(robot, (direct, loaded(robot)), 0.8, "here"), SERIES.basis(20), random_x(robot)
-    free, heavy = (limits_of(robot, (m,), 0.8, "here") for m in (direct, loaded(robot)))
-    n, motion = 3 * robot.n, motion_of(x, basis)
-    for name in ("shares", "share_of_whole"):
-        found, alone, other = (getattr(limits, name)(motion) for limits in (both, free, heavy))
-        assert found == pytest.approx(np.concatenate([alone, other[..., n:]], axis=-1))
-        assert np.abs(other - alone).max() > 1e-3
-    slopes = [limits.shares_and_slopes(motion)[1] for limits in (both, free, heavy)]
-    assert slopes[0] == pytest.approx(np.concatenate(slopes[1:], axis=2))
-    assert len(both.names) == both.shares(motion).shape[1]
 
 
 def test_a_reference_for_a_payload_keeps_the_efforts_with_and_without_it():

@@ -1,9 +1,8 @@
 """The nearest physically consistent parameters: against differences, against another optimiser, and what a robot asks."""
 
 import numpy as np
-import pinocchio as pin
 import pytest
-from conftest import FROM_PINOCCHIO, robot_named
+from conftest import robot_named
 from physical_cases import body, covariance, covariance_with, lowest, one_link, tx40
 from random_arms import random_estimate
 from scipy.optimize import minimize
@@ -16,17 +15,6 @@ from identification.model import InverseModel, physical_parameters, requirements
 from identification.model.joint_terms import corner_speeds
 
 rng = np.random.default_rng(8)
-
-
-def test_a_pseudo_inertia_is_that_of_its_points():
-    """P = sum of m [x; 1] [x; 1]'."""
-    rng = np.random.default_rng(1)
-    points, masses = rng.normal(size=(6, 3)) * 0.1 + 0.05, rng.uniform(0.2, 1.0, 6)
-    h = np.c_[points, np.ones(6)]
-    np.testing.assert_allclose(pseudo_inertia(body(1)), (h * masses[:, None]).T @ h, atol=1e-15)
-    inertia = pin.Inertia.Random()
-    P = pseudo_inertia(np.array(inertia.toDynamicParameters())[FROM_PINOCCHIO])
-    np.testing.assert_allclose(P, pin.PseudoInertia.FromInertia(inertia).toMatrix(), atol=1e-12)
 
 
 @pytest.mark.parametrize("arm", ["one link", "random"])
@@ -173,18 +161,6 @@ def test_estimates_that_are_no_numbers_are_refused():
             consistent_parameters(beta, C, K, physical)
 
 
-def test_a_recording_of_few_rows_gives_values_that_can_be_simulated():
-    """Correlations of an estimate whose columns are nearly dependent, as those of a real arm."""
-    _, K, chi, physical = tx40(described=False)
-    b = len(K)
-    Q = np.linalg.qr(np.random.default_rng(5).normal(size=(b, b)))[0]
-    C = covariance_with(Q @ np.diag(np.logspace(0, -8, b)) @ Q.T, 0.05 * np.abs(K @ chi) + 0.01)
-    beta = np.random.default_rng(6).multivariate_normal(K @ chi, C)
-    found = consistent_parameters(beta, C, K, physical)
-    assert lowest(physical, found.chi) > 0
-    assert found.decrement <= 1e-6
-
-
 @pytest.mark.parametrize("rows", [[[1, 1], [1, -1]], [[1, 0.5, 0], [0, 1, 1]]])
 def test_coulomb_friction_takes_power_at_all_speeds_where_it_does_at_the_corners(rows):
     """Joints of their own and motors that turn with several, values of either sign: the corners say what random speeds say."""
@@ -220,19 +196,3 @@ def test_intervals_are_those_of_the_inverse_hessian():
     moved = (found.beta - beta) ** 2
     assert (moved > 0.1 * plain).any()
     np.testing.assert_allclose(of_beta, np.sqrt(plain + moved), rtol=1e-5)
-
-
-def test_intervals_hold_the_truth_where_the_prior_is_links_by_their_lengths():
-    """Estimates drawn about the TX40's published values, whose links the prior takes for rods."""
-    _, K, chi, physical = tx40(described=False)
-    true, hit, share = K @ chi, [], []
-    sigma = 0.03 * np.abs(true) + 0.01
-    C = covariance_with(covariance(len(true), 1.0), sigma)
-    for beta in np.random.default_rng(0).multivariate_normal(true, C, size=8):
-        found = consistent_parameters(beta, C, K, physical)
-        _, (deviations, from_prior) = parameter_certainty(found, C, K, physical)
-        hit.append(np.abs(found.beta - true) <= 1.96 * deviations)
-        share.append(from_prior)
-    told = np.array(share) <= 0.5  # above, a value is called one from the prior
-    assert told.mean() > 0.5
-    assert np.array(hit)[told].mean() >= 0.90

@@ -109,6 +109,7 @@ def test_the_f_test_of_the_reduction_is_the_formula():
     share = 0.8 / 1.2  # of twelve rows eight are independent
     assert reduced.F_effective == pytest.approx(share * F)
     assert reduced.p_effective == pytest.approx(stats.f.sf(share * F, 2, 8 - 5))
+    assert essential_parameters(problem, full, correlation=-0.5).F_effective == reduced.F
 
 
 def test_the_first_stage_is_the_regression_of_a_column_on_its_instrument():
@@ -163,19 +164,6 @@ def test_quantiles_are_those_of_the_distributions(freedom):
     for tail in (0.2, 0.025, 1e-3):
         assert t_quantile(1 - tail, freedom) == pytest.approx(stats.t.isf(tail, freedom), rel=1e-12)
         assert chi_squared_quantile(tail, freedom) == pytest.approx(stats.chi2.isf(tail, freedom), rel=1e-12)
-
-
-def test_rows_of_a_first_order_process_are_worth_the_share_of_its_variance_of_the_mean():
-    """The mean of x_k = c x_(k-1) + e_k has the variance of r (1 - c)/(1 + c) independent rows, r large."""
-    rng, c, r = np.random.default_rng(12), 0.6, 400
-    W = rng.normal(size=(r, 2))
-    problem = System.whole(W, W[:, 0] + rng.normal(size=r), np.zeros(r, dtype=int), tuple("ab"))
-    full = ordinary_least_squares(problem)
-    positive, negative = (essential_parameters(problem, full, correlation=x, ratio=1.5) for x in (c, -0.5))
-    assert positive.estimate.names == ("a",)
-    covariance = c ** np.abs(np.subtract.outer(np.arange(r), np.arange(r)))
-    assert positive.F_effective / positive.F == pytest.approx(1 / (covariance.mean() * r), rel=0.01)
-    assert negative.F_effective == negative.F
 
 
 @pytest.mark.parametrize("condition", [1.0, 1e6])

@@ -1,4 +1,4 @@
-"""Intervals by equal-weighted cosines: closed forms, coverage of plain arrays, long recordings held reduced."""
+"""Intervals by equal-weighted cosines: closed forms, long recordings held reduced."""
 
 import dataclasses
 from itertools import pairwise
@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from conftest import REPLAY
 from scipy import stats
-from scipy.signal import lfilter
 
 import identification.regression.equations as regression_module
 from identification.data import load_signals
@@ -99,24 +98,6 @@ def test_the_covariance_has_the_deviations_of_the_intervals_and_the_correlations
     np.testing.assert_allclose(found.covariance, expected, atol=1e-12 * expected.max())
     exact = intervals(dataclasses.replace(fit, covariance=np.zeros((6, 6))), np.zeros(200), 1)
     np.testing.assert_array_equal(exact.covariance, 0)
-
-
-# Coverage
-
-
-def test_strongly_correlated_rows_are_covered_where_the_formula_is_lost():
-    """Residuals AR(0.98), and a motion of 100 rows a period: their spectrum there is nine times that of white rows."""
-    t, rng, inside = np.arange(2000), np.random.default_rng(4), []
-    W = np.c_[np.sin(2 * np.pi * t / 100), np.sign(np.cos(2 * np.pi * t / 100))]
-    system = System.whole(W, 0.0 * t, 0 * t, ("a", "b"))
-    for _ in range(250):
-        Y = lfilter([1.0], [1.0, -0.98], rng.normal(size=2400))[400:]
-        fit = ordinary_least_squares(dataclasses.replace(system, Y=Y))
-        found = intervals(fit, Y - W @ fit.beta, 1)
-        inside.append([(found.low < 0) & (found.high > 0), np.abs(fit.beta) < 1.96 * fit.sigma])
-    by_cosines, by_formula = 100 * np.mean(inside, axis=(0, 2))
-    assert by_cosines == pytest.approx(95, abs=2.5)
-    assert by_formula < 65
 
 
 # Long recordings

@@ -4,13 +4,11 @@ Made in a tenth of a second. Their gains are those of `gain_cases`; the position
 """
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 from conftest import described_chi
 from gain_cases import CENTRE, GainCase, described_robot
 
-from acquisition.recording import Header, RecordingWriter, sample_dtype
 from acquisition.robot import Payload, Robot
 from identification.data import Signals, signals_from_arrays
 from identification.model import InverseModel, add_payload
@@ -48,23 +46,3 @@ def planned_pair(case: GainCase, seed: int = 0) -> tuple[Signals, Signals]:
     """Without and with the case's payload, mass and centre of mass stated, along two motions."""
     payload = Payload(case.mass_kg, tuple(map(float, CENTRE[case.robot])))
     return planned(case, None, 2 * seed), planned(case, payload, 2 * seed + 1)
-
-
-def written(signals: Signals, path: Path) -> Path:
-    """The recording as a file."""
-    header = Header(
-        robot=signals.robot,
-        source="",
-        sample_rate_hz=signals.sample_rate_hz,
-        effort_provenance="",
-        effort_timing=signals.effort_timing,
-        payload=signals.payload,
-    )
-    samples = np.zeros(len(signals.q), sample_dtype(signals.robot.n, reference=signals.q_ref is not None))
-    samples["stamp_ns"] = np.rint(1e9 * signals.t_s)
-    samples["position"], samples["effort"] = signals.q, signals.effort
-    if signals.q_ref is not None:
-        samples["reference"] = signals.q_ref
-    with RecordingWriter(path, header) as writer:
-        writer.samples(samples)
-    return path

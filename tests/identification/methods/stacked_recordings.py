@@ -4,13 +4,10 @@ from identification.data import Recordings
 from identification.methods import Equations
 from identification.methods.equations import equations_of
 from identification.methods.observation import observation_of
-from identification.regression import Overrides, Problem, Rows
+from identification.regression import Overrides, Problem
 
 
-def system_of(*problems: Problem, plain: Rows | None = None) -> Equations:
-    """Of the problems of recordings; `plain` are the rows of a lone one where they are made already."""
+def system_of(*problems: Problem) -> Equations:
     observations = [observation_of(problem, None) for problem in problems]
-    if plain is not None:
-        observations = [(problems[0], plain, observations[0][2])]
     sources = tuple(problem.signals for problem in problems)
     return equations_of(Recordings(sources=sources), Overrides(), observations, tuple(range(len(problems))))

@@ -15,7 +15,7 @@ from acquisition.robot import Controller, load_robot
 from identification.data import Signals
 from identification.export import read_chain, robot_of_chain
 from identification.methods import identify
-from identification.model import InverseModel, base_parameters, direct_model, known_parameters
+from identification.model import InverseModel, direct_model, known_parameters
 from identification.regression import Overrides
 from identification.simulation import Control, Reference, recorded_loop
 
@@ -83,18 +83,6 @@ def test_the_replay_subtracts_gravity_and_says_so():
     assert replayed(described(gravity_feedforward=False)).level == "caution"
     line = replayed(replace(described(), effort=1.1 * recorded().effort))
     assert (line.level, line.value) == ("caution", pytest.approx(1.1, abs=0.02))
-
-
-def test_iv_simulates_it():
-    fit = identify(described(), Overrides(), method="iv")
-    assert fit.status == "converged"
-    dynamics, robot = InverseModel(recorded().robot), recorded().robot
-    base = base_parameters(dynamics)
-    chi = dict(zip(dynamics.names, known_parameters(dynamics), strict=True))
-    for j in range(robot.n):
-        chi |= {f"Ia{j + 1}": ROTOR[j], f"Fv{j + 1}": VISCOUS[j], f"Fc{j + 1}": COULOMB[j]}
-    true = base.K @ np.array([chi[name] for name in dynamics.names])
-    assert np.linalg.norm(fit.beta - true) < 0.03 * np.linalg.norm(true)
 
 
 def test_the_law_adds_gravity_at_the_measured_position():

@@ -66,16 +66,6 @@ def test_without_the_gain_update_the_first_instruments_of_the_tx40_are_along_the
     assert not np.array_equal(fit.replica.motion.q, updated.replica.motion.q)
 
 
-def test_fewer_instrument_samples_leave_the_estimate_where_it_is(monkeypatch):
-    """All rows are used: which of them are slow turns on single samples, with either rate."""
-    every_row = Overrides(low_speed_percent=0.0)
-    coarse = identify_iv(signals_of(SCARA), every_row, Iteration())
-    monkeypatch.setattr("identification.simulation.instruments.RATE_PER_BANDWIDTH", 200.0)
-    fine = identify_iv(signals_of(SCARA), every_row, Iteration())
-    assert len(fine.replica.q) == pytest.approx(2 * len(coarse.replica.q), rel=0.01)
-    assert (np.abs(coarse.beta - fine.beta) < 0.15 * fine.estimate.sigma).all()
-
-
 # Simulated robots
 
 

@@ -7,21 +7,12 @@ import pytest
 from conftest import REPLAY, described_chi, robot_named
 from fits_of_records import ls_of
 
-import identification.regression.equations as regression_module
 from acquisition.robot import fourier_reference
 from identification.data import Signals, signals_from_arrays
 from identification.errors import BadInputError, NoFitError
 from identification.estimation import System, ordinary_least_squares, weighted_least_squares
-from identification.methods import identify_ls
-from identification.model import BaseParameters, InverseModel, base_parameters, described_parameters
-from identification.regression import (
-    Motion,
-    Overrides,
-    decimation_rule,
-    make_problem,
-    make_settings,
-    rows_of_recording,
-)
+from identification.model import InverseModel, base_parameters, described_parameters
+from identification.regression import Motion, Overrides, decimation_rule, make_settings
 
 
 def exact_motion(model: InverseModel, *, duration_s: float, sample_rate_hz: float, seed: int) -> Motion:
@@ -32,13 +23,6 @@ def exact_motion(model: InverseModel, *, duration_s: float, sample_rate_hz: floa
     return Motion(t_s=t_s, q=q, dq=dq, ddq=ddq, tau=tau)
 
 
-def system_of(motion: Motion, model: InverseModel, base: BaseParameters) -> System:
-    """W and Y of every sample of a motion, rows joint by joint."""
-    W = model.regressor(motion.q, motion.dq, motion.ddq)[:, :, base.columns].transpose(1, 0, 2).reshape(-1, base.b)
-    n = model.robot.n
-    return System.whole(W, motion.tau.T.reshape(-1), np.repeat(np.arange(n), len(motion.t_s)), base.names)
-
-
 @pytest.mark.parametrize(
     ("name", "count", "solve"),
     [("scara", 8, ordinary_least_squares), ("scara", 8, weighted_least_squares), ("tx40", 60, weighted_least_squares)],
@@ -47,7 +31,9 @@ def test_exact_motion_gives_back_the_true_parameters(name, count, solve):
     dynamics = InverseModel(robot_named(name))
     base = base_parameters(dynamics)
     motion = exact_motion(dynamics, duration_s=20.0, sample_rate_hz=50.0, seed=4)
-    estimate = solve(system_of(motion, dynamics, base))
+    W = dynamics.regressor(motion.q, motion.dq, motion.ddq)[:, :, base.columns].transpose(1, 0, 2).reshape(-1, base.b)
+    joint_of_row = np.repeat(np.arange(motion.q.shape[1]), len(motion.q))
+    estimate = solve(System.whole(W, motion.tau.T.reshape(-1), joint_of_row, base.names))
     true = described_parameters(dynamics, base)
     assert len(true) == count
     # Relative to the parameter, or to its size in the torque's own digits where it is zero.
@@ -80,24 +66,6 @@ def synthetic_signals(name: str = "scara", seconds: float = 30.0) -> Signals:
     return dataclasses.replace(signals, recording="made.mcap")
 
 
-def test_blocks_and_reduced_rows_give_what_one_pass_gives(monkeypatch):
-    signals, finely = synthetic_signals(), Overrides(decimation=5)
-    problem, whole = make_problem(signals, finely), identify_ls(signals, finely)
-    rows = rows_of_recording(problem)
-    monkeypatch.setattr("identification.regression.problem._SERIES_BLOCK", 1)
-    assert len(list(regression_module.motion_blocks(problem))) > 3
-    parts = rows_of_recording(problem)
-    for part, full in ((parts.system.W, rows.system.W), (parts.system.Y, rows.system.Y), (parts.speed, rows.speed)):
-        np.testing.assert_allclose(part, full, atol=1e-9 * np.abs(full).max())
-    monkeypatch.setattr(regression_module, "_MAX_NUMBERS", 1000)
-    reduced = identify_ls(signals, finely)
-    np.testing.assert_allclose(reduced.beta, whole.beta, rtol=1e-7)
-    np.testing.assert_allclose(reduced.estimate.sigma, whole.estimate.sigma, rtol=1e-7)
-    assert reduced.estimate.rows == pytest.approx(whole.estimate.rows, rel=1e-9)
-    for a, b in zip(reduced.errors, whole.errors, strict=True):
-        assert a.relative_error_percent == pytest.approx(b.relative_error_percent, rel=1e-7)
-
-
 def test_signals_that_are_not_finite_are_refused():
     signals = synthetic_signals(seconds=5.0)
     broken = signals.effort.copy()
@@ -105,17 +73,6 @@ def test_signals_that_are_not_finite_are_refused():
     with pytest.raises(BadInputError) as told:
         dataclasses.replace(signals, effort=broken)
     assert (told.value.place, told.value.key) == ("made.mcap", "effort[70]")
-
-
-def test_torque_and_position_are_not_shifted_against_each_other():
-    """It is aligned as it comes: moved by a few samples either way it fits worse."""
-    signals = synthetic_signals(seconds=10.0)
-
-    def error(shift: int) -> float:
-        moved = dataclasses.replace(signals, effort=np.roll(signals.effort, shift, axis=0))
-        return identify_ls(moved, Overrides()).errors[-1].relative_error_percent
-
-    assert error(0) < min(error(-3), error(3))
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from identification.estimation import Spans, System, combined, intervals_of, one
 from identification.regression import Overrides
 
 SCATTERED = np.exp([0.16, -0.14, 0.2, -0.05, 0.12, -0.18])  # of a catalogue: 15 %
-SCARA = GainCase(robot="scara", what="", duration_s=4.0, white=5.0)
+SCARA = GainCase(robot="scara", white=5.0)
 
 
 @pytest.mark.parametrize(

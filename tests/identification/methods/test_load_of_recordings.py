@@ -1,4 +1,4 @@
-"""Load friction of several recordings: by hand, cut, long, on any workers, left out, told by the trust block."""
+"""Load friction of several recordings: cut, long, left out, told by the trust block."""
 
 import dataclasses
 from functools import cache
@@ -11,16 +11,7 @@ from friction_models import axis, described, model_of, moved, simulated
 import identification.methods.settled as settled
 from identification.data import Recordings
 from identification.methods import Iteration, identify, identify_iv, identify_ls, with_consistent
-from identification.regression import (
-    Overrides,
-    friction_states,
-    make_problem,
-    row_blocks,
-    row_states,
-    rows_of_recording,
-    torque_of_recording,
-    weights_at,
-)
+from identification.regression import Overrides, make_problem, row_blocks, rows_of_recording, torque_of_recording
 from identification.study import Noise, closed_loop, random_reference
 
 TERMS = [["viscous", "coulomb", "root", "load"], ["viscous", "coulomb", "load"]]
@@ -52,71 +43,6 @@ def off(fit, values) -> np.ndarray:
     names = [name.partition("@")[0] for name in fit.estimate.names]
     expected = np.array([values[fit.base.names.index(name)] for name in names])
     return np.abs(fit.estimate.beta - expected) / fit.intervals.half
-
-
-@cache
-def series_of(problem):
-    """The whole regressor (N, n, b) before decimation, and the motion."""
-    s = problem.settings
-    m = problem.motion.between(s.start, s.stop, s.cutoff_hz)
-    return problem.model.regressor(m.q, m.dq, m.ddq)[:, :, problem.base.columns], m
-
-
-def about(problem, beta):
-    """W (n, rows, b) and Y (n, rows) of a recording about beta, by the formulas."""
-    s, base, (series, m) = problem.settings, problem.base, series_of(problem)
-    w = weights_at(problem, m.t_s)
-    W = np.stack([s.decimator.filtered(w[j] * series[:, j].T).T for j in range(series.shape[1])])
-    Y = s.decimator.filtered(w * m.tau.T)
-    for j in range(len(W)):
-        mu = base.names.index(f"mu{j + 1}")
-        rigid, sign = series[:, j, base.links] @ beta[base.links], np.sign(m.dq[:, j])
-        moved = beta[mu] * s.decimator.kept(np.sign(rigid) * sign)[:, None] * W[j][:, base.links]
-        Y[j] = Y[j] + moved @ beta[base.links]
-        W[j][:, base.links] += moved
-        W[j][:, mu] = s.decimator.filtered((w[j] * np.abs(rigid) * sign)[None])[0]
-    return W, Y
-
-
-def weighted_least_squares(W, Y, joint, count):
-    """Estimate and deviations: rows over the residual of each joint's own least squares; `count` (2,) rows by their weights."""
-    s = np.ones(2)
-    for j in range(2):
-        own, rows = W[joint == j], Y[joint == j]
-        own = own[:, own.any(axis=0)]
-        own = own / np.linalg.norm(own, axis=0)
-        b, _, rank, _ = np.linalg.lstsq(own, rows, rcond=1e-9)
-        s[j] = np.sqrt(np.sum((rows - own @ b) ** 2) / (count[j] - rank))
-    A, b = W / s[joint][:, None], Y / s[joint]
-    beta = np.linalg.lstsq(A, b)[0]
-    variance = np.sum((b - A @ beta) ** 2) / (len(b) - A.shape[1])
-    return beta, np.sqrt(variance * np.diag(np.linalg.inv(A.T @ A)))
-
-
-def test_least_squares_of_recordings_is_that_of_their_rows_stacked():
-    """Pass by pass by hand, from the fit without load friction on, until no parameter moves by 1e-3 of its deviation."""
-    _, given = scara()
-    ramps = Overrides(ramp_rows=fit_of("wls").settings.ramp_rows)
-    problems = [make_problem(signals, ramps) for signals in given.sources]
-    share = [rows_of_recording(problem).share.T for problem in problems]  # (n, rows)
-    fast, count = [one > 0 for one in share], np.sum([(one**2).sum(axis=1) for one in share], axis=0)
-    joint = np.concatenate([np.nonzero(rows)[0] for rows in fast])
-
-    def rows(beta):
-        each = [about(problem, beta) for problem in problems]
-        return (np.concatenate([x[i][used] for x, used in zip(each, fast, strict=True)]) for i in range(2))
-
-    names = problems[0].base.names
-    linear = np.array([not name.startswith("mu") for name in names])
-    W, Y = rows(np.zeros(len(names)))
-    beta, passes, moved = np.zeros(len(names)), 0, np.inf
-    beta[linear], _ = weighted_least_squares(W[:, linear], Y, joint, count)
-    while moved > 1e-3:
-        W, Y = rows(beta)
-        after, sigma = weighted_least_squares(W, Y, joint, count)
-        beta, moved, passes = after, np.abs((after - beta) / sigma).max(), passes + 1
-    assert passes > 1
-    assert off(fit_of("wls"), beta).max() < 1e-6  # the fit goes one step further
 
 
 @pytest.mark.parametrize(("method", "own"), [("wls", ""), ("iv", "Off")])
@@ -196,26 +122,6 @@ def test_the_whole_may_leave_out_what_the_beginning_of_a_long_recording_has(monk
     assert "mu1" in fit.estimate.names
     assert "mu2" not in fit.estimate.names
     assert abs(fit.estimate.values_of(("ZZ1R",))[0] - 3.45) < 0.02
-
-
-@pytest.mark.parametrize("blocks", [False, True])
-def test_states_of_rows_are_those_of_the_regressor(monkeypatch, blocks):
-    """Speeds of the rows, and the torque of the links as columns times parameters."""
-    if blocks:
-        monkeypatch.setattr("identification.regression.problem._SERIES_BLOCK", 10_000)
-    problem, beta = make_problem(halves(long_record()).sources[0], DENSE), fit_of("wls").beta
-    states, base = row_states(problem), problem.base
-    np.testing.assert_array_equal(states.dq, rows_of_recording(problem).speed[states.rows])
-    series, _ = series_of(problem)
-    rigid = problem.settings.decimator.kept(series[:, :, base.links] @ beta[base.links])
-    assert len(states.rows) > 100
-    speeds, loads = friction_states(problem, beta, states)
-    for j, dq in enumerate(states.dq.T):  # joints that share no motor are looked at one by one, where they move
-        alone = speeds[:, j] != 0
-        rows = np.isin(dq, speeds[alone, j])
-        assert rows.sum() > 0.8 * len(dq)
-        np.testing.assert_array_equal(speeds[alone, j], dq[rows])
-        np.testing.assert_allclose(loads[alone], np.abs(rigid[states.rows][rows]), rtol=1e-6, atol=1e-6)
 
 
 def test_held_out_is_predicted_by_the_fit_of_the_others():

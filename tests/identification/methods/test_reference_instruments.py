@@ -111,19 +111,6 @@ def test_a_lag_of_the_torque_is_found_with_them(unconfirmed, fits):
     assert (np.abs(found.beta - fits[0].beta) < found.intervals.half).all()
 
 
-def test_white_noise_of_the_position_is_not_predicted():
-    """Under one percent of the power of its acceleration, 1 m/s² behind a low-pass of 50 Hz, is in that of the instruments."""
-    signals = axis_signals()[0]
-    noise = 1e-4 * np.random.default_rng(3).standard_normal(signals.q.shape)
-    moved = []
-    for q in (signals.q, signals.q + noise):
-        problem = make_problem(dataclasses.replace(signals, q=q), Overrides())
-        moved.append([motion.between(500, 9500, 50.0) for motion in (predicted_motion(problem), problem.motion)])
-    (predicted, measured), (again, noisy) = moved
-    assert np.std(again.ddq - predicted.ddq) < 0.1 * np.std(noisy.ddq - measured.ddq)
-    assert np.std(again.q - measured.q) < 3e-4 * np.std(measured.q)
-
-
 @pytest.mark.parametrize("most", [50_000, 700])
 def test_an_error_made_of_the_terms_is_predicted_whole(monkeypatch, most):
     """q - r = -c(r) late, of two joints; the span does not end with the recording."""

@@ -10,7 +10,6 @@ from acquisition.robot import Robot, load_robot, robot_from_files
 from identification.errors import BadInputError
 from identification.model import InverseModel, base_parameters, described_parameters
 
-KINDS, UNITS = ("revolute", "revolute", "prismatic"), ("N m", "N m", "N")
 RNG = np.random.default_rng(3)
 
 
@@ -137,14 +136,6 @@ def urdf_robot(urdf: str, names: tuple[str, str] = ("j1", "j2")):
     for name in names:
         text += f'[[joint]]\nname = "{name}"\ntype = "revolute"\n[[motor]]\nname = "{name}"\neffort_unit = "N m"\n'
     return robot_from_files({"robot.toml": text.encode(), "robot.urdf": urdf.encode()}, "two.toml")
-
-
-def test_a_urdf_gives_the_same_model_as_the_table():
-    from_urdf, from_table = InverseModel(urdf_robot(TWO_TURNING)), InverseModel(robot_with_matrix([[1, 0], [0, 1]]))
-    assert from_urdf.names == from_table.names
-    q, dq, ddq = states(2)
-    np.testing.assert_allclose(from_urdf.regressor(q, dq, ddq), from_table.regressor(q, dq, ddq), atol=1e-9)
-    assert base_parameters(from_urdf).names == base_parameters(from_table).names
 
 
 @pytest.mark.parametrize(

@@ -7,14 +7,13 @@ import msgspec
 import numpy as np
 import pinocchio as pin
 import pytest
-from conftest import REPLAY
 from urdfs import packaged_urdf
 
 from acquisition.robot import Controller
-from identification.data import Recordings, Signals, load_signals
+from identification.data import Signals
 from identification.errors import NoFitError
 from identification.export import read_chain, robot_of_chain
-from identification.methods import identify, identify_ls
+from identification.methods import identify
 from identification.model import InverseModel, base_parameters, known_parameters
 from identification.regression import Overrides, make_problem
 from identification.view import draw_recording
@@ -62,11 +61,6 @@ def truth(signals: Signals) -> dict[str, float]:
     return dict(zip(base.names, base.K @ np.array([chi[name] for name in dynamics.names]), strict=True))
 
 
-def unstated(signals: Signals) -> Signals:
-    """Without the bandwidth, nor the control law."""
-    return replace(signals, robot=replace(signals.robot, controller=Controller()))
-
-
 @pytest.fixture
 def ur5() -> Signals:
     return recorded(0)
@@ -84,14 +78,6 @@ def test_an_arm_with_speed_fed_forward_is_identified_without_its_bandwidth(ur5):
     assert without.settings.cutoff_hz == fit.settings.cutoff_hz
     errors = [one.errors[-1].moving_relative_error_percent for one in (without, fit)]
     assert errors[0] == pytest.approx(errors[1], rel=0.1)
-
-
-@pytest.mark.parametrize("name", ["emps", "scara"])
-def test_shipped_sessions_give_nearly_the_same_without_their_bandwidth(name):
-    stated = load_signals(REPLAY / name / "session.mcap")
-    one, other = (identify_ls(x, Overrides()) for x in (stated, unstated(stated)))
-    off = np.abs(one.estimate.beta - other.estimate.values_of(one.estimate.names))
-    assert (off < one.intervals.half + other.intervals.half).all()
 
 
 def test_filters_and_loop_are_told_and_no_warning_contradicts_them(ur5):
@@ -119,13 +105,6 @@ def test_a_stated_cutoff_stays_and_moves_no_loop(ur5, given_hz, told):
     problem = make_problem(stated, Overrides())
     assert (problem.settings.cutoff_hz, problem.signals.robot.bandwidth_hz) == (15.0, 3.0)
     assert problem.settings.warnings == ()
-
-
-def test_several_recordings_share_the_lowest_cutoff(ur5):
-    both = [ur5, recorded(1)]
-    alone = [make_problem(one, Overrides()).settings.cutoff_hz for one in both]
-    fit = identify_ls(Recordings(sources=tuple(both)), Overrides())
-    assert {one.problem.settings.cutoff_hz for one in fit.recordings} == {min(alone)} < set(alone)
 
 
 def test_a_recording_read_again_has_the_same(ur5):

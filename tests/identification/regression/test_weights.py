@@ -117,21 +117,6 @@ def test_a_threshold_of_zero_is_the_method_without_weights():
     assert [one.low_speed_percent for one in by_method] == [0.0, 10.0]
 
 
-def test_position_noise_is_added_beside_the_same_weights(monkeypatch):
-    """Both refits have the samples of the recording itself, however its noise moves the speed about the threshold."""
-    kept, plain = [], SampleWeights.__init__
-
-    def once(self, *given):
-        kept.append(self)
-        plain(self, *given)
-
-    monkeypatch.setattr(SampleWeights, "__init__", once)
-    rng = np.random.default_rng(0)
-    fit = identify_ls(dataclasses.replace(SCARA, q=SCARA.q + 1e-4 * rng.standard_normal(SCARA.q.shape)), Overrides())
-    assert fit.trust.line("position noise").level in ("ok", "caution")
-    assert len(kept) == 2  # one for each ramp that is tried
-
-
 def test_short_moves_get_short_ramps_and_a_joint_that_never_moves_long_enough_is_refused():
     t = SCARA.t_s
     quick = np.stack([np.sin(2 * np.pi * 0.5 * t), 0.05 * np.sin(2 * np.pi * 4 * t)], axis=1)

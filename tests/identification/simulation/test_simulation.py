@@ -31,44 +31,6 @@ def still(n: int, seconds: float) -> np.ndarray:
     return np.zeros((round(seconds * RATE), n))
 
 
-def test_energy_is_kept_without_friction():
-    _, model = model_of("tx40", Fv=0.0, Fc=0.0, Fvm=0.0, Fcm=0.0)
-    start = (np.array([0.3, -0.4, 0.5, 0.2, 0.6, 0.1]), np.array([0.5, 0.2, -0.4, 1.0, -0.5, 2.0]))
-    done = simulate(model, free(6, RATE), still(6, 1.0), start=start, bound=1e9, substeps=20)
-    kinetic = 0.5 * np.einsum("ti,tij,tj->t", done.dq, model.inertia(done.q), done.dq)
-    # What gravity does is the work of -g(q): its torque at rest, summed along the path.
-    g = np.array([model.inertia_and_bias(q, np.zeros(6))[1] for q in done.q])
-    work = np.cumsum(np.einsum("ti,ti->t", 0.5 * (g[1:] + g[:-1]), np.diff(done.q, axis=0)))
-    drift = kinetic[1:] - kinetic[0] + work
-    assert np.ptp(kinetic) > 5.0
-    assert np.abs(drift).max() < 2e-3 * np.ptp(kinetic)
-
-
-def test_a_pd_loop_is_the_double_integrator_it_is_designed_as():
-    _, model = model_of("emps", Fv=0.0, Fc=0.0, Off=0.0)
-    rate = 20_000.0
-    loop = surrogate_loop(5.0, np.array([95.1089]), rate)
-    t = np.arange(int(0.3 * rate)) / rate
-    done = simulate(model, loop, np.full((len(t), 1), 0.01), start=(np.zeros(1), np.zeros(1)))
-    w, z = 2 * np.pi * 5.0, 0.8
-    wd = w * np.sqrt(1 - z**2)
-    expected = 0.01 * (1 - np.exp(-z * w * t) * (np.cos(wd * t) + z / np.sqrt(1 - z**2) * np.sin(wd * t)))
-    np.testing.assert_allclose(done.q[:, 0], expected, atol=2e-5)
-
-
-def test_coulomb_friction_holds_a_joint_that_is_pushed_too_little():
-    _, model = model_of("emps", Off=0.0)
-    for force, moves in ((20.0, False), (21.0, True)):
-        pushed = dataclasses.replace(model, offset=np.array([-force]))
-        assert (np.abs(simulate(pushed, free(1, RATE), still(1, 0.5)).q[-1]) > 1e-4).all() == moves
-    stopping = simulate(model, free(1, RATE), still(1, 0.5), start=(np.zeros(1), np.array([0.05])))
-    # M dv/dt = -Fv v - Fc from v0 stops at (M/Fv) (v0 - (Fc/Fv) ln(1 + Fv v0/Fc)), and stays.
-    M, Fv, Fc, v0 = 95.1089, 203.5034, 20.3935, 0.05
-    stop = M / Fv * (v0 - Fc / Fv * np.log(1 + Fv * v0 / Fc))
-    assert np.abs(stopping.dq[-50:]).max() < 1e-6
-    assert stopping.q[-1, 0] == pytest.approx(stop, rel=0.01)
-
-
 def test_a_light_wrist_does_not_chatter():
     """Fc h/M = 0.16 rad/s per step on joint 6: explicit friction would reverse its sign every step at standstill."""
     _, model = model_of("tx40")
@@ -231,19 +193,6 @@ def test_parameters_that_no_robot_has_are_told_from_those_that_can_be_simulated(
     assert why_not_positive(direct_model(dynamics, massless).inertia(np.zeros((1, 2)))) is None
     broken = direct_model(dynamics, np.full(dynamics.p, np.nan))
     assert why_not_positive(broken.inertia(np.zeros((1, 2)))) == "the inertia matrix is not finite on the trajectory"
-
-
-def test_direct_model_is_the_inverse_of_the_inverse_model():
-    dynamics, model = model_of("tx40")
-    chi = described_chi(dynamics)
-    rng = np.random.default_rng(0)
-    q = rng.uniform(-2, 2, size=(5, 6))
-    M = model.inertia(q)
-    rest = dynamics.regressor(q, 0 * q, 0 * q) @ chi
-    for j in range(6):
-        unit = np.zeros_like(q)
-        unit[:, j] = 1.0
-        np.testing.assert_allclose(dynamics.regressor(q, 0 * q, unit) @ chi - rest, M[:, :, j], atol=1e-11)
 
 
 def test_regular_start_is_a_regular_inertia_matrix_with_two_on_the_coupled_joint():
