@@ -16,8 +16,6 @@ def test_drives_that_are_alike_share_a_row_and_one_that_does_not_answer_is_named
     assert "  1, 3     1: fault when" in lines[at[0]]
     assert "  2        0: a lost heartbeat has no effect" in lines[at[1]]
     assert sum("605A" in line for line in lines) == 1
-    assert len({line.index("1, 2, 3") for line in lines if "1, 2, 3" in line}) == 1
-    assert not [line for line in lines if line != line.rstrip()]
     run.drives.silent.add(1)
     findings = check_drives(run, run.drives.bus)
     assert [(f.subject, f.node) for f in findings if not f.ok] == [("state", 2)]
