@@ -2,7 +2,6 @@
 
 import contextlib
 import os
-import random
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -23,26 +22,8 @@ EXAMPLES = int(os.environ.get("FUZZ_EXAMPLES", "100"))
 FUZZ = settings(max_examples=EXAMPLES, deadline=None, suppress_health_check=list(HealthCheck))
 TOMLS = [path.read_text() for path in sorted(REPLAY.glob("*/*.toml"))]
 VALUES = st.sampled_from(
-    [
-        *(
-            "0",
-            "-1",
-            "1e308",
-            "-1e-320",
-            "nan",
-            "inf",
-            "9" * 30,
-            "true",
-            "1979-05-27",
-            '""',
-            '"x"',
-            '"rad"',
-            '"A"',
-            '"deg"',
-        ),
-        *('"N m/A"', '"m"', "[]", "[[]]", "{}", "{a=1}", "[1,2]", "[0,0,0]", "[nan]", "[1e300,1e300]", "[[0,0],[0,0]]"),
-        "[[1e300,1],[1,1e300]]",
-    ]
+    f"""0 -1 1e308 -1e-320 nan inf {"9" * 30} true 1979-05-27 "" "x" "rad" "A" "deg" "m" [] [[]] {{}} {{a=1}} [1,2] [0,0,0]
+    [nan] [1e300,1e300] [[0,0],[0,0]] [[1e300,1],[1,1e300]]""".split()
 )
 
 
@@ -137,27 +118,3 @@ def test_any_import(tmp_path: Path, text: str, numbers: list[list[float]]) -> No
 
 
 EMPS = robot_named("emps")
-
-
-def test_changed_recordings(tmp_path: Path, whole: Path) -> None:
-    """Bytes exchanged, dropped, doubled and moved, with and without the CRC that would tell at once."""
-    content, chance, read = whole.read_bytes(), random.Random(0), 0
-    for _ in range(6 * EXAMPLES):
-        data = bytearray(content[: len(content) - 8 * chance.randrange(2)])
-        for _ in range(chance.randint(1, 3)):
-            a, b = sorted(chance.randrange(8, len(data)) for _ in range(2))
-            b = min(b, a + chance.choice([1, 8, 200]))
-            change = chance.randrange(4)
-            if change == 0:
-                data[a:b] = chance.randbytes(b - a)
-            elif change == 1:
-                del data[a:b]
-            elif change == 2:
-                data[a:a] = data[a:b]
-            else:
-                data[a : a + 8] = chance.choice([0, 1, 2**31, 2**63 - 1, 2**64 - 1]).to_bytes(8, "little")
-        (tmp_path / "a.mcap").write_bytes(data)
-        with one_line_or_fine():
-            read_recording(tmp_path / "a.mcap")
-            read += 1
-    assert read > 2  # some changes fall into what nobody reads; the others were refused

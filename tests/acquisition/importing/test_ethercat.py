@@ -76,8 +76,8 @@ def test_rows_are_those_of_their_cycles(tmp_path, image, wrap):
     assert "reference" in recording.samples.dtype.names
 
 
-FILES = [(made_up.pcap, {"order": order, "tick_ns": tick}) for order in "<>" for tick in (1, 1000)]
-FILES += [(made_up.pcapng, {"order": order, "resolution": r}) for order in "<>" for r in (None, 9, 0x80 | 20)]
+FILES = [(made_up.pcap, {"order": order, "tick_ns": tick}) for order, tick in (("<", 1000), (">", 1))]
+FILES += [(made_up.pcapng, {"order": order, "resolution": r}) for order, r in ((">", None), (">", 9), ("<", 0x80 | 20))]
 
 
 @pytest.mark.parametrize(("kind", "options"), FILES)
@@ -165,17 +165,6 @@ def test_short_working_counters_give_no_row(tmp_path):
         cycles = check(recording.samples, bus)
         assert not {30, 31} & set(cycles.tolist())
         assert len(cycles) > 95
-
-
-def test_a_snap_length_keeps_the_whole_datagrams(tmp_path):
-    bus = made_up.Bus(wrap="vlan")
-    start, cut = len(bus.start()), len(bus.cycle(0)[0][1]) - 5  # in the last datagram, LWR
-    packets = bus.packets(100)
-    content = made_up.pcap(packets[:start]) + b"".join(made_up.record(packet, snap=cut) for packet in packets[start:])
-    recording, found = imported(tmp_path, content)
-    assert "reference" not in recording.samples.dtype.names
-    check(recording.samples, bus)
-    assert found.warnings == (NO_REFERENCE,)
 
 
 def test_a_file_that_is_cut_is_read_to_the_cut(tmp_path):
@@ -282,8 +271,7 @@ def test_frames_are_kept_and_decoded_again(tmp_path):
     np.testing.assert_array_equal(read_recording(import_recording(log, out).out).samples, first.samples)
 
 
-@pytest.mark.parametrize("clock", [0, 4])
-@pytest.mark.parametrize("image", ["lrd_lwr", "frames"])
+@pytest.mark.parametrize(("image", "clock"), [("lrd_lwr", 4), ("frames", 0)])
 def test_parts_and_segments_of_a_long_capture_give_the_rows_of_the_whole(tmp_path, monkeypatch, image, clock):
     """Frames are lost, doubled and late, also beside the ends of segments."""
     rng, packets = random.Random(1), []
@@ -301,8 +289,6 @@ def test_parts_and_segments_of_a_long_capture_give_the_rows_of_the_whole(tmp_pat
     np.testing.assert_array_equal(parts.samples, whole.samples)
     assert bytes(parts.capture) == bytes(whole.capture)
     assert (again.times, again.warnings) == (about.times, about.warnings)
-    assert "rows missing" in again.times
-    assert "no doubled" not in again.times
 
 
 def test_the_command_imports_a_capture_by_its_first_bytes(tmp_path, capsys):
@@ -313,7 +299,6 @@ def test_the_command_imports_a_capture_by_its_first_bytes(tmp_path, capsys):
     assert main(command) == 0
     assert "99 samples at 1000 Hz, effort in N m, with reference" in capsys.readouterr().out
     assert main([*command, "--overwrite", "--mapping", "6041"]) == 1
-    assert "--mapping = '6041': expected such as 0x6041:16" in capsys.readouterr().err
     (tmp_path / "a.cap").write_text("t,q\n0,0\n")
     assert main([*command, "--overwrite", "--mapping", WHOLE]) == 1
     assert "expected an EtherCAT capture" in capsys.readouterr().err

@@ -64,19 +64,10 @@ HEADERS = [
         "actual_joint_voltage_{0} other; actual_current_as_torque_{0} tau",
     ),
     Header(
-        tool="ur rtde, torque only", angle="rad",
-        columns="timestamp t; actual_q_{0} q; target_moment_{0} other; target_q_{0} ref",
-    ),
-    Header(
         tool="libfranka", step=1.0, unit="ms", joints=7, angle="rad", effort="N m",
         columns="time t; success_rate other; state.q[{0}] q; state.q_d[{0}] ref; state.dq[{0}] v; state.dq_d[{0}] vref; "
         "state.tau_J[{0}] tau; state.tau_ext_hat_filtered[{0}] other; cmd.q_d[{0}] other; cmd.dq_d[{0}] vref; "
         "cmd.O_T_EE_d[{0}] other; cmd.tau_J_d[{0}] other",
-    ),
-    Header(
-        tool="libfranka before 0.14", step=1.0, unit="ms", joints=7, separator=", ", angle="rad", effort="N m",
-        columns="duration t; success rate other; q[{0}] q; q_d[{0}] ref; dq[{0}] v; dq_d[{0}] vref; tau_J[{0}] tau; "
-        "tau_ext_hat_filtered[{0}] other;  q_d[{0}] other;  dq_d[{0}] vref; tau_J_d[{0}] other",
     ),
     Header(
         tool="panda-py", step=0.001, joints=7, angle="rad", effort="N m",
@@ -108,26 +99,11 @@ HEADERS = [
         columns="temps (ms) t; position_mesurée_{1} (rad) q; vitesse_{1} (rad/s) v; couple_{1} (Nm) tau; "
         "consigne_position_{1} (rad) ref",
     ),
-    Header(tool="italian", columns="tempo t; posizione_{1} q; velocità_{1} v; coppia_{1} tau"),
-    Header(
-        tool="spanish", angle="deg", effort="mA",
-        columns="tiempo_s t; posición_{1}_deg q; velocidad_{1}_deg_s v; corriente_{1}_mA i",
-    ),
     Header(tool="chinese", columns="时间 t; 关节{1}实际位置 q; 关节{1}目标位置 ref; 关节{1}实际力矩 tau", angle="deg"),
     Header(tool="matlab", columns="t t; q{1} q; q_des{1} ref; qd{1} v; qdd{1} acc; u{1} other; tau{1} tau"),
     Header(
-        tool="camel case",
-        columns="Timestamp t; jointPosMeasured{1} q; jointPosCommanded{1} ref; jointTorqueMeasured{1} tau; "
-        "jointTorqueExternal{1} other",
-    ),
-    Header(
         tool="kuka rsi", step=4.0, unit="ms", scale=57.3, open=(POSITION, REFERENCE, EFFORT),
         columns="Time t; AIPos.A{1} q; ASPos.A{1} ref; MACur.A{1} i",
-    ),
-    Header(
-        tool="drive software", step=250.0, unit="us", scale=1e4, effort="%",
-        columns="time [µs] t; M{1} position actual value [inc] q; M{1} torque actual value [%] tau; "
-        "M{1} following error other",
     ),
     Header(
         tool="two arms", open=(POSITION, EFFORT),
@@ -136,11 +112,6 @@ HEADERS = [
     Header(
         tool="two efforts", open=(EFFORT,),
         columns="time t; q_{0} q; joint_torque_{0} tau; motor_current_{0} i",
-    ),
-    Header(
-        tool="tool and temperature",
-        columns="time t; joint_{0}_position q; joint_{0}_current i; joint_{0}_temperature other; tcp_position_{0} other; "
-        "tcp_force_{0} other",
     ),
 ]  # fmt: skip
 

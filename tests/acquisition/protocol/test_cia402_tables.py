@@ -141,20 +141,4 @@ def test_types_and_sizes_of_the_standard_objects():
             index, _, sub = name.partition(":")
             table[int(index, 16), int(sub or "0")] = kind
     assert {key: kind for key, kind in STANDARD.items() if table.get(key) != kind} == {}
-    # Those that a session cannot do without.
-    needed = "1017 6040 6041 6060 6061 6064 606C 6074 6075 6076 6077 6078 607A"
-    assert {(int(index, 16), 0) for index in needed.split()} <= set(STANDARD)
-    assert {(0x60C2, 1), (0x60C2, 2)} <= set(STANDARD)
     assert protocol.BITS == {"I8": 8, "I16": 16, "I32": 32, "U8": 8, "U16": 16, "U32": 32}
-
-
-def test_effort_objects_of_the_standard_and_of_vendors():
-    found = {(index, kind, rule) for (index, _), (kind, rule, _) in protocol.EFFORT_OBJECTS.items()}
-    assert found == {
-        (0x6074, "I16", "per mille of rated torque"),
-        (0x6077, "I16", "per mille of rated torque"),
-        (0x6078, "I16", "per mille of rated current"),
-        (0x30D0, "I32", "mA"),
-        (0x2031, "I16", "mA"),
-        (0x221E, "I16", "0.01 A"),
-    }

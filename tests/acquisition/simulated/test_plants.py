@@ -36,7 +36,6 @@ QUARTER = -np.pi / 2  # where a load hangs straight down
     [
         # 4 N m on 2 kg m²: after 1 s 2 rad/s and 1 rad, from where it began.
         ({"inertia": 2.0, "position": 0.5}, 4.0, 1.0, 1.5, 2.0, 2e-3),
-        ({"inertia": 2.0, "position": 0.5}, -4.0, 1.0, -0.5, -2.0, 2e-3),
         # Viscous friction: speed tends to effort / viscous with the time constant inertia / viscous.
         ({"inertia": 2.0, "viscous": 4.0}, 6.0, 0.5, 0.75 * np.exp(-1), 1.5 * (1 - np.exp(-1)), 1e-3),
         # Coulomb friction takes its share of either sign.
@@ -44,7 +43,6 @@ QUARTER = -np.pi / 2  # where a load hangs straight down
         *(({"coulomb": 1.0}, side * 0.999, 1.0, 0.0, 0.0, 0.0) for side in (1, -1)),
         # load cos q: held, nothing to hold at 90°, free, and where it slides the same everywhere.
         ({"load": 5.0}, 5.0, 1.0, 0.0, 0.0, 1e-12),
-        ({"load": 5.0, "position": np.pi / 2}, 0.0, 0.1, np.pi / 2, 0.0, 1e-12),
         ({"load": 5.0}, 0.0, 0.01, -2.5e-4, -0.05, 5e-5),
         ({"load": 5.0, "slides": True, "position": 2.0}, 5.0, 1.0, 2.0, 0.0, 1e-12),
         # Small swings about -90° have the period 2 pi sqrt(inertia / load).
@@ -61,12 +59,6 @@ def test_friction_stops_a_joint_and_does_not_turn_it_round():
     assert after(plant, 3.0, 1.0, steps=100)[1] == pytest.approx(1.0)
     assert 0 <= after(plant, 0.0, 0.49, steps=49)[1] < 0.05
     assert after(plant, 0.0, 0.05, steps=5)[1] == 0.0
-
-
-def test_a_brake_holds():
-    plant = joint(load=5.0)
-    q, _ = after(plant, 20.0, 0.1)
-    assert after(plant, 20.0, 0.1, HELD) == (q, 0.0)
 
 
 def test_a_typical_plant_by_hand():
