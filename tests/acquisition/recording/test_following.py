@@ -76,15 +76,6 @@ def test_a_row_is_given_with_the_block_that_completes_it(tmp_path):
         assert 0 <= last_ns - follower.rows["stamp_ns"][-1] < 2_000_000
 
 
-def test_a_drive_late_for_long_waits_and_is_in_order(tmp_path):
-    """Over two blocks each interval has one PDO of each drive, as if nothing was late."""
-    by = np.zeros(400, int)
-    by[110:260] = 1
-    frames = late_by(session(syncs=400), by, 1)
-    rows = shown(tmp_path / "log.mcap", frames)
-    assert rows.tobytes() == decode(frames, ROBOT, BUS, "log").samples.tobytes()
-
-
 def test_a_counter_that_wraps_in_dropped_frames_counts_on(tmp_path):
     frames = flat(session(syncs=1500))
     pdo = (frames["can_id"] > 0x180) & (frames["can_id"] < 0x200)
