@@ -38,8 +38,6 @@ MESSAGES = [
 
 
 def raising(error: Exception):
-    """A function that does nothing else."""
-
     def fail(*_: object, **__: object) -> None:
         raise error
 
@@ -206,7 +204,6 @@ def test_what_a_link_cannot_send_or_read_is_told_and_not_noted():
 
 
 def group(*messages: can.Message | Exception) -> FakeBus:
-    """The bus of a multicast group."""
     fake = FakeBus(*messages)
     fake._multicast = SimpleNamespace(_socket=None)
     return fake
@@ -291,13 +288,6 @@ def test_how_a_bus_is_opened(monkeypatch, keys, passive, expected):
     for send in (bus.send, bus.send_periodic):
         with pytest.raises(RefusedError, match="passive"):
             send(message(), 0.1)
-
-
-@pytest.mark.parametrize("error", [can.CanInitializationError, OSError, ImportError])
-def test_a_bus_that_cannot_be_opened_is_told(monkeypatch, error):
-    monkeypatch.setattr(can, "Bus", raising(error()))
-    with pytest.raises(BusFaultError, match="bus: pcan PCAN_USBBUS1: cannot be opened: "):
-        open_bus(bus_file(interface="pcan", channel="PCAN_USBBUS1"), passive=False)
 
 
 def test_a_queue_is_enlarged_past_the_limit_where_we_may():

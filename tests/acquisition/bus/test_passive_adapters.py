@@ -25,8 +25,6 @@ def bus_at(interface: str, channel: str) -> BusFile:
 
 
 class Noting:
-    """A driver that notes its calls, and returns 0."""
-
     def __init__(self, asked: Asked) -> None:
         self.asked = asked
 
@@ -74,7 +72,6 @@ ADAPTERS = {
 
 
 def told(asked: Asked) -> Asked:
-    """The calls with plain values."""
     values = [tuple(getattr(x, "value", x) if x is not basic.PCAN_LISTEN_ONLY else x for x in call) for call in asked]
     modes = [call[1][13] for call in values if call[0] == "write" and call[1][:3] == b"\xaa\x55\x12"]
     return values + modes

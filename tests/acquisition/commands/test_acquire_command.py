@@ -125,7 +125,6 @@ def test_inputs_are_not_replaced(folder, capsys):
 @pytest.mark.parametrize("command", ["import", "import --topic /t", "import --map m.toml", "export"])
 @pytest.mark.parametrize(("name", "content"), [("log.mcap", b"old"), ("log.bin", b"\x89MCAP0")])
 def test_a_recording_is_not_replaced(folder, capsys, command, name, content):
-    """By its suffix, or by what it holds; the option is asked for before anything is read."""
     log = folder / name
     log.write_bytes(content)
     of_robot = ["--robot", str(SCARA)] if command.startswith("import") else []

@@ -147,7 +147,6 @@ class Odd(FaultyDrives):
 
 
 def odd(n: int, answers: dict[tuple[int, int, int], bytes | None], kind: type[Odd] = Odd):
-    """The readings and heard services of `n` drives with other answers."""
     link = drives_of(n, kind)
     link.drives.answers, link.drives.asked = answers, Counter()
     uploads = Uploads(link, bus_file())
@@ -309,13 +308,11 @@ def test_the_node_id_of_this_program_is_that_of_no_device_and_progress_is_shown(
 
 
 def described(bus: str, joints: int = 2) -> str:
-    """robot.toml with `joints` and the text of `[bus]`."""
     return bus_text(joints).split("[bus]")[0] + bus
 
 
 @pytest.fixture(scope="module")
 def scanned(tmp_path_factory: pytest.TempPathFactory) -> str:
-    """What a scan of two drives wrote."""
     out = tmp_path_factory.mktemp("scanned") / "bus.toml"
     with served("scan_two", 2):
         assert scan("scan_two", "--toml", str(out)) == 0

@@ -13,7 +13,6 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from acquisition.errors import RobotIdimError
-from acquisition.files import read_columns
 from acquisition.importing import import_tables
 from acquisition.recording import read_recording
 from acquisition.robot import robot_from_files
@@ -80,28 +79,6 @@ def use_map(text: str) -> None:
 def test_changed_descriptions(use: Callable[[str], None], text: str) -> None:
     with one_line_or_fine():
         use(text)
-
-
-CELLS = st.sampled_from(
-    ["1", "-2.5", "1e5", "nan", "inf", "", "x", '"3"', "1,5", "0x1", "1_0", " 4 ", "#", "ᵀ", "1e999"]
-)
-LINES = st.builds(lambda cells, mark: mark.join(cells), st.lists(CELLS, max_size=5), st.sampled_from(",;\t "))
-
-
-@FUZZ
-@given(
-    content=st.binary(max_size=200)
-    | st.lists(LINES, max_size=8).map(lambda lines: "\n".join(lines).encode())
-    | st.lists(LINES, max_size=8).map(lambda lines: ("a,b,c,d\n" + "\r\n".join(lines)).encode("utf-16")),
-    columns=st.lists(st.sampled_from(["a", "d", "", "x"]) | st.integers(-2, 6), min_size=1, max_size=4),
-)
-def test_any_csv(tmp_path: Path, content: bytes, columns: list[str | int]) -> None:
-    path = tmp_path / "a.csv"
-    path.write_bytes(content)
-    with one_line_or_fine():
-        values = read_columns(path, columns, len(columns))
-        assert values.shape[1] == len(columns)
-        assert np.isfinite(values).all()
 
 
 @FUZZ

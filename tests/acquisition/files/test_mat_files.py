@@ -15,7 +15,6 @@ T = np.arange(7.0)
 
 
 def element(kind: int, content: bytes) -> bytes:
-    """A data element of MAT version 5: tag, content, padding to 8 bytes."""
     return struct.pack("<II", kind, len(content)) + content + bytes(-len(content) % 8)
 
 

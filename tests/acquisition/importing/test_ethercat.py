@@ -26,7 +26,6 @@ ROBOT = robot_of(robot_text())
 
 
 def imported(tmp_path: Path, content: bytes, robot: Robot = ROBOT, **options):
-    """The recording of a capture's bytes, and the summary."""
     path, out = tmp_path / "a.pcap", tmp_path / "a.mcap"
     path.write_bytes(content)
     out.unlink(missing_ok=True)
@@ -176,7 +175,6 @@ def test_a_file_that_is_cut_is_read_to_the_cut(tmp_path):
 
 
 def test_doubled_frames(tmp_path):
-    """A mirror port gives every frame twice."""
     bus = made_up.Bus()
     doubled = [(time_ns + 3000 * k, frame) for time_ns, frame in bus.packets(100) for k in (0, 1)]
     recording, found = imported(tmp_path, made_up.pcap(sorted(doubled)))
@@ -273,7 +271,6 @@ def test_frames_are_kept_and_decoded_again(tmp_path):
 
 @pytest.mark.parametrize(("image", "clock"), [("lrd_lwr", 4), ("frames", 0)])
 def test_parts_and_segments_of_a_long_capture_give_the_rows_of_the_whole(tmp_path, monkeypatch, image, clock):
-    """Frames are lost, doubled and late, also beside the ends of segments."""
     rng, packets = random.Random(1), []
     for time_ns, frame in made_up.Bus(image=image, clock=clock).packets(500):
         if rng.random() > 0.01:

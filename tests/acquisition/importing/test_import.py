@@ -56,7 +56,6 @@ def run(folder: Path, robot: Robot, table_map: str, *tables: Path) -> ImportSumm
 
 
 def refusal(folder: Path, robot: Robot, table_map: str, *tables: Path) -> tuple[str, str, object, str]:
-    """Place, key, value and what was expected; nothing is written."""
     with pytest.raises(BadInputError) as caught:
         run(folder, robot, table_map, *tables)
     assert not (folder / "out.mcap").exists()
@@ -85,7 +84,6 @@ def test_motor_side_goes_through_the_robots_rule(tmp_path, two, table):
 
 
 def test_joint_side_stands_as_it_is(tmp_path, two, table):
-    """Where a joint has a zero, which would do nothing, it is refused."""
     table_map = MAP.replace("motor", "joint").replace("mA", "mN m") + '[reference]\ncolumns = ["p2", "p1"]\n'
     table_map += 'unit = ["deg", "rad"]\nside = "joint"\n'
     assert refusal(tmp_path, two, table_map, table)[:3] == ("map.toml", "position.side", "joint")

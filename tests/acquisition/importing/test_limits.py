@@ -33,7 +33,6 @@ def session() -> Signals:
 
 
 def moving(n: int = 6) -> np.ndarray:
-    """All joints within their limits."""
     return 0.5 * np.sin(2 * np.pi * 0.5 * T)[:, None] * np.ones(n)
 
 
@@ -45,14 +44,12 @@ def refusal(q: np.ndarray, robot=TX40, t=T) -> str:
 
 
 def swinging(joint: int, factor: float) -> np.ndarray:
-    """A joint that swings at 4 Hz with a factor of its speed limit."""
     q, w = moving(), 2 * np.pi * 4
     q[:, joint] = factor * TX40.joints[joint].si("speed") / w * np.sin(w * T)
     return q
 
 
 def beyond(joint: int, share: float) -> np.ndarray:
-    """A joint whose peak is a share of its range beyond its end."""
     q, (low, high) = moving(), TX40.joints[joint].si("position")
     q[:, joint] += high - 0.5 + share * (high - low)
     return q
@@ -201,7 +198,6 @@ def test_efforts_in_newton_metres_do_not_limit_amperes():
 
 
 def limited(signals: Signals, effort_nm: float) -> Signals:
-    """Signals of a robot whose joints have this limit of effort."""
     joints = tuple(msgspec.structs.replace(joint, effort_nm=effort_nm) for joint in signals.robot.joints)
     return dataclasses.replace(signals, robot=dataclasses.replace(signals.robot, joints=joints))
 

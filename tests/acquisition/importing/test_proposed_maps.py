@@ -40,7 +40,6 @@ class Header:
 
     @property
     def quantities(self) -> dict[str, str]:
-        """What each column has."""
         return dict(part.rsplit(" ", 1) for part in self.columns.split("; "))
 
     @property
@@ -68,11 +67,6 @@ HEADERS = [
         columns="time t; success_rate other; state.q[{0}] q; state.q_d[{0}] ref; state.dq[{0}] v; state.dq_d[{0}] vref; "
         "state.tau_J[{0}] tau; state.tau_ext_hat_filtered[{0}] other; cmd.q_d[{0}] other; cmd.dq_d[{0}] vref; "
         "cmd.O_T_EE_d[{0}] other; cmd.tau_J_d[{0}] other",
-    ),
-    Header(
-        tool="panda-py", step=0.001, joints=7, angle="rad", effort="N m",
-        columns="time t; q_{0} q; dq_{0} v; theta_{0} other; dtheta_{0} other; tau_J_{0} tau; tau_J_d_{0} other; "
-        "dtau_J_{0} other; q_d_{0} ref",
     ),
     Header(
         tool="ros2_control, controller_state", angle="rad",
@@ -117,7 +111,6 @@ HEADERS = [
 
 
 def values(header: Header, rows: int = 600) -> dict[str, np.ndarray]:
-    """Quantities (rows, joints) that a moving arm may have; all are different."""
     seconds = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[header.unit] * header.step
     t, k = np.arange(rows) * seconds, np.arange(header.joints)
     scale = header.scale or (57.3 if header.angle == "deg" else 1.0)
@@ -197,7 +190,6 @@ Endtime of export{0}133238090049920000{0}Monday, March 20, 2023{0}19:03:24.992
 
 @pytest.mark.parametrize(("separator", "each"), [("\t", True), (";", False)])
 def test_an_export_of_twincat_scope(tmp_path, monkeypatch, capsys, separator, each):
-    """Above the table are lines on the project and the channels; each channel may have its own times."""
     header = Header(tool="", columns="", step=2.0, unit="ms", joints=2, angle="deg")
     given, names, columns = values(header), [], []
     for j in range(2):

@@ -24,7 +24,6 @@ OPTIONS = BagOptions(topic="/joint_states", effort_unit=["N m"])
 
 
 def run(path, out):
-    """The status of an import."""
     where = ["--robot", str(TOML), "--topic", "/joint_states", "-o", str(out)]
     return main(["import", str(path), *where, "--effort-unit", "N m"])
 
@@ -36,7 +35,6 @@ def imported(path, out):
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    """A bag of joint states, mcap without compression."""
     return bag(tmp_path_factory.mktemp("bag") / "whole", map(message, range(N)))
 
 
@@ -71,7 +69,6 @@ def test_bags_of_rosbags_are_read_sample_by_sample(tmp_path, kind, whole_folder)
 
 
 def test_joints_go_by_name_and_times_by_header(tmp_path):
-    """Elbow first, a gripper among them; receptions jitter by milliseconds, header stamps do not."""
     received = FIRST_NS + np.cumsum(np.random.default_rng(0).integers(5_000_000, 15_000_000, N))
     with Writer(tmp_path / "a", version=9) as w:
         states = w.add_connection("/joint_states", STATE, typestore=STORE)
@@ -191,7 +188,6 @@ def test_true_states_are_of_one_publisher(tmp_path):
 
 
 def test_several_publishers_are_told(tmp_path):
-    """A connection has a profile of quality of service for each publisher."""
     none, kinds = QosTime(0, 0), (QosHistory, int, QosReliability, QosDurability)
     qos = Qos(*(kind(1) for kind in kinds), none, none, QosLiveliness(1), none, False)
     with Writer(tmp_path / "a", version=9) as w:
@@ -203,7 +199,6 @@ def test_several_publishers_are_told(tmp_path):
 
 
 def test_doubts_about_a_bag_are_told_and_kept(tmp_path):
-    """Stamps of a clock that is read late, a message that is there twice, velocities that are no numbers."""
     late_ns = np.random.default_rng(4).integers(0, 4_000_000, N).tolist()
     unknown = DQ * np.where(np.arange(N) == 7, np.nan, 1)[:, None]
     messages = [
@@ -224,7 +219,6 @@ OWN_NS = 103_000_000 + 12_500_000 * np.arange(144)
 
 
 def states_of(q, own_ns=OWN_NS, names=NAMES[::-1]):
-    """States of a controller whose reference is the function `q` of time, the joints in another order."""
     return [(FIRST_NS + int(ns), names, q(1e-9 * ns)[: len(names)]) for ns in own_ns]
 
 

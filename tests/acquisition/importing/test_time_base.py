@@ -76,7 +76,6 @@ def test_gaps_beyond_what_is_stated_are_refused():
 
 
 def test_stamps_of_a_clock_read_late_are_told_from_uneven_rows():
-    """Rows evenly spaced, stamps 1.5 ms off; and rows at the times that their stamps say."""
     even = np.arange(600) / 100
     stamps = even + 0.0015 * RNG.standard_normal(600)
     noise = 1e-6 * RNG.standard_normal((600, 2))

@@ -354,15 +354,6 @@ def test_a_master_reads_and_writes():
     assert link.sent == [(0, b"\x81\x05"), (0x80, b"")]
 
 
-@pytest.mark.parametrize(("text", "nmt", "booted"), [("00", 0, True), ("04", 4, False), ("05", 5, False), ("7F", 127, False),
-                                                     ("FF", 127, False)])  # fmt: skip
-def test_heartbeats_as_a_master_takes_them(text, nmt, booted):
-    master = Master(Answering(), BUS)
-    master.dispatch(Frame(0, 0x705, data(text)))
-    master.dispatch(Frame(0, 0x706, data("04")))  # a node that is not ours
-    assert (master.nodes[0].nmt, master.nodes[0].booted) == (nmt, booted)
-
-
 def test_emergencies_and_pdos_as_a_master_takes_them():
     master = Master(Answering(), BUS)
     watch = master.nodes[0]

@@ -30,12 +30,10 @@ def late_by(intervals: list[list[object]], by: np.ndarray, node: int) -> Block:
 
 
 def tenths(frames: Block) -> list[int]:
-    """Where blocks of 100 ms begin."""
     return (np.flatnonzero(np.diff(frames["time_ns"] // 100_000_000)) + 1).tolist()
 
 
 def written(path: Path, frames: Block, edges: list[int]) -> Iterator[RecordingFollower]:
-    """Write frames block by block; the follower after each of its reads."""
     with RecordingWriter(path, header(ROBOT, 500.0)) as writer:
         follower = RecordingFollower(path)
         for part in np.split(frames, edges):
@@ -55,7 +53,6 @@ def shown(path: Path, frames: Block) -> Block:
 @settings(max_examples=6, deadline=None)
 @given(st.integers(0, 2**32), st.sampled_from([0.0, 0.02, 0.3]), st.booleans())
 def test_rows_are_those_of_the_whole_recording(tmp_path_factory, seed, share, targets):
-    """Late PDOs at the borders of blocks included, to the bit."""
     rng = np.random.default_rng(seed)
     by = rng.integers(1, 4, 800) * (rng.random(800) < share)
     frames = late_by(session(syncs=800, targets=targets), by, 2)

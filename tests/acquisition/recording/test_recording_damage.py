@@ -46,7 +46,6 @@ def test_a_cut_at_any_byte_leaves_a_prefix_or_one_line(whole, tmp_path):
 
 
 def spoilt(path: Path, data: bytearray, place: int, bit: int) -> Path:
-    """A file of the data with one bit changed."""
     path.write_bytes(data[:place] + bytes([data[place] ^ bit]) + data[place + 1 :])
     return path
 
@@ -112,7 +111,6 @@ def test_what_unpacks_to_too_much_is_refused(tmp_path, robot, whole, monkeypatch
 def record(
     path: Path, metadata: dict[str, str], attachments: dict[str, bytes], messages: list[tuple[str, str, bytes]]
 ) -> None:
-    """An MCAP file of our own making, that need not be a recording."""
     with path.open("wb") as file:
         writer = described(file, metadata, attachments)
         for topic, layout, content in messages:

@@ -11,24 +11,6 @@ from acquisition.protocol import ObjectEntry
 from acquisition.robot import parse_homed, refuse_load, refuse_out_of_range, resolve
 
 
-def test_what_a_description_may_leave_out_and_its_pdos_are_one_each_way():
-    bus = bus_of(robot_of(bus_text()))
-    file, given, drive = bus.file, bus.file.drive[0], bus.drives[1]
-    assert [(p.can_id, entries(p), p.length) for p in (*drive.tpdos, *drive.rpdos)] == [
-        (0x182, ["6041:0", "6064:0", "6074:0"], 8),
-        (0x202, ["6040:0", "607A:0"], 6),
-    ]
-    assert (drive.effort.scale, drive.rated) == (pytest.approx(0.42e-3), {0x6076: 420})
-    actual = bus_of(robot_of(bus_text().replace("reference =", "actual ="))).drives[0]
-    assert "the actual value instead of the reference" in actual.effort.provenance
-    assert (given.status, given.control, given.position, given.target) == ("6041", "6040", "6064", "607A")
-    assert (given.sign, given.effort_sign, given.zero_counts, given.mapping) == (1, None, 0, "table")
-    assert (given.rated_current_unit, given.rated_torque_unit) == ("mA", "mN m")
-    assert (file.bitrate, file.sync_producer, file.sync_can_id, file.heartbeat_s) == (1_000_000, "recorder", 0x80, 0.1)
-    assert file.loopback  # frames stay on this machine
-    assert bus.period_ns == 2_000_000
-
-
 def test_a_rate_of_six_axes():
     bus = bus_of(robot_of(bus_text(6)))
     assert bus.load == pytest.approx(0.7775)

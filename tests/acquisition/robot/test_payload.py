@@ -104,7 +104,6 @@ def refusal(call, *arguments, **named) -> tuple[str, str, object]:
     ],
 )
 def test_a_table_that_means_nothing_is_refused(table, key, value):
-    """A frame that the URDF does not name too."""
     files = {"robot.toml": f"{TX40}\n[payload]\n{table}\n".encode()}
     assert refusal(robot_from_files, files, "robot.toml") == ("robot.toml", key, value)
     if value == "tool0":
@@ -152,7 +151,6 @@ HEAVY = Payload(2.805, (0.03, 0.15, -0.16), None, 0.01)
 
 
 def recorded(path: Path, payload: Payload | None, /, **metadata: str) -> Path:
-    """A recording of the SCARA."""
     with RecordingWriter(path, replace(header(robot_named("scara")), payload=payload, notes=metadata)) as writer:
         writer.samples(some_samples(100))
     return path
@@ -227,7 +225,6 @@ def test_commands_refuse_what_is_no_payload_before_anything_else_and_check_shows
 
 
 def test_a_real_session_has_the_payload_too(tmp_path):
-    """Its recorder is another process."""
     robot = robot_of(bus_text(1, interface="udp_multicast", channel="239.74.163.9"))
     log = ProcessLog(tmp_path / "a.mcap", robot, "robot.toml", Role.FED, 0, Payload(2.0, (0.0, 0.0, 0.1)))
     try:

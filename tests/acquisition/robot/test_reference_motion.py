@@ -14,7 +14,6 @@ PERIOD_S = 0.002
 
 
 def robot_with(low: float = -150, high: float = 60, speed: float = 200, acceleration: float = 4000) -> Robot:
-    """Two joints; limits of the second in degrees are those given."""
     first, _, second = bus_text(2).partition('name = "joint_2"')
     second = second.replace("[-150, 150]", f"[{low}, {high}]").replace("speed_deg_s = 200", f"speed_deg_s = {speed}")
     second = second.replace("acceleration_deg_s2 = 4000", f"acceleration_deg_s2 = {acceleration}")
@@ -22,7 +21,6 @@ def robot_with(low: float = -150, high: float = 60, speed: float = 200, accelera
 
 
 def told(values: np.ndarray, robot: Robot) -> str:
-    """What is wrong with a motion of the second joint."""
     with pytest.raises(BadInputError) as caught:
         check(values, robot)
     return str(caught.value)
@@ -96,7 +94,6 @@ def test_nothing_moves_without_limits(quantity):
     ],
 )
 def test_an_approach_takes_a_tenth_of_the_limits(speed, acceleration, seconds):
-    """From rest to rest, both joints together and in a straight line."""
     start, end = np.array([0.1, -80 * DEG]), np.array([0.05, 10 * DEG])
     q = approach(start, end, robot_with(speed=speed, acceleration=acceleration), PERIOD_S)
     assert (len(q) - 1) * PERIOD_S == pytest.approx(seconds, abs=2 * PERIOD_S)
@@ -107,7 +104,6 @@ def test_an_approach_takes_a_tenth_of_the_limits(speed, acceleration, seconds):
 
 @pytest.mark.parametrize("period_s", [1.0, 5.0, 60.0])
 def test_a_random_series_fills_eight_tenths_of_one_limit_and_none_more(period_s):
-    """It is at rest at the beginning and at the end."""
     reference = fourier_reference(robot_with(speed=100, acceleration=300), period_s=period_s, seed=1)
     assert reference.sine.shape == reference.cosine.shape == (2, 5)
     q, dq, ddq = reference.at(t := np.linspace(0, period_s, 20001))

@@ -57,7 +57,6 @@ def test_a_coupled_robot_by_hand():
     ],
 )
 def test_limits_in_si(quantity, per, value, si):
-    """Degrees become radians at a joint that turns; metres stay metres at one that slides; the other unit is refused."""
     keys = {unit: ONE_JOINT.replace(DH, f"{DH}\n{quantity}_{unit}{per} = {value}") for unit in ("deg", "m")}
     (turning,) = described(keys["deg"]).joints
     assert (turning.si(quantity), turning.position_unit) == (pytest.approx(si), "rad")
@@ -171,7 +170,6 @@ def test_errors_carry_their_data_and_make_one_printable_line_of_it():
 
 
 def test_a_whole_file_replaces_the_old_one_only_when_complete_and_on_the_disk(tmp_path, monkeypatch):
-    """A power cut after the renaming must not leave a file without content."""
     synced: list[str] = []
     monkeypatch.setattr(os, "fsync", lambda _: synced.append((tmp_path / "out").read_text()))
     path = tmp_path / "out"

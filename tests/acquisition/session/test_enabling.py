@@ -15,13 +15,11 @@ NEVER = Fault(kind="slow", node=2, sync=1, count=100_000)
 
 
 def loaded(share: float) -> JointwisePlant:
-    """Level joints that carry a share of the rated effort."""
     robot = robot_of(bus_text(2))
     return typical_plant(robot, rated_motor_effort(bus_of(robot)), share)
 
 
 def targets(session: DrySession, node: int) -> np.ndarray:
-    """Targets sent to a drive in motor counts, in the order sent."""
     ours = session.sent[session.sent["can_id"] == 0x200 + node]
     return ours["data"][:, 2:6].copy().view("<i4")[:, 0]
 

@@ -34,13 +34,11 @@ class Scripted(Moved):
 
 
 def there_and_back(height: float, speed: float) -> Callable[[float], float]:
-    """Up to a height at a speed, and at the same speed back to 0."""
     top_s = abs(height / speed)
     return lambda t: height * (1 - abs(t - top_s) / top_s) if t < 2 * top_s else 0.0
 
 
 def with_limits(position: str = "[-150, 150]", following: float = 90.0) -> str:
-    """Limits in degrees."""
     text = bus_text(2).replace("position_deg = [-150, 150]", f"position_deg = {position}")
     return text.replace("following_error_deg = 5", f"following_error_deg = {following}")
 
@@ -127,7 +125,6 @@ def test_what_a_drive_warns_of_is_written_down_once(tmp_path, monkeypatch):
 
 
 def test_the_bits_of_a_statusword_in_words():
-    """Bits by CiA 402-2, 6041h."""
     words = {
         0x0237 | 1 << 7: "operation enabled, warning",
         0x0237 | 1 << 13: "operation enabled, following error",

@@ -29,7 +29,6 @@ def finished(tmp_path_factory):
 
 
 def tracked(session) -> np.ndarray:
-    """The samples of the track phase."""
     samples, at = session.recording.samples, session.phases
     return samples[(samples["stamp_ns"] >= at["track"]) & (samples["stamp_ns"] < at["stop"])]
 
@@ -96,8 +95,6 @@ def test_bad_pdos_are_counted_and_the_session_goes_on(tmp_path, kinds, counted):
 
 @dataclass(kw_only=True)
 class DeadBus(Through):
-    """Nothing can be sent any more from some frame on."""
-
     ends: int
     count: int = 0
 
@@ -137,7 +134,6 @@ def beats(node: int, which: range, other: dict[str, object] | None) -> dict[str,
 
 
 def disobedient(bit: int) -> dict[str, object]:
-    """A bit that is 0 at two SYNCs, then at three."""
     return of(*(Fault(kind="clear", node=2, sync=sync, count=count, bits=bit) for sync, count in ((60, 2), (90, 3))))
 
 
@@ -189,7 +185,6 @@ def test_a_disk_nearly_full_ends_the_session_in_order(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("at", [0.028, 0.05, 0.3, 0.6])
 def test_a_stop_asked_for_is_slow_and_in_order(tmp_path, at):
-    """At any time: while enabling, in the approach, while tracking."""
     stop = Stop()
     interrupt = partial(At, at_ns=LISTENED_NS + at * 1e9, act=lambda: setattr(stop, "reason", "stopped by SIGINT"))
     session = dry_session(tmp_path / "a.mcap", TRACK, through=interrupt, stop=stop)
