@@ -90,9 +90,6 @@ def test_frames_of_the_kernel():
     assert len(receiver.take()) == 0
 
 
-# python-can's frames
-
-
 class FakeBus:
     """As python-can's: hands out messages and raises errors, keeps what is sent."""
 
@@ -170,9 +167,6 @@ def test_a_receiver_keeps_the_order_and_marks_can_fd():
     assert block["can_id"].tolist() == [*(frame.can_id for _, frame in FRAMES), 0x185]
     assert block["flags"].tolist() == [*(frame.flags for _, frame in FRAMES), CAN_FD]
     assert len(receiver.take()) == 0
-
-
-# Links
 
 
 def test_what_a_link_sends():
@@ -308,9 +302,6 @@ def test_the_socket_under_a_bus_of_the_kernel_and_under_a_group():
         assert socket.inet_ntoa(sock.getsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, 4)) == "127.0.0.1"
     assert links.socket_of(SimpleNamespace(socket="of another kind")) is None
     assert links.socket_of(SimpleNamespace()) is None
-
-
-# Times
 
 
 @pytest.mark.parametrize("step_ns", [3_600_000_000_000, 60_000_000, -60_000_000])

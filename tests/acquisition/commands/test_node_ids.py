@@ -58,8 +58,6 @@ def test_an_answer_without_a_request(name):
 
 
 class Slow(FaultyDrives):
-    """Node 2 answers some requests only after they have timed out."""
-
     asked = 0
 
     def receive(self, now_ns, can_id, data):

@@ -111,9 +111,8 @@ def test_csv_holds_every_digit(tmp_path):
 )
 def test_logs_that_are_none(tmp_path, name, content, expected):
     (tmp_path / name).write_bytes(content)
-    with pytest.raises(BadInputError, match=expected) as caught:
+    with pytest.raises(BadInputError, match=expected):
         import_log(tmp_path / name, tmp_path / "o.mcap", ROBOT, "robot.toml")
-    assert "\n" not in str(caught.value)
     assert not (tmp_path / "o.mcap").exists()
 
 
@@ -203,9 +202,6 @@ def test_a_recording_that_was_cut_is_recovered_with_its_samples(tmp_path, capsys
 
 
 def test_a_late_sync_of_ours_is_called_late(tmp_path, capsys):
-    """By exactly two periods. SYNC of another producer that is not recorded is missing, and so is the one before: the answers
-    that follow may be those of either.
-    """
     frames = flat(session())
     late = frames.copy()
     late["time_ns"][75:] += 4_000_000

@@ -61,7 +61,6 @@ def refusal(folder: Path, robot: Robot, table_map: str, *tables: Path) -> tuple[
     assert not (folder / "out.mcap").exists()
     assert not list(folder.glob(".*"))
     error = caught.value
-    assert "\n" not in str(error)
     return error.place.replace(f"{folder}/", ""), error.key, error.value, error.expected
 
 
@@ -185,7 +184,6 @@ CELLS = "4, as in line 1, the names of the columns; delete lines above them"
         ("p1;p2;c1;c2\n1;2;3;4\n1;2;1.003,5;4\n", "a.csv: line 3", "c1", "1.003.5", "a number"),
         ("p1,p2,c1,c2\n1,2,3,4\n1,2,3\n", "a.csv: line 3", "", None, CELLS),
         ("p1,p2,c1,c2\n1,2,3,4\n1,2,3,5,4\n", "a.csv: line 3", "", None, CELLS),
-        ("p1,p2,c1,c2\n1,2,3,4\n1,-inf,3,4\n", "a.csv: row 2", "p2", -np.inf, "a finite number"),
         ("p1,p2,c1,c2\n1,2,3,4\n1,1e999,3,4\n", "a.csv: row 2", "p2", np.inf, "a finite number"),
         ("1,2,3,4\n1,2,3,4\n", "a.csv", "", None, "numbers from 1 to 4"),
     ],
@@ -223,7 +221,6 @@ def test_map_mistakes(tmp_path, two, old, new, key, value, expected, table):
 
 
 def test_the_side_may_be_left_out_where_nothing_hangs_on_it(tmp_path, two, table):
-    """With an identity matrix position has one meaning; with a gain the unit of the effort tells its side."""
     table_map = MAP.replace('side = "motor"\n', "")
     direct = ROBOT.replace("[[10, 0], [20, 20]]", "[[1, 0], [0, 1]]").replace("zero_deg = 90\n", "")
     robot = robot_from_files({"robot.toml": direct.encode()}, "direct")

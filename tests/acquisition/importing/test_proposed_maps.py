@@ -79,11 +79,6 @@ HEADERS = [
         columns="%time t; /joint_states/{n}/position q; /joint_states/{n}/velocity v; /joint_states/{n}/effort tau",
     ),
     Header(
-        tool="twincat nc", step=1.0, unit="ms", separator=";", angle="deg",
-        columns="Time [ms] t; Axis {1}.ActPos q; Axis {1}.SetPos ref; Axis {1}.ActVelo v; Axis {1}.SetVelo vref; "
-        "Axis {1}.ActTorque tau; Axis {1}.PosDiff other",
-    ),
-    Header(
         tool="german", step=0.002, separator=";", angle="deg", effort="A",
         columns="Zeit t; Ist-Position Achse {1} [°] q; Soll-Position Achse {1} [°] ref; Motorstrom Achse {1} [A] i; "
         "Temperatur Achse {1} [°C] other",

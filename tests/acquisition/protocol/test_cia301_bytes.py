@@ -22,29 +22,6 @@ def data(text: str) -> bytes:
     return bytes.fromhex(text)
 
 
-# SDO
-
-
-@pytest.mark.parametrize(
-    ("text", "kind", "key", "value"),
-    [
-        ("40 41 60 00 00 00 00 00", "read", (0x6041, 0), ""),
-        ("2F 60 60 00 08 AA AA AA", "write", (0x6060, 0), "08"),
-        ("2B 40 60 00 0F 01 AA AA", "write", (0x6040, 0), "0F 01"),
-        ("27 00 20 01 01 02 03 AA", "write", (0x2000, 1), "01 02 03"),
-        ("23 7A 60 00 FE FF FF FF", "write", (0x607A, 0), "FE FF FF FF"),
-        ("2E 60 60 00 08 00 00 00", "write", (0x6060, 0), "08 00 00 00"),  # its bits 2 and 3 say nothing then
-        ("80 00 20 07 11 00 09 06", "abort", (0x2000, 7), "11 00 09 06"),
-        ("21 10 10 01 40 00 00 00", "other", (0, 0), ""),  # a segmented write begins
-        ("A0 10 10 01 00 00 00 00", "other", (0, 0), ""),  # a block transfer
-        ("", "other", (0, 0), ""),
-    ],
-)
-def test_sdo_requests_read(text, kind, key, value):
-    found = protocol.request_of(data(text))
-    assert (found.kind, (found.index, found.sub), found.data) == (kind, key, data(value))
-
-
 @pytest.mark.parametrize(
     ("text", "kind", "key", "value"),
     [
@@ -74,9 +51,6 @@ def test_answers_that_are_not_the_one_wanted():
     with pytest.raises(SdoAbortedError) as known:
         protocol.check_answer(answer_of(data("80 00 20 00 00 00 02 06")), "value", 5, "x")
     assert (known.value.node, known.value.index, known.value.meaning) == (5, 0x2000, "object does not exist")
-
-
-# Identifiers and PDOs
 
 
 @pytest.mark.parametrize(
@@ -172,9 +146,6 @@ def test_the_interpolation_period_of_60c2(period_s, expected):
 def test_periods_that_60c2_cannot_say(period_s):
     with pytest.raises(BadInputError, match=r"bus.sync_period_s = .*60C2"):
         protocol.interpolation_period(period_s)
-
-
-# NMT, heartbeats, emergencies: a node as its master's frames move it
 
 
 ROBOT = robot_of(bus_text(1).replace("node = 1\n", "node = 5\n"))
@@ -324,9 +295,6 @@ def test_an_rpdo_acts_at_sync_or_at_once_as_its_transmission_type_says(node):
     written(node, "2F 00 14 02 F0 00 00 00")  # 240 is the last synchronous one
     node.receive(0x205, data("06 00 00 00 00 00"))
     assert node.values[0x607A, 0] == 0x010203
-
-
-# The master
 
 
 def test_a_master_reads_and_writes():

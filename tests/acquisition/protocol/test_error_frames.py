@@ -30,20 +30,7 @@ def test_words(can_id, data, words):
     assert error_frame_words(can_id, bytes.fromhex(data)) == words
 
 
-# CAN_ERR_PROT_LOC_* of the header, in its order.
-PLACES = (
-    "03 start of frame, 02 identifier bits 28 to 21, 06 identifier bits 20 to 18, 04 bit SRTR, 05 bit IDE, "
-    "07 identifier bits 17 to 13, 0F identifier bits 12 to 5, 0E identifier bits 4 to 0, 0C bit RTR, 0D reserved bit 1, "
-    "09 reserved bit 0, 0B length, 0A data, 08 checksum, 18 checksum delimiter, 19 acknowledgement, "
-    "1B acknowledgement delimiter, 1A end of frame, 12 intermission"
-)
-
-
-def test_places_in_a_frame_and_states_of_the_wires():
-    places = {int(code, 16): words for code, _, words in (place.partition(" ") for place in PLACES.split(", "))}
-    for code in range(256):
-        told = error_frame_words(0x008, bytes([0, 0, 1, code]))
-        assert told == "protocol: single bit" + (f", in {places[code]}" if code in places else "")
+def test_states_of_the_wires():
     states = {4: "no wire", 5: "short to battery", 6: "short to supply", 7: "short to ground"}
     for code, words in states.items():
         assert error_frame_words(0x010, bytes([0, 0, 0, 0, code])) == f"transceiver: CAN_H {words}"

@@ -121,7 +121,6 @@ def test_whole_recordings_with_known_answers(text, samples, lost):
 
 @pytest.mark.parametrize(("early", "first"), [("", (1, 1)), ("t1:7 t2:8", (7, 8))])
 def test_a_target_is_in_force_from_the_next_sync_on(early, first):
-    """Before the first one the position stands in; a target is held until the next."""
     between = "t1:10 t2:20 S 1:2 2:2 t1:11 t2:21 S 1:3 2:3 t1:12 t1:13 t2:22 S 1:4 2:4 t1:14 S 1:5 2:5"
     found = decoded(f"{early} S 1:1 2:1 {between}")
     counts = np.array([[first[0], 10, 11, 13, 14], [first[1], 20, 21, 22, 22]])

@@ -82,7 +82,6 @@ def test_a_period_that_is_not_the_described_one_is_refused(way):
 
 
 def test_a_pause_of_sync_is_no_other_period():
-    """Half of the session's time is one pause: its samples show a gap, and their rate is what it was."""
     frames = flat(session())
     frames["time_ns"][75:] += 100_000_000
     found = decode(frames, ROBOT, BUS, "log")

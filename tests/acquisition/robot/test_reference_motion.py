@@ -163,9 +163,8 @@ def test_a_table_is_a_spline_at_rest_at_its_ends(tmp_path):
 def test_tables_that_no_path_leads_through(tmp_path, rows, period_s, expected):
     path = tmp_path / "ref.csv"
     path.write_text(f"time_s,joint_1,joint_2\n{rows}\n")
-    with pytest.raises(BadInputError, match=re.escape(f"{path}: {expected}")) as caught:
+    with pytest.raises(BadInputError, match=re.escape(f"{path}: {expected}")):
         table_reference(path, robot_of(bus_text(2)), period_s)
-    assert "\n" not in str(caught.value)
 
 
 def test_a_table_of_a_day_and_one_without_a_joint(tmp_path):

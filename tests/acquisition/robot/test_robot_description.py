@@ -25,7 +25,6 @@ def refused(text: str) -> RobotIdimError:
     with pytest.raises(BadInputError) as caught:
         described(text)
     assert str(caught.value).startswith("here: ")
-    assert "\n" not in str(caught.value)
     assert caught.value.place == "here"
     return caught.value
 
@@ -51,9 +50,7 @@ def test_a_coupled_robot_by_hand():
     [
         ("zero", "", 90.0, np.pi / 2),
         ("position", "", [-180.0, 45.0], (-np.pi, np.pi / 4)),
-        ("speed", "_s", 180.0, np.pi),
         ("acceleration", "_s2", 720.0, 4 * np.pi),
-        ("following_error", "", 1.8, np.pi / 100),
     ],
 )
 def test_limits_in_si(quantity, per, value, si):

@@ -38,7 +38,6 @@ TABLE = '{ object = "2081:1", name = "temperature", scale = 0.1, unit = "degC" }
 
 
 def test_recordings_of_earlier_versions_with_columns_of_them_still_open(tmp_path, monkeypatch):
-    """The columns are skipped; a new description with scales of them is refused."""
     text = bus_text(2, drive=EXTRA.replace('"2081:1",', f"{TABLE},"))
     (drive, _), robot = bus_of(robot_of(text)).drives, robot_of(text)
     assert [[str(e) for e in pdo.entries] for pdo in drive.tpdos[1:]] == [["606C:0", "6077:0", "2081:1"], ["2082:0"]]

@@ -13,8 +13,7 @@ from made_up_buses import bus_text, robot_of
 import acquisition.session.running as record_module
 import acquisition.session.session as session_module
 from acquisition.commands import main
-from acquisition.protocol import State, error_words, status_words
-from acquisition.recording import overview
+from acquisition.protocol import State, status_words
 from acquisition.session import Outcome, Stop, Task
 
 REST = Task(reference=np.zeros((151, 2)))  # 0.3 s
@@ -136,12 +135,6 @@ def test_the_bits_of_a_statusword_in_words():
     assert {word: status_words(word) for word in words} == words
 
 
-def test_error_codes_by_name():
-    assert error_words(0x4299) == "0x4299 (device temperature)"
-    assert error_words(0xFF01) == "0xFF01 (device specific)"
-    assert error_words(0x0000) == "0x0000"
-
-
 @dataclass(kw_only=True)
 class Counting(Through):
     """Counts the SYNCs that the session sends; after `at_sync` of them it does not run for `for_s` of simulated time."""
@@ -172,8 +165,6 @@ def test_a_late_sync_in_motion(tmp_path, for_s, fault):
     assert steps_s.min() >= 0.001  # and no burst of SYNCs makes up for it
     if fault:
         assert session.outcome.reason.startswith("SYNC 2 s late in motion: expected 0.02 s at most")
-        (gap,) = overview(session.recording)["gaps"]
-        assert gap.missing == pytest.approx(2.0 / 0.002, abs=5)
 
 
 def test_ctrl_c_again_is_a_quick_stop(tmp_path):

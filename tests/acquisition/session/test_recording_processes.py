@@ -126,7 +126,6 @@ def test_passive_records_another_masters_session_and_sends_nothing(folder):
 
 @tried_again
 def test_a_follower_that_is_killed_in_motion_harms_nothing_and_a_signal_ends_the_session_in_order(folder):
-    """The follower is nice, holds no socket of the bus and no lock; the motion goes on."""
     out, picture = folder / "log.mcap", folder / "live.rrd"
     with drives(folder), processes.tracking(folder, out, "--speed", "0.02") as session:
         follow = [sys.executable, "-m", "identification", "view", str(out), "--follow", "-o", str(picture)]

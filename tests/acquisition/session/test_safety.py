@@ -17,7 +17,7 @@ from acquisition.bus import Frame, Master
 from acquisition.errors import BadInputError, BusFaultError, NoAnswerError, RobotIdimError
 from acquisition.protocol import Mode, State
 from acquisition.robot import axis_of
-from acquisition.session import RecordOptions, Stop, Task, UserInterface, record, stop_on_signals
+from acquisition.session import Stop, Task, stop_on_signals
 
 TRACK = Task(reference=swing(2, seconds=0.5, amplitude=0.1))
 
@@ -144,15 +144,6 @@ def test_a_recorder_that_hangs_is_noticed(tmp_path, monkeypatch):
     finally:
         os.kill(log.pid, signal.SIGCONT)
         log.close()
-
-
-def test_a_reference_out_of_the_limits_leaves_no_file(tmp_path):
-    far = tmp_path / "far.csv"
-    far.write_text("time_s,joint_1\n0,0\n1,0.5\n2,9\n3,9\n")
-    options = RecordOptions(track=far, dry_run=True)
-    with pytest.raises(BadInputError, match=r"far.csv: .*position of joint_1"):
-        record(robot_of(bus_text(1)), "robot.toml", tmp_path / "a.mcap", options, UserInterface())
-    assert not (tmp_path / "a.mcap").exists()
 
 
 def test_a_statusword_from_before_start_counts_for_nothing():

@@ -50,16 +50,8 @@ def test_a_reference_is_tracked_and_recorded(finished):
     nmt = frames[frames["can_id"] == 0]  # to our drives only
     assert nmt["length"].tolist() == [2] * len(nmt)
     assert nmt["data"][:, :2].tolist() == [[128, 1], [128, 2], [1, 1], [1, 2], [128, 1], [128, 2]]
-    plans = session.events("plan")
-    assert [text.split()[0] for text in plans] == ["approach", "track"]
-    assert float(plans[1].split()[1]) == pytest.approx((at["stop"] - at["track"]) * 1e-9, abs=0.01)
-
-
-def test_runs_repeat_bit_for_bit(finished, tmp_path):
-    a, b = finished.recording, dry_session(tmp_path / "b.mcap", TRACK).recording
-    assert a.frames["test"].tobytes() == b.frames["test"].tobytes()
-    assert a.samples.tobytes() == b.samples.tobytes()
-    assert a.events == b.events
+    plan = session.events("plan")[1]
+    assert float(plan.split()[1]) == pytest.approx((at["stop"] - at["track"]) * 1e-9, abs=0.01)
 
 
 def test_nothing_moves_without_a_reference(tmp_path):
@@ -106,7 +98,6 @@ class DeadBus(Through):
 
 
 def test_on_a_bus_that_takes_no_frames_any_more_nothing_confirms(tmp_path):
-    """Drives go into fault by themselves: SYNC has ended."""
     session = dry_session(tmp_path / "a.mcap", TRACK, through=partial(DeadBus, ends=10**9))
     assert "transmit buffer full" in session.outcome.reason
     assert session.outcome.unconfirmed == (1, 2)
@@ -276,8 +267,6 @@ def test_sync_of_another_producer_is_followed_and_a_mode_in_the_pdo_stays_the_mo
 
 @pytest.mark.parametrize(("reads", "fault"), [(3, False), (10_000, True)])
 def test_the_mode_is_awaited(tmp_path, reads, fault):
-    """A drive displays a mode (6061h) only some time after it was asked for (6060h), or never."""
-
     class Late(FaultyDrives):
         asked = 0
 

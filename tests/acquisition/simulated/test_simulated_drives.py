@@ -53,7 +53,6 @@ def test_each_vendors_dictionary_is_served_configured_and_tracked(tmp_path, name
 
 
 def test_doubts_about_a_dictionary_reach_check_and_recording(tmp_path):
-    """Two drives of one file: one warning in the recording, a finding of each drive that does not stand against a session."""
     name = "maxon_EPOS4.eds"
     robot = robot_with(name)
     label = f"dictionary:{name}"
