@@ -129,6 +129,7 @@ def test_a_time_that_no_recording_holds(tmp_path, time):
 @pytest.mark.parametrize(
     ("channel", "more", "left_out", "count"),
     [
+        ("test", "(1.2) can0 181##1000102030405060708090A0B\n", ("frames left out: 1 of CAN FD",), 150),
         ("can1", None, ("frames left out: 150 of interface can0",), 150),
         # python-can's reader tells no interface of a candump's error frame.
         ("test", "(1.098500) can0 20000080#0000000000000000\n", (), 151),

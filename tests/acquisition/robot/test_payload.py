@@ -16,7 +16,7 @@ from urdfs import ARM, joint, urdf
 
 from acquisition.commands import main
 from acquisition.errors import BadInputError, RobotIdimError
-from acquisition.importing import BagOptions, import_bag, import_log, import_recording
+from acquisition.importing import BagOptions, import_bag, import_recording, import_tables
 from acquisition.options import RecordOptions
 from acquisition.recording import RecordingWriter, read_recording
 from acquisition.robot import Payload, Robot, load_robot, parse_payload, robot_from_files
@@ -199,8 +199,13 @@ def test_imports_take_a_payload(tmp_path):
     assert read_recording(out).payload == carried
     rows = [f"({t * 1e-9:.6f}) can0 {i:03X}#{d.tobytes()[:k].hex().upper()}\n" for t, i, k, _, d in flat(session())]
     log.write_text("".join(rows))
+    np.savetxt(tmp_path / "a.csv", np.zeros((300, 4)), delimiter=",")
+    table_map = (
+        'sample_rate_hz = 1000\n[position]\ncolumns = [1, 2]\nunit = "rad"\n[effort]\ncolumns = [3, 4]\nunit = "N m"\n'
+    )
+    (tmp_path / "map.toml").write_text(table_map)
     out.unlink()
-    import_log(log, out, robot_of(bus_text(2)), "robot.toml", carried)
+    import_tables([tmp_path / "a.csv"], robot_named("scara"), tmp_path / "map.toml", out, carried)
     assert read_recording(out).payload == carried
     command = ["import", str(log), "--robot", "robot.toml", "-o", str(out), "--overwrite", "--payload"]
     (tmp_path / "robot.toml").write_text(bus_text(2))
