@@ -121,9 +121,7 @@ class SyncOfAnother(Through):
 class Fault:
     """A fault of drive `node` from the `sync`-th SYNC that it answers (from 1), for `count` SYNCs.
 
-    `emergency`: continuous over current (2310h); `reset`: it boots; `late`, `missing`, `duplicate`, `short`: its PDOs are;
-    `silent`: it sends nothing from then on; `slow`: it stays in switched on when it is to be enabled; `deaf`: it neither
-    answers SYNC nor applies the PDOs received before it; `clear`: the `bits` of its statusword are 0.
+    `slow`: it stays in switched on; `deaf`: it neither answers SYNC nor applies PDOs; `clear`: `bits` of its statusword are 0.
     """
 
     kind: str

@@ -1,7 +1,4 @@
-"""The SCARA logged at uneven times, as controllers log at 100 Hz: 8 to 13 ms between rows, 5 % of the stamps off by 1 ms.
-
-Rows are those of the independent simulator at the times drawn. They go through a table and a map with `resample_hz`.
-"""
+"""The SCARA of the independent simulator logged every 8 to 13 ms, 5 % of the stamps off by 1 ms, and its import and fit."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path

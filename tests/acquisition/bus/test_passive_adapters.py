@@ -114,7 +114,6 @@ NO_WAY = TAKES_PART + "python-can has no listen-only"
     ("interface", "shown", "words"),
     [
         ("socketcan", "    can <LISTEN-ONLY> state ERROR-ACTIVE restart-ms 0 \n\t  bitrate 500000\n", ALONE),
-        ("socketcan", "    can <LOOPBACK,LISTEN-ONLY> state STOPPED restart-ms 0 \n", ALONE),
         ("socketcan", "    can <BERR-REPORTING> state ERROR-ACTIVE restart-ms 0 \n", WAY_OUT),
         ("socketcan", "    vcan numtxqueues 1 gso_max_size 65536 \n", None),
         ("socketcan", None, WAY_OUT.replace("acknowledges", "may acknowledge")),

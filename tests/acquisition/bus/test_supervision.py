@@ -79,7 +79,6 @@ def test_an_unsupervised_drive_notices_nothing():
 
 
 def test_consumers_of_others_stay_as_they_are(tmp_path, monkeypatch):
-    """Full, with one of another producer, or with what a killed session left."""
     other, ours = 5 << 16 | 700, 127 << 16 | 300
 
     def entries(node):

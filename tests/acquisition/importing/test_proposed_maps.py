@@ -22,10 +22,7 @@ TABLES = {"q": POSITION, "ref": REFERENCE, "v": VELOCITY, "tau": EFFORT, "i": EF
 
 @dataclass(frozen=True, kw_only=True)
 class Header:
-    """What a tool writes: `columns` are names and quantities; `{0}` counts from 0, `{1}` from 1, `{n}` names a joint.
-
-    `angle` and `effort` are units that the table or the format fixes; tables that are `open` cannot be told.
-    """
+    """`columns`: names and quantities; `{0}` counts from 0, `{1}` from 1, `{n}` names a joint. `open` tables cannot be told."""
 
     tool: str
     columns: str

@@ -119,6 +119,21 @@ def test_stamps_off_by_a_tick_are_found_and_no_others():
         assert rows_in_time(right, positions).all()
 
 
+def settling(t: np.ndarray) -> np.ndarray:
+    after = np.maximum(t % 20 - np.array([[2.0], [12.0]]), 0).T
+    q = 0.3 * (1 - np.exp(-3 * after) * np.cos(20 * after))
+    return np.round(q + 3e-5 * np.random.default_rng(2).standard_normal(q.shape), 4)
+
+
+def test_true_rows_of_an_arm_that_settles_are_kept():
+    """Among even stamps all of them, also stamps in microseconds; among uneven stamps all but 0.5 %."""
+    even = np.arange(10_000) * 0.01
+    assert rows_in_time(even, settling(even)).all()
+    assert rows_in_time(np.round(even, 6), settling(even)).all()
+    uneven = np.cumsum(np.random.default_rng(1).choice([0.008, 0.010, 0.013], 10_000))
+    assert (~rows_in_time(uneven, settling(uneven))).mean() < 0.005
+
+
 def test_grids_coarser_or_much_finer_than_the_rows_and_many_rows_left_out_are_told():
     def doubts(rate_hz: float, **found: int) -> list[str]:
         return rate_warnings(replace(on_grid(UNEVEN, rate_hz).report, **found))

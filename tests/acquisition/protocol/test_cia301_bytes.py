@@ -330,6 +330,8 @@ def test_emergencies_and_pdos_as_a_master_takes_them():
     assert watch.emergency is None
     master.dispatch(Frame(0, 0x085, data("10 23 02 00 00 00 00 00")))
     assert watch.emergency == 0x2310
+    master.dispatch(Frame(0, 0x705, data("FF")))  # its toggle bit is no state
+    assert (watch.nmt, watch.booted) == (127, False)
     master.dispatch(Frame(0, 0x185, data("37 12 FB FF FF FF D4")))  # too short
     assert (watch.statusword, watch.counts, watch.answers) == (None, None, 0)
     master.dispatch(Frame(0, 0x185, data("37 12 FB FF FF FF D4 FE")))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from made_up_buses import bus_of, bus_text, robot_of
 
-from acquisition.protocol import saturated
+from acquisition.protocol import EffortCodec, ObjectEntry, PositionCodec, saturated
 from acquisition.robot import Drive
 
 TURN = 2 * np.pi
@@ -99,3 +99,10 @@ def test_integers_are_held_at_both_ends_of_their_type(kind, low, high):
     expected = [low, low, low, low, low + 1, high - 1, high, high, high, high]
     assert saturated(np.array(values), kind).tolist() == expected
     assert saturated(np.array([1.4, 1.6, 0.5, 2.5]), kind).tolist() == [1, 2, 0, 2]
+
+
+def test_codecs_hold_values_at_the_ends_of_their_objects():
+    effort = EffortCodec(entry=ObjectEntry(index=0x2031, sub=0, type="I16"), scale=-1e-3, provenance="")
+    assert effort.raw(np.array([32.767, 32.768, -1e9])).tolist() == [-32767, -32768, 32767]
+    position = PositionCodec(counts_per_unit=1e6, sign=-1, zero_counts=5)
+    assert position.raw(np.array([-2147.483643, 2147.483654])).tolist() == [2**31 - 1, -(2**31)]

@@ -136,7 +136,6 @@ def test_counts_per_turn_of_motors_that_turn(kind, unit, counts, expected):
 
 
 def test_names_of_objects():
-    """The index is hexadecimal, the sub-index decimal."""
     assert parse_homed("6064") == (0x6064, 0, None)
     assert parse_homed("60c2:2") == (0x60C2, 2, None)
     assert parse_homed("1018:10") == (0x1018, 10, None)

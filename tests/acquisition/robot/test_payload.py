@@ -156,7 +156,6 @@ def recorded(path: Path, payload: Payload | None, /, **metadata: str) -> Path:
 
 
 def test_later_versions_may_say_more_of_a_payload_and_a_recovered_recording_keeps_it(tmp_path):
-    """What this version does not know stays in copies."""
     text = '{"mass_kg": 2, "inertia_kg_m2": [1, 2, 3], "center_of_mass_m": [0, 0, 1]}'
     path, cut = recorded(tmp_path / "a.mcap", None, payload=text), tmp_path / "cut.mcap"
     assert read_recording(path).payload == Payload(2.0, (0.0, 0.0, 1.0))

@@ -220,7 +220,6 @@ def test_an_input_is_not_replaced_under_any_of_its_names(tmp_path):
     ],
 )
 def test_controller_keys_that_would_do_nothing_are_refused(tmp_path, lines, key, value):
-    """In a description; a recording that was made with one still opens."""
     before, after = (REPLAY / "scara" / "robot.toml").read_text().split("[controller]")
     path = tmp_path / "robot.toml"
     path.write_text(f"{before}[controller]\nbandwidth_hz = 5.0\n{lines}\n{after[after.index('[bus]') :]}")

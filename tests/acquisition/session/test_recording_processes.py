@@ -1,8 +1,4 @@
-"""Sessions over separate processes on loopback: emulate | record, kills, signals, full disks.
-
-They run on machines that are busy with other things: SYNC is slow, so that a process may be held up for a while, and what
-a test needs is waited for where it shows, on the bus or in the growing file.
-"""
+"""Sessions over separate processes on loopback: emulate | record, kills, signals, full disks; SYNC is slow."""
 
 import os
 import resource
@@ -83,10 +79,7 @@ def test_a_file_that_cannot_grow_stops_the_session(folder):
 
 @tried_again
 def test_passive_records_another_masters_session_and_sends_nothing(folder):
-    """The master is our own active session; its targets are the reference.
-
-    What only a master sends by NMT and SDO is as much as in a dry run of the session, where nobody else is on the bus.
-    """
+    """What only a master sends by NMT and SDO is as much as in a dry run of the session."""
     text = (folder / "robot.toml").read_text().replace("node = 1", 'mapping = "traffic"\nnode = 1')
     (folder / "passive.toml").write_text(text.replace("node = 2", 'mapping = "traffic"\nnode = 2'))
     out, active, alone = (folder / f"{name}.mcap" for name in ("passive", "active", "alone"))

@@ -61,6 +61,12 @@ def test_friction_stops_a_joint_and_does_not_turn_it_round():
     assert after(plant, 0.0, 0.05, steps=5)[1] == 0.0
 
 
+def test_a_brake_holds():
+    plant = joint(load=5.0)
+    q, _ = after(plant, 20.0, 0.1)
+    assert after(plant, 20.0, 0.1, HELD) == (q, 0.0)
+
+
 def test_a_typical_plant_by_hand():
     """0.42 N m at a ratio of 50 are 21 N m rated; 4000 deg/s² and 200 deg/s are the limits."""
     robot = robot_of(bus_text(2).replace("[-150, 150]", "[-150, 60]", 1))
