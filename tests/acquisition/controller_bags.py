@@ -19,7 +19,6 @@ MULTIPLE = {OLD: (), HUMBLE: POINTS[HUMBLE], JAZZY: PARTS}
 
 
 def store_of(version: str) -> Typestore:
-    """The types of a version of the message."""
     lines = ["std_msgs/Header header", "string[] joint_names", *(f"{POINT} {name}" for name in POINTS[version])]
     if MULTIPLE[version]:
         lines += ["string[] multi_dof_joint_names", *(f"{MULTI} multi_dof_{name}" for name in MULTIPLE[version])]

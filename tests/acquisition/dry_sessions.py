@@ -20,7 +20,6 @@ from acquisition.simulated.node import SimulatedNode
 
 
 def swing(n: int, *, seconds: float = 1.0, period_s: float = 0.002, amplitude: float = 0.3) -> np.ndarray:
-    """A reference that begins and ends at rest."""
     t = np.arange(round(seconds / period_s) + 1) * period_s
     return np.repeat(amplitude * (1 - np.cos(2 * np.pi * t / seconds))[:, None], n, axis=1)
 
@@ -92,8 +91,6 @@ class Edited(Through):
 
 @dataclass(kw_only=True)
 class At(Through):
-    """Something is done once, at a time."""
-
     at_ns: int
     act: Callable[[], object] | None
 
@@ -106,8 +103,6 @@ class At(Through):
 
 @dataclass(kw_only=True)
 class SyncOfAnother(Through):
-    """Somebody else sends SYNC every 2 ms."""
-
     next_ns: int = 1_050_000_000
     ends_ns: int = 4_000_000_000
 
@@ -126,9 +121,7 @@ class SyncOfAnother(Through):
 class Fault:
     """A fault of drive `node` from the `sync`-th SYNC that it answers (from 1), for `count` SYNCs.
 
-    `emergency`: continuous over current (2310h); `reset`: it boots; `late`, `missing`, `duplicate`, `short`: its PDOs are;
-    `silent`: it sends nothing from then on; `slow`: it stays in switched on when it is to be enabled; `deaf`: it neither
-    answers SYNC nor applies the PDOs received before it; `clear`: the `bits` of its statusword are 0.
+    `slow`: it stays in switched on; `deaf`: it neither answers SYNC nor applies PDOs; `clear`: `bits` of its statusword are 0.
     """
 
     kind: str
@@ -205,8 +198,6 @@ class FaultyDrives(SimulatedDrives):
 
 
 class Moved:
-    """A plant of two joints that a test moves."""
-
     q = np.zeros(2)
 
     def state(self):
@@ -244,12 +235,10 @@ class DrySession:
 
     @property
     def phases(self) -> dict[str, int]:
-        """When each phase began."""
         return {e.text: e.stamp_ns for e in self.recording.events if e.kind == "phase"}
 
     @property
     def frames(self) -> Block:
-        """The frames of the only channel; none before the first."""
         return next(iter(self.recording.frames.values()), np.zeros(0, FRAME))
 
     @property
@@ -313,7 +302,6 @@ def connected(
 
 
 def enable(master: Master, *, start: bool = True) -> None:
-    """Configure all drives and enable them by SDO."""
     master.configure()
     master.choose_mode(Mode.CYCLIC_SYNCHRONOUS_POSITION)
     if start:
@@ -330,7 +318,6 @@ def findings(link: MasterLink, bus: Bus, subject: str = "", node: int | None = N
 
 
 def at_boot(patch: pytest.MonkeyPatch, change: Callable[[SimulatedNode], object]) -> None:
-    """Change each simulated drive when it has booted."""
     boot = SimulatedNode.boot
 
     def changed(node: SimulatedNode) -> object:

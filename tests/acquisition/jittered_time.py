@@ -1,7 +1,4 @@
-"""The SCARA logged at uneven times, as controllers log at 100 Hz: 8 to 13 ms between rows, 5 % of the stamps off by 1 ms.
-
-Rows are those of the independent simulator at the times drawn. They go through a table and a map with `resample_hz`.
-"""
+"""The SCARA of the independent simulator logged every 8 to 13 ms, 5 % of the stamps off by 1 ms, and its import and fit."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -59,7 +56,6 @@ def drawn(seed: int, duration_s: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def write_table(folder: Path, runs: Runs, run: int, seed: int) -> Path:
-    """One run as a table of jittered rows."""
     times_ms, stamps = drawn(seed, runs.q.shape[1] / runs.rate_hz)
     rows = np.rint(times_ms * 1e-3 * runs.rate_hz).astype(int)
     columns = [stamps[:, None], runs.q[run][rows], runs.q_ref[run][rows], runs.effort[run][rows]]
@@ -69,7 +65,6 @@ def write_table(folder: Path, runs: Runs, run: int, seed: int) -> Path:
 
 
 def covered(folder: Path, runs: int, duration_s: float = 10.0) -> Jittered:
-    """Import and fit so many runs."""
     body, robot, inside = plant(REPLAY / "scara" / "robot.toml"), load_robot(REPLAY / "scara" / "robot.toml"), []
     robot = replace(robot, identification=type(robot.identification)())  # the package's own rules
     controller, cell = described_controller(body), Imperfections(encoder_noise=1e-5, torque_noise_percent=2.0)

@@ -1,7 +1,4 @@
-"""Made-up CAN recordings with losses, late answers and repeats, as frame arrays, and what decoding makes of them.
-
-Shares no code with the decoder. Every frame knows the SYNC that it answers, so that each row can be checked.
-"""
+"""Made-up lossy CAN recordings, each frame with the SYNC that it answers; shares no code with the decoder."""
 
 from dataclasses import dataclass, fields
 from functools import cache
@@ -20,9 +17,7 @@ DRIVES, PERIODS_MS = (2, 3, 6), (1, 2, 5, 10)
 
 @dataclass(frozen=True, kw_only=True)
 class Kind:
-    """What is wrong with a recording. `sync`: doubled, swapped, lost; `silent`: pauses of whole periods without a frame;
-    `bursts`: some frames in a row are lost, SYNCs and PDOs alike, also at both ends.
-    """
+    """`sync`: doubled, swapped, lost; `silent`: pauses without a frame; `bursts`: frames in a row are lost."""
 
     late: bool = False
     lost: bool = False

@@ -83,7 +83,6 @@ def acquire(
 
 @contextmanager
 def drives(folder: Path, *options: str) -> Iterator["subprocess.Popen[str]"]:
-    """Simulated drives that have reported that they run."""
     ear = open_link(bus_at(folder), passive=True)
     command = ("emulate", str(folder / "robot.toml"), "--duration", "600", *options)
     process = acquire(folder, *command, program=("-c", DRIVES))
@@ -135,12 +134,10 @@ def wait_for(
 
 
 def frames_of(recording: Recording) -> Block:
-    """The frames of its only channel; none before the first."""
     return next(iter(recording.frames.values()), np.zeros(0, FRAME))
 
 
 def data_by_id(recording: Recording, *ids: int) -> dict[int, list[list[int]]]:
-    """What was in the frames of each identifier, in order."""
     frames = frames_of(recording)
     return {can_id: frames["data"][frames["can_id"] == can_id].tolist() for can_id in ids}
 
@@ -158,7 +155,6 @@ def syncs_tracked(recording: Recording) -> int:
 
 @contextmanager
 def tracking(folder: Path, out: Path, *options: str) -> Iterator["subprocess.Popen[str]"]:
-    """A session that follows the reference, with `SEEN_SYNCS` of that on the disk."""
     command = ("record", str(folder / "robot.toml"), "-o", str(out), "--yes", "--track", str(folder / "ref.csv"))
     session = acquire(folder, *command, *options)
     try:

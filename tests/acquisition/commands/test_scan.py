@@ -14,12 +14,10 @@ from virtual_buses import Ear, bus_file, served
 from acquisition.bus import Frame, Master, Uploads, scan_nodes
 from acquisition.bus.uploads import upload_segments
 from acquisition.commands import main
-from acquisition.commands.checking import table
-from acquisition.commands.command_line import Progress
 from acquisition.commands.scanning import ARRAYS, OBJECTS, bus_lines, findings_of
 from acquisition.errors import RefusedError
 from acquisition.protocol import abort_answer, value_answer
-from acquisition.recording import ERROR, REMOTE_REQUEST, read_recording
+from acquisition.recording import ERROR, REMOTE_REQUEST
 from acquisition.robot import lines_to_fill_in
 from acquisition.simulated import LockStepLink
 
@@ -37,10 +35,6 @@ def is_upload(frame: Frame) -> bool:
     return 0x601 <= frame.can_id <= 0x67F and reads
 
 
-def filled_in(text: str) -> str:
-    return re.sub(r" *# FILL IN.*", "", text)
-
-
 def test_six_drives_are_scanned_by_reads_only(tmp_path, capsys):
     out = tmp_path / "bus.toml"
     with served("scan_six", 6):
@@ -54,14 +48,9 @@ def test_six_drives_are_scanned_by_reads_only(tmp_path, capsys):
     assert all(is_upload(frame) for frame in sent)
     device_type = [frame.can_id for frame in sent if frame.data[1:4] == b"\x00\x10\x00"]
     assert device_type[:127] == list(range(0x601, 0x680))
-    printed, errors = capsys.readouterr()
-    assert errors == ""  # progress is for terminals
-    lines = printed.splitlines()
+    lines = capsys.readouterr().out.splitlines()
     assert all(line.startswith("ok") and "1, 2, 3, 4, 5, 6" in line for line in lines[:-1])
-    assert lines[1].endswith('1008 "sim", 1009 "none", 100A "none"')
     assert lines[-1] == f"{out}: to be filled in: 13 lines with FILL IN"
-    assert "switch on disabled" in lines[2]
-    assert out.read_text().count("[[bus.drive]] # FILL IN: which joint?") == 6
     assert out.read_text().count("counts_per_turn = 65536 # FILL IN: turn the motor once and compare") == 6
 
 
@@ -157,7 +146,6 @@ class Odd(FaultyDrives):
 
 
 def odd(n: int, answers: dict[tuple[int, int, int], bytes | None], kind: type[Odd] = Odd):
-    """The readings and heard services of `n` drives with other answers."""
     link = drives_of(n, kind)
     link.drives.answers, link.drives.asked = answers, Counter()
     uploads = Uploads(link, bus_file())
@@ -174,7 +162,6 @@ def test_odd_answers_are_said_as_such():
     answers = {
         (1, 0x6075, 0): abort_answer(0x6075, 0, "general error"),
         (1, 0x6092, 1): abort_answer(0x6092, 1, "object does not exist"),
-        (1, 0x6092, 2): abort_answer(0x6092, 2, "sub-index does not exist"),
         (1, 0x6041, 0): value_answer(0x6041, 0, 0x250, 4),
         (1, 0x6064, 0): value_answer(0x6064, 0, -5, 2),
         (1, 0x6502, 0): LONG,
@@ -187,7 +174,7 @@ def test_odd_answers_are_said_as_such():
         (1, "state", "6041 0x250 switch on disabled (4 bytes: expected 2), 6064 -5 (2 bytes: expected 4)"),
         (1, "modes", "6502 (more than 4 bytes: expected 4)"),
         (1, "rated mA, mN m", "6075 (general error (0x08000000)), 6076 420"),
-        (1, "units per turn", "6092:1 -, 6092:2 -, 6091:1 1, 6091:2 1, 608F:1 65536, 608F:2 1"),
+        (1, "units per turn", "6092:1 -, 6092:2 1, 6091:1 1, 6091:2 1, 608F:1 65536, 608F:2 1"),
         (1, "limits", "6080 (no answer)"),
         (2, "limits", "607D:1 -70000, "),
     ):
@@ -198,8 +185,6 @@ def test_odd_answers_are_said_as_such():
     written = list(bus_lines(bus_file(), nodes))
     efforts = [line.split(" #")[0] for line in written if line.startswith(("reference", "actual"))]
     assert efforts == ['reference = "6074"', 'actual = "6077"']  # whatever 6074h is in the second, it is not CiA 402's
-    # 608Fh stands in where 6092h is not there.
-    assert sum("counts_per_turn = 65536 #" in line for line in written) == 2
 
 
 LONG = b"\x41\x02\x65\x00\x08\x00\x00\x00"  # the beginning of an upload of 8 bytes
@@ -216,9 +201,7 @@ def test_texts_that_are_odd_or_not_there_are_said():
         (3, 0, 0): b"\x10" + b"seconds",  # the toggle bit of the second segment to the request for the first
     }
     nodes, heard, _ = odd(3, answers)
-    (shown,) = [line for line in table(findings_of(nodes, heard)) if "name, versions  1 " in line]
-    assert shown.startswith("ok")
-    assert shown.endswith('1008 "sim", 1009 -, 100A "v\ufffd "')
+    assert row(nodes, heard, "name, versions", 1).found == '1008 "sim", 1009 -, 100A "v\ufffd\n"'
     for node, problem in ((2, "general error (0x08000000)"), (3, "no answer")):
         found = row(nodes, heard, "name, versions", node)
         assert (found.ok, found.found) == (False, f'1008 ({problem}), 1009 "none", 100A "none"')
@@ -241,23 +224,6 @@ def test_a_text_in_segments_byte_for_byte_and_its_requests_are_all_answered():
     assert master.doubled == {5}
 
 
-def test_a_server_that_aborts_the_long_upload_before_is_asked_again():
-    class Aborts(Odd):
-        begun = aborted = False
-
-        def receive(self, now_ns, can_id, data):
-            if self.begun and not self.aborted:
-                self.aborted = True
-                return [(0x581, abort_answer(0x6502, 0, "command specifier not known"))]
-            self.begun |= data[1:4] == b"\x02\x65\x00"
-            return super().receive(now_ns, can_id, data)
-
-    long = {(1, 0x6502, 0): LONG}
-    again, _, drives = odd(1, long, Aborts)
-    assert drives.aborted
-    assert again == odd(1, long)[0]
-
-
 def test_a_node_that_falls_silent_does_not_hold_up_the_scan():
     silent = {(1, index, sub): None for index, sub in [*OBJECTS, *((index, 0) for index in ARRAYS)] if index != 0x1000}
     nodes, heard, drives = odd(2, silent)
@@ -275,11 +241,9 @@ def test_mapped_pdos_are_shown_even_where_a_node_then_falls_silent():
     nodes, heard, _ = odd(1, {(1, *key): value_answer(*key, value, 4 if key[1] else 1) for key, value in read.items()})
     assert row(nodes, heard, "PDOs", 1).found == "tpdo 1 0x181 6041 6064; rpdo 1 0x201 off 6040"
     assert "1016 0x2, 1016:1 0x0, 1016:2 0x7F001E" in row(nodes, heard, "supervision", 1).found
-    mapped = {
-        (1, 0x1800, 1): value_answer(0x1800, 1, 0x181, 4),
-        (1, 0x1A00, 0): abort_answer(0x1A00, 0, "general error"),
-    }
-    nodes, heard, _ = odd(1, mapped | {(1, 0x1801, 1): None, (1, 0x1802, 1): None})
+    nodes, heard, _ = odd(
+        1, {(1, 0x1800, 1): value_answer(0x1800, 1, 0x181, 4), (1, 0x1801, 1): None, (1, 0x1802, 1): None}
+    )
     assert row(nodes, heard, "PDOs", 1).found == "tpdo 1 0x181; no answer"
 
 
@@ -292,10 +256,9 @@ def test_devices_that_are_no_drives_and_nodes_that_are_only_heard():
         **{(3, *key): value_answer(*key, value, 4) for key, value in IDENTITY.items()},
     }
     nodes, heard, _ = odd(3, answers)
-    rows = table(findings_of(nodes, heard))
-    assert any(re.fullmatch(r"ok  no drive +1  +1000 0x30191, 1018:1 0x0, .*", line) for line in rows)
-    assert any(re.fullmatch(r"NO  only heard +2  +boot-up", line) for line in rows)
-    assert any("1018:1 0xFB, 1018:2 0x60500000, 1018:3 0x1700010, 1018:4 0x4D" in line for line in rows)
+    assert row(nodes, heard, "no drive", 1).ok
+    assert not row(nodes, heard, "only heard", 2).ok
+    assert row(nodes, heard, "drive", 3).found.endswith("1018:1 0xFB, 1018:2 0x60500000, 1018:3 0x1700010, 1018:4 0x4D")
     lines = list(bus_lines(bus_file("can0", "socketcan"), nodes))
     assert any(re.fullmatch(r"bitrate = \d+ # FILL IN: as ip link shows it", line) for line in lines)
     assert [line for line in lines if line.startswith("other_nodes")] == ["other_nodes = [1] # no drives"]
@@ -324,34 +287,25 @@ NO_ID = "# master_node = ... # FILL IN: of this program; no node id is free"
     ("link", "said"),
     [
         (all_answer(), NO_ID),
-        (all_answer(402), NO_ID),
         (all_answer(0, (9, 5)), "master_node = 9 # of this program; no device has it"),
         (all_answer(0, (9, 5), 9), "master_node = 5 # of this program; no device has it"),  # 9 is heard only
         (all_answer(0, tuple(range(2, 128)), 127, 126), "master_node = 125 # of this program; no device has it"),
         (all_answer(0, tuple(range(2, 128))), None),
     ],
 )
-def test_the_node_id_of_this_program_is_that_of_no_device_and_progress_is_shown(link, said, tmp_path, monkeypatch):
-    asked = []
+def test_the_node_id_of_this_program_is_that_of_no_device(link, said, tmp_path, monkeypatch):
     monkeypatch.setattr("acquisition.bus.open_link", lambda *_, **__: link)
-    monkeypatch.setattr(Progress, "say", lambda progress, text: asked.append(text))
     assert scan("scan_all", "--toml", str(tmp_path / "bus.toml")) == 0
     lines = (tmp_path / "bus.toml").read_text().splitlines()
     assert [line for line in lines if "master_node" in line] == ([said] if said else [])
-    nodes = [int(re.fullmatch(r"asking node (\d+) of 1 to 127", text)[1]) for text in asked]
-    assert nodes[:127] == list(range(1, 128))
-    answering = sorted({can_id - 0x600 for can_id, data in link.sent if data[1:4] != b"\x00\x10\x00"})
-    assert list(dict.fromkeys(nodes[127:])) == answering
 
 
 def described(bus: str, joints: int = 2) -> str:
-    """robot.toml with `joints` and the text of `[bus]`."""
     return bus_text(joints).split("[bus]")[0] + bus
 
 
 @pytest.fixture(scope="module")
 def scanned(tmp_path_factory: pytest.TempPathFactory) -> str:
-    """What a scan of two drives wrote."""
     out = tmp_path_factory.mktemp("scanned") / "bus.toml"
     with served("scan_two", 2):
         assert scan("scan_two", "--toml", str(out)) == 0
@@ -360,15 +314,12 @@ def scanned(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 def test_what_a_scan_writes_is_no_go_for_track_until_it_is_filled_in(scanned, tmp_path, capsys):
     text, robot = described(scanned), tmp_path / "robot.toml"
-    assert lines_to_fill_in(robot_of(described(filled_in(scanned)))) == []
+    assert len(lines_to_fill_in(robot_of(text))) == 5
+    assert lines_to_fill_in(robot_of(described(re.sub(" *# FILL IN.*", "", scanned)))) == []
     robot.write_text(text)
     with served("scan_two", 2):
         assert main(["check", str(robot)]) == 1
     out, err = capsys.readouterr()
-    marked = [n for n, line in enumerate(text.splitlines(), 1) if "FILL IN" in line]
-    assert len(marked) == 5
-    shown = f"robot.toml: lines {', '.join(map(str, marked))}: --track refuses"
-    assert [line.split(maxsplit=3) for line in out.splitlines() if "FILL IN" in line] == [["NO", "FILL", "IN", shown]]
     # On a busy machine SYNC is uneven, which forbids any session.
     assert re.search("no go for --track: .*FILL IN|no go: .*FILL IN.*SYNC", err)
     assert re.search(r"ok  description +agrees with rated values", out)
@@ -387,7 +338,6 @@ def test_track_refuses_what_is_not_filled_in(scanned, tmp_path, capsys, monkeypa
     assert ear.frames() == []
     assert not (tmp_path / "log.mcap").exists()
     assert main([*command, "--dry-run"]) == 0
-    assert read_recording(tmp_path / "log.mcap").samples["position"][:, 0].max() > 0.03
 
 
 def test_only_marks_in_bus_count():
@@ -429,7 +379,6 @@ def test_an_empty_bus(tmp_path, capsys):
         ({}, ['reference = "6074"', "rated_torque_nm = 0.42", "counts_per_turn = 65536"]),
         ({(0x6091, 1): 9, (0x6092, 1): 2304}, ['reference = "6074"', "rated_torque_nm = 0.42", "counts_per_turn = 256"]),
         ({(0x6091, 2): 0, (0x6092, 2): 4}, ['reference = "6074"', "rated_torque_nm = 0.42", "counts_per_turn = 16384"]),
-        ({(0x6092, 1): 0}, ['reference = "6074"', "rated_torque_nm = 0.42", "counts_per_turn = 65536"]),
         ({(0x6092, 1): 0, (0x608F, 2): 0, (0x6076, 0): 0}, ['reference = "6074"']),
         ({(0x6076, 0): 0xFFFFFFFF}, ['reference = "6074"', "counts_per_turn = 65536"]),
         ({(0x6074, 0): None, (0x6075, 0): 1250}, ['actual = "6077"', "rated_torque_nm = 0.42", "counts_per_turn = 65536"]),

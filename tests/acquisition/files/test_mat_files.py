@@ -15,7 +15,6 @@ T = np.arange(7.0)
 
 
 def element(kind: int, content: bytes) -> bytes:
-    """A data element of MAT version 5: tag, content, padding to 8 bytes."""
     return struct.pack("<II", kind, len(content)) + content + bytes(-len(content) % 8)
 
 
@@ -66,16 +65,13 @@ def test_fields_by_dotted_name(tmp_path):
     path = mat(tmp_path, {"data": {"q": Q.T, "motor": {"tau": -Q, "t": T}, "note": "text"}, "x": T})
     assert np.array_equal(read_columns(path, ["data.q"], 3), Q)
     assert np.array_equal(read_columns(path, ["data.motor.tau"], 3), -Q)
-    assert np.array_equal(read_columns(path, ["x", "data.motor.t"], 2), np.column_stack([T, T]))
     there = "expected one of data.q, data.motor.tau, data.motor.t, data.note, x"
     for name in ("data.v", "data.q.x", "motor", "x.y"):
         assert refused(path, [name], 3) == f"variable {name!r} does not exist: {there}"
     kind = "variable 'data.motor' is a struct or object with the fields tau, t: expected a vector or matrix of real numbers"
     assert refused(path, ["data.motor"], 1) == kind
-    many = np.array([(1.0,), (2.0,)], dtype=[("q", "O")])
-    assert "variable 'many' is an array of 2 structs: expected one struct" in refused(
-        mat(tmp_path, {"many": many}), ["many.q"], 1
-    )
+    many = mat(tmp_path, {"many": np.array([(1.0,), (2.0,)], dtype=[("q", "O")])})
+    assert "variable 'many' is an array of 2 structs: expected one struct" in refused(many, ["many.q"], 1)
 
 
 @pytest.mark.parametrize("turned", [False, True])
@@ -97,8 +93,7 @@ def test_parts_of_a_matrix_as_matlab_writes_them_and_labels_name_them(tmp_path):
     assert np.array_equal(read_columns(path, ["data.r(2:3, :)", "q(:, 1)"], 3), Q[:, [1, 2, 0]])
     assert refused(path, ["q(:,4)"], 1) == "variable 'q(:,4)': the matrix is 7 x 3: expected 1 to 3"
     assert refused(path, ["q(0,:)"], 1) == "variable 'q(0,:)': the matrix is 7 x 3: expected 1 to 7"
-    for name in ("q(:,:)", "q(1,2)"):
-        assert refused(path, [name], 1) == f"variable {name!r}: expected (:,k) for columns or (k,:) for rows"
+    assert refused(path, ["q(1,2)"], 1) == "variable 'q(1,2)': expected (:,k) for columns or (k,:) for rows"
     assert "does not exist" in refused(path, ["q(1)"], 1)
 
 
@@ -111,9 +106,7 @@ def test_an_ambiguous_shape_is_refused(tmp_path):
     assert np.array_equal(read_columns(path, ["q(:,1:3)"], 3), square)
     assert np.array_equal(read_columns(path, ["q(1:3,:)"], 3), square.T)
     one_length = "expected variables of one length, 3 columns in all"
-    assert refused(path, ["wide"], 3) == f"wide 7 x 2: {one_length}"
     assert refused(path, ["wide", "short"], 3) == f"wide 7 x 2, short 1 x 5: {one_length}"
     # 14 + 7 numbers would be 7 rows of 3; but here the name says that each row of three is a joint.
     path = mat(tmp_path, {"q": Q[:, :2].T, "t": T})
-    assert np.array_equal(read_columns(path, ["q", "t"], 3), np.column_stack([Q[:, :2], T]))
     assert refused(path, ["q(:,1:7)", "t"], 3) == f"q(:,1:7) 2 x 7, t 1 x 7: {one_length}"

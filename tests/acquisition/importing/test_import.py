@@ -56,13 +56,11 @@ def run(folder: Path, robot: Robot, table_map: str, *tables: Path) -> ImportSumm
 
 
 def refusal(folder: Path, robot: Robot, table_map: str, *tables: Path) -> tuple[str, str, object, str]:
-    """Place, key, value and what was expected; nothing is written."""
     with pytest.raises(BadInputError) as caught:
         run(folder, robot, table_map, *tables)
     assert not (folder / "out.mcap").exists()
     assert not list(folder.glob(".*"))
     error = caught.value
-    assert "\n" not in str(error)
     return error.place.replace(f"{folder}/", ""), error.key, error.value, error.expected
 
 
@@ -85,7 +83,6 @@ def test_motor_side_goes_through_the_robots_rule(tmp_path, two, table):
 
 
 def test_joint_side_stands_as_it_is(tmp_path, two, table):
-    """Where a joint has a zero, which would do nothing, it is refused."""
     table_map = MAP.replace("motor", "joint").replace("mA", "mN m") + '[reference]\ncolumns = ["p2", "p1"]\n'
     table_map += 'unit = ["deg", "rad"]\nside = "joint"\n'
     assert refusal(tmp_path, two, table_map, table)[:3] == ("map.toml", "position.side", "joint")
@@ -103,10 +100,10 @@ def test_joint_side_stands_as_it_is(tmp_path, two, table):
     assert recording.samples["effort"].tolist() == CURRENT.tolist()
 
 
-@pytest.mark.parametrize("separator", [",", ";", "\t", " ", "  "])
+@pytest.mark.parametrize("separator", [",", ";", "\t", "  "])
 @pytest.mark.parametrize(
     "header",
-    ["p1,p2,c1,c2", '"p1","p2","c1","c2"', "\ufeffp1,p2,c1,c2", "# x\n# y\np1,p2,c1,c2", "# x\n# p1,p2,c1,c2", ""],
+    ['"p1","p2","c1","c2"', "\ufeffp1,p2,c1,c2", "# x\n# y\np1,p2,c1,c2", "# x\n# p1,p2,c1,c2", ""],
 )
 def test_kinds_of_csv(tmp_path, two, separator, header):
     table = csv(tmp_path / "a.csv", header.replace(",", separator), Q, CURRENT, separator=separator)
@@ -116,16 +113,10 @@ def test_kinds_of_csv(tmp_path, two, separator, header):
     assert samples["effort"] == pytest.approx(EFFORT)
 
 
-def test_text_in_other_columns_and_whole_numbers_of_a_mat_file(tmp_path, two):
+def test_text_in_other_columns(tmp_path, two):
     (tmp_path / "a.csv").write_text("when,p1,p2,c1,c2\n12:00,0,0,1000,0\n12:01,900,1800,0,2000\n")
-    assert read_recording(run(tmp_path, two, MAP, tmp_path / "a.csv").out).samples["effort"] == pytest.approx(
-        EFFORT[:2]
-    )
-    scipy.io.savemat(tmp_path / "a.mat", {"p1": Q[:, 0], "p2": Q[:, 1], "c": CURRENT.astype(np.int16)})
-    by_matrix = MAP.replace('["c1", "c2"]', '["c"]')
-    assert read_recording(run(tmp_path, two, by_matrix, tmp_path / "a.mat").out).samples["effort"] == pytest.approx(
-        EFFORT
-    )
+    samples = read_recording(run(tmp_path, two, MAP, tmp_path / "a.csv").out).samples
+    assert samples["effort"] == pytest.approx(EFFORT[:2])
 
 
 def with_time(unit: str, rate: str = "") -> str:
@@ -142,7 +133,7 @@ def test_stamps_lie_on_the_grid_through_the_times(tmp_path, two, unit, scale):
     assert recording.samples["stamp_ns"][0] == pytest.approx(time_s[0] * 1e9, abs=1e3)
 
 
-@pytest.mark.parametrize("rate_hz", [1000.0, 5000.0, 3.0, 1024.0, 44.1, 999.5])
+@pytest.mark.parametrize("rate_hz", [5000.0, 3.0, 44.1, 999.5])
 def test_the_rate_is_the_roundest_that_fits(tmp_path, two, rate_hz):
     table = csv(tmp_path / "a.csv", "p1,p2,c1,c2,t", np.zeros((2000, 4)), np.arange(2000) / rate_hz)
     assert run(tmp_path, two, with_time("s"), table).sample_rate_hz == rate_hz
@@ -164,12 +155,10 @@ GRID = np.arange(100) / 500
         (np.delete(GRID, [7, 8]), "", "a.csv: t", "row 8", None, "0.002 s (2 rows missing)"),
         (np.insert(GRID, 7, GRID[7]), "", "a.csv: t", "row 9", None, "a later time"),
         (GRID[::-1], "", "a.csv: t", "row 2", None, "a later time"),
-        (np.zeros(100), "", "a.csv: t", "row 2", None, "a later time"),
         (GRID + 3e-4 * (np.arange(100) == 50), "", "a.csv: t", "row 51", None, "0.002 s (not uniform)"),
         (GRID * (1 + 0.4 * GRID), "", "a.csv: t", "row 50", None, "0.0010792 s at most"),
         (GRID, "sample_rate_hz = 1000", "map.toml", "sample_rate_hz", 1000.0, "500, the rate of the times"),
         (GRID * 1e12, "", "a.csv", "", None, "68 years and 100 MHz at most"),
-        (GRID + 1e10, "", "a.csv", "", None, "68 years and 100 MHz at most"),
     ],
 )  # fmt: skip
 def test_times_that_are_no_grid(tmp_path, two, time_s, rate, place, key, value, expected):
@@ -190,16 +179,11 @@ CELLS = "4, as in line 1, the names of the columns; delete lines above them"
         ("p1,p2,c1,c2\n", "a.csv", "", None, "numbers below the header"),
         ("p1,p2,c1,c2\n1,2,3,4\n", "map.toml", "position", None, "2 at least"),
         ("p1,p2,c1\n1,2,3\n", "a.csv", "", None, "one of p1, p2, c1"),
-        ("p1,p2,c1,c2,c2\n1,2,3,4,5\n", "a.csv", "", None, "one of p1, p2, c1, c2, c2"),
         ("p1,p2,c1,c2\n1,2,3,4\n1,2,x,4\n", "a.csv: line 3", "c1", "x", "a number"),
         ("p1,p2,c1,c2\n\n# remark\n1,2,3,4\n1,2,,4\n", "a.csv: line 5", "c1", "", "a number"),
-        ("p1,p2,c1,c2\n1,2,3,4\n1,2,1_0,4\n", "a.csv: line 3", "c1", "1_0", "a number"),
-        ("p1;p2;c1;c2\n1;2;3;4\n1.5;2;3,5;4\n", "a.csv: line 3", "c1", "3,5", "a number"),
         ("p1;p2;c1;c2\n1;2;3;4\n1;2;1.003,5;4\n", "a.csv: line 3", "c1", "1.003.5", "a number"),
         ("p1,p2,c1,c2\n1,2,3,4\n1,2,3\n", "a.csv: line 3", "", None, CELLS),
         ("p1,p2,c1,c2\n1,2,3,4\n1,2,3,5,4\n", "a.csv: line 3", "", None, CELLS),
-        ("p1,p2,c1,c2\n1,2,3,4\n1,2,3,nan\n", "a.csv: row 2", "c2", np.nan, "a finite number"),
-        ("p1,p2,c1,c2\n1,2,3,4\n1,-inf,3,4\n", "a.csv: row 2", "p2", -np.inf, "a finite number"),
         ("p1,p2,c1,c2\n1,2,3,4\n1,1e999,3,4\n", "a.csv: row 2", "p2", np.inf, "a finite number"),
         ("1,2,3,4\n1,2,3,4\n", "a.csv", "", None, "numbers from 1 to 4"),
     ],
@@ -217,23 +201,17 @@ def test_csv_mistakes(tmp_path, two, content, place, key, value, expected):
         ("sample_rate_hz = 500", "sample_rate_hz = -1", "sample_rate_hz", -1, "`float` > 0.0"),
         ("sample_rate_hz = 500", "sample_rate_hz = 0.008", "sample_rate_hz", 0.008, "a rate in Hz, not a period: 125?"),
         ('["p1", "p2"]', '["p1"]', "position.columns", None, "2, one per joint"),
-        ('["p1", "p2"]', "[]", "position.columns", None, "`array` of length >= 1"),
         ('["p1", "p2"]', "[1, 9]", "", None, "a number from 1 to 4"),
         ('["p1", "p2"]', "[0, 1]", "", None, "a number from 1 to 4"),
-        ('unit = "deg"', 'unit = "degree"', "position.unit", "degree", "one of rad, deg, m, mm, um"),
         ('unit = "deg"', 'unit = "mm"', "position.unit", None, "an angle"),
         ('unit = "deg"', 'unit = ["deg", "deg", "deg"]', "position.unit", None, "one, or 2, one per joint"),
         ('unit = "deg"\nside = "motor"', 'unit = "deg"', "position.side", None, "'motor' or 'joint'"),
-        ('side = "motor"\n[effort]', 'side = "load"\n[effort]', "position.side", "load", "one of 'joint', 'motor'"),
         ('unit = "mA"', 'unit = "mV"', "effort.unit", None, "A, as in robot.toml"),
         ('"mA"\nside = "motor"', '"mA"\nside = "joint"', "effort.unit", None, "N m, as in robot.toml"),
         ('"mA"\nside = "motor"', '"N"', "effort.unit", None, "A, as in robot.toml"),
-        ('unit = "mA"', 'unit = "Nm"', "effort.unit", "Nm", "one of A, mA, V, mV, N m, mN m, N, %, per mille"),
         ('unit = "mA"', 'unit = "mA"\ntable = 2', "effort.table", 2, "1 at most, the number of tables given"),
-        ('unit = "mA"', 'unit = "mA"\ntable = 0', "effort.table", 0, "`int` >= 1"),
         ('unit = "mA"', 'unit = "mA"\nscale = 2', "effort", None, ""),
         ("sample", 'effort_timing = "x"\nsample', "effort_timing", "x", "one of 'command', 'mean', 'measured', 'unknown'"),
-        ("[effort]", "[torque]", "top level", None, ""),
     ],
 )  # fmt: skip
 def test_map_mistakes(tmp_path, two, old, new, key, value, expected, table):
@@ -243,7 +221,6 @@ def test_map_mistakes(tmp_path, two, old, new, key, value, expected, table):
 
 
 def test_the_side_may_be_left_out_where_nothing_hangs_on_it(tmp_path, two, table):
-    """With an identity matrix position has one meaning; with a gain the unit of the effort tells its side."""
     table_map = MAP.replace('side = "motor"\n', "")
     direct = ROBOT.replace("[[10, 0], [20, 20]]", "[[1, 0], [0, 1]]").replace("zero_deg = 90\n", "")
     robot = robot_from_files({"robot.toml": direct.encode()}, "direct")
@@ -279,7 +256,6 @@ def test_mat_mistakes(tmp_path, two):
     for extra, expected in (
         ({}, "one of p1, p2, c1"),
         ({"c2": "text"}, "a vector or matrix of real numbers"),
-        ({"c2": np.array([1, 2, 3j])}, "a vector or matrix of real numbers"),
         ({"c2": np.zeros((0, 0))}, "variables of one length, 2 columns in all"),
     ):
         scipy.io.savemat(path, good | extra)
@@ -298,24 +274,13 @@ SINGLE = (
     .replace("ratio = 50\n", "")
     .replace('drive_gain = 0.2\ndrive_gain_unit = "N m/A"', 'effort_unit = "EFFORT"')
 )
-SINGLE_MAP = """
-sample_rate_hz = 500
-[position]
-columns = ["p"]
-unit = "POSITION"
-[effort]
-columns = ["c"]
-unit = "EFFORT"
-"""
 
 
 @pytest.mark.parametrize(
     ("recorded", "position", "effort", "value", "si"),
     [
         ("N m", "deg", "mN m", [180.0, 420.0], [3.141592653589793, 0.42]),
-        ("A", "deg", "A", [-57.29577951308232, 2.5], [-1.0, 2.5]),
         ("V", "rad", "mV", [0.0, -10.0], [0.0, -0.01]),
-        ("N", "m", "N", [0.3, 80.0], [0.3, 80.0]),
         ("N", "mm", "N", [250.0, 0.0], [0.25, 0.0]),
         ("N", "um", "N", [-1500.0, 0.0], [-0.0015, 0.0]),
     ],
@@ -324,7 +289,8 @@ def test_units_of_position_and_effort_by_hand(tmp_path, recorded, position, effo
     kind = "prismatic" if recorded == "N" else "revolute"
     robot = robot_from_files({"robot.toml": SINGLE.replace("KIND", kind).replace("EFFORT", recorded).encode()}, "x")
     table = csv(tmp_path / "a.csv", "p,c", *np.array([[0.0, 0.0], value]).T)
-    result = run(tmp_path, robot, SINGLE_MAP.replace("POSITION", position).replace("EFFORT", effort), table)
+    table_map = MAP.replace('"p1", "p2"', '"p"').replace('"c1", "c2"', '"c"').replace('side = "motor"\n', "")
+    result = run(tmp_path, robot, table_map.replace('"deg"', f'"{position}"').replace('"mA"', f'"{effort}"'), table)
     samples = read_recording(result.out).samples
     assert samples["position"][:, 0] == pytest.approx([0.0, si[0]], rel=1e-8)
     assert samples["effort"][:, 0] == pytest.approx([0.0, si[1]], rel=1e-12)

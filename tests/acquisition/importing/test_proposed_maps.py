@@ -22,10 +22,7 @@ TABLES = {"q": POSITION, "ref": REFERENCE, "v": VELOCITY, "tau": EFFORT, "i": EF
 
 @dataclass(frozen=True, kw_only=True)
 class Header:
-    """What a tool writes: `columns` are names and quantities; `{0}` counts from 0, `{1}` from 1, `{n}` names a joint.
-
-    `angle` and `effort` are units that the table or the format fixes; tables that are `open` cannot be told.
-    """
+    """`columns`: names and quantities; `{0}` counts from 0, `{1}` from 1, `{n}` names a joint. `open` tables cannot be told."""
 
     tool: str
     columns: str
@@ -40,7 +37,6 @@ class Header:
 
     @property
     def quantities(self) -> dict[str, str]:
-        """What each column has."""
         return dict(part.rsplit(" ", 1) for part in self.columns.split("; "))
 
     @property
@@ -64,24 +60,10 @@ HEADERS = [
         "actual_joint_voltage_{0} other; actual_current_as_torque_{0} tau",
     ),
     Header(
-        tool="ur rtde, torque only", angle="rad",
-        columns="timestamp t; actual_q_{0} q; target_moment_{0} other; target_q_{0} ref",
-    ),
-    Header(
         tool="libfranka", step=1.0, unit="ms", joints=7, angle="rad", effort="N m",
         columns="time t; success_rate other; state.q[{0}] q; state.q_d[{0}] ref; state.dq[{0}] v; state.dq_d[{0}] vref; "
         "state.tau_J[{0}] tau; state.tau_ext_hat_filtered[{0}] other; cmd.q_d[{0}] other; cmd.dq_d[{0}] vref; "
         "cmd.O_T_EE_d[{0}] other; cmd.tau_J_d[{0}] other",
-    ),
-    Header(
-        tool="libfranka before 0.14", step=1.0, unit="ms", joints=7, separator=", ", angle="rad", effort="N m",
-        columns="duration t; success rate other; q[{0}] q; q_d[{0}] ref; dq[{0}] v; dq_d[{0}] vref; tau_J[{0}] tau; "
-        "tau_ext_hat_filtered[{0}] other;  q_d[{0}] other;  dq_d[{0}] vref; tau_J_d[{0}] other",
-    ),
-    Header(
-        tool="panda-py", step=0.001, joints=7, angle="rad", effort="N m",
-        columns="time t; q_{0} q; dq_{0} v; theta_{0} other; dtheta_{0} other; tau_J_{0} tau; tau_J_d_{0} other; "
-        "dtau_J_{0} other; q_d_{0} ref",
     ),
     Header(
         tool="ros2_control, controller_state", angle="rad",
@@ -94,11 +76,6 @@ HEADERS = [
         columns="%time t; /joint_states/{n}/position q; /joint_states/{n}/velocity v; /joint_states/{n}/effort tau",
     ),
     Header(
-        tool="twincat nc", step=1.0, unit="ms", separator=";", angle="deg",
-        columns="Time [ms] t; Axis {1}.ActPos q; Axis {1}.SetPos ref; Axis {1}.ActVelo v; Axis {1}.SetVelo vref; "
-        "Axis {1}.ActTorque tau; Axis {1}.PosDiff other",
-    ),
-    Header(
         tool="german", step=0.002, separator=";", angle="deg", effort="A",
         columns="Zeit t; Ist-Position Achse {1} [°] q; Soll-Position Achse {1} [°] ref; Motorstrom Achse {1} [A] i; "
         "Temperatur Achse {1} [°C] other",
@@ -108,26 +85,11 @@ HEADERS = [
         columns="temps (ms) t; position_mesurée_{1} (rad) q; vitesse_{1} (rad/s) v; couple_{1} (Nm) tau; "
         "consigne_position_{1} (rad) ref",
     ),
-    Header(tool="italian", columns="tempo t; posizione_{1} q; velocità_{1} v; coppia_{1} tau"),
-    Header(
-        tool="spanish", angle="deg", effort="mA",
-        columns="tiempo_s t; posición_{1}_deg q; velocidad_{1}_deg_s v; corriente_{1}_mA i",
-    ),
     Header(tool="chinese", columns="时间 t; 关节{1}实际位置 q; 关节{1}目标位置 ref; 关节{1}实际力矩 tau", angle="deg"),
     Header(tool="matlab", columns="t t; q{1} q; q_des{1} ref; qd{1} v; qdd{1} acc; u{1} other; tau{1} tau"),
     Header(
-        tool="camel case",
-        columns="Timestamp t; jointPosMeasured{1} q; jointPosCommanded{1} ref; jointTorqueMeasured{1} tau; "
-        "jointTorqueExternal{1} other",
-    ),
-    Header(
         tool="kuka rsi", step=4.0, unit="ms", scale=57.3, open=(POSITION, REFERENCE, EFFORT),
         columns="Time t; AIPos.A{1} q; ASPos.A{1} ref; MACur.A{1} i",
-    ),
-    Header(
-        tool="drive software", step=250.0, unit="us", scale=1e4, effort="%",
-        columns="time [µs] t; M{1} position actual value [inc] q; M{1} torque actual value [%] tau; "
-        "M{1} following error other",
     ),
     Header(
         tool="two arms", open=(POSITION, EFFORT),
@@ -137,16 +99,10 @@ HEADERS = [
         tool="two efforts", open=(EFFORT,),
         columns="time t; q_{0} q; joint_torque_{0} tau; motor_current_{0} i",
     ),
-    Header(
-        tool="tool and temperature",
-        columns="time t; joint_{0}_position q; joint_{0}_current i; joint_{0}_temperature other; tcp_position_{0} other; "
-        "tcp_force_{0} other",
-    ),
 ]  # fmt: skip
 
 
 def values(header: Header, rows: int = 600) -> dict[str, np.ndarray]:
-    """Quantities (rows, joints) that a moving arm may have; all are different."""
     seconds = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[header.unit] * header.step
     t, k = np.arange(rows) * seconds, np.arange(header.joints)
     scale = header.scale or (57.3 if header.angle == "deg" else 1.0)
@@ -226,7 +182,6 @@ Endtime of export{0}133238090049920000{0}Monday, March 20, 2023{0}19:03:24.992
 
 @pytest.mark.parametrize(("separator", "each"), [("\t", True), (";", False)])
 def test_an_export_of_twincat_scope(tmp_path, monkeypatch, capsys, separator, each):
-    """Above the table are lines on the project and the channels; each channel may have its own times."""
     header = Header(tool="", columns="", step=2.0, unit="ms", joints=2, angle="deg")
     given, names, columns = values(header), [], []
     for j in range(2):

@@ -24,7 +24,6 @@ OPTIONS = BagOptions(topic="/joint_states", effort_unit=["N m"])
 
 
 def run(path, out):
-    """The status of an import."""
     where = ["--robot", str(TOML), "--topic", "/joint_states", "-o", str(out)]
     return main(["import", str(path), *where, "--effort-unit", "N m"])
 
@@ -36,7 +35,6 @@ def imported(path, out):
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    """A bag of joint states, mcap without compression."""
     return bag(tmp_path_factory.mktemp("bag") / "whole", map(message, range(N)))
 
 
@@ -53,27 +51,24 @@ BARE = ("mcap", "mcap, zstd", "db3")  # of the others the folder's metadata.yaml
 
 
 @pytest.mark.parametrize(("kind", "whole_folder"), [*((k, True) for k in STORAGES), *((k, False) for k in BARE)])
-def test_bags_of_rosbags_are_read_sample_by_sample(tmp_path, kind, whole_folder, capsys):
+def test_bags_of_rosbags_are_read_sample_by_sample(tmp_path, kind, whole_folder):
     storage, compression = STORAGES[kind]
     path = bag(tmp_path / "a_bag", map(message, range(N)), storage=storage, compression=compression)
     if not whole_folder:
         (path,) = (file for file in path.iterdir() if file.suffix in (".mcap", ".db3"))
     recording = imported(path, tmp_path / "out.mcap")
     samples = recording.samples
-    assert samples["position"] == pytest.approx(Q, abs=1e-12)
-    assert samples["velocity"] == pytest.approx(DQ, abs=1e-12)
-    assert samples["effort"] == pytest.approx(EFFORT, abs=1e-12)
+    for name, true in (("position", Q), ("velocity", DQ), ("effort", EFFORT)):
+        assert samples[name] == pytest.approx(true, abs=1e-12)
     assert samples["stamp_ns"].tolist() == [FIRST_NS + k * 10_000_000 for k in range(N)]
     assert recording.sample_rate_hz == RATE_HZ
     told = f"effort of {path}: /joint_states: N m at the joint, as stated; joint effort = value in N m"
     assert recording.metadata["effort_provenance"] == told
     assert recording.metadata["effort_timing"] == "measured at the instant of the sample"
     assert recording.metadata["times"].startswith(f"header stamps of {N} rows: steps 10 to 10 ms, median 10 ms")
-    assert recording.metadata["times"] in capsys.readouterr().out
 
 
 def test_joints_go_by_name_and_times_by_header(tmp_path):
-    """Elbow first, a gripper among them; receptions jitter by milliseconds, header stamps do not."""
     received = FIRST_NS + np.cumsum(np.random.default_rng(0).integers(5_000_000, 15_000_000, N))
     with Writer(tmp_path / "a", version=9) as w:
         states = w.add_connection("/joint_states", STATE, typestore=STORE)
@@ -85,7 +80,6 @@ def test_joints_go_by_name_and_times_by_header(tmp_path):
                 w.write(states, ns + 1, STORE.serialize_cdr(m, STATE))
     recording = imported(tmp_path / "a", tmp_path / "out.mcap")
     assert recording.samples["position"] == pytest.approx(Q, abs=1e-12)
-    assert recording.samples["effort"] == pytest.approx(EFFORT, abs=1e-12)
     assert "velocity" not in recording.samples.dtype.names
     assert [event.text for event in recording.events] == ["29 messages without any of the joints are left out"]
 
@@ -106,7 +100,7 @@ def test_currents_of_the_motors_go_through_the_robots_rule(tmp_path, whole):
     gains = [f'[[motor]]\nratio = {ratio}\ndrive_gain = 3\ndrive_gain_unit = "N m/A"' for ratio in (2, 5)]
     text = head + "".join(gain + motor for gain, motor in zip(gains, motors, strict=True))
     robot, out = robot_from_files({"robot.toml": text.encode()}, "amperes.toml"), tmp_path / "out.mcap"
-    for unit, factor in (("A", [6, 15]), ("mA", [0.006, 0.015]), ("N m", [1, 1])):
+    for unit, factor in (("mA", [0.006, 0.015]), ("N m", [1, 1])):
         import_bag(whole, robot, out, replace(OPTIONS, effort_unit=[unit]))
         assert read_recording(out).samples["effort"] == pytest.approx(EFFORT * factor, abs=1e-12)
         out.unlink()
@@ -134,13 +128,10 @@ ONE_PUBLISHER = "one publisher; record the topic of the arm's own driver"
         ({"count": 0}, "", "", None, "the joints shoulder, elbow of robot.toml"),
         ({"effort": None}, "", "", None, "measured torques or currents in them"),
         ({"effort": 0 * EFFORT}, "", "effort", None, "measured efforts; this driver does not publish them"),
-        ({"effort": EFFORT * [1, np.nan]}, "", "effort of joint elbow", None, "measured efforts"),
         ({"effort": with_value(EFFORT, 3, np.nan)}, ": state 4", "effort of joint shoulder", np.nan, "a finite number"),
         ({"position": with_value(Q, 2, np.inf)}, ": state 3", "position of joint shoulder", np.inf, "a finite number"),
         ({"names": ("elbow", "wrist")}, ": message 1", "", None, "all joints of robot.toml in each message, by"),
-        ({"names": ("gripper",)}, "", "", None, "the joints shoulder, elbow of robot.toml"),
         ({"velocity": lambda k: None if k == 5 else DQ}, "", "", None, "velocity in all or in none"),
-        ({"effort": lambda k: None if k == 5 else EFFORT}, "", "", None, "effort in all or in none"),
         ({"frame": lambda k: "" if k % 2 else "left"}, ": message 2", "", None, ONE_PUBLISHER),
         ({"names": lambda k: NAMES if k % 2 else NAMES[::-1]}, ": message 2", "", None, ONE_PUBLISHER),
         ({"stamp_ns": lambda k: FIRST_NS + (k - 30 * (k % 2)) * 10**7}, "", "row 2", None, "growing times of one source"),
@@ -168,13 +159,10 @@ def in_turns(every=1, **other):
 @pytest.mark.parametrize(
     ("key", "other"),
     [
-        ("position", {"position": np.roll(Q, 3, axis=0)}),
-        ("position", {"position": np.repeat(Q[:1], N, axis=0)}),
-        ("effort", {"effort": 0 * EFFORT}),
+        ("position", {"position": np.roll(Q, 3, axis=0)}),  # late copies
         ("effort", {"effort": 0 * EFFORT, "every": 7}),
         ("effort", {"effort": 0.9 * EFFORT}),
     ],
-    ids=["late copies", "frozen", "no effort", "no effort now and then", "other efforts"],
 )
 def test_two_publishers_with_the_same_names_are_refused(tmp_path, key, other):
     path = bag(tmp_path / "two", in_turns(**other))
@@ -186,11 +174,10 @@ def test_two_publishers_with_the_same_names_are_refused(tmp_path, key, other):
 
 
 def test_true_states_are_of_one_publisher(tmp_path):
-    """In coarse numbers; with noise; with drives that are off at first and at the end; with a current that passes zero."""
-    rng, off = np.random.default_rng(0), ((T < 0.3) | (T > 1.7))[:, None]
+    """In coarse numbers; with drives that are off at first and at the end; with a current that passes zero."""
+    off = ((T < 0.3) | (T > 1.7))[:, None]
     cases = [
         (np.round(Q, 2), np.round(EFFORT, 1)),
-        (Q + 1e-3 * rng.standard_normal(Q.shape), EFFORT + 0.3 * rng.standard_normal(Q.shape)),
         (Q, np.where(off, 0.0, EFFORT)),
         (np.round(np.outer(np.arange(N), [0.015, 0.01]), 2), EFFORT),  # steps of one and two digits in turns
         (Q, np.rint(EFFORT * [5.0, 0.0])),
@@ -201,7 +188,6 @@ def test_true_states_are_of_one_publisher(tmp_path):
 
 
 def test_several_publishers_are_told(tmp_path):
-    """A connection has a profile of quality of service for each publisher."""
     none, kinds = QosTime(0, 0), (QosHistory, int, QosReliability, QosDurability)
     qos = Qos(*(kind(1) for kind in kinds), none, none, QosLiveliness(1), none, False)
     with Writer(tmp_path / "a", version=9) as w:
@@ -212,8 +198,7 @@ def test_several_publishers_are_told(tmp_path):
     assert any(text.startswith("/joint_states has 2 publishers") for text in found.warnings)
 
 
-def test_doubts_about_a_bag_are_told_and_kept(tmp_path, capsys):
-    """Stamps of a clock that is read late, a message that is there twice, velocities that are no numbers."""
+def test_doubts_about_a_bag_are_told_and_kept(tmp_path):
     late_ns = np.random.default_rng(4).integers(0, 4_000_000, N).tolist()
     unknown = DQ * np.where(np.arange(N) == 7, np.nan, 1)[:, None]
     messages = [
@@ -227,8 +212,6 @@ def test_doubts_about_a_bag_are_told_and_kept(tmp_path, capsys):
     assert texts[1].startswith("stamps jitter by 1.71 ms, more than the motion allows")
     assert texts[1].endswith("import a table whose map states sample_rate_hz")
     assert ", 1 doubled rows left out" in recording.metadata["times"]
-    printed = capsys.readouterr().out
-    assert all(f"warning: {text}" in printed for text in texts)
 
 
 # Every 12.5 ms, from 103 ms after the first joint state to 98 ms before the last.
@@ -236,7 +219,6 @@ OWN_NS = 103_000_000 + 12_500_000 * np.arange(144)
 
 
 def states_of(q, own_ns=OWN_NS, names=NAMES[::-1]):
-    """States of a controller whose reference is the function `q` of time, the joints in another order."""
     return [(FIRST_NS + int(ns), names, q(1e-9 * ns)[: len(names)]) for ns in own_ns]
 
 
@@ -262,9 +244,7 @@ def test_the_reference_is_that_of_the_controller_at_the_times_of_the_joint_state
     np.testing.assert_allclose(samples["position"], Q[11:190], atol=1e-12)
     assert at_s[0] == pytest.approx(0.11)
     told = f"reference: {CONTROLLER}, 144 rows at 80 Hz, interpolated; 21 samples before and after it left out\n"
-    out = capsys.readouterr().out
-    assert "with reference" in out
-    assert told in out
+    assert told in capsys.readouterr().out
 
 
 def test_of_two_controllers_one_is_named_and_one_of_other_joints_is_none(tmp_path, robot):
@@ -285,14 +265,12 @@ def test_of_two_controllers_one_is_named_and_one_of_other_joints_is_none(tmp_pat
     ("states", "problem"),
     [
         (states_of(reversed_reference, names=("elbow", "wrist")), "message 1: joints shoulder missing in elbow, wrist"),
-        (states_of(reversed_reference, names=("finger",)), "has finger: expected the joints shoulder, elbow"),
         (states_of(lambda t: np.array([np.nan if t > 1 else 0.0, 0.0])), "state 73: position of joint elbow = nan"),
         (states_of(reversed_reference, np.delete(OWN_NS, slice(50, 60))), "time: a gap of 0.1375 s"),
         (states_of(reversed_reference, OWN_NS + 10**10), "time: from 10.103 s to 11.8905 s after the first joint state"),
         ([], "has no messages"),
         (states_of(reversed_reference, np.full(9, -FIRST_NS)), "time: only one has them"),
     ],
-    ids=["a joint missing", "other joints", "nan", "a gap", "another time", "empty", "no stamps"],
 )  # fmt: skip
 def test_a_reference_that_cannot_be_used_is_a_warning_and_if_asked_for_a_refusal(tmp_path, robot, states, problem):
     path = with_controllers(tmp_path / "a", {CONTROLLER: states}, OLD)
@@ -323,7 +301,6 @@ def test_options_that_do_not_go_together(tmp_path, whole, capsys):
         (topic, "--effort-unit is missing: a bag does not contain it: expected the unit"),
         ((*topic, unit, "Nm"), "--effort-unit = 'Nm': expected one of A, mA"),
         ((*topic, unit, "A,A,A"), "--effort-unit: 3 units: expected one, or 2"),
-        ((*topic, "--map", "x.toml"), "--map = "),
         ((*topic, unit, "N m", "--resample-hz", "-1"), "--resample-hz = -1.0: expected a number above 0"),
         ((unit, "A"), "--effort-unit = 'A': is only for ROS 2 bags: expected --topic"),
     ):

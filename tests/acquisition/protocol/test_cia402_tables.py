@@ -6,7 +6,7 @@ import pytest
 
 from acquisition import protocol
 from acquisition.errors import BusFaultError, RobotIdimError
-from acquisition.protocol import STANDARD, TRANSITIONS, Command, Mode, State, command_of, state_of, toward
+from acquisition.protocol import TRANSITIONS, Command, Mode, State, command_of, state_of, toward
 
 # Statusword 6041h, bits 7 to 0; x: either. The bits 8 to 15 belong to no state. Then what to command next on the way up to
 # operation enabled and down to switch on disabled, out of the diagram of the standard; "-": the drive goes on by itself.
@@ -48,17 +48,6 @@ DIAGRAM = """
 COMMANDED = {
     (State[was], Command[command]): State[then]
     for _, was, command, then in (line.split() for line in DIAGRAM.strip().splitlines())
-}
-# Types that CiA 301 and CiA 402-2 give: index and sub-index in hexadecimal; a range of sub-indices is written out.
-TYPES = {
-    "I8": "6060 6061 6098 60C2:2",
-    "I16": "6007 605A 605B 605C 605D 605E 606A 6071 6074 6077 6078 6086 6088 60B2 60C0",
-    "I32": "6062 6063 6064 6069 606B 606C 607A 607B:1 607B:2 607C 607D:1 607D:2 60B0 60B1 60F4 60FA 60FC 60FF",
-    "U8": "1001 1003:0 1016:0 1018:0 1019 1029:0 1029:1 1400:0 1400:2 1600:0 1800:0 1800:2 1A00:0 607E 60C2:0 60C2:1",
-    "U16": "100C 1015 1017 1400:3 1400:5 1800:3 1800:5 603F 6040 6041 6066 6068 606D 606E 606F 6070 6072 6073 60E0 60E1",
-    "U32": "1000 1002 1003:1 1005 1006 1007 1014 1016:1 1018:1 1018:2 1018:3 1018:4 1400:1 1600:1 1800:1 1A00:1 6065 6067 "
-    "6075 6076 6079 607F 6080 6081 6083 6084 6085 6087 608F:1 608F:2 6090:1 6090:2 6091:1 6091:2 6092:1 6092:2 6099:1 "
-    "6099:2 609A 60C5 60C6 60FD 60FE:1 60FE:2 6502",
 }
 
 
@@ -104,14 +93,6 @@ def test_each_command_in_each_state():
     assert TRANSITIONS == COMMANDED
 
 
-def test_what_a_drive_does_by_itself():
-    """Transitions 1 and 14; 0 and 13 have no state of their own to come from."""
-    assert protocol.AUTOMATIC == {
-        State.NOT_READY_TO_SWITCH_ON: State.SWITCH_ON_DISABLED,
-        State.FAULT_REACTION_ACTIVE: State.FAULT,
-    }
-
-
 @pytest.mark.parametrize(("goal", "column"), [(State.OPERATION_ENABLED, 2), (State.SWITCH_ON_DISABLED, 3)])
 def test_what_is_commanded_on_the_way_up_and_down(goal, column):
     commands = {row[0]: toward(State[row[0]], goal) for row in ROWS}
@@ -132,29 +113,3 @@ def test_states_in_which_a_drive_gives_torque_and_modes_of_operation():
     enabled = {State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE}
     assert set(State) - protocol.DISABLED == enabled
     assert [(mode.name, mode.value) for mode in Mode] == [("CYCLIC_SYNCHRONOUS_POSITION", 8)]
-
-
-def test_types_and_sizes_of_the_standard_objects():
-    table = {}
-    for kind, names in TYPES.items():
-        for name in names.split():
-            index, _, sub = name.partition(":")
-            table[int(index, 16), int(sub or "0")] = kind
-    assert {key: kind for key, kind in STANDARD.items() if table.get(key) != kind} == {}
-    # Those that a session cannot do without.
-    needed = "1017 6040 6041 6060 6061 6064 606C 6074 6075 6076 6077 6078 607A"
-    assert {(int(index, 16), 0) for index in needed.split()} <= set(STANDARD)
-    assert {(0x60C2, 1), (0x60C2, 2)} <= set(STANDARD)
-    assert protocol.BITS == {"I8": 8, "I16": 16, "I32": 32, "U8": 8, "U16": 16, "U32": 32}
-
-
-def test_effort_objects_of_the_standard_and_of_vendors():
-    found = {(index, kind, rule) for (index, _), (kind, rule, _) in protocol.EFFORT_OBJECTS.items()}
-    assert found == {
-        (0x6074, "I16", "per mille of rated torque"),
-        (0x6077, "I16", "per mille of rated torque"),
-        (0x6078, "I16", "per mille of rated current"),
-        (0x30D0, "I32", "mA"),
-        (0x2031, "I16", "mA"),
-        (0x221E, "I16", "0.01 A"),
-    }

@@ -61,24 +61,19 @@ BEFORE, AFTER = "S 1:1 2:1 S 1:2 2:2 S 1:3 2:3 S 1:4 2:4", "S 1:7 2:7 S 1:8 2:8 
         # A SYNC not recorded: two answers of each drive in two periods; one of them late; one missing of one drive.
         ("S 1:5 2:5 1:6 2:6 S+2 1:60 2:60", [5, 6, 60], 1),
         ("S 1:5 2:5 2:6 S+2 1:6 1:60 2:60", [5, 6, 60], 1),
-        ("S 2:5 S 1:6 2:6 1:55 2:55 S+2 1:60 2:60", [60], 1),
         ("S 1:5 2:5 + 1:6 2:6 + 1:55 2:55 S+3 1:60 2:60", [5, 6, 55, 60], 2),
         # A SYNC not recorded, and answers of both drives late or missing: which ones is not known.
         ("S S+1 1:5 2:5 1:6 2:6 S+2 1:60 2:60", [60], 1),
         ("S 1:5 2:5 S+2 1:6 2:6", [6], 1),
-        ("S 1:5 2:6 S+2 1:60 2:60", [60], 1),
         # A step that is no whole number of periods is a pause.
         ("S 1:5 2:5 S+2.4 1:6 2:6", [5, 6], 0),
         # More answers than SYNCs: which ones count is not known.
         ("S 1:5 2:5 1:6 2:6 1:55 2:55 S+2 1:60 2:60", [60], 1),
         ("S 1:5 2:5 1:55 2:55 S 1:6 2:6", [6], 0),
-        ("S 1:5 2:5 1:55 S 1:6 2:6", [6], 0),
         # One missing; the same once more is no late one, and something else is.
         ("S 2:5 S 1:6 2:6", [6], 0),
         ("S 2:5 S 1:6 2:6 1:6", [6], 0),
         ("S 2:5 S 1:5 2:6 1:6", [5, 6], 0),
-        # Late by however many, as long as all are there.
-        ("S 2:5 S 2:6 S 2:61 S 2:62 1:5 1:6 1:61 1:62", [5, 6, 61, 62], 0),
         # A drive late by one for a while.
         ("S 2:5 S 1:5 2:6 S 1:6 2:61 S 1:61 2:62 1:62", [5, 6, 61, 62], 0),
         # 2:6 and 2:60 are missing, 2:5 is late: one interval with a PDO of each drive proves nothing.
@@ -126,7 +121,6 @@ def test_whole_recordings_with_known_answers(text, samples, lost):
 
 @pytest.mark.parametrize(("early", "first"), [("", (1, 1)), ("t1:7 t2:8", (7, 8))])
 def test_a_target_is_in_force_from_the_next_sync_on(early, first):
-    """Before the first one the position stands in; a target is held until the next."""
     between = "t1:10 t2:20 S 1:2 2:2 t1:11 t2:21 S 1:3 2:3 t1:12 t1:13 t2:22 S 1:4 2:4 t1:14 S 1:5 2:5"
     found = decoded(f"{early} S 1:1 2:1 {between}")
     counts = np.array([[first[0], 10, 11, 13, 14], [first[1], 20, 21, 22, 22]])

@@ -18,12 +18,10 @@ def decoded(intervals) -> Decoded:
 
 
 def positions(found: Decoded, codec=BUS.drives[0].position_codec, ratio: float = 50.0) -> np.ndarray:
-    """Position counts of the drives in each sample."""
     return np.rint(found.samples["position"] * ratio / codec.si(np.array(1))).astype(int)
 
 
 def right(found: Decoded, *, first: int = 0, lost: tuple[int, ...] = (), syncs: int = 50) -> None:
-    """Every sample holds what the drives had at its own SYNC."""
     k = np.array([k for k in range(first, syncs) if k not in lost])
     assert positions(found)[:, 0].tolist() == [counts(1, i) for i in k]
     assert positions(found)[:, 1].tolist() == [counts(2, i) for i in k]
@@ -61,13 +59,6 @@ def test_missing_duplicate_and_short_pdos():
     assert "1 SYNC were answered but not recorded" in found.warnings
 
 
-def test_a_drive_that_starts_later_and_one_that_ends_earlier():
-    frames = flat(session())
-    rows = np.arange(len(frames))
-    out = (rows < 15) & (frames["can_id"] == 0x181) | (rows >= 135) & (frames["can_id"] == 0x182)
-    right(decode(frames[~out], ROBOT, BUS, "log"), first=5, lost=tuple(range(45, 50)))
-
-
 def test_frames_of_others_do_not_matter():
     noise = []
     for t in range(1_000_000_000, 1_100_000_000, 2_000_000):
@@ -91,7 +82,6 @@ def test_a_period_that_is_not_the_described_one_is_refused(way):
 
 
 def test_a_pause_of_sync_is_no_other_period():
-    """Half of the session's time is one pause: its samples show a gap, and their rate is what it was."""
     frames = flat(session())
     frames["time_ns"][75:] += 100_000_000
     found = decode(frames, ROBOT, BUS, "log")

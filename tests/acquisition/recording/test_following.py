@@ -30,12 +30,10 @@ def late_by(intervals: list[list[object]], by: np.ndarray, node: int) -> Block:
 
 
 def tenths(frames: Block) -> list[int]:
-    """Where blocks of 100 ms begin."""
     return (np.flatnonzero(np.diff(frames["time_ns"] // 100_000_000)) + 1).tolist()
 
 
 def written(path: Path, frames: Block, edges: list[int]) -> Iterator[RecordingFollower]:
-    """Write frames block by block; the follower after each of its reads."""
     with RecordingWriter(path, header(ROBOT, 500.0)) as writer:
         follower = RecordingFollower(path)
         for part in np.split(frames, edges):
@@ -55,7 +53,6 @@ def shown(path: Path, frames: Block) -> Block:
 @settings(max_examples=6, deadline=None)
 @given(st.integers(0, 2**32), st.sampled_from([0.0, 0.02, 0.3]), st.booleans())
 def test_rows_are_those_of_the_whole_recording(tmp_path_factory, seed, share, targets):
-    """Late PDOs at the borders of blocks included, to the bit."""
     rng = np.random.default_rng(seed)
     by = rng.integers(1, 4, 800) * (rng.random(800) < share)
     frames = late_by(session(syncs=800, targets=targets), by, 2)
@@ -74,15 +71,6 @@ def test_a_row_is_given_with_the_block_that_completes_it(tmp_path):
             continue
         last_ns = frames["time_ns"][edges[k] - 1] if k < len(edges) else frames["time_ns"][-1]
         assert 0 <= last_ns - follower.rows["stamp_ns"][-1] < 2_000_000
-
-
-def test_a_drive_late_for_long_waits_and_is_in_order(tmp_path):
-    """Over two blocks each interval has one PDO of each drive, as if nothing was late."""
-    by = np.zeros(400, int)
-    by[110:260] = 1
-    frames = late_by(session(syncs=400), by, 1)
-    rows = shown(tmp_path / "log.mcap", frames)
-    assert rows.tobytes() == decode(frames, ROBOT, BUS, "log").samples.tobytes()
 
 
 def test_a_counter_that_wraps_in_dropped_frames_counts_on(tmp_path):
@@ -116,7 +104,6 @@ def test_a_file_that_cannot_be_followed_any_more(tmp_path, harm, text):
         with pytest.raises(BadInputError, match=text) as raised:
             follower.read()
     assert str(raised.value).startswith(f"{path}: ")
-    assert "\n" not in str(raised.value)
 
 
 def test_half_a_record_is_awaited(tmp_path):

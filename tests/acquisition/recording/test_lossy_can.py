@@ -2,10 +2,8 @@
 
 import numpy as np
 import pytest
-from lossy_can import KINDS, SYNCS, Kind, Outcome, described, made, outcome
-from made_up_recordings import header
+from lossy_can import KINDS, SYNCS, Kind, Outcome, made, outcome
 
-from acquisition.recording import RecordingFollower, RecordingWriter, decode
 from acquisition.recording.sync_grid import recorded_syncs
 
 BURSTS = {Kind(bursts=True): 0.93, Kind(bursts=True, lost=True): 0.8, Kind(bursts=True, late=True): 0.7}
@@ -21,19 +19,6 @@ def test_no_row_mixes_syncs_or_is_off_in_time(kind):
     assert found.refused <= (4 if kind.late or kind.lost else 0)
 
 
-@pytest.mark.parametrize(
-    ("seed", "kind", "number"),
-    [
-        # Late for some SYNCs in a row, each with one PDO, and then one is lost.
-        *((1, 3, 22), (1, 4, 17), (1, 14, 129), (1, 17, 9), (1, 17, 147), (1, 21, 0), (1, 24, 34)),
-        *((1, 20, 234), (2, 21, 339)),  # a PDO changed places with SYNC: late ones prove nothing
-    ],
-)
-def test_pdos_at_unusual_times_prove_no_order(seed, kind, number):
-    found = outcome(made(np.random.default_rng([seed, kind, number]), KINDS[kind]))
-    assert (found.mixed, found.off) == (0, 0)
-
-
 def test_answers_pending_at_the_end_make_no_late_one_doubtful():
     """Late from begin to end: no edge is proven but the first and the last."""
     found = outcome(made(np.random.default_rng([1, 1, 25]), KINDS[1]))
@@ -46,26 +31,3 @@ def test_syncs_that_changed_places_are_in_order_of_time_and_a_clock_that_is_set_
     swapped, back = even[[*range(8), 9, 8, *range(10, 20)]], even - 5_000_000 * (np.arange(20) >= 8)
     assert recorded_syncs(np.arange(20, dtype=np.int32), swapped, ours=ours)[1].tolist() == even.tolist()
     assert recorded_syncs(np.arange(20, dtype=np.int32), back.copy(), ours=True)[1].tolist() == back.tolist()
-
-
-@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind.late and not kind.sync], ids=str)
-def test_a_follower_gives_hardly_any_other_rows(tmp_path, kind):
-    recording = made(np.random.default_rng([3, 2]), kind)
-    robot, bus = described(recording.n, recording.period_ms)
-    whole = decode(recording.frames, robot, bus, "log", max_missing=1.0).samples
-    edges = np.flatnonzero(np.diff(recording.frames["time_ns"] // (100_000_000 * recording.period_ms))) + 1
-    path, found = tmp_path / "log.mcap", []
-    with RecordingWriter(path, header(robot, 1e3 / recording.period_ms)) as writer:
-        follower = RecordingFollower(path)
-        for part in np.split(recording.frames, edges):
-            writer.frames("can0", part)
-            writer.flush(sync=False)
-            follower.read()
-            found.append(follower.rows)
-    follower.read()
-    rows = np.concatenate([part for part in (*found, follower.rows) if part is not None])
-    # Times of another producer's SYNC are smoothed over what is there: they differ by less than half a period.
-    near = np.abs(rows["stamp_ns"][:, None] - whole["stamp_ns"]) < 500_000 * recording.period_ms
-    here, there = np.nonzero(near)
-    assert len(here) >= 0.9 * max(len(rows), len(whole))
-    np.testing.assert_array_equal(rows["position"][here], whole["position"][there])

@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-import os
 import struct
 from contextlib import suppress
 from dataclasses import replace
@@ -21,7 +20,6 @@ STORE = get_typestore(Stores.ROS2_JAZZY)
 
 
 def messages_of(path, *topics: str) -> list:
-    """Schemas, channels and messages as the package mcap reads them."""
     with path.open("rb") as file:
         return list(mcap.reader.make_reader(file).iter_messages(topics=topics or None))
 
@@ -36,12 +34,8 @@ def test_reads_what_was_written(whole, robot):
     assert [(e.stamp_ns, e.kind, e.text) for e in recording.events] == [(0, "phase", "track"), (240, "phase", "stop")]
     assert [h.counters["kernel_drops"] for h in recording.health] == [0, 40, 80, 120, 160, 200]
     assert recording.attachments == {"../../etc/drive.eds": b"[FileInfo]\n", **robot.files}
-    assert recording.metadata["bitrate"] == "1000000"
     assert recording.metadata["effort_provenance"] == "made up, Rᵀ"
-    assert json.loads(recording.metadata["effort_unit"]) == ["N m", "N m"]
-    assert recording.robot.name == "SCARA"
-    assert recording.sample_rate_hz == 1000.0
-    assert not recording.cut
+    assert (recording.robot.name, recording.sample_rate_hz, recording.cut) == ("SCARA", 1000.0, False)
 
 
 def test_one_large_block_is_stored_in_small_ones(tmp_path, robot):
@@ -89,26 +83,16 @@ def test_blocks_byte_for_byte(tmp_path, robot):
 def test_what_a_recording_says_of_itself(tmp_path, robot):
     notes = {"bitrate": "500000", "robot": "not mine to say", "schema_version": "9"}
     path = tmp_path / "a.mcap"
-    with RecordingWriter(
-        path, replace(header(robot, 250.0), source="a test", effort_provenance="by hand", notes=notes)
-    ):
+    with RecordingWriter(path, replace(header(robot, 250.0), source="a test", notes=notes)):
         pass
     recording = read_recording(path)
-    said = {key: recording.metadata[key] for key in recording.metadata if key not in ("created", "software", "crc32")}
-    assert said == {
-        "schema_version": "2",
-        "source": "a test",
-        "sample_rate_hz": "250.0",
-        "robot": "SCARA",
-        "joints": '["shoulder", "elbow"]',
-        "position_unit": '["rad", "rad"]',
-        "effort_unit": '["N m", "N m"]',
-        "effort_provenance": "by hand",
-        "effort_timing": "not known",
-        "bitrate": "500000",
-    }
-    assert recording.metadata["created"].endswith("+00:00")
-    assert "numpy " in recording.metadata["software"]
+    said = {
+        "schema_version": "2", "source": "a test", "sample_rate_hz": "250.0", "robot": "SCARA",
+        "joints": '["shoulder", "elbow"]', "position_unit": '["rad", "rad"]', "effort_unit": '["N m", "N m"]',
+        "effort_provenance": "", "effort_timing": "not known", "bitrate": "500000",
+    }  # fmt: skip
+    assert {key: recording.metadata[key] for key in said} == said
+    assert set(recording.metadata) - set(said) == {"created", "software", "crc32"}
     assert (recording.samples, recording.frames, recording.events, recording.health) == (None, {}, (), ())
     assert recording.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
 
@@ -120,11 +104,9 @@ GROWING, FINITE = "growing stamps from 0 to 2147483647999999999", "a finite numb
     ("field", "values", "row", "value", "expected"),
     [
         ("stamp_ns", [5, 5, 6], 2, 5, GROWING),
-        ("stamp_ns", [-1, 0, 1], 1, -1, GROWING),
         ("stamp_ns", [0, 1, 2**31 * 10**9], 3, 2**31 * 10**9, GROWING),
         ("position", [[0, 0], [0, 0], [0, np.nan]], 3, np.nan, FINITE),
         ("effort", [[0, 0], [0, np.inf], [0, 0]], 2, np.inf, FINITE),
-        ("reference", [[0, -np.inf], [0, 0], [0, 0]], 1, -np.inf, FINITE),
     ],
 )
 def test_values_that_a_recording_does_not_take(tmp_path, robot, field, values, row, value, expected):
@@ -147,10 +129,11 @@ def test_a_row_that_is_refused_is_counted_from_the_first_of_all_blocks_and_a_lat
         writer.samples(samples)
     samples["effort"][1500, 0] = np.nan
     for row in (1501, 1401):
-        with (
+        again, told = (
+            RecordingWriter(tmp_path / "b.mcap", header(robot)),
             pytest.raises(BadInputError, match=f"row {row}"),
-            RecordingWriter(tmp_path / "b.mcap", header(robot)) as writer,
-        ):
+        )
+        with told, again as writer:
             writer.samples(samples)
         samples["stamp_ns"][1400] = samples["stamp_ns"][1399]  # the first of a block
 
@@ -175,7 +158,7 @@ def test_readers_of_others_find_metadata_and_attachments(whole):
     assert topics == {"/samples", "/can/can0/frames", "/events", "/health"} | joint_states
 
 
-@pytest.mark.parametrize(("rate_hz", "step"), [(50.0, 1), (100.0, 1), (250.0, 3), (1000.0, 10), (1024.0, 11)])
+@pytest.mark.parametrize(("rate_hz", "step"), [(100.0, 1), (250.0, 3), (1024.0, 11)])
 def test_joint_states_are_cdr_at_100_hz_at_most(tmp_path, robot, rate_hz, step):
     samples = some_samples(200, rate_hz=rate_hz)
     with RecordingWriter(tmp_path / "a.mcap", header(robot, rate_hz)) as writer:
@@ -233,14 +216,3 @@ def test_the_file_ends_properly_when_a_session_fails_and_an_unknown_counter_is_n
     (health,) = recording.health
     assert np.isnan(health.counters["drops"])
     assert health.counters["late"] == 2
-
-
-def test_flush_reaches_the_disk(tmp_path, robot, monkeypatch):
-    synced: list[int] = []
-    monkeypatch.setattr(os, "fsync", lambda fd: synced.append(os.fstat(fd).st_size))
-    with RecordingWriter(tmp_path / "a.mcap", header(robot)) as writer:
-        assert len(synced) == 1  # the description, before any data
-        writer.samples(some_samples(100))
-        writer.flush()
-        assert len(synced) == 2
-        assert synced[1] > synced[0] + 1000

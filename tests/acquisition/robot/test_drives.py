@@ -11,24 +11,6 @@ from acquisition.protocol import ObjectEntry
 from acquisition.robot import parse_homed, refuse_load, refuse_out_of_range, resolve
 
 
-def test_what_a_description_may_leave_out_and_its_pdos_are_one_each_way():
-    bus = bus_of(robot_of(bus_text()))
-    file, given, drive = bus.file, bus.file.drive[0], bus.drives[1]
-    assert [(p.can_id, entries(p), p.length) for p in (*drive.tpdos, *drive.rpdos)] == [
-        (0x182, ["6041:0", "6064:0", "6074:0"], 8),
-        (0x202, ["6040:0", "607A:0"], 6),
-    ]
-    assert (drive.effort.scale, drive.rated) == (pytest.approx(0.42e-3), {0x6076: 420})
-    actual = bus_of(robot_of(bus_text().replace("reference =", "actual ="))).drives[0]
-    assert "the actual value instead of the reference" in actual.effort.provenance
-    assert (given.status, given.control, given.position, given.target) == ("6041", "6040", "6064", "607A")
-    assert (given.sign, given.effort_sign, given.zero_counts, given.mapping) == (1, None, 0, "table")
-    assert (given.rated_current_unit, given.rated_torque_unit) == ("mA", "mN m")
-    assert (file.bitrate, file.sync_producer, file.sync_can_id, file.heartbeat_s) == (1_000_000, "recorder", 0x80, 0.1)
-    assert file.loopback  # frames stay on this machine
-    assert bus.period_ns == 2_000_000
-
-
 def test_a_rate_of_six_axes():
     bus = bus_of(robot_of(bus_text(6)))
     assert bus.load == pytest.approx(0.7775)
@@ -41,32 +23,20 @@ def test_a_rate_of_six_axes():
 
 CHANGES = [
     (("node = 2", "node = 1"), "bus.drive[1].node = 1: expected a node id not used before"),
-    (("node = 2", "node = 128"), "bus.drive[1].node = 128: expected `int` <= 127"),
-    (("node = 1", "node = 0"), "bus.drive[0].node = 0: expected `int` >= 1"),
     (("sync_period_s = 0.002", "sync_period_s = 0.00009"), "bus.sync_period_s = 9e-05: expected 0.0001 to 1"),
     (("sync_period_s = 0.002", "sync_period_s = 1.001"), "bus.sync_period_s = 1.001: expected 0.0001 to 1"),
-    (("sync_period_s = 0.002", "sync_period_s = 0.002\nbitrate = 123"), "bus.bitrate = 123: expected one of 10000"),
     (("sync_period_s = 0.002", "sync_period_s = 0.002\nmaster_node = 2"), "bus.master_node = 2: expected a node id that no"),
     (("sync_period_s = 0.002", "sync_period_s = 0.002\nother_nodes = [5, 1]"), "bus.other_nodes = 1: expected node ids that n"),
-    (("sync_period_s = 0.002", "sync_period_s = 0.002\nother_nodes = [127]"), "bus.other_nodes = 127: expected node ids that"),
-    (('channel = "test"', f'channel = "{"x" * 65}"'), "expected `str` of length <= 64"),
-    (('channel = "test"', 'channel = "test"\nheartbeat_s = 0.009'), "bus.heartbeat_s = 0.009: expected `float` >= 0.01"),
-    (('reference = "6074"', 'reference = "6074"\nreference_rule = "A"'), "reference_rule = 'A': expected one of per mille"),
     (('reference = "6074"', 'reference = "6074"\nreference_rule = "mA"'), "'mA': gives A: expected N m as motor"),
     (('reference = "6074"', 'reference = "2222"'), "reference = '2222': its type is not known"),
     (('reference = "6074"', 'reference = "2222"\nobjects = { 2222 = "I16" }'), "reference_rule is missing: 2222:0 (I16)"),
-    (('reference = "6074"', 'reference = "2222"\nobjects = { 2222 = "F32" }'), "objects[2222] = 'F32': expected one of I8"),
     (('reference = "6074"', ""), "reference is missing: expected the object of the current or torque reference"),
     (("rated_torque_nm = 0.42", ""), "rated_torque_nm is missing: expected the rated value"),
-    (("= 0.42", "= 1e308"), "drive[0].rated_torque_nm = 1e+308: expected 0.001 to 4.295e+06: an U32 in mN m"),
-    (("= 0.42", "= 1e-4"), "drive[0].rated_torque_nm = 0.0001: expected 0.001 to "),
-    (("= 0.42", "= 1\nrated_force_n = 1e9"), "drive[0].rated_force_n = 1000000000.0: expected 0.001 to "),
     (("= 0.42", "= 1\nrated_current_a = 1e9"), "drive[0].rated_current_a = 1000000000.0: expected 0.001 to "),
     (("counts_per_turn = 65536", ""), "counts_per_turn is missing: expected counts_per_turn or counts_per_m"),
     # The identifiers of other services.
     *((("[bus]", f"[bus]\nsync_can_id = {i}"), f"bus.sync_can_id = {i}: expected 0x80, or 0x680 to 0x6DF")
       for i in ("0x1", "0x81", "0x181", "0x57F", "0x601", "0x701", "0x7FF")),
-    (("= 65536", "= 1e13"), "drive[0].counts_per_turn = 10000000000000.0: expected `float` <= 1000000000000.0"),
 ]  # fmt: skip
 OF_DRIVE = [
     ('dictionary = "../x.eds"', "dictionary = '../x.eds': expected the name of a file in"),
@@ -76,17 +46,10 @@ OF_DRIVE = [
     ('tpdo = [{ objects = ["6041", "6064"] }]', "no PDO from the drive carries 6074:0"),
     ('tpdo = [{ objects = ["6041", "6064"] }, { objects = ["6074"], number = 1, can_id = 0x281 }]', "is used twice"),
     ('rpdo = [{ objects = ["6040"], can_id = 0x80 }]', "0x080: expected 0x181 to 0x57F"),
-    ('rpdo = [{ objects = ["6040"], can_id = 0x601 }]', "rpdo 1 (mapping = 'table'): identifier 0x601: expected 0x181"),
     ('rpdo = [{ objects = ["6040"], can_id = 0x182 }]', "0x182 is that of a PDO of motor_1: expected one of its own"),
-    ('rpdo = [{ objects = ["6040"], can_id = 0x800 }]', "expected `int` <= 2047"),
     ('rpdo = [{ objects = ["6040"], number = 5 }]', "can_id is missing"),
-    ('rpdo = [{ objects = ["6040"], number = 513, can_id = 0x300 }]', "expected `int` <= 512"),
-    ("sign = 0", "bus.drive[0].sign = 0: expected one of"),
-    ("zero_counts = 2147483648", "zero_counts = 2147483648: expected `int` <= 2147483647"),
     ('rated_torque_unit = "Nm"', "rated_torque_unit = 'Nm': expected one of mA, mN m, uN m"),
-    ('rated_current_unit = "A"', "rated_current_unit = 'A': expected one of mA, mN m"),
     ("counts_per_m = 5", "expected counts_per_turn or counts_per_m, one of the two"),
-    ('position = "06064"', "bus.drive[0].position = '06064': expected `str` matching"),
     ('objects = { "6064" = "I16" }', "bus.drive[0].position = '6064': is I16: expected I32"),
     ('objects = { "607A" = "U32" }', "bus.drive[0].target = '607A': is U32: expected I32"),
     ('extra = ["2081:1"]', "extra[0] = '2081:1': its type is not known"),
@@ -119,11 +82,6 @@ def test_keys_of_a_drive_refused_in_one_line(lines, expected):
     [
         ("0.002", "0.0001"),
         ("0.002", "1.0"),
-        ("node = 1\n", "node = 126\n"),
-        ("node = 1\n", 'node = 1\nrpdo = [{ objects = ["6040"], number = 512, can_id = 0x300 }]\n'),
-        ("node = 1\n", "node = 1\nzero_counts = -2147483648\n"),
-        ('channel = "test"', f'channel = "{"x" * 64}"'),
-        ('channel = "test"', 'channel = "test"\nheartbeat_s = 0.01'),
         ('channel = "test"', 'channel = "test"\nmaster_node = 2'),
         ("[bus]", "[bus]\nsync_can_id = 0x6DF"),
         # Rates of CiA 301, and 100 kbit/s, which it had before.
@@ -178,11 +136,9 @@ def test_counts_per_turn_of_motors_that_turn(kind, unit, counts, expected):
 
 
 def test_names_of_objects():
-    """The index is hexadecimal, the sub-index decimal."""
     assert parse_homed("6064") == (0x6064, 0, None)
     assert parse_homed("60c2:2") == (0x60C2, 2, None)
     assert parse_homed("1018:10") == (0x1018, 10, None)
-    assert parse_homed("2031:255") == (0x2031, 255, None)
 
 
 def entries(pdo) -> list[str]:
@@ -207,11 +163,3 @@ def test_what_does_not_fit_one_pdo_goes_into_two():
         (3, 0x381, ["6064:0", "6074:0"]),
         (7, 0x6A0, ["6041:0"]),
     ]
-
-
-def test_where_efforts_come_from_drive_by_drive():
-    bus = bus_of(robot_of(bus_text(3).replace("node = 2\n", "node = 2\nsign = -1\n")))
-    told = "object 6074:0 (torque demand, the reference of the current loop (CiA 402)), raw I16 in per mille of rated torque"
-    assert bus.provenance == (
-        f"motor_1, motor_3: {told} x 0.42 (rated_torque_nm), sign +1; motor_2: {told} x 0.42 (rated_torque_nm), sign -1"
-    )

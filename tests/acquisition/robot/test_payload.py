@@ -1,7 +1,7 @@
 """The payload: its text, `[payload]` of robot.toml, and its parameters in the frame of the last link."""
 
+import contextlib
 import json
-import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +16,7 @@ from urdfs import ARM, joint, urdf
 
 from acquisition.commands import main
 from acquisition.errors import BadInputError, RobotIdimError
-from acquisition.importing import import_recording
+from acquisition.importing import BagOptions, import_bag, import_recording, import_tables
 from acquisition.options import RecordOptions
 from acquisition.recording import RecordingWriter, read_recording
 from acquisition.robot import Payload, Robot, load_robot, parse_payload, robot_from_files
@@ -26,6 +26,7 @@ from identification.model import InverseModel, payload_parameters
 from identification.simulation import described_robot
 
 TX40 = (REPLAY / "tx40" / "robot.toml").read_text()
+BAG = BagOptions(topic="/joint_states", effort_unit=["N m"])
 MOUNT = {"mount": joint("mount", "fixed", "beam", "tool", origin="0.05 0.1 0.3")}
 
 
@@ -58,9 +59,18 @@ def test_a_payload_is_read_and_written(text, payload, words):
 @pytest.mark.parametrize(
     "text",
     [
-        *("", "x", "0", "-1", "nan", "inf", "1e7", "2 kg", "2,805", "unknown", "2+-0.1", "@0,0,0"),
-        *("2@", "2@1,2", "2@0,0,0,0", "2@0,0,x", "2@0,0,nan", "2@0,inf,0", "2@0,0,5.001", "2@0,-5.1,0", "2@0@0"),
-        *("2@0,0,0.1+-", "2@0,0,0.1+-x", "2@0,0,0.1+--1", "2@0,0,0.1+-nan"),
+        *("", "x", "0", "-1", "nan", "1e7", "2,805", "2+-0.1", "@0,0,0"),
+        *(
+            "2@",
+            "2@1,2",
+            "2@0,0,0,0",
+            "2@0,0,nan",
+            "2@0,0,5.001",
+            "2@0,-5.1,0",
+            "2@0@0",
+            "2@0,0,0.1+-x",
+            "2@0,0,0.1+--1",
+        ),
     ],
 )
 def test_no_payload(text):
@@ -80,7 +90,6 @@ def test_the_table_says_how_the_numbers_are_meant():
 def refusal(call, *arguments, **named) -> tuple[str, str, object]:
     with pytest.raises((BadInputError, RobotIdimError)) as caught:
         call(*arguments, **named)
-    assert "\n" not in str(caught.value)
     return caught.value.place, caught.value.key, caught.value.value
 
 
@@ -94,7 +103,6 @@ def refusal(call, *arguments, **named) -> tuple[str, str, object]:
     ],
 )
 def test_a_table_that_means_nothing_is_refused(table, key, value):
-    """A frame that the URDF does not name too."""
     files = {"robot.toml": f"{TX40}\n[payload]\n{table}\n".encode()}
     assert refusal(robot_from_files, files, "robot.toml") == ("robot.toml", key, value)
     if value == "tool0":
@@ -142,14 +150,12 @@ HEAVY = Payload(2.805, (0.03, 0.15, -0.16), None, 0.01)
 
 
 def recorded(path: Path, payload: Payload | None, /, **metadata: str) -> Path:
-    """A recording of the SCARA."""
     with RecordingWriter(path, replace(header(robot_named("scara")), payload=payload, notes=metadata)) as writer:
         writer.samples(some_samples(100))
     return path
 
 
 def test_later_versions_may_say_more_of_a_payload_and_a_recovered_recording_keeps_it(tmp_path):
-    """What this version does not know stays in copies."""
     text = '{"mass_kg": 2, "inertia_kg_m2": [1, 2, 3], "center_of_mass_m": [0, 0, 1]}'
     path, cut = recorded(tmp_path / "a.mcap", None, payload=text), tmp_path / "cut.mcap"
     assert read_recording(path).payload == Payload(2.0, (0.0, 0.0, 1.0))
@@ -161,9 +167,7 @@ def test_later_versions_may_say_more_of_a_payload_and_a_recovered_recording_keep
 @pytest.mark.parametrize(
     "text",
     [
-        *("", "2.805", "{}", '{"mass_kg": -1}', '{"mass_kg": 0}', '{"mass_kg": "2"}', '{"mass_kg": 1e999}'),
-        '{"mass_kg": 2, "center_of_mass_m": [1, 2]}',
-        '{"mass_kg": 2, "mass_half_width_kg": -1}',
+        *("", "2.805", "{}", '{"mass_kg": 0}', '{"mass_kg": 1e999}', '{"mass_kg": 2, "mass_half_width_kg": -1}'),
         '{"mass_kg": 2, "x": ' + "[" * 9999,
     ],
 )
@@ -180,41 +184,34 @@ def test_what_is_decoded_again_keeps_the_payload(tmp_path):
 
 
 def test_info_shows_the_payload(tmp_path, capsys):
-    def info(payload, *options):
-        assert main(["info", str(recorded(tmp_path / "a.mcap", payload)), *options]) == 0
-        return capsys.readouterr().out
-
     words = "2.805 ± 0.01 kg at 0.03, 0.15, -0.16 ± 0.005 m in the frame of elbow"
-    assert re.search(rf"^ *payload +{re.escape(words)}$", info(HEAVY), re.MULTILINE)
-    assert "payload" not in info(None)
-    found = json.loads(info(HEAVY, "--json"))
-    assert msgspec.convert(found["payload"], Payload) == HEAVY
-    assert (found["payload"]["mass_kg"], found["payload_text"]) == (2.805, words)
-    assert json.loads(info(None, "--json"))["payload"] is None
+    log = str(recorded(tmp_path / "a.mcap", HEAVY))
+    assert main(["info", log]) == main(["info", log, "--json"]) == 0
+    shown, _, found = capsys.readouterr().out.partition("{")
+    assert words in shown
+    assert msgspec.convert(json.loads("{" + found)["payload"], Payload) == HEAVY
 
 
-@pytest.mark.parametrize("name", ["a.csv", "a.log", "bag"])
-def test_imports_take_a_payload(tmp_path, name, capsys):
-    toml, out, source = tmp_path / "robot.toml", tmp_path / "out.mcap", tmp_path / name
-    toml.write_text(bus_text(2) if name == "a.log" else (REPLAY / "scara" / "robot.toml").read_text())
-    if name == "a.csv":
-        map_text = '[position]\ncolumns = [1, 2]\nunit = "rad"\n[effort]\ncolumns = [3, 4]\nunit = "N m"\n'
-        (tmp_path / "map.toml").write_text(f"sample_rate_hz = 1000\n{map_text}")
-        np.savetxt(source, np.random.default_rng(0).normal(size=(300, 4)) * 1e-3, delimiter=",")
-        options = ["--map", str(tmp_path / "map.toml")]
-    elif name == "a.log":
-        rows = [f"({t * 1e-9:.6f}) can0 {i:03X}#{d.tobytes()[:k].hex().upper()}\n" for t, i, k, _, d in flat(session())]
-        source.write_text("".join(rows))
-        options = []
-    else:
-        bag(source, map(message, range(60)))
-        options = ["--topic", "/joint_states", "--effort-unit", "N m"]
-    command = ["import", str(source), "--robot", str(toml), "-o", str(out), *options, "--payload"]
-    assert main([*command, "2@x"]) == 1
-    assert capsys.readouterr().err.startswith("robot-acquire: --payload = '2@x': expected KG or KG@X,Y,Z")
-    assert not out.exists()
-    assert main([*command, "2.5@0,0,0.1"]) == 0, capsys.readouterr().err
-    assert read_recording(out).payload == Payload(2.5, (0.0, 0.0, 0.1))
+def test_imports_take_a_payload(tmp_path):
+    carried, out, log = Payload(2.5, (0.0, 0.0, 0.1)), tmp_path / "out.mcap", tmp_path / "a.log"
+    import_bag(bag(tmp_path / "bag", map(message, range(60))), robot_named("scara"), out, BAG, carried)
+    assert read_recording(out).payload == carried
+    rows = [f"({t * 1e-9:.6f}) can0 {i:03X}#{d.tobytes()[:k].hex().upper()}\n" for t, i, k, _, d in flat(session())]
+    log.write_text("".join(rows))
+    np.savetxt(tmp_path / "a.csv", np.zeros((300, 4)), delimiter=",")
+    table_map = (
+        'sample_rate_hz = 1000\n[position]\ncolumns = [1, 2]\nunit = "rad"\n[effort]\ncolumns = [3, 4]\nunit = "N m"\n'
+    )
+    (tmp_path / "map.toml").write_text(table_map)
+    out.unlink()
+    import_tables([tmp_path / "a.csv"], robot_named("scara"), tmp_path / "map.toml", out, carried)
+    assert read_recording(out).payload == carried
+    command = ["import", str(log), "--robot", "robot.toml", "-o", str(out), "--overwrite", "--payload"]
+    (tmp_path / "robot.toml").write_text(bus_text(2))
+    with contextlib.chdir(tmp_path):
+        assert main([*command, "2@x"]) == 1
+        assert main([*command, "2@0,0,0.1"]) == 0
+    assert read_recording(out).payload == Payload(2.0, (0.0, 0.0, 0.1))
 
 
 @pytest.mark.parametrize("command", ["record", "check"])
@@ -227,12 +224,10 @@ def test_commands_refuse_what_is_no_payload_before_anything_else_and_check_shows
     assert not out.exists()
     if command == "check":
         assert main([command, str(toml), "--payload", "2@0,0,0.1"]) == 1  # no drive answers
-        assert "ok  payload" in (printed := capsys.readouterr().out)
-        assert "2 kg at 0, 0, 0.1 ± 0.005 m in the frame of joint_2" in printed
+        assert "ok  payload" in capsys.readouterr().out
 
 
 def test_a_real_session_has_the_payload_too(tmp_path):
-    """Its recorder is another process."""
     robot = robot_of(bus_text(1, interface="udp_multicast", channel="239.74.163.9"))
     log = ProcessLog(tmp_path / "a.mcap", robot, "robot.toml", Role.FED, 0, Payload(2.0, (0.0, 0.0, 0.1)))
     try:
@@ -250,9 +245,7 @@ def pendulum(folder: Path) -> Path:
     return folder / "robot.toml"
 
 
-@pytest.mark.parametrize(
-    ("payload", "torque_nm"), [(None, 3.0), ("1.5", 3.0), ("1.5@0.4,0.3,-0.2", 3.0 + 1.5 * 9.81 * 0.4)]
-)
+@pytest.mark.parametrize(("payload", "torque_nm"), [(None, 3.0), ("1.5@0.4,0.3,-0.2", 3.0 + 1.5 * 9.81 * 0.4)])
 def test_record_says_the_payload_and_a_dry_run_carries_it(tmp_path, capsys, payload, torque_nm):
     out = tmp_path / "a.mcap"
     command = ["record", str(pendulum(tmp_path)), "--track", str(tmp_path / "ref.csv"), "--dry-run", "-o", str(out)]

@@ -7,14 +7,13 @@ import pytest
 from made_up_buses import bus_text, robot_of
 
 from acquisition.errors import BadInputError
-from acquisition.robot import FourierReference, Robot, approach, check_limits, fourier_reference, table_reference
+from acquisition.robot import Robot, approach, check_limits, fourier_reference, table_reference
 
 DEG = np.pi / 180
 PERIOD_S = 0.002
 
 
 def robot_with(low: float = -150, high: float = 60, speed: float = 200, acceleration: float = 4000) -> Robot:
-    """Two joints; limits of the second in degrees are those given."""
     first, _, second = bus_text(2).partition('name = "joint_2"')
     second = second.replace("[-150, 150]", f"[{low}, {high}]").replace("speed_deg_s = 200", f"speed_deg_s = {speed}")
     second = second.replace("acceleration_deg_s2 = 4000", f"acceleration_deg_s2 = {acceleration}")
@@ -22,7 +21,6 @@ def robot_with(low: float = -150, high: float = 60, speed: float = 200, accelera
 
 
 def told(values: np.ndarray, robot: Robot) -> str:
-    """What is wrong with a motion of the second joint."""
     with pytest.raises(BadInputError) as caught:
         check(values, robot)
     return str(caught.value)
@@ -96,40 +94,23 @@ def test_nothing_moves_without_limits(quantity):
     ],
 )
 def test_an_approach_takes_a_tenth_of_the_limits(speed, acceleration, seconds):
-    """From rest to rest, both joints together and in a straight line."""
     start, end = np.array([0.1, -80 * DEG]), np.array([0.05, 10 * DEG])
     q = approach(start, end, robot_with(speed=speed, acceleration=acceleration), PERIOD_S)
     assert (len(q) - 1) * PERIOD_S == pytest.approx(seconds, abs=2 * PERIOD_S)
+    assert (len(approach(start, start, robot_with(), PERIOD_S)) - 1) * PERIOD_S == pytest.approx(0.2)
     x = np.arange(len(q)) / (len(q) - 1)
     assert q == pytest.approx(start + np.outer(10 * x**3 - 15 * x**4 + 6 * x**5, end - start), abs=1e-12)
 
 
-def test_a_joint_with_the_longest_way_sets_the_duration_of_an_approach():
-    robot, ends = robot_with(speed=200, acceleration=1e6), ([1.0, 0.0], [0.2, -1.0], [0.0, 0.0])
-    one, other, none = (len(approach(np.zeros(2), np.array(end), robot, PERIOD_S)) for end in ends)
-    assert one == pytest.approx(1.875 / (20 * DEG) / PERIOD_S, abs=2)
-    assert other == pytest.approx(one, abs=1)
-    assert (none - 1) * PERIOD_S == pytest.approx(0.2)
-
-
-def test_a_series_and_its_derivatives_by_hand():
-    """q = 0.5 + 0.3 sin wt - 0.2 (cos 2wt - 1), at t = 0 and at a quarter of the period of 4 s."""
-    sine, cosine = np.array([[0.3, 0.0]]), np.array([[0.0, -0.2]])
-    reference = FourierReference(period_s=4.0, center=np.array([0.5]), sine=sine, cosine=cosine)
-    q, dq, ddq = reference.at(np.array([0.0, 1.0, 4.0]))
-    w = np.pi / 2
-    assert q[:, 0] == pytest.approx([0.5, 0.5 + 0.3 + 0.4, 0.5])
-    assert dq[:, 0] == pytest.approx([0.3 * w, 0.0, 0.3 * w], abs=1e-12)
-    assert ddq[:, 0] == pytest.approx([0.8 * w**2, -0.3 * w**2 - 0.8 * w**2, 0.8 * w**2])
-
-
-@pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("period_s", [1.0, 5.0, 60.0])
-def test_a_random_series_fills_eight_tenths_of_one_limit_and_none_more(seed, period_s):
-    """It is at rest at the beginning and at the end."""
-    reference = fourier_reference(robot_with(speed=100, acceleration=300), period_s=period_s, seed=seed)
+def test_a_random_series_fills_eight_tenths_of_one_limit_and_none_more(period_s):
+    reference = fourier_reference(robot_with(speed=100, acceleration=300), period_s=period_s, seed=1)
     assert reference.sine.shape == reference.cosine.shape == (2, 5)
-    q, dq, ddq = reference.at(np.linspace(0, period_s, 20001))
+    q, dq, ddq = reference.at(t := np.linspace(0, period_s, 20001))
+    for x, derivative in ((q, dq), (dq, ddq)):
+        np.testing.assert_allclose(
+            np.gradient(x, t, axis=0)[1:-1], derivative[1:-1], atol=1e-4 * np.abs(derivative).max()
+        )
     for j, (low, high, speed, acceleration) in enumerate(((-150, 150, 200, 4000), (-150, 60, 100, 300))):
         used = np.ptp(q[:, j]), np.abs(dq[:, j]).max(), np.abs(ddq[:, j]).max()
         assert max(np.array(used) / DEG / (high - low, speed, acceleration)) == pytest.approx(0.8, rel=1e-3)
@@ -172,12 +153,9 @@ def test_a_table_is_a_spline_at_rest_at_its_ends(tmp_path):
 @pytest.mark.parametrize(
     ("rows", "period_s", "expected"),
     [
-        ("0,0,0", 0.002, "time_s: expected two rows or more, with growing times"),
         ("0,0,0\n1,1,0\n0.5,0,0", 0.002, "time_s: expected two rows or more, with growing times"),
         ("0,0,0\n1e-310,0,1\n1,0,0", 0.002, "rows 1e-310 s apart or more, positions up to 1: expected positions in rad"),
         ("0,0,0\n1,0,1e308\n2,0,-1e308", 0.002, "rows 1 s apart or more, positions up to 1e+308: expected positions"),
-        ("0,0,0\n1e12,1,1", 0.002, "time_s: 1e+12 s from first to last: expected 86400 s at most, with SYNC every 0.002 s"),
-        ("-1e308,0,0\n1e308,1,1", 0.002, "time_s: inf s from first to last: expected 86400 s at most"),
         ("0,0,0\n86401,1,1", 1.0, "time_s: 86401 s from first to last: expected 86400 s at most"),
         ("0,0,0\n6000,1,1", 1e-4, "time_s: 6000 s from first to last: expected 5000 s at most, with SYNC every 0.0001"),
     ],
@@ -185,9 +163,8 @@ def test_a_table_is_a_spline_at_rest_at_its_ends(tmp_path):
 def test_tables_that_no_path_leads_through(tmp_path, rows, period_s, expected):
     path = tmp_path / "ref.csv"
     path.write_text(f"time_s,joint_1,joint_2\n{rows}\n")
-    with pytest.raises(BadInputError, match=re.escape(f"{path}: {expected}")) as caught:
+    with pytest.raises(BadInputError, match=re.escape(f"{path}: {expected}")):
         table_reference(path, robot_of(bus_text(2)), period_s)
-    assert "\n" not in str(caught.value)
 
 
 def test_a_table_of_a_day_and_one_without_a_joint(tmp_path):

@@ -1,6 +1,5 @@
 """robot.toml into a robot: what it means, and one line for each mistake. Files that are whole or not there."""
 
-import math
 import os
 import pickle
 from pathlib import Path
@@ -26,7 +25,6 @@ def refused(text: str) -> RobotIdimError:
     with pytest.raises(BadInputError) as caught:
         described(text)
     assert str(caught.value).startswith("here: ")
-    assert "\n" not in str(caught.value)
     assert caught.value.place == "here"
     return caught.value
 
@@ -52,13 +50,10 @@ def test_a_coupled_robot_by_hand():
     [
         ("zero", "", 90.0, np.pi / 2),
         ("position", "", [-180.0, 45.0], (-np.pi, np.pi / 4)),
-        ("speed", "_s", 180.0, np.pi),
         ("acceleration", "_s2", 720.0, 4 * np.pi),
-        ("following_error", "", 1.8, np.pi / 100),
     ],
 )
 def test_limits_in_si(quantity, per, value, si):
-    """Degrees become radians at a joint that turns; metres stay metres at one that slides; the other unit is refused."""
     keys = {unit: ONE_JOINT.replace(DH, f"{DH}\n{quantity}_{unit}{per} = {value}") for unit in ("deg", "m")}
     (turning,) = described(keys["deg"]).joints
     assert (turning.si(quantity), turning.position_unit) == (pytest.approx(si), "rad")
@@ -74,10 +69,8 @@ def test_limits_in_si(quantity, per, value, si):
     ("kind", "motor", "gain", "recorded", "unit"),
     [
         ("revolute", 'drive_gain = 0.2\ndrive_gain_unit = "N m/V"', 0.2, "V", "N m"),
-        ("prismatic", 'drive_gain = 35.15\ndrive_gain_unit = "N/V"', 35.15, "V", "N"),
         ("prismatic", 'drive_gain = 2.0\ndrive_gain_unit = "N m/A"', 2.0, "A", "N"),
         ("revolute", 'effort_unit = "N m"', 1.0, "N m", "N m"),
-        ("prismatic", 'effort_unit = "N"', 1.0, "N", "N"),
         ("prismatic", 'effort_unit = "N m"', 1.0, "N m", "N"),
         ("revolute", 'effort_unit = "V"', None, "V", "V"),
     ],
@@ -94,12 +87,7 @@ def test_gains_and_units_of_motors(kind, motor, gain, recorded, unit):
     ("old", "new", "key", "value", "expected"),
     [
         ('name = "one"', 'name = "a\\u001b[31m"', "name", "a\x1b[31m", "`str` matching regex"),
-        ("ratio = 50", 'ratio = "50"', "motor[0].ratio", "50", "`float | null`, got `str`"),
-        ("ratio = 50", "ratio = inf", "motor[0].ratio", math.inf, "a finite number"),
         ("ratio = 50", "ratio = 0", "motor[0].ratio", 0.0, "a non-zero ratio"),
-        ('type = "revolute"', 'type = "spherical"', "joint[0].type", "spherical", "one of 'prismatic', 'revolute'"),
-        ('"N m/A"', '"Nm/A"', "motor[0].drive_gain_unit", "Nm/A", "one of 'N m/%', 'N m/A', 'N m/V', 'N/%', 'N/A', 'N/V'"),
-        (GAIN, 'effort_unit = "Nm"', "motor[0].effort_unit", "Nm", "one of '%', 'A', 'N', 'N m', 'V'"),
         (GAIN, "", "motor[0].effort_unit", None, "effort_unit (A, V, N m, N or %) where no drive gain is given"),
         (GAIN, "drive_gain = 0.2", "motor[0].drive_gain", 0.2, "drive_gain and drive_gain_unit together"),
         (GAIN, GAIN.replace("0.2", "-0.2"), "motor[0].drive_gain", -0.2, "a positive number"),
@@ -107,21 +95,15 @@ def test_gains_and_units_of_motors(kind, motor, gain, recorded, unit):
         (DH, "", "joint[0].dh", None, "a dh row for every joint, or else a urdf"),
         (DH, DH + "\nposition_deg = [90, -90]", "joint[0].position_deg", (90.0, -90.0), "[lowest, highest]"),
         (DH, DH + "\nposition_m = [0, 1]", "joint[0].position_m", (0.0, 1.0), "a key in deg for a revolute"),
-        (DH, DH + "\nspeed_deg_s = -1", "joint[0].speed_deg_s", -1, "`float` > 0.0"),
         ("[controller]", "[[motor]]\nname = 'two'\neffort_unit = 'A'\n[controller]", "motor", "2 tables", "one per joint: 1"),
-        ("bandwidth_hz = 20", "bandwidth_hz = 0", "controller.bandwidth_hz", 0, "`float` > 0.0"),
         ("bandwidth_hz = 20", "bandwidth_hz = 20\nposition_gain = [1, 2]", "controller.position_gain", [1.0, 2.0], "1 numbers"),
-        ("bandwidth_hz = 20", "bandwidth_hz = 20\nvelocity_gain = [0]", "controller.velocity_gain", [0.0], "positive numbers"),
         ("bandwidth_hz = 20", "bandwidth_hz = 20\nintegral_gain = [-1]", "controller.integral_gain", [-1.0], "positive"),
         ('name = "one"', 'name = "one"\nmotor_matrix = [[0]]', "motor[0].ratio", 50.0, "a non-zero ratio, or motor_matrix"),
-        ("[[joint]]", "[joint]", "joint", None, "`array`, got `object`"),
         ("[[10, 4], [-3, 20]]", "[[10, 4], [5, 2]]", "motor_matrix", ((10.0, 4.0), (5.0, 2.0)), "an invertible matrix"),
         ("[[10, 4], [-3, 20]]", "[[0, 4], [-3, 20]]", "motor_matrix[0]", [0.0, 4.0], "motor 1 to turn joint 1"),
         ("[[10, 4], [-3, 20]]", "[[10, 4]]", "motor_matrix", [2], "2 rows of 2 numbers"),
         ('name = "second"', 'name = "first"', "joint[1].name", "first", "a name not used before"),
-        ('name = "m2"', 'name = "m1"', "motor[1].name", "m1", "a name not used before"),
         ('drive_gain = 0.25\ndrive_gain_unit = "N m/A"', 'effort_unit = "A"', "motor.drive_gain", None, "a drive gain for all"),
-        ("zero_deg = 90", "position_deg = [90, 90]", "joint[0].position_deg", (90.0, 90.0), "[lowest, highest]"),
     ],
 )  # fmt: skip
 def test_each_mistake_is_reported_with_key_value_and_expectation(old, new, key, value, expected):
@@ -135,14 +117,12 @@ def test_each_mistake_is_reported_with_key_value_and_expectation(old, new, key, 
     ("old", "new", "message"),
     [
         ('name = "one"', "", "top level: Object missing required field `name`"),
-        ('name = "one"', 'name = "one"\nmass_kg = 3', "top level: Object contains unknown field `mass_kg`"),
         ('name = "one"', 'name = "one"\n"a\\nb" = 3', "top level: Object contains unknown field `a b`"),
         ("ratio = 50", f"ratio = {'9' * 1500}", f"motor[0].ratio = {'9' * 77}: Number out of range"),
         ("ratio = 50", "ratio = 50\nratio = 50", "not valid TOML: Cannot overwrite a value"),
         ("[[joint]]", f"a = {'[' * 1900}", "not valid TOML: "),
         ("[[joint]]", f"a{'.a' * 2000} = 1", "a line of 4005: expected 262144 and"),
         ("[[joint]]", "#\n" * 262144, "bytes, a line of "),
-        ('name = "one"', 'name = "one"\nurdf = "x.urdf"', "joint[0].dh = DH("),
     ],
 )  # fmt: skip
 def test_each_mistake_is_told_in_one_line(old, new, message):
@@ -157,11 +137,8 @@ def test_no_description_and_bytes_that_are_no_text():
 
 
 def test_the_urdf_comes_along_or_is_missed(tmp_path):
-    text, path = (
-        ONE_JOINT.replace(DH, "").replace('name = "one"', 'name = "one"\nurdf = "arm.urdf"'),
-        tmp_path / "r.toml",
-    )
-    path.write_text(text)
+    path = tmp_path / "r.toml"
+    path.write_text(text := ONE_JOINT.replace(DH, "").replace('name = "one"', 'name = "one"\nurdf = "arm.urdf"'))
     for place, told in (
         (path, r"urdf = 'arm\.urdf': cannot be read"),
         (tmp_path / "none.toml", "cannot be read: No such"),
@@ -190,7 +167,6 @@ def test_errors_carry_their_data_and_make_one_printable_line_of_it():
 
 
 def test_a_whole_file_replaces_the_old_one_only_when_complete_and_on_the_disk(tmp_path, monkeypatch):
-    """A power cut after the renaming must not leave a file without content."""
     synced: list[str] = []
     monkeypatch.setattr(os, "fsync", lambda _: synced.append((tmp_path / "out").read_text()))
     path = tmp_path / "out"
@@ -215,7 +191,6 @@ def test_places_where_no_file_can_stand(tmp_path):
         (Path(), "expected the name of a file"),
         (tmp_path / "none" / "out", "No such file or directory"),
         (tmp_path / "file" / "out", "Not a directory"),
-        (tmp_path / ("x" * 300), "File name too long"),
     ):
         with pytest.raises(BadInputError, match=message), atomic_write(path) as partial:
             partial.write_text("new")
@@ -245,7 +220,6 @@ def test_an_input_is_not_replaced_under_any_of_its_names(tmp_path):
     ],
 )
 def test_controller_keys_that_would_do_nothing_are_refused(tmp_path, lines, key, value):
-    """In a description; a recording that was made with one still opens."""
     before, after = (REPLAY / "scara" / "robot.toml").read_text().split("[controller]")
     path = tmp_path / "robot.toml"
     path.write_text(f"{before}[controller]\nbandwidth_hz = 5.0\n{lines}\n{after[after.index('[bus]') :]}")

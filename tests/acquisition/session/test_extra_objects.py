@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 from dry_sessions import dry_session, swing
-from made_up_buses import bus_of, bus_text, flat, robot_of, session
+from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.errors import BadInputError
 from acquisition.importing import import_recording
 from acquisition.recording import Header, RecordingWriter, read_recording, sample_dtype, writer
 from acquisition.recording.rows import Traffic
 from acquisition.robot import load_robot
-from acquisition.session import Recorder, Task
+from acquisition.session import Task
 
 EXTRA = 'extra = ["606C", "6077", "2081:1", "2082"]\nobjects = { "2081:1" = "I16", "2082" = "U8" }\n'
 
@@ -38,7 +38,6 @@ TABLE = '{ object = "2081:1", name = "temperature", scale = 0.1, unit = "degC" }
 
 
 def test_recordings_of_earlier_versions_with_columns_of_them_still_open(tmp_path, monkeypatch):
-    """The columns are skipped; a new description with scales of them is refused."""
     text = bus_text(2, drive=EXTRA.replace('"2081:1",', f"{TABLE},"))
     (drive, _), robot = bus_of(robot_of(text)).drives, robot_of(text)
     assert [[str(e) for e in pdo.entries] for pdo in drive.tpdos[1:]] == [["606C:0", "6077:0", "2081:1"], ["2082:0"]]
@@ -63,19 +62,3 @@ def test_recordings_of_earlier_versions_with_columns_of_them_still_open(tmp_path
         load_robot(tmp_path / "robot.toml")
     assert caught.value.key == "bus.drive[0].extra[2]"
     assert caught.value.expected.startswith("'2081:1' alone")
-
-
-def test_a_wrong_period_loses_no_frame_and_the_corrected_description_decodes_it(tmp_path):
-    robot, frames = robot_of(bus_text(2)), flat(session(period_ns=5_400_000))
-    recorder = Recorder(tmp_path / "a.mcap", robot, source="a test", place="robot.toml")
-    recorder.add(frames)
-    done = recorder.finish(2_000_000_000)
-    assert (done.samples, done.frames) == (0, len(frames))
-    assert "SYNC came every 5.4 ms; bus.sync_period_s = 0.002 in robot.toml: expected 0.0054;" in done.no_samples
-    recording = read_recording(tmp_path / "a.mcap")
-    assert recording.samples is None
-    assert recording.frames["test"].tobytes() == frames.tobytes()
-    with pytest.raises(BadInputError):
-        import_recording(tmp_path / "a.mcap", tmp_path / "b.mcap", None, "robot.toml")
-    corrected = robot_of(bus_text(2, period_s=0.0054))
-    assert import_recording(tmp_path / "a.mcap", tmp_path / "b.mcap", corrected, "robot.toml").samples == 50

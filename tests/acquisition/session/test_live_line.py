@@ -24,11 +24,6 @@ def test_everything_that_matters_is_on_the_line():
     assert [part for part, bad in line if bad] == [", 3 dropped", ", 2 late"]
 
 
-def test_before_the_first_sample_and_without_an_end():
-    line = live_line(robot_of(bus_text(1)), Status(), None)
-    assert "".join(part for part, _ in line) == "0 frames/s, 0 dropped, 0 missing, 0 late"
-
-
 def test_the_line_is_written_without_waiting_and_without_a_thread(monkeypatch):
     """A terminal that nobody reads, or that was stopped by Ctrl-S, takes no text: the SYNC loop does not wait for it."""
     controller, terminal = os.openpty()

@@ -69,14 +69,10 @@ def test_an_unknown_ramp_is_noted(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("values", "ramp"),
     [
-        ({0x605A: 1, 0x6084: 7, 0x6085: 9}, 7),
-        ({0x605A: 2, 0x6084: 7, 0x6085: 9}, 9),
-        ({0x605A: 5, 0x6084: 7, 0x6085: 9}, 7),
-        ({0x605A: 6, 0x6084: 7, 0x6085: 9}, 9),
+        *(({0x605A: k, 0x6084: 7, 0x6085: 9}, ramp) for k, ramp in ((1, 7), (2, 9), (5, 7), (6, 9))),
         *(({0x605A: k, 0x6084: 7, 0x6085: 9}, None) for k in (0, 3, 4, 7, 8, None)),
         ({0x605A: 2, 0x6084: 7, 0x6085: None}, None),
         ({0x605A: 2, 0x6085: 0}, None),
-        ({}, None),
         # rpm/s as maxon (60AAh) and Nanotec (60A9h: rpm) code it; 60 rpm/s are a turn per s².
         ({0x605A: 6, 0x6085: 60, 0x60AA: 0x00C00300, 0x60A9: 0xFDB44700}, 65536),
         ({0x605A: 2, 0x6085: 60, 0x60A9: 0x00B44700}, 65536),

@@ -13,13 +13,11 @@ from dry_sessions import Answering, At, Unasked, connected, dry_session, finding
 from made_up_buses import bus_of, bus_text, robot_of
 
 import acquisition.session.logs as recorder_logs
-import acquisition.simulated.drives as dry_run_module
 from acquisition.bus import Frame, Master
 from acquisition.errors import BadInputError, BusFaultError, NoAnswerError, RobotIdimError
-from acquisition.protocol import Mode, State, write_request
+from acquisition.protocol import Mode, State
 from acquisition.robot import axis_of
-from acquisition.session import RecordOptions, Stop, Task, UserInterface, record, stop_on_signals
-from acquisition.simulated import SimulatedDrives, serve
+from acquisition.session import Stop, Task, stop_on_signals
 
 TRACK = Task(reference=swing(2, seconds=0.5, amplitude=0.1))
 
@@ -146,30 +144,6 @@ def test_a_recorder_that_hangs_is_noticed(tmp_path, monkeypatch):
     finally:
         os.kill(log.pid, signal.SIGCONT)
         log.close()
-
-
-def test_a_reference_out_of_the_limits_leaves_no_file(tmp_path):
-    far = tmp_path / "far.csv"
-    far.write_text("time_s,joint_1\n0,0\n1,0.5\n2,9\n3,9\n")
-    options = RecordOptions(track=far, dry_run=True)
-    with pytest.raises(BadInputError, match=r"far.csv: .*position of joint_1"):
-        record(robot_of(bus_text(1)), "robot.toml", tmp_path / "a.mcap", options, UserInterface())
-    assert not (tmp_path / "a.mcap").exists()
-
-
-def test_simulated_drives_beat_on_a_bus_that_is_never_quiet(monkeypatch):
-    robot = robot_of(bus_text(1))
-
-    class Busy(Answering):
-        def receive(self, until_ns):
-            self.time_ns += 100_000
-            return super().receive(until_ns) if self.waiting else Frame(0, 0x7FF, b"")
-
-    link = Busy()
-    link.waiting = [(0x601, write_request(0x1017, 0, 10, 2))]
-    monkeypatch.setattr(dry_run_module, "open_link", lambda *_, **__: link)
-    serve(SimulatedDrives(robot, bus_of(robot)), lambda: link.time_ns >= 1_300_000_000)
-    assert link.sent.count((0x701, b"\x7f")) in (29, 30)  # one every 10 ms
 
 
 def test_a_statusword_from_before_start_counts_for_nothing():

@@ -4,7 +4,7 @@ import itertools
 import pkgutil
 import shutil
 from collections import namedtuple
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -29,7 +29,6 @@ def finished(tmp_path_factory):
 
 
 def tracked(session) -> np.ndarray:
-    """The samples of the track phase."""
     samples, at = session.recording.samples, session.phases
     return samples[(samples["stamp_ns"] >= at["track"]) & (samples["stamp_ns"] < at["stop"])]
 
@@ -51,16 +50,8 @@ def test_a_reference_is_tracked_and_recorded(finished):
     nmt = frames[frames["can_id"] == 0]  # to our drives only
     assert nmt["length"].tolist() == [2] * len(nmt)
     assert nmt["data"][:, :2].tolist() == [[128, 1], [128, 2], [1, 1], [1, 2], [128, 1], [128, 2]]
-    plans = session.events("plan")
-    assert [text.split()[0] for text in plans] == ["approach", "track"]
-    assert float(plans[1].split()[1]) == pytest.approx((at["stop"] - at["track"]) * 1e-9, abs=0.01)
-
-
-def test_runs_repeat_bit_for_bit(finished, tmp_path):
-    a, b = finished.recording, dry_session(tmp_path / "b.mcap", TRACK).recording
-    assert a.frames["test"].tobytes() == b.frames["test"].tobytes()
-    assert a.samples.tobytes() == b.samples.tobytes()
-    assert a.events == b.events
+    plan = session.events("plan")[1]
+    assert float(plan.split()[1]) == pytest.approx((at["stop"] - at["track"]) * 1e-9, abs=0.01)
 
 
 def test_nothing_moves_without_a_reference(tmp_path):
@@ -96,8 +87,6 @@ def test_bad_pdos_are_counted_and_the_session_goes_on(tmp_path, kinds, counted):
 
 @dataclass(kw_only=True)
 class DeadBus(Through):
-    """Nothing can be sent any more from some frame on."""
-
     ends: int
     count: int = 0
 
@@ -109,7 +98,6 @@ class DeadBus(Through):
 
 
 def test_on_a_bus_that_takes_no_frames_any_more_nothing_confirms(tmp_path):
-    """Drives go into fault by themselves: SYNC has ended."""
     session = dry_session(tmp_path / "a.mcap", TRACK, through=partial(DeadBus, ends=10**9))
     assert "transmit buffer full" in session.outcome.reason
     assert session.outcome.unconfirmed == (1, 2)
@@ -137,7 +125,6 @@ def beats(node: int, which: range, other: dict[str, object] | None) -> dict[str,
 
 
 def disobedient(bit: int) -> dict[str, object]:
-    """A bit that is 0 at two SYNCs, then at three."""
     return of(*(Fault(kind="clear", node=2, sync=sync, count=count, bits=bit) for sync, count in ((60, 2), (90, 3))))
 
 
@@ -179,26 +166,6 @@ def test_heartbeats_from_before_start_and_one_that_is_lost_end_nothing(tmp_path)
     assert session.outcome.reason == "finished"
 
 
-@dataclass(kw_only=True)
-class Jittery(Through):
-    """SYNC comes up to a millisecond late."""
-
-    rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
-
-    def receive(self, until_ns):
-        return super().receive(until_ns + int(self.rng.integers(0, 1_000_000)))
-
-
-def test_sync_jitter_is_measured_and_the_session_goes_on(tmp_path):
-    session = dry_session(tmp_path / "a.mcap", TRACK, through=Jittery)
-    assert session.outcome.reason == "finished"
-    assert 1e-4 < session.recording.health[-1].counters["sync_jitter_sd_s"] < 1e-3
-    stamps = session.recording.samples["stamp_ns"]
-    syncs = session.sent[session.sent["can_id"] == 0x80]
-    assert np.isin(stamps, syncs["time_ns"]).all()  # a sample has its SYNC's own time
-    assert np.diff(stamps).std() > 1e5
-
-
 def test_a_disk_nearly_full_ends_the_session_in_order(tmp_path, monkeypatch):
     usage = namedtuple("usage", "total used free")
     monkeypatch.setattr(shutil, "disk_usage", lambda _: usage(1, 1, 0))
@@ -209,7 +176,6 @@ def test_a_disk_nearly_full_ends_the_session_in_order(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("at", [0.028, 0.05, 0.3, 0.6])
 def test_a_stop_asked_for_is_slow_and_in_order(tmp_path, at):
-    """At any time: while enabling, in the approach, while tracking."""
     stop = Stop()
     interrupt = partial(At, at_ns=LISTENED_NS + at * 1e9, act=lambda: setattr(stop, "reason", "stopped by SIGINT"))
     session = dry_session(tmp_path / "a.mcap", TRACK, through=interrupt, stop=stop)
@@ -301,8 +267,6 @@ def test_sync_of_another_producer_is_followed_and_a_mode_in_the_pdo_stays_the_mo
 
 @pytest.mark.parametrize(("reads", "fault"), [(3, False), (10_000, True)])
 def test_the_mode_is_awaited(tmp_path, reads, fault):
-    """A drive displays a mode (6061h) only some time after it was asked for (6060h), or never."""
-
     class Late(FaultyDrives):
         asked = 0
 

@@ -30,7 +30,6 @@ LONGEST_S = 0.3 + 2 * SYNC_S  # from the last SYNC of the session to the quick s
 
 
 def states(recording: Recording, number: int) -> list[tuple[int, State]]:
-    """Time and state of every PDO of a drive."""
     frames = frames_of(recording)
     own = frames[frames["can_id"] == 0x180 + number]
     words = own["data"][:, :2].copy().view("<u2")[:, 0]
@@ -38,7 +37,6 @@ def states(recording: Recording, number: int) -> list[tuple[int, State]]:
 
 
 def stopped_s(recording: Recording, number: int, since_ns: int) -> float:
-    """From `since_ns` to the first PDO of a drive that is not enabled any more."""
     then = [t for t, state in states(recording, number) if t > since_ns and state is not State.OPERATION_ENABLED]
     return (then[0] - since_ns) * 1e-9
 
@@ -167,7 +165,6 @@ class Clocked(Through):
 
 
 def beating_session(path, faults=()) -> DrySession:
-    """Four drives with slow answers."""
     robot, task = robot_of(bus_text(4)), Task(reference=np.zeros((51, 4)))
     how = {"through": Clocked, "simulated": SlowAnswers, "log_of": Beating}
     return dry_session(path, task, robot=robot, faults=faults, **how)
