@@ -34,13 +34,6 @@ def assigned(function: ast.AST) -> dict[str, ast.expr]:
     for node in ast.walk(function):
         if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
             found.setdefault(node.targets[0].id, []).append(node.value)
-        if (
-            isinstance(node, ast.Assign)
-            and isinstance(node.targets[0], ast.Tuple)
-            and isinstance(node.value, ast.Tuple)
-        ):
-            for target, value in zip(node.targets[0].elts, node.value.elts, strict=False):
-                found.setdefault(target.id if isinstance(target, ast.Name) else "", []).append(value)
     return {name: values[0] for name, values in found.items() if len(values) == 1}
 
 

@@ -11,14 +11,7 @@ import numpy as np
 import pytest
 from conftest import REPLAY
 from independent_robots import plant
-from independent_simulator import (
-    Imperfections,
-    described_controller,
-    description,
-    designed_pd,
-    references,
-    simulate,
-)
+from independent_simulator import Imperfections, described_controller, description, designed_pd, references, simulate
 
 from identification.design import select_friction
 from identification.regression import Overrides

@@ -13,6 +13,7 @@ import tomllib
 import pytest
 from conftest import PROGRAMS, ROOT
 from slow_tests import listed
+from wordings import TABLE, table
 
 PACKAGES = ("acquisition", "identification")
 ROOMS = sorted(path for package in PACKAGES for path in (ROOT / package).iterdir() if (path / "__init__.py").exists())
@@ -133,3 +134,7 @@ def test_the_list_of_slow_tests_names_tests():
     for name in listed() - {""}:
         file, _, function = name.split("[")[0].partition("::")
         assert f"def {function}(" in (ROOT / file).read_text(), name
+
+
+def test_the_table_of_wordings_is_that_of_the_code():
+    assert TABLE.read_text(encoding="utf-8") == table(), "read what changed, then `python tests/wordings.py`"

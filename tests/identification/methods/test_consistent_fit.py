@@ -14,12 +14,7 @@ from physical_cases import lowest, one_link
 from acquisition.robot import robot_from_files
 from identification.commands import main
 from identification.errors import BadInputError
-from identification.estimation import (
-    consistent_parameters,
-    link_parameters,
-    parameter_certainty,
-    pseudo_inertia,
-)
+from identification.estimation import consistent_parameters, link_parameters, parameter_certainty, pseudo_inertia
 from identification.methods import fit_document, fit_file, identify_ls, urdf_prior, with_consistent
 from identification.model import InverseModel, base_parameters, expected_links, physical_parameters
 from identification.regression import Overrides
