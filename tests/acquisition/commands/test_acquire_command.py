@@ -70,7 +70,7 @@ def test_info_tells_everything_and_passes_no_terminal_codes_on(tmp_path, capsys)
     for part in (
         "SCARA", "a test", "made up", "240 at 1000 Hz", "with reference", "kernel_drops 200", "CAN can0",
         f"240 frames, {sent} of them sent, 0.239 s", "../../etc/drive.eds (11 bytes)", "whole", "shoulder", "elbow", "track",
-        "stop", "gaps      none",
+        "stop", "gaps      none", "s from the first sample",
     ):  # fmt: skip
         assert part in text
     with RecordingWriter(tmp_path / "b.mcap", replace(header(robot_named("scara")), source="[bold]x\x1b[2J")) as writer:
