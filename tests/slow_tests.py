@@ -92,7 +92,7 @@ def lines_of(found: dict[str, float], before: set[str]) -> list[str]:
         cases.setdefault(name.split("[")[0], {})[name] = seconds
     lines = {name for name in before if name and name.split("[")[0] not in cases}
     for function, times in cases.items():
-        slow = {name for name, seconds in times.items() if seconds > (LEAST_S if is_listed(name, before) else SLOW_S)}
+        slow = {name for name, seconds in times.items() if seconds > SLOW_S}
         lines |= {function} if len(slow) == len(times) else slow
     return sorted(lines)
 
