@@ -14,7 +14,7 @@ from identification.commands import main
 PACKAGES = ("acquisition", "identification")
 MOST_LINES = 33_298
 ROOMS = {"acquisition": 9, "identification": 13}
-MOST_RECORDS, MOST_VISITS = 50, 503
+MOST_RECORDS, MOST_VISITS = 50, 501
 LONGEST_CYCLE = 8  # rooms that a loop goes through again and again: counted once
 
 
