@@ -10,7 +10,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Generator, Iterable
+from collections.abc import Generator
 from pathlib import Path
 from typing import Any
 
@@ -61,10 +61,6 @@ def pytest_runtest_call(item: pytest.Item) -> Generator[None, Any, Any]:
         item.user_properties.append(("cpu_s", cpu_s() - began))
 
 
-def measured(reports: Iterable[Any]) -> dict[str, float]:
-    return {one.nodeid: dict(one.user_properties)["cpu_s"] for one in reports if one.when == "call"}
-
-
 def wrongly_listed(found: dict[str, float], speed: float) -> dict[str, str]:
     """Lines by test on those that the list has and should not, or the reverse; `speed` is that of this machine."""
     names, lines = listed(), {}
@@ -81,7 +77,8 @@ def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> Non
     if (path := os.environ.get("TEST_CPU")) is None:
         return
     stats = terminalreporter.stats
-    found = measured(report for name in ("passed", "failed") for report in stats.get(name, []))
+    reports = [one for name in ("passed", "failed") for one in stats.get(name, []) if one.when == "call"]
+    found = {one.nodeid: dict(one.user_properties)["cpu_s"] for one in reports}
     Path(path).write_text("\n".join(f"{seconds:.3f} {name}" for name, seconds in found.items()) + "\n")
 
 

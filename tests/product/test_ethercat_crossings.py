@@ -21,11 +21,9 @@ HEADER, PACKET = 24, 16  # bytes
 
 def test_two_parts_of_the_real_capture_are_fitted_together(tmp_path):
     content = needs_data("ethercat", "two_drives.pcap").read_bytes()
-    at, ends = HEADER, list[int]()
-    while at < len(content):
-        at += PACKET + struct.unpack_from("<I", content, at + 8)[0]
-        ends.append(at)
-    half = ends[len(ends) // 2]
+    half = HEADER
+    while half < len(content) // 2:
+        half += PACKET + struct.unpack_from("<I", content, half + 8)[0]
     first, second = (tmp_path / name for name in ("first.pcap", "second.pcap"))
     first.write_bytes(content[:half])
     second.write_bytes(content[:HEADER] + content[half:])

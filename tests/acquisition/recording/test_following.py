@@ -140,3 +140,10 @@ def test_a_recorder_hands_over_each_block_at_once_in_few_bytes(tmp_path, monkeyp
     assert 9 <= len(synced) - begun_syncs <= 11
     assert path.stat().st_size - begun_bytes <= 12 * len(frames)
     recorder.close()
+
+
+def test_a_drive_late_for_long_is_shown_as_it_is_decoded(tmp_path):
+    by = np.zeros(400, int)
+    by[110:260] = 1
+    frames = late_by(session(syncs=400), by, 1)
+    assert shown(tmp_path / "log.mcap", frames).tobytes() == decode(frames, ROBOT, BUS, "log").samples.tobytes()
